@@ -1,0 +1,6 @@
+"""Simulated robots as TorchRL environments."""
+
+from torch_pmil.envs.double_pendulum import DoublePendulumEnv
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+
+__all__ = ["DoublePendulumEnv", "MujocoRobotEnv"]

@@ -1,0 +1,100 @@
+"""The double pendulum of Sec. 5.1: two uniform rods, a motor in each joint, swing up and balance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from importlib import resources
+
+import mujoco
+import numpy as np
+from torch import Tensor
+
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+
+LINK_LENGTH = 0.5  # m, paper
+
+
+class DoublePendulumEnv(MujocoRobotEnv):
+    """Two actuated links on a fixed base, in MuJoCo, at 10 Hz (Sec. 5.1).
+
+    The state is x = [q1, dq1, q2, dq2] (rad, rad/s): q1 is the angle of link 1 from upright (0 up, pi hanging), q2
+    the angle of link 2 relative to link 1. The link ends are at x1 = l sin q1, y1 = l cos q1, x2 = x1 + l sin(q1 + q2)
+    and y2 = y1 + l cos(q1 + q2), with l = 0.5 m. The action is the torque of the two joints in N·m.
+
+    Stated in the paper: masses, lengths, torque limit, control rate. Chosen here: links are uniform rods (inertia
+    m l²/12 about the centre), the start hangs with standard deviations of 0.05 rad and 0.1 rad/s; no friction.
+
+    Args:
+        link_masses: masses of the two rods in kg.
+        torque_limit: largest absolute torque in N·m, one for both motors or one each.
+        initial_mean: mean of the start state, length 4.
+        initial_std: standard deviations of the start state, length 4.
+        num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
+        from_pixels: whether to draw a picture (240, 240, 3) at each step under ``"pixels"``.
+        seed: of the generator of the starts; None takes entropy from the system.
+
+    Raises:
+        ValueError: a setting has the wrong shape or range; the message says what was expected and what came.
+
+    Example:
+        >>> env = DoublePendulumEnv(seed=0)
+        >>> env.rollout(25)["next", "observation"].shape
+        torch.Size([25, 4])
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> upright = torch.zeros(4, dtype=torch.float64)
+        >>> env.reset(TensorDict({"observation": upright}))["observation"]
+        tensor([0., 0., 0., 0.], dtype=torch.float64)
+    """
+
+    def __init__(
+        self,
+        link_masses: Sequence[float] = (0.5, 0.5),
+        *,
+        torque_limit: float | Sequence[float] = 3.5,
+        initial_mean: Sequence[float] | Tensor = (math.pi, 0.0, 0.0, 0.0),
+        initial_std: Sequence[float] | Tensor = (0.05, 0.1, 0.05, 0.1),
+        num_envs: int | None = None,
+        from_pixels: bool = False,
+        seed: int | None = None,
+    ) -> None:
+        super().__init__(
+            double_pendulum_model(link_masses),
+            joints=("q1", "q2"),
+            initial_mean=initial_mean,
+            initial_std=initial_std,
+            torque_limit=torque_limit,
+            num_envs=num_envs,
+            from_pixels=from_pixels,
+            seed=seed,
+        )
+
+
+def double_pendulum_model(link_masses: Sequence[float] = (0.5, 0.5)) -> mujoco.MjModel:
+    """The MuJoCo model of the double pendulum with the given rods.
+
+    Args:
+        link_masses: masses of the two rods in kg; their inertia about the centre is m l²/12.
+
+    Returns:
+        The compiled model, Runge-Kutta at 2 ms.
+
+    Raises:
+        ValueError: not two positive finite masses.
+
+    Example:
+        >>> double_pendulum_model((0.5, 0.15)).body("link2").mass
+        array([0.15])
+    """
+    masses = np.asarray(link_masses, dtype=np.float64)
+    if masses.shape != (2,) or not (np.isfinite(masses) & (masses > 0)).all():
+        raise ValueError(f"link_masses must be two positive finite numbers in kg, got {link_masses}")
+    spec = mujoco.MjSpec.from_string(
+        resources.files("torch_pmil.envs").joinpath("assets", "double_pendulum.xml").read_text(encoding="utf-8")
+    )
+    for name, mass in zip(("link1", "link2"), masses, strict=True):
+        inertia = mass * LINK_LENGTH**2 / 12
+        spec.body(name).mass = mass
+        spec.body(name).inertia = [inertia, inertia, inertia / 100]  # about the rod's own axis: any, it never turns
+    return spec.compile()

@@ -1,0 +1,252 @@
+"""A MuJoCo robot as a TorchRL environment: float64, zero-order hold, seeded Gaussian starts. Knows no robot."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+class MujocoRobotEnv(EnvBase):
+    """A torque-controlled MuJoCo robot, simulated in float64 by ``mujoco.rollout``.
+
+    One step holds the action for ``control_period`` seconds. The state vector interleaves position and velocity of
+    the observed joints, ``[q1, dq1, q2, dq2, ...]`` (rad, rad/s). Torques beyond the limit are clipped by the
+    physics. The reward is zero and an episode never ends by itself: imitation has neither.
+
+    Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all float64, and with
+    ``from_pixels`` also ``"pixels"`` (*batch, height, width, 3), uint8. ``reset`` draws x_0 ~ N(initial_mean,
+    diag(initial_std²)) from the generator of this environment, or starts at the ``"observation"`` it is given.
+    ``state_dict`` holds the physics and the generator, so that a checkpoint resumes bit for bit.
+
+    Args:
+        model: the robot, with one motor per torque; it is copied. Pictures are taken by its camera ``"front"``.
+        joints: names of the D/2 observed hinge or slide joints, in the order of the state vector.
+        initial_mean: mean of the start state, length D.
+        initial_std: standard deviations of the start state, length D.
+        torque_limit: largest absolute torque in N·m, one for all motors or one each.
+        control_period: seconds between two actions; a whole number of simulation time steps.
+        num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
+        from_pixels: whether to draw a picture at each step; needs OpenGL (headless: ``MUJOCO_GL=egl``).
+        pixel_size: height and width of a picture.
+        seed: of the generator of the starts; None takes entropy from the system.
+
+    Raises:
+        ValueError: a setting has the wrong shape or range; the message says what was expected and what came.
+        RuntimeError: pictures were asked for and OpenGL is not available.
+    """
+
+    camera = "front"
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        joints: Sequence[str],
+        *,
+        initial_mean: Sequence[float] | Tensor,
+        initial_std: Sequence[float] | Tensor,
+        torque_limit: float | Sequence[float],
+        control_period: float = 0.1,
+        num_envs: int | None = None,
+        from_pixels: bool = False,
+        pixel_size: tuple[int, int] = (240, 240),
+        seed: int | None = None,
+    ) -> None:
+        if num_envs is not None and num_envs < 1:
+            raise ValueError(f"num_envs must be None or at least 1, got {num_envs}")
+        super().__init__(device="cpu", batch_size=() if num_envs is None else (num_envs,))
+        self.substeps = _substeps(control_period, model.opt.timestep)
+        self.control_period = control_period
+        self.model = _limited_model(model, torque_limit)
+        self.model.vis.global_.offheight, self.model.vis.global_.offwidth = pixel_size
+        self.pixel_size = pixel_size
+        self.from_pixels = from_pixels
+        self._data = mujoco.MjData(self.model)
+        self._renderer: mujoco.Renderer | None = None
+        self._state_columns = _state_columns(self.model, joints)
+        self.initial_mean = _state_vector("initial_mean", initial_mean, 2 * len(joints))
+        self.initial_std = _state_vector("initial_std", initial_std, 2 * len(joints))
+        if (self.initial_std < 0).any():
+            raise ValueError(f"initial_std must not be negative, got {self.initial_std.tolist()}")
+        self._generator = torch.Generator()
+        self._set_seed(seed)
+        self.register_buffer("_physics", self._physics_from_state(self.initial_mean.expand(num_envs or 1, -1)))
+        self._make_specs()
+        if from_pixels:
+            self._open_renderer()
+
+    def render(self, state: Tensor) -> np.ndarray:
+        """Draw the robot in one state, seen by the fixed camera, without shadows.
+
+        Args:
+            state: state vector (D,).
+
+        Returns:
+            Picture (height, width, 3), uint8.
+
+        Raises:
+            ValueError: the state has another shape or is not finite.
+            RuntimeError: OpenGL is not available.
+        """
+        state = _state_vector("state", state, self._state_columns.numel())
+        return self._draw(self._physics_from_state(state[None])[0])
+
+    def close(self, **kwargs) -> None:
+        """Release the OpenGL context, if pictures were drawn."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        super().close(**kwargs)
+
+    def get_extra_state(self) -> Tensor:
+        """State of the generator of the starts, kept in ``state_dict`` beside the physics."""
+        return self._generator.get_state()
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Restore what ``get_extra_state`` returned."""
+        self._generator.set_state(state)
+
+    def _physics_from_state(self, state: Tensor) -> Tensor:
+        """Full simulation state (N, P) at time 0 of robots whose state vectors are (N, D); other joints at rest."""
+        at_rest = np.empty(mujoco.mj_stateSize(self.model, FULL_PHYSICS))
+        mujoco.mj_getState(self.model, mujoco.MjData(self.model), at_rest, FULL_PHYSICS)
+        physics = torch.from_numpy(at_rest).repeat(state.shape[0], 1)
+        physics[:, self._state_columns] = state.to(torch.float64)
+        return physics
+
+    def _make_specs(self) -> None:
+        batch, dim = self.batch_size, self._state_columns.numel()
+        limit = torch.from_numpy(self.model.actuator_ctrlrange[:, 1].copy()).expand(*batch, -1)
+        observation = {"observation": Unbounded((*batch, dim), dtype=torch.float64)}
+        if self.from_pixels:
+            observation["pixels"] = Bounded(0, 255, (*batch, *self.pixel_size, 3), dtype=torch.uint8)
+        self.observation_spec = Composite(observation, shape=batch)
+        self.action_spec = Bounded(-limit, limit, limit.shape, dtype=torch.float64)
+        self.reward_spec = Unbounded((*batch, 1), dtype=torch.float64)
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is None:
+            self._generator.seed()
+        else:
+            self._generator.manual_seed(seed)
+
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
+        given = None if tensordict is None else tensordict.get("observation", None)
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        start = self._draw_starts() if given is None else self._check_starts(given)
+        physics = self._physics_from_state(start)
+        if mask is not None:
+            physics = torch.where(mask.reshape(-1, 1), physics, self._physics)
+        self._physics = physics
+        return self._measure()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        torque = self._check_torque(tensordict["action"])[:, None].numpy()  # (N, 1, F), held over the substeps
+        states, _ = rollout.rollout(self.model, self._data, self._physics.numpy(), torque, nstep=self.substeps)
+        physics = torch.from_numpy(states[:, -1].copy())
+        self._check_physics(physics)
+        self._physics = physics
+        result = self._measure()
+        result["reward"] = torch.zeros(*self.batch_size, 1, dtype=torch.float64)
+        result["done"] = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
+        return result
+
+    def _measure(self) -> TensorDictBase:
+        measured = {"observation": self._physics[:, self._state_columns].reshape(*self.batch_size, -1)}
+        if self.from_pixels:
+            pixels = np.stack([self._draw(physics) for physics in self._physics])
+            measured["pixels"] = torch.from_numpy(pixels).reshape(*self.batch_size, *self.pixel_size, 3)
+        return TensorDict(measured, batch_size=self.batch_size)
+
+    def _draw_starts(self) -> Tensor:
+        noise = torch.randn(
+            self._physics.shape[0], self.initial_mean.numel(), generator=self._generator, dtype=torch.float64
+        )
+        return self.initial_mean + self.initial_std * noise
+
+    def _check_starts(self, state: Tensor) -> Tensor:
+        expected = self.observation_spec["observation"].shape
+        if state.shape != expected:
+            raise ValueError(f"start observation must have shape {tuple(expected)}, got {tuple(state.shape)}")
+        if not state.isfinite().all():
+            raise ValueError(f"start observation must be finite, got {state.tolist()}")
+        return state.reshape(self._physics.shape[0], -1).to(torch.float64)
+
+    def _check_torque(self, action: Tensor) -> Tensor:
+        action = action.detach().to(torch.float64)
+        if not action.isfinite().all():
+            raise ValueError(f"action must be finite, got {action.tolist()}")
+        return action.reshape(self._physics.shape[0], -1)
+
+    def _check_physics(self, physics: Tensor) -> None:
+        # mujoco.rollout stops early, with its clock behind, where the numbers grow out of range.
+        late = physics[:, 0] - self._physics[:, 0] < self.control_period - self.model.opt.timestep / 2
+        failed = (late | ~physics.isfinite().all(-1)).nonzero().flatten()
+        if len(failed):
+            step = round(self._physics[failed[0], 0].item() / self.control_period) + 1
+            raise RuntimeError(f"simulation diverged in env {failed[0]} at step {step}: its state is not finite")
+
+    def _open_renderer(self) -> mujoco.Renderer:
+        if self._renderer is None:
+            try:
+                self._renderer = mujoco.Renderer(self.model, *self.pixel_size)
+            except Exception as error:  # every OpenGL platform fails with a type of its own
+                backend = os.environ.get("MUJOCO_GL", "not set")
+                raise RuntimeError(
+                    f"pictures need OpenGL, which failed with MUJOCO_GL {backend} ({error}); headless, set MUJOCO_GL=egl"
+                ) from error
+        return self._renderer
+
+    def _draw(self, physics: Tensor) -> np.ndarray:
+        renderer = self._open_renderer()
+        mujoco.mj_setState(self.model, self._data, physics.numpy(), FULL_PHYSICS)
+        mujoco.mj_forward(self.model, self._data)
+        renderer.update_scene(self._data, camera=self.camera)
+        return renderer.render()
+
+
+def _substeps(control_period: float, timestep: float) -> int:
+    substeps = round(control_period / timestep)
+    if substeps < 1 or abs(substeps * timestep - control_period) > 1e-9:
+        raise ValueError(f"control_period must be a whole number of {timestep} s time steps, got {control_period} s")
+    return substeps
+
+
+def _limited_model(model: mujoco.MjModel, torque_limit: float | Sequence[float]) -> mujoco.MjModel:
+    limit = np.asarray(torque_limit, dtype=np.float64)
+    if limit.shape not in ((), (model.nu,)) or not (np.isfinite(limit) & (limit > 0)).all():
+        raise ValueError(f"torque_limit must be one or {model.nu} positive finite numbers in N·m, got {torque_limit}")
+    model = copy.copy(model)
+    model.actuator_ctrllimited[:] = 1
+    model.actuator_ctrlrange[:] = np.broadcast_to(limit, model.nu)[:, None] * [-1, 1]
+    # Without this flag MuJoCo silently restarts a diverged simulation at its default pose.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    model.vis.quality.shadowsize = 0
+    return model
+
+
+def _state_columns(model: mujoco.MjModel, joints: Sequence[str]) -> Tensor:
+    """Columns of [q1, dq1, q2, dq2, ...] in MuJoCo's full state [time, qpos, qvel, ...]."""
+    columns = []
+    for name in joints:
+        joint = model.joint(name)
+        columns += [1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]]
+    return torch.tensor(columns)
+
+
+def _state_vector(name: str, values: Sequence[float] | Tensor, dim: int) -> Tensor:
+    vector = torch.as_tensor(values, dtype=torch.float64)
+    if vector.shape != (dim,) or not vector.isfinite().all():
+        raise ValueError(f"{name} must be {dim} finite numbers, got {vector.tolist()}")
+    return vector

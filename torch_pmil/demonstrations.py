@@ -1,0 +1,234 @@
+"""Demonstrations: observed trajectories of equal length, without actions. Load, check, save."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import tempfile
+import zipfile
+import zlib
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+TIME_STEP_TOLERANCE = 1e-6  # relative difference between two time steps that count as equal
+
+
+class DemonstrationError(ValueError):
+    """Demonstrations are malformed; the message says where, what was expected and what came, in one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstrations:
+    """Observed trajectories of N demonstrations of one task, sampled at the same times, time 0 included.
+
+    Attributes:
+        positions: what was observed, (N, T+1, M), float64; for the double pendulum [x1, y1, x2, y2] in m.
+        time_step: seconds between two samples.
+        names: names of the M observed coordinates.
+
+    Raises:
+        DemonstrationError: a shape is wrong, there are fewer than two demonstrations or samples, a number is not
+            finite, or the time step is not positive.
+
+    Example:
+        >>> Demonstrations(torch.zeros(2, 26, 1), time_step=0.1, names=("x",)).duration
+        2.5
+    """
+
+    positions: Tensor  # (N, T+1, M)
+    time_step: float
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "positions", torch.as_tensor(self.positions).to(torch.float64))
+        object.__setattr__(self, "time_step", float(self.time_step))
+        object.__setattr__(self, "names", tuple(str(name) for name in self.names))
+        self._check_shapes()
+        if not (math.isfinite(self.time_step) and self.time_step > 0):
+            raise DemonstrationError(f"time_step must be positive and finite, in seconds, got {self.time_step}")
+        bad = (~self.positions.isfinite()).nonzero()
+        if len(bad):
+            demonstration, step, column = bad[0].tolist()
+            raise DemonstrationError(
+                f"positions must be finite, got {self.positions[demonstration, step, column].item()} in "
+                f"demonstration {demonstration}, step {step}, column {self.names[column]}"
+            )
+
+    def _check_shapes(self) -> None:
+        shape = tuple(self.positions.shape)
+        if len(shape) != 3:
+            raise DemonstrationError(f"positions must have shape (demonstrations, steps, columns), got {shape}")
+        if shape[0] < 2:
+            raise DemonstrationError(f"positions must hold at least two demonstrations, got {shape[0]}")
+        if shape[1] < 2:
+            raise DemonstrationError(f"positions must hold at least two steps, got {shape[1]}")
+        if shape[2] < 1 or len(self.names) != shape[2] or len(set(self.names)) != shape[2]:
+            raise DemonstrationError(f"names must be {shape[2]} different names, one per column, got {self.names}")
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample in seconds; the first is at 0."""
+        return self.time_step * (self.positions.shape[1] - 1)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an NPZ file with the arrays positions, time_step and names, wholly or not at all.
+
+        Args:
+            path: of the file; one that is there is replaced.
+
+        Raises:
+            OSError: the folder is missing or not writable.
+        """
+        path = Path(path)
+        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                np.savez(file, positions=self.positions.numpy(), time_step=self.time_step, names=np.array(self.names))
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+
+
+def load_demonstrations(path: str | os.PathLike[str], time_step: float | None = None) -> Demonstrations:
+    """Load demonstrations from an NPZ file written by ``Demonstrations.save``, or from a CSV file.
+
+    A CSV file starts with a header ``demonstration,time,NAME,...`` and has one row per sample: the number or name
+    of the demonstration, the time in s, and the observed coordinates. The samples of one demonstration follow each
+    other in time; all demonstrations have equally many of them, at one time step.
+
+    Args:
+        path: of the file, ending in .npz or .csv.
+        time_step: seconds between samples that the file must have; None takes what the file has.
+
+    Returns:
+        The demonstrations of the file.
+
+    Raises:
+        DemonstrationError: the file is malformed; the message names it, and the row and column of a CSV.
+        OSError: the file cannot be read.
+    """
+    path = Path(path)
+    loaders = {".npz": _load_npz, ".csv": _load_csv}
+    if path.suffix not in loaders:
+        raise DemonstrationError(f"{path}: demonstrations must be a .npz or .csv file")
+    try:
+        demonstrations = loaders[path.suffix](path)
+    except DemonstrationError as error:
+        raise DemonstrationError(f"{path}: {error}") from error.__cause__
+    if time_step is not None and not math.isclose(demonstrations.time_step, time_step, rel_tol=TIME_STEP_TOLERANCE):
+        raise DemonstrationError(f"{path}: time_step must be {time_step} s, got {demonstrations.time_step} s")
+    return demonstrations
+
+
+def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
+    """The demonstrations that come with the package.
+
+    Args:
+        name: ``"double_pendulum"``: five swing-ups, positions [x1, y1, x2, y2] in m, at 10 Hz from 0 to 2.5 s.
+
+    Returns:
+        The demonstrations.
+
+    Raises:
+        DemonstrationError: there are none of that name.
+
+    Example:
+        >>> shipped_demonstrations().positions.shape
+        torch.Size([5, 26, 4])
+    """
+    shipped = {file.name.removesuffix(".npz"): file for file in resources.files("torch_pmil.data").iterdir()}
+    shipped = {stem: file for stem, file in shipped.items() if file.name == f"{stem}.npz"}
+    if name not in shipped:
+        raise DemonstrationError(f"shipped demonstrations must be one of {sorted(shipped)}, got {name}")
+    with resources.as_file(shipped[name]) as path:
+        return load_demonstrations(path)
+
+
+def _load_npz(path: Path) -> Demonstrations:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError, TypeError) as error:
+        reason = " ".join(str(error).split())
+        raise DemonstrationError(f"not a readable NPZ file without object arrays ({reason})") from error
+    for name in ("positions", "time_step", "names"):
+        if name not in arrays:
+            raise DemonstrationError(f"array {name} is missing, found {sorted(arrays)}")
+    if arrays["positions"].dtype.kind not in "fiu" or arrays["time_step"].dtype.kind not in "fiu":
+        raise DemonstrationError("arrays positions and time_step must hold real numbers")
+    if arrays["time_step"].shape != () or arrays["names"].ndim != 1:
+        raise DemonstrationError("array time_step must be one number and names a list")
+    return Demonstrations(torch.from_numpy(arrays["positions"]), arrays["time_step"].item(), tuple(arrays["names"]))
+
+
+def _load_csv(path: Path) -> Demonstrations:
+    with open(path, newline="", encoding="utf-8-sig") as file:
+        try:
+            rows = list(csv.reader(file, strict=True))
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise DemonstrationError(f"not a readable CSV file ({error})") from error
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    if header[:2] != ["demonstration", "time"] or len(header) < 3:
+        raise DemonstrationError(f"row 1 must be demonstration,time,NAME,..., got {','.join(header)}")
+    samples: dict[str, list[list[float]]] = {}
+    row_numbers: dict[str, list[int]] = {}
+    for number, row in enumerate(rows[1:], start=2):
+        if row:
+            samples.setdefault(row[0].strip(), []).append(_csv_numbers(row, header, number))
+            row_numbers.setdefault(row[0].strip(), []).append(number)
+    _check_csv_lengths(samples)
+    table = np.array(list(samples.values()))  # (N, T+1, 1+M)
+    time_step = _csv_time_step(table[:, :, 0], list(row_numbers.values()))
+    return Demonstrations(torch.from_numpy(table[:, :, 1:]), time_step, tuple(header[2:]))
+
+
+def _csv_numbers(row: list[str], header: list[str], number: int) -> list[float]:
+    if len(row) != len(header):
+        raise DemonstrationError(f"row {number} must have {len(header)} columns, got {len(row)}")
+    numbers = []
+    for name, cell in zip(header[1:], row[1:], strict=True):
+        try:
+            numbers.append(float(cell))
+        except ValueError:
+            numbers.append(math.nan)
+        if not math.isfinite(numbers[-1]):
+            raise DemonstrationError(f"row {number}, column {name} must be a finite number, got {cell!r}")
+    return numbers
+
+
+def _check_csv_lengths(samples: dict[str, list[list[float]]]) -> None:
+    lengths = {label: len(rows) for label, rows in samples.items()}
+    if len(lengths) < 2:
+        raise DemonstrationError(f"at least two demonstrations are needed, got {len(lengths)}")
+    first_label, expected = next(iter(lengths.items()))
+    if expected < 2:
+        raise DemonstrationError(f"demonstration {first_label} must have at least two rows, got {expected}")
+    for label, length in lengths.items():
+        if length != expected:
+            raise DemonstrationError(
+                f"demonstration {label} must have {expected} rows like demonstration {first_label}, got {length}"
+            )
+
+
+def _csv_time_step(times: np.ndarray, row_numbers: list[list[int]]) -> float:
+    """The one time step of all demonstrations; times is (N, T+1)."""
+    time_steps = np.diff(times)
+    expected = times[0, 1] - times[0, 0]
+    if expected <= 0:
+        raise DemonstrationError(f"row {row_numbers[0][1]}, column time must increase, got a step of {expected:g} s")
+    unequal = np.argwhere(np.abs(time_steps - expected) > TIME_STEP_TOLERANCE * expected)
+    if len(unequal):
+        demonstration, step = unequal[0]
+        raise DemonstrationError(
+            f"row {row_numbers[demonstration][step + 1]}, column time must follow the row before it by "
+            f"{expected:g} s, got {time_steps[demonstration, step]:g} s"
+        )
+    return float((times[:, -1] - times[:, 0]).mean() / (times.shape[1] - 1))

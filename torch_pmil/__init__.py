@@ -1,0 +1,43 @@
+"""Probabilistic model-based imitation learning (Englert, Paraschos, Peters, Deisenroth 2013) in PyTorch."""
+
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations, load_demonstrations, shipped_demonstrations
+from torch_pmil.dynamics import GPDynamics
+from torch_pmil.expert import expert_distribution
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.kernel_expansion import KernelExpansion
+from torch_pmil.kl import gaussian_kl, trajectory_kl
+from torch_pmil.moment_matching import Moments, moment_match
+from torch_pmil.objective import TrajectoryKLLoss
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
+from torch_pmil.rollout import PredictionError, predict_trajectory, sample_trajectories
+from torch_pmil.state_space import MatchSpace, StateSpace, joint_match
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "DemonstrationError",
+    "Demonstrations",
+    "GPDynamics",
+    "Gaussian",
+    "KernelExpansion",
+    "MatchSpace",
+    "Moments",
+    "NotPositiveDefiniteError",
+    "PredictionError",
+    "RBFPolicy",
+    "SearchResult",
+    "SearchSettings",
+    "StateSpace",
+    "TrajectoryKLLoss",
+    "expert_distribution",
+    "gaussian_kl",
+    "joint_match",
+    "load_demonstrations",
+    "moment_match",
+    "predict_trajectory",
+    "sample_trajectories",
+    "search_policy",
+    "shipped_demonstrations",
+    "trajectory_kl",
+]

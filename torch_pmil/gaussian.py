@@ -1,0 +1,124 @@
+"""Gaussian beliefs: the one object that predictions, demonstrations and policies exchange."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+class NotPositiveDefiniteError(ValueError):
+    """A matrix that must be positive definite has no Cholesky factor."""
+
+
+def symmetric(matrix: Tensor) -> Tensor:
+    """The symmetric part of (*batch, D, D)."""
+    return (matrix + matrix.mT) / 2
+
+
+def cholesky(matrix: Tensor, name: str) -> Tensor:
+    """Lower Cholesky factor of (*batch, D, D), without jitter.
+
+    Raises:
+        NotPositiveDefiniteError: says which matrix (``name``), which batch element, and its extreme eigenvalues.
+    """
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    if info.any():
+        raise NotPositiveDefiniteError(_describe_failure(matrix.detach(), info, name))
+    return factor
+
+
+def _describe_failure(matrix: Tensor, info: Tensor, name: str) -> str:
+    element = tuple(info.nonzero()[0].tolist())
+    where = f" at batch element {element}" if element else ""
+    failed = matrix[element]
+    if not failed.isfinite().all():
+        return f"{name} must be positive definite, got a matrix that is not finite{where}"
+    eigenvalues = torch.linalg.eigvalsh(failed)
+    return f"{name} must be positive definite, got eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}{where}"
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """A Gaussian N(mean, cov), or a batch of them.
+
+    Args:
+        mean: (*batch, D), in the units of the variable.
+        cov: (*batch, D, D), symmetric and positive semi-definite (it may be zero).
+
+    Raises:
+        ValueError: shapes do not fit each other.
+
+    Example:
+        >>> belief = Gaussian(torch.zeros(3, 2), torch.eye(2).expand(3, 2, 2))
+        >>> belief.dim, belief.batch_shape
+        (2, torch.Size([3]))
+    """
+
+    mean: Tensor  # (*batch, D)
+    cov: Tensor  # (*batch, D, D)
+
+    def __post_init__(self) -> None:
+        expected = (*self.mean.shape, self.mean.shape[-1]) if self.mean.ndim else ()
+        if self.mean.ndim == 0 or self.cov.shape != expected:
+            raise ValueError(
+                f"cov must have shape (*batch, D, D) = {expected} for a mean of shape {tuple(self.mean.shape)}, "
+                f"got {tuple(self.cov.shape)}"
+            )
+
+    @property
+    def dim(self) -> int:
+        """Number of entries D of the variable."""
+        return self.mean.shape[-1]
+
+    @property
+    def batch_shape(self) -> torch.Size:
+        """Leading shape, without the variable's own axis."""
+        return self.mean.shape[:-1]
+
+    @property
+    def std(self) -> Tensor:
+        """Standard deviations of the entries, (*batch, D)."""
+        return self.cov.diagonal(dim1=-2, dim2=-1).clamp(min=0).sqrt()
+
+    def __getitem__(self, index) -> Gaussian:
+        """Part of the batch; the variable's axes stay as they are."""
+        return Gaussian(self.mean[index], self.cov[index])
+
+    def detach(self) -> Gaussian:
+        """The same belief without its graph."""
+        return Gaussian(self.mean.detach(), self.cov.detach())
+
+    def marginal(self, index: Tensor) -> Gaussian:
+        """Belief over the entries ``index`` (K,), in that order."""
+        return Gaussian(self.mean[..., index], self.cov[..., index, :][..., index])
+
+    def affine(self, matrix: Tensor, offset: Tensor | float = 0.0) -> Gaussian:
+        """Belief over ``matrix @ x + offset``, with matrix (M, D) and offset (M,)."""
+        return Gaussian(self.mean @ matrix.mT + offset, matrix @ self.cov @ matrix.mT)
+
+    def add_noise(self, variance: Tensor | float) -> Gaussian:
+        """Belief over x plus independent noise of the given variance, a number or (*batch, D)."""
+        noise = torch.as_tensor(variance, dtype=self.mean.dtype, device=self.mean.device).expand(self.mean.shape)
+        return Gaussian(self.mean, self.cov + torch.diag_embed(noise))
+
+    def sample(self, count: int, generator: torch.Generator | None = None) -> Tensor:
+        """Draws, (count, *batch, D); also from a singular cov, through its eigenvectors.
+
+        Example:
+            >>> belief = Gaussian(torch.ones(2), torch.zeros(2, 2))
+            >>> belief.sample(2)
+            tensor([[1., 1.],
+                    [1., 1.]])
+        """
+        values, vectors = torch.linalg.eigh(self.cov)
+        root = vectors * values.clamp(min=0).sqrt()[..., None, :]
+        white = torch.randn(count, *self.mean.shape, dtype=self.mean.dtype, generator=generator)
+        return self.mean + (root @ white[..., None])[..., 0]
+
+
+def joint(x: Gaussian, y: Gaussian, cross_cov: Tensor) -> Gaussian:
+    """Belief over [x, y] from its two marginals and cov(x, y), (*batch, D_x, D_y)."""
+    rows = torch.cat([x.cov, cross_cov], -1), torch.cat([cross_cov.mT, y.cov], -1)
+    return Gaussian(torch.cat([x.mean, y.mean], -1), torch.cat(rows, -2))

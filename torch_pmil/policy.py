@@ -1,0 +1,96 @@
+r"""The policy: an RBF network squashed to the torque limits (Eqs. 25-27), on a state and on a belief.
+
+====================  ===========================================
+paper                 here
+====================  ===========================================
+c_i (Eq. 26)          ``centres`` (m, D'), shared by the outputs
+w_i (Eq. 25)          ``weights`` (m, F)
+gamma (Eq. 26)        ``exp(log_widths)`` (F, D'), each output its own
+u_max (Eq. 27)        ``u_max`` (F,)
+====================  ===========================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.kernel_expansion import KernelExpansion
+from torch_pmil.moment_matching import moment_match
+from torch_pmil.trigonometry import squash
+
+
+class RBFPolicy(nn.Module):
+    r""":math:`\pi(x) = u_{\max} \sin(\sum_i w_i \exp(-\tfrac12 (x - c_i)^\top \Gamma^{-1} (x - c_i)))` (Eqs. 25-27).
+
+    Inputs are divided by ``scale`` first, so that parameters of all inputs are of order one; the policy has
+    m (D' + F) + F D' parameters.
+
+    Args:
+        centres: (m, D'), in the units of the inputs.
+        u_max: torque limits (F,), N·m.
+        scale: typical size of each input (D',), in its unit.
+
+    Example:
+        >>> policy = RBFPolicy(torch.zeros(100, 6), u_max=torch.tensor([3.5, 3.5]), scale=torch.ones(6))
+        >>> sum(p.numel() for p in policy.parameters())
+        812
+        >>> policy(torch.zeros(6)).shape
+        torch.Size([2])
+    """
+
+    def __init__(self, centres: Tensor, u_max: Tensor, scale: Tensor) -> None:
+        super().__init__()
+        m, inputs = centres.shape
+        if scale.shape != (inputs,) or not (scale > 0).all():
+            raise ValueError(f"scale must hold {inputs} positive numbers, got {scale.tolist()}")
+        if u_max.ndim != 1 or not (u_max > 0).all():
+            raise ValueError(f"u_max must be a vector of positive torque limits, got {u_max.tolist()}")
+        self.register_buffer("u_max", u_max.double())
+        self.register_buffer("scale", scale.double())
+        self.centres = nn.Parameter(centres.double() / self.scale)
+        self.weights = nn.Parameter(torch.zeros(m, len(u_max), dtype=torch.float64))
+        self.log_widths = nn.Parameter(torch.zeros(len(u_max), inputs, dtype=torch.float64))
+
+    @property
+    def controller(self) -> Controller:
+        """The policy as a function of its present parameters, with their graph: build it once for a rollout."""
+        network = KernelExpansion(
+            inputs=self.centres * self.scale,
+            weights=self.weights.mT,
+            lengthscales=self.log_widths.exp() * self.scale,
+            signal_variance=torch.ones_like(self.u_max),
+        )
+        return Controller(network, self.u_max)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Action (*batch, F), N·m, at features of the state (*batch, D')."""
+        return self.controller(features.double())
+
+
+@dataclass(frozen=True)
+class Controller:
+    """An RBF network and the torque limits that its output is squashed to (Eq. 27)."""
+
+    network: KernelExpansion
+    u_max: Tensor
+
+    def __call__(self, features: Tensor) -> Tensor:
+        """Action (*batch, F), N·m, at features of the state (*batch, D')."""
+        return self.u_max * self.network.mean(features).sin()
+
+    def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
+        """Exact moments of the network at an uncertain input, then of its squashing.
+
+        Args:
+            features: belief over the policy's inputs.
+
+        Returns:
+            The belief over the action (N·m), and Sigma^-1 cov(features, action), (*batch, D', F).
+        """
+        raw = moment_match(self.network, features)
+        action, inv_cov_cross_cov = squash(raw.gaussian, self.u_max)
+        return action, raw.inv_cov_cross_cov @ inv_cov_cross_cov

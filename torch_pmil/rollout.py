@@ -1,0 +1,144 @@
+r"""From p(x_0), a policy and a model to the trajectory distribution p(x_1), ..., p(x_T) (Eq. 13), and its sampled twin."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_pmil.dynamics import GPDynamics
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, joint, symmetric
+from torch_pmil.moment_matching import moment_match
+from torch_pmil.policy import Controller, RBFPolicy
+from torch_pmil.state_space import StateSpace
+
+
+class PredictionError(RuntimeError):
+    """A prediction broke down; the message names the time step and what failed there."""
+
+
+def predict_step(
+    state: Gaussian, controller: Controller, dynamics: GPDynamics, space: StateSpace, observation_noise: bool = True
+) -> Gaussian:
+    r"""p(x_t) -> p(x_{t+1}) by exact moment matching of the policy and of the model.
+
+    1. the state with sin and cos of its angles; 2. the policy's action and its covariance with them; 3. the GP's moments
+    at the joint of features and action; 4. for differences, :math:`\Sigma_{t+1} = \Sigma_t + S + C + C^\top`.
+
+    Args:
+        state: belief over the state, D entries.
+        controller: of the policy.
+        dynamics, space: of the same robot.
+        observation_noise: whether the next state's variance holds the model's noise (Eqs. 2 and 5).
+
+    Returns:
+        Belief over the next state.
+    """
+    augmented = space.augment(state)
+    features = augmented.marginal(space.feature_index)
+    action, inv_cov_cross_cov = controller.on_belief(features)
+    cov_augmented_action = augmented.cov[..., :, space.feature_index] @ inv_cov_cross_cov
+    inputs = joint(features, action, cov_augmented_action[..., space.feature_index, :])
+    cov_state_inputs = torch.cat(
+        [augmented.cov[..., : space.dim, space.feature_index], cov_augmented_action[..., : space.dim, :]], -1
+    )
+    moments = moment_match(dynamics.expansion, inputs, observation_noise)
+    if dynamics.targets == "successor":
+        return Gaussian(moments.mean, symmetric(moments.cov))
+    C = cov_state_inputs @ moments.inv_cov_cross_cov
+    return Gaussian(state.mean + moments.mean, symmetric(state.cov + moments.cov + C + C.mT))
+
+
+def predict_trajectory(
+    initial: Gaussian,
+    policy: RBFPolicy,
+    dynamics: GPDynamics,
+    space: StateSpace,
+    horizon: int,
+    observation_noise: bool = True,
+) -> Gaussian:
+    """The predicted marginals p(x_1), ..., p(x_T) (Section 4.1.2).
+
+    Args:
+        initial: p(x_0), any batch shape.
+        policy, dynamics, space: of the same robot.
+        horizon: T, number of steps.
+        observation_noise: as in :func:`predict_step`.
+
+    Returns:
+        A Gaussian of mean (*batch, T, D); differentiable in the policy.
+
+    Raises:
+        PredictionError: names the time step and the matrix that has no Cholesky factor, or the state that is not finite.
+    """
+    controller, state, means, covs = policy.controller, initial, [], []
+    for t in range(1, horizon + 1):
+        try:
+            state = predict_step(state, controller, dynamics, space, observation_noise)
+        except NotPositiveDefiniteError as error:
+            raise PredictionError(f"prediction of step {t} of {horizon} failed: {error}") from error
+        _check_finite(state, t, horizon, space)
+        means.append(state.mean)
+        covs.append(state.cov)
+    return Gaussian(torch.stack(means, -2), torch.stack(covs, -3))
+
+
+def _check_finite(state: Gaussian, t: int, horizon: int, space: StateSpace) -> None:
+    finite = state.mean.isfinite() & state.cov.isfinite().all(-1)
+    if not finite.all():
+        output = (~finite).nonzero()[0, -1].item()
+        raise PredictionError(f"prediction of step {t} of {horizon} failed: {space.names[output]} is not finite")
+
+
+def predict_mean_trajectory(
+    initial: Tensor, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int
+) -> Tensor:
+    """The model's mean alone, step by step, as if nothing were uncertain: O(n) a step.
+
+    Args:
+        initial: x_0, (*batch, D).
+        horizon: T, number of steps.
+
+    Returns:
+        States at t = 1..T, (*batch, T, D).
+    """
+    controller, state, states = policy.controller, initial, []
+    for _ in range(horizon):
+        features = space.features(state)
+        mean = dynamics.expansion.mean(torch.cat([features, controller(features)], -1))
+        state = mean if dynamics.targets == "successor" else state + mean
+        states.append(state)
+    return torch.stack(states, -2)
+
+
+@torch.no_grad()
+def sample_trajectories(
+    initial: Gaussian,
+    policy: RBFPolicy,
+    dynamics: GPDynamics,
+    space: StateSpace,
+    horizon: int,
+    count: int,
+    generator: torch.Generator,
+    observation_noise: bool = True,
+) -> Tensor:
+    """Monte Carlo twin of :func:`predict_trajectory`: particles, each drawn from the model's posterior at every step.
+
+    Args:
+        count: number of particles.
+        generator: seeded source of the draws.
+
+    Returns:
+        States at t = 1..T, (count, T, D).
+    """
+    controller, state, states = policy.controller, initial.sample(count, generator), []
+    expansion = dynamics.expansion
+    for _ in range(horizon):
+        features = space.features(state)
+        mean, variance = expansion.predict(torch.cat([features, controller(features)], -1))
+        if observation_noise:
+            variance = variance + expansion.noise_variance
+        white = torch.randn(mean.shape, dtype=mean.dtype, generator=generator)
+        change = mean + variance.clamp(min=0).sqrt() * white
+        state = change if dynamics.targets == "successor" else state + change
+        states.append(state)
+    return torch.stack(states, -2)

@@ -1,0 +1,40 @@
+# Python 3.11 or 3.12 is all that must be there; the rest goes into .venv.
+# For torch's CPU-only wheels: make train TORCH_ARGS="--index-url https://download.pytorch.org/whl/cpu"
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-user-action=ignore
+ARGS ?=
+TORCH_ARGS ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help train test test-all lint demonstrations clean
+
+help:  ## this list
+	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
+
+train: .venv/.installed  ## learn the double pendulum task into runs/double_pendulum; settings through ARGS="..."
+	@.venv/bin/python scripts/train.py experiment=double_pendulum $(ARGS)
+
+test: .venv/.installed  ## the tests but the slow ones
+	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 $(ARGS)
+
+test-all: .venv/.installed  ## all tests
+	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 -m "" $(ARGS)
+
+lint: .venv/.installed  ## check style and formatting
+	@.venv/bin/ruff check .
+	@.venv/bin/ruff format --check .
+
+demonstrations: .venv/.installed  ## record the shipped demonstrations anew
+	@.venv/bin/python scripts/record_demonstrations.py $(ARGS)
+
+clean:  ## remove what make and the tests built, not runs/
+	@rm -rf .venv .pytest_cache .ruff_cache build dist *.egg-info
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/.installed: setup.cfg pyproject.toml constraints.txt
+	@echo "Building .venv with $$($(PYTHON) --version); this takes a few minutes once."
+	@$(PYTHON) -m venv .venv
+	@$(PIP) $(TORCH_ARGS) -c constraints.txt torch==2.13.0
+	@$(PIP) -c constraints.txt -e ".[test]"
+	@touch $@

@@ -1,0 +1,103 @@
+"""Imports go one way: a module imports only what stands below it."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "torch_pmil"
+
+FLOORS = (  # bottom first; modules of one floor may import each other
+    {"envs"},  # imports nothing of ours, see below
+    {"gaussian"},
+    {"trigonometry", "kernel_expansion", "moment_matching", "kl"},
+    {"state_space"},
+    {"demonstrations", "alignment", "expert"},
+    {"dynamics", "experience", "policy"},
+    {"rollout"},
+    {"objective"},
+    {"policy_search"},
+    {"trainer", "torchrl_interop", "evaluation", "run"},
+    {"baselines"},
+    {"experiments"},
+    {"plotting"},
+)
+LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
+MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "demonstrations"}
+OF_TORCHRL = {"envs", "experience", "objective", "trainer", "evaluation", "run", "torchrl_interop"}
+FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
+
+
+def room_of(path: Path) -> str:
+    """The part of the package that a file belongs to: its own name, or its folder's."""
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imports(tree: ast.AST) -> Iterator[str]:
+    """Dotted names of all imported modules."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"relative import in line {node.lineno}"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def imported_rooms(path: Path) -> set[str]:
+    """Parts of the package that a file imports, its own aside."""
+    modules = (name.split(".") for name in imports(ast.parse(path.read_text())))
+    return {parts[1] for parts in modules if parts[0] == "torch_pmil"} - {room_of(path)}
+
+
+def imported_packages(path: Path) -> set[str]:
+    return {name.split(".")[0] for name in imports(ast.parse(path.read_text()))}
+
+
+each_file = pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+
+
+@each_file
+def test_every_module_has_a_floor(path: Path) -> None:
+    assert room_of(path) in LEVEL
+
+
+@each_file
+def test_nobody_imports_upwards(path: Path) -> None:
+    above = {room for room in imported_rooms(path) if LEVEL.get(room, 0) > LEVEL[room_of(path)]}
+    assert not above
+
+
+@each_file
+def test_nobody_imports_the_package_itself(path: Path) -> None:
+    assert imported_rooms(path) <= set(LEVEL)
+
+
+def test_environments_import_no_mathematics() -> None:
+    assert not {room for path in (PACKAGE / "envs").rglob("*.py") for room in imported_rooms(path)} & MATHEMATICS
+
+
+def test_mathematics_imports_no_environment() -> None:
+    assert not [path.name for path in FILES if room_of(path) in MATHEMATICS and "envs" in imported_rooms(path)]
+
+
+def test_demonstrations_import_nothing_of_ours() -> None:
+    assert not imported_rooms(PACKAGE / "demonstrations.py")
+
+
+@each_file
+def test_torchrl_stays_at_the_edge(path: Path) -> None:
+    assert room_of(path) in OF_TORCHRL or not imported_packages(path) & {"torchrl", "tensordict"}
+
+
+@each_file
+def test_matplotlib_is_imported_in_plotting_alone(path: Path) -> None:
+    assert room_of(path) == "plotting" or "matplotlib" not in imported_packages(path)
+
+
+@each_file
+def test_functions_import_nothing(path: Path) -> None:
+    functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))]
+    assert not {name for function in functions for name in imports(function)}

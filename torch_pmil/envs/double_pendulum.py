@@ -8,6 +8,7 @@ from importlib import resources
 
 import mujoco
 import numpy as np
+import torch
 from torch import Tensor
 
 from torch_pmil.envs.mujoco import MujocoRobotEnv
@@ -41,7 +42,6 @@ class DoublePendulumEnv(MujocoRobotEnv):
         >>> env = DoublePendulumEnv(seed=0)
         >>> env.rollout(25)["next", "observation"].shape
         torch.Size([25, 4])
-        >>> import torch
         >>> from tensordict import TensorDict
         >>> upright = torch.zeros(4, dtype=torch.float64)
         >>> env.reset(TensorDict({"observation": upright}))["observation"]
@@ -69,6 +69,24 @@ class DoublePendulumEnv(MujocoRobotEnv):
             from_pixels=from_pixels,
             seed=seed,
         )
+
+
+def link_positions(state: Tensor) -> Tensor:
+    """Where the two link ends are.
+
+    Args:
+        state: [q1, dq1, q2, dq2], (*batch, 4).
+
+    Returns:
+        [x1, y1, x2, y2] in m, (*batch, 4); x to the right, y up, the base at the origin.
+
+    Example:
+        >>> link_positions(torch.zeros(4))
+        tensor([0.0000, 0.5000, 0.0000, 1.0000])
+    """
+    inner, outer = state[..., 0], state[..., 0] + state[..., 2]  # angles from upright
+    x1, y1 = LINK_LENGTH * inner.sin(), LINK_LENGTH * inner.cos()
+    return torch.stack([x1, y1, x1 + LINK_LENGTH * outer.sin(), y1 + LINK_LENGTH * outer.cos()], dim=-1)
 
 
 def double_pendulum_model(link_masses: Sequence[float] = (0.5, 0.5)) -> mujoco.MjModel:

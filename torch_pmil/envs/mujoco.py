@@ -86,6 +86,21 @@ class MujocoRobotEnv(EnvBase):
         if from_pixels:
             self._open_renderer()
 
+    def simulate(self, state: Tensor, action: Tensor) -> Tensor:
+        """States one control period later; the environment itself stays where it is.
+
+        Args:
+            state: state vectors (N, D); what they do not say (other joints) is at rest.
+            action: torques (N, F) in N·m, held for the period and clipped to the limit.
+
+        Returns:
+            State vectors (N, D), float64.
+
+        Raises:
+            RuntimeError: a simulation diverged.
+        """
+        return self._advance(self._physics_from_state(state), action)[:, self._state_columns]
+
     def render(self, state: Tensor) -> np.ndarray:
         """Draw the robot in one state, seen by the fixed camera, without shadows.
 
@@ -152,11 +167,7 @@ class MujocoRobotEnv(EnvBase):
         return self._measure()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        torque = self._check_torque(tensordict["action"])[:, None].numpy()  # (N, 1, F), held over the substeps
-        states, _ = rollout.rollout(self.model, self._data, self._physics.numpy(), torque, nstep=self.substeps)
-        physics = torch.from_numpy(states[:, -1].copy())
-        self._check_physics(physics)
-        self._physics = physics
+        self._physics = self._advance(self._physics, self._check_torque(tensordict["action"]))
         result = self._measure()
         result["reward"] = torch.zeros(*self.batch_size, 1, dtype=torch.float64)
         result["done"] = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
@@ -189,12 +200,20 @@ class MujocoRobotEnv(EnvBase):
             raise ValueError(f"action must be finite, got {action.tolist()}")
         return action.reshape(self._physics.shape[0], -1)
 
-    def _check_physics(self, physics: Tensor) -> None:
+    def _advance(self, physics: Tensor, torque: Tensor) -> Tensor:
+        """Full simulation states (N, P) one control period later, the torques (N, F) held."""
+        held = torque[:, None].numpy()
+        states, _ = rollout.rollout(self.model, self._data, physics.numpy(), held, nstep=self.substeps)
+        after = torch.from_numpy(states[:, -1].copy())
+        self._check_physics(physics, after)
+        return after
+
+    def _check_physics(self, before: Tensor, after: Tensor) -> None:
         # mujoco.rollout stops early, with its clock behind, where the numbers grow out of range.
-        late = physics[:, 0] - self._physics[:, 0] < self.control_period - self.model.opt.timestep / 2
-        failed = (late | ~physics.isfinite().all(-1)).nonzero().flatten()
+        late = after[:, 0] - before[:, 0] < self.control_period - self.model.opt.timestep / 2
+        failed = (late | ~after.isfinite().all(-1)).nonzero().flatten()
         if len(failed):
-            step = round(self._physics[failed[0], 0].item() / self.control_period) + 1
+            step = round(before[failed[0], 0].item() / self.control_period) + 1
             raise RuntimeError(f"simulation diverged in env {failed[0]} at step {step}: its state is not finite")
 
     def _open_renderer(self) -> mujoco.Renderer:
@@ -204,7 +223,7 @@ class MujocoRobotEnv(EnvBase):
             except Exception as error:  # every OpenGL platform fails with a type of its own
                 backend = os.environ.get("MUJOCO_GL", "not set")
                 raise RuntimeError(
-                    f"pictures need OpenGL, which failed with MUJOCO_GL {backend} ({error}); headless, set MUJOCO_GL=egl"
+                    f"pictures need OpenGL, which failed with MUJOCO_GL {backend} ({error}); headless: MUJOCO_GL=egl"
                 ) from error
         return self._renderer
 

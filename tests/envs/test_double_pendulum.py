@@ -1,0 +1,265 @@
+"""The simulated double pendulum against its equations of motion, and the laws of an environment."""
+
+import io
+import math
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from tensordict import TensorDict
+from torchrl.envs import StepCounter, TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
+from torch_pmil.envs.double_pendulum import double_pendulum_model, link_positions
+
+GRAVITY, LENGTH = 9.81, 0.5
+
+
+def lagrange_equations(_, x, masses, torques):
+    """Time derivative of [q1, dq1, q2, dq2] of two uniform rods, in absolute angles a1 = q1, a2 = q1 + q2."""
+    (m1, m2), (tau1, tau2), half = masses, torques, LENGTH / 2
+    a1, v1, a2, v2 = x[0], x[1], x[0] + x[2], x[1] + x[3]
+    coupling = m2 * LENGTH * half
+    mass_matrix = np.array(
+        [
+            [m1 * LENGTH**2 / 3 + m2 * LENGTH**2, coupling * np.cos(a1 - a2)],
+            [coupling * np.cos(a1 - a2), m2 * LENGTH**2 / 3],
+        ]
+    )
+    force = [
+        tau1 - tau2 - coupling * np.sin(a1 - a2) * v2**2 + (m1 * half + m2 * LENGTH) * GRAVITY * np.sin(a1),
+        tau2 + coupling * np.sin(a1 - a2) * v1**2 + m2 * half * GRAVITY * np.sin(a2),
+    ]
+    acceleration1, acceleration2 = np.linalg.solve(mass_matrix, force)
+    return [v1, acceleration1, v2 - v1, acceleration2 - acceleration1]
+
+
+def energy(x, masses):
+    """Kinetic plus potential energy (*batch,) in J."""
+    (m1, m2), half = masses, LENGTH / 2
+    a1, v1, a2, v2 = x[..., 0], x[..., 1], x[..., 0] + x[..., 2], x[..., 1] + x[..., 3]
+    kinetic = (m1 / 3 + m2) * LENGTH**2 * v1**2 / 2 + m2 * LENGTH**2 / 3 * v2**2 / 2
+    kinetic = kinetic + m2 * LENGTH * half * (a1 - a2).cos() * v1 * v2
+    return kinetic + GRAVITY * ((m1 * half + m2 * LENGTH) * a1.cos() + m2 * half * a2.cos())
+
+
+def start_at(env, state):
+    return env.reset(TensorDict({"observation": torch.as_tensor(state, dtype=torch.float64)}, env.batch_size))
+
+
+def run(env, start, torques):
+    """Observations (*batch, T+1, 4) under torques (T, *batch, 2)."""
+    tensordict = start_at(env, start)
+    observations = [tensordict["observation"]]
+    for torque in torques:
+        observations.append(env.step(TensorDict({"action": torque}, env.batch_size))["next", "observation"])
+    return torch.stack(observations, dim=-2)
+
+
+def random_torques(seed, *shape):
+    return 7 * torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) - 3.5
+
+
+@pytest.mark.parametrize("num_envs", [None, 3])
+def test_torchrl_accepts_the_environment(num_envs):
+    check_env_specs(DoublePendulumEnv(num_envs=num_envs, seed=0))
+
+
+@pytest.mark.parametrize("masses", [(0.5, 0.5), (0.5, 0.15), (0.5, 1.0)])
+@pytest.mark.parametrize("torque", [(0.0, 0.0), (0.5, -0.1)])
+def test_motion_agrees_with_lagrange_equations(masses, torque):
+    start = [math.pi - 0.6, 0.3, 0.4, -0.2]
+    simulated = run(DoublePendulumEnv(masses, seed=0), start, torch.tensor([torque] * 25, dtype=torch.float64))
+    times = np.linspace(0, 2.5, 26)
+    exact = solve_ivp(
+        lagrange_equations, (0, 2.5), start, "DOP853", times, args=(masses, torque), rtol=1e-12, atol=1e-12
+    ).y.T
+    np.testing.assert_allclose(simulated.numpy(), exact, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("masses", [(0.5, 0.5), (0.5, 1.0)])
+def test_energy_is_conserved_without_torque(masses):
+    states = run(DoublePendulumEnv(masses, seed=0), [2.0, 0.5, 0.7, -1.0], torch.zeros(25, 2, dtype=torch.float64))
+    energies = energy(states, masses)
+    assert (energies - energies[0]).abs().max() < 1e-6
+
+
+def test_second_link_mass_changes_the_motion():
+    torques, start = random_torques(0, 25, 2), [math.pi, 0.0, 0.0, 0.0]
+    light, heavy = (run(DoublePendulumEnv((0.5, mass), seed=0), start, torques) for mass in (0.5, 0.6))
+    assert (light - heavy).abs().max() > 0.1
+
+
+def test_sites_are_where_the_formulas_say():
+    model = double_pendulum_model()
+    data = mujoco.MjData(model)
+    state = torch.tensor([0.4, 0.0, 1.1, 0.0], dtype=torch.float64)
+    data.qpos[:] = state[[0, 2]]
+    mujoco.mj_forward(model, data)
+    sites = np.concatenate([data.site(name).xpos[[0, 2]] for name in ("elbow", "tip")])
+    np.testing.assert_allclose(sites, link_positions(state), atol=1e-12)
+    assert link_positions(state)[0] == LENGTH * math.sin(0.4)
+
+
+def test_same_seed_gives_the_same_rollout_bit_for_bit():
+    torques = random_torques(1, 25, 2)
+    rollouts = []
+    for _ in range(2):
+        env = DoublePendulumEnv()
+        env.set_seed(7)
+        rollouts.append(run(env, env.reset()["observation"], torques))
+    assert torch.equal(*rollouts)
+
+
+def test_starts_follow_the_start_distribution():
+    starts = DoublePendulumEnv(num_envs=20_000, seed=0).reset()["observation"]
+    std = torch.tensor([0.05, 0.1, 0.05, 0.1])
+    mean_error = (starts.mean(0) - torch.tensor([math.pi, 0, 0, 0], dtype=torch.float64)) / std
+    assert mean_error.abs().max() < 4 / math.sqrt(20_000)
+    assert (starts.std(0) / std - 1).abs().max() < 4 / math.sqrt(40_000)
+
+
+def test_global_seed_does_not_move_the_starts():
+    starts = []
+    for seed in (0, 1):
+        torch.manual_seed(seed)
+        starts.append(DoublePendulumEnv(seed=3).reset()["observation"])
+    assert torch.equal(*starts)
+
+
+def test_batch_equals_single_environments():
+    batch, torques = DoublePendulumEnv(num_envs=3, seed=0), random_torques(2, 25, 3, 2)
+    starts = batch.reset()["observation"]
+    together = run(batch, starts, torques)
+    for index, start in enumerate(starts):
+        alone = run(DoublePendulumEnv(seed=0), start, torques[:, index])
+        torch.testing.assert_close(together[index], alone, rtol=0, atol=1e-12)
+
+
+def test_torques_are_clipped_at_the_limit():
+    start, env = [math.pi, 0, 0, 0], DoublePendulumEnv(torque_limit=(3.5, 1.0), seed=0)
+    beyond = run(env, start, torch.tensor([[100.0, -2.0]], dtype=torch.float64))
+    at_limit = run(env, start, torch.tensor([[3.5, -1.0]], dtype=torch.float64))
+    assert torch.equal(beyond, at_limit)
+
+
+def test_simulate_agrees_with_step_and_leaves_the_environment_alone():
+    env = DoublePendulumEnv(seed=0)
+    start, torque = env.reset()["observation"], random_torques(3, 1, 2)
+    predicted = env.simulate(start[None], torque)
+    env.simulate(start[None] + 1, torque)
+    assert torch.equal(env.step(TensorDict({"action": torque[0]}))["next", "observation"], predicted[0])
+
+
+def test_checkpoint_resumes_motion_and_starts():
+    env, torque = DoublePendulumEnv(seed=0), TensorDict({"action": random_torques(4, 2)})
+    env.reset()
+    env.step(torque.clone())
+    file = io.BytesIO()
+    torch.save(env.state_dict(), file)
+    expected = env.step(torque.clone())["next", "observation"], env.reset()["observation"]
+    file.seek(0)
+    resumed = DoublePendulumEnv(seed=1)
+    resumed.load_state_dict(torch.load(file, weights_only=True))
+    assert torch.equal(resumed.step(torque.clone())["next", "observation"], expected[0])
+    assert torch.equal(resumed.reset()["observation"], expected[1])
+
+
+def test_partial_reset_moves_only_the_masked_robots():
+    env = DoublePendulumEnv(num_envs=2, seed=0)
+    before = env.reset()["observation"]
+    mask = torch.tensor([[True], [False]])
+    after = env.reset(TensorDict({"_reset": mask, "observation": before}, [2]), select_reset_only=True)["observation"]
+    assert not torch.equal(after[0], before[0])
+    assert torch.equal(after[1], before[1])
+
+
+def test_step_counter_restarts_a_batch():
+    env = TransformedEnv(DoublePendulumEnv(num_envs=2, seed=0), StepCounter(max_steps=3))
+    assert env.rollout(7, break_when_any_done=False)["step_count"][0].flatten().tolist() == [0, 1, 2, 0, 1, 2, 0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"link_masses": (0.5, 0.0)}, "link_masses must be two positive finite numbers in kg, got"),
+        ({"link_masses": (0.5, math.inf)}, "link_masses must be two positive finite numbers in kg, got"),
+        ({"link_masses": (0.5,)}, "link_masses must be two positive finite numbers in kg, got"),
+        ({"torque_limit": -1.0}, "torque_limit must be one or 2 positive finite numbers"),
+        ({"initial_mean": (0.0, 0.0)}, "initial_mean must be 4 finite numbers, got"),
+        ({"initial_std": (0.1, -0.1, 0.1, 0.1)}, "initial_std must not be negative, got"),
+        ({"num_envs": 0}, "num_envs must be None or at least 1, got 0"),
+    ],
+)
+def test_bad_setting_is_refused_in_one_line(settings, message):
+    with pytest.raises(ValueError, match=message) as error:
+        DoublePendulumEnv(**settings)
+    assert "\n" not in str(error.value)
+
+
+def test_control_period_must_be_whole_time_steps():
+    with pytest.raises(ValueError, match=r"control_period must be a whole number of .* time steps, got 0"):
+        MujocoRobotEnv(
+            double_pendulum_model(),
+            ("q1", "q2"),
+            initial_mean=[0.0] * 4,
+            initial_std=[0.0] * 4,
+            torque_limit=1.0,
+            control_period=0.101,
+        )
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_action_that_is_not_finite_is_refused(bad):
+    env = DoublePendulumEnv(seed=0)
+    env.reset()
+    with pytest.raises(ValueError, match="action must be finite, got"):
+        env.step(TensorDict({"action": torch.tensor([0.0, bad], dtype=torch.float64)}))
+
+
+def test_bad_start_is_refused():
+    env = DoublePendulumEnv(seed=0)
+    with pytest.raises(ValueError, match=r"start observation must have shape \(4,\), got \(3,\)"):
+        start_at(env, torch.zeros(3))
+    with pytest.raises(ValueError, match="start observation must be finite, got"):
+        start_at(env, [math.nan, 0, 0, 0])
+
+
+def test_diverged_simulation_names_environment_and_step(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo leaves a log file
+    env, still = DoublePendulumEnv(num_envs=2, seed=0), torch.zeros(2, 2, dtype=torch.float64)
+    start_at(env, [[0.0, 0, 0, 0], [0.0, 1e9, 0, 0]])
+    with pytest.raises(RuntimeError, match="simulation diverged in env 1 at step 1"):
+        env.step(TensorDict({"action": still}, [2]))
+
+
+PICTURES = """
+import torch
+from torchrl.envs.utils import check_env_specs
+from torch_pmil.envs import DoublePendulumEnv
+for num_envs in (None, 2):
+    env = DoublePendulumEnv(num_envs=num_envs, from_pixels=True, seed=0)
+    check_env_specs(env)
+    pixels = env.reset()["pixels"]
+hanging, upright = env.render(torch.tensor([3.14, 0, 0, 0])), env.render(torch.zeros(4))
+assert pixels.shape == (2, 240, 240, 3) and pixels.dtype == torch.uint8 and hanging.shape == (240, 240, 3)
+assert (hanging != upright).any()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("backend", "fails"), [("egl", False), ("glfw", True)])
+def test_pictures_are_drawn_or_refused_clearly(backend, fails):
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    command = [sys.executable, "-W", "ignore", "-c", PICTURES]
+    result = subprocess.run(
+        command, env={**environment, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False
+    )
+    assert (result.returncode != 0) == fails, result.stderr
+    assert ("RuntimeError: pictures need OpenGL, which failed with MUJOCO_GL glfw" in result.stderr) == fails

@@ -1,0 +1,80 @@
+"""The expert that demonstrates the swing-up of the double pendulum (Sec. 5.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from torch_pmil.envs.double_pendulum import double_pendulum_model
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.trajectory_optimization import (
+    Array,
+    Dynamics,
+    QuadraticCost,
+    TrackingController,
+    plan_trajectory,
+    tracking_controller,
+)
+
+STEPS = 25  # 2.5 s at 10 Hz, paper
+UPRIGHT_FROM = 18  # the plan is paid for being upright from 1.8 s
+HOLD_FROM = 20  # the last 0.5 s balance
+HANGING = np.array([math.pi, 0.0, 0.0, 0.0])
+UPRIGHT = np.zeros(4)  # q1 and q2 end where no link has wound up
+PLANNED_TORQUE = 3.0  # N·m; the rest up to the limit is for feedback
+PLANNING_TIMESTEP = 0.01  # s; five times the simulation's, exact enough to plan with
+
+
+def swing_up_expert(link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5) -> TrackingController:
+    """Plan the swing-up from hanging and a controller that follows the plan, then balances.
+
+    Args:
+        link_masses: masses of the two rods in kg.
+        torque_limit: largest absolute torque of plan and feedback together, in N·m.
+
+    Returns:
+        The controller, a function of step (0..24) and states (N, 4) that returns torques (N, 2) in N·m.
+
+    Raises:
+        RuntimeError: the plan does not reach the upright position within the torque limit.
+    """
+    dynamics = planning_dynamics(link_masses, torque_limit)
+    state_weights = np.tile([0.1, 0.01, 0.1, 0.01], (STEPS + 1, 1))
+    state_weights[UPRIGHT_FROM:] = [100.0, 10.0, 100.0, 10.0]
+    cost = QuadraticCost(UPRIGHT, state_weights, action_weights=np.full(2, 0.2))
+    guess = np.random.default_rng(0).normal(size=(5, 2)).repeat(5, axis=0)
+    planned_torque = np.full(2, min(PLANNED_TORQUE, torque_limit))
+    plan = plan_trajectory(dynamics, HANGING, cost, guess, planned_torque)
+    if np.abs(plan.states[HOLD_FROM] - UPRIGHT).max() > 0.1:
+        raise RuntimeError(f"no swing-up found within {planned_torque[0]} N·m for link masses {link_masses} kg")
+    return tracking_controller(
+        dynamics,
+        plan,
+        target=UPRIGHT,
+        hold_from=HOLD_FROM,
+        state_weights=np.array([10.0, 1.0, 10.0, 1.0]),
+        action_weights=np.ones(2),
+        action_limit=np.full(2, torque_limit),
+    )
+
+
+def planning_dynamics(link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5) -> Dynamics:
+    """The double pendulum at a coarser simulation step, as a function of arrays."""
+    model = double_pendulum_model(link_masses)
+    model.opt.timestep = PLANNING_TIMESTEP
+    env = MujocoRobotEnv(
+        model, ("q1", "q2"), initial_mean=HANGING, initial_std=np.zeros(4), torque_limit=torque_limit, seed=0
+    )
+    return array_dynamics(env)
+
+
+def array_dynamics(env: MujocoRobotEnv) -> Dynamics:
+    """One control period of an environment as a function of arrays: states (N, D), actions (N, F) to states (N, D)."""
+
+    def dynamics(states: Array, actions: Array) -> Array:
+        return env.simulate(torch.tensor(states), torch.tensor(actions)).numpy()
+
+    return dynamics

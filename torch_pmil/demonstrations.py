@@ -144,7 +144,9 @@ def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
         >>> shipped_demonstrations().positions.shape
         torch.Size([5, 26, 4])
     """
-    shipped = {file.name.removesuffix(".npz"): file for file in resources.files("torch_pmil.data").iterdir()}
+    shipped = {
+        file.name.removesuffix(".npz"): file for file in resources.files("torch_pmil").joinpath("data").iterdir()
+    }
     shipped = {stem: file for stem, file in shipped.items() if file.name == f"{stem}.npz"}
     if name not in shipped:
         raise DemonstrationError(f"shipped demonstrations must be one of {sorted(shipped)}, got {name}")
@@ -154,7 +156,7 @@ def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
 
 def _load_npz(path: Path) -> Demonstrations:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError, TypeError) as error:
         reason = " ".join(str(error).split())

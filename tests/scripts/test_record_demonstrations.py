@@ -1,0 +1,57 @@
+"""The recording script: what it writes, and that it fails cleanly."""
+
+import os
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from torch_pmil.demonstrations import load_demonstrations, shipped_demonstrations
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "record_demonstrations.py"
+
+
+@pytest.fixture
+def record(monkeypatch):
+    """The script, run with command-line overrides."""
+
+    def run(*overrides):
+        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *overrides])
+        runpy.run_path(str(SCRIPT), run_name="__main__")
+
+    return run
+
+
+@pytest.mark.slow
+def test_seed_0_records_the_shipped_demonstrations(record, tmp_path, capsys):
+    record("experiment=double_pendulum", "seed=0", f"out={tmp_path / 'recorded.npz'}")
+    recorded = load_demonstrations(tmp_path / "recorded.npz")
+    torch.testing.assert_close(recorded.positions, shipped_demonstrations().positions, rtol=0, atol=1e-6)
+    assert "peak torque (N·m)" in capsys.readouterr().out
+    with np.load(tmp_path / "recorded.npz") as arrays:
+        assert sorted(arrays.files) == ["names", "positions", "time_step"]
+
+
+def test_missing_folder_is_reported_before_recording(record, tmp_path):
+    out = tmp_path / "nowhere" / "recorded.npz"
+    with pytest.raises(SystemExit) as stop:
+        record(f"out={out}")
+    assert stop.value.code == f"cannot write {out}: there is no folder {out.parent}"
+    assert os.listdir(tmp_path) == []
+
+
+def test_unknown_experiment_is_refused(record, tmp_path):
+    with pytest.raises(SystemExit) as stop:
+        record("experiment=triple", f"out={tmp_path / 'recorded.npz'}")
+    assert stop.value.code == "experiment must be one of ['double_pendulum'], got triple"
+
+
+@pytest.mark.slow
+def test_path_that_is_a_folder_is_refused_without_leftovers(record, tmp_path):
+    (tmp_path / "folder.npz").mkdir()
+    with pytest.raises(SystemExit, match="cannot record"):
+        record(f"out={tmp_path / 'folder.npz'}")
+    assert os.listdir(tmp_path) == ["folder.npz"]

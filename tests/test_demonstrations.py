@@ -1,0 +1,225 @@
+"""Demonstrations: what is refused, and that files hold what was saved."""
+
+import os
+
+import numpy as np
+import pytest
+import torch
+
+from torch_pmil.demonstrations import (
+    DemonstrationError,
+    Demonstrations,
+    load_demonstrations,
+    shipped_demonstrations,
+)
+
+
+def walk(*shape):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64).cumsum(dim=1)
+
+
+def with_value(positions, index, value):
+    positions[index] = value
+    return positions
+
+
+def refused(function, *arguments):
+    with pytest.raises(DemonstrationError) as error:
+        function(*arguments)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def write_npz(path, **changes):
+    arrays = {"positions": walk(3, 5, 2).numpy(), "time_step": 0.1, "names": np.array(["x", "y"])}
+    arrays = {name: value for name, value in {**arrays, **changes}.items() if value is not None}
+    np.savez(path, **arrays)
+    return path
+
+
+def csv_lines():
+    rows = [f"{label},{0.1 * step},{step},{label * step}" for label in (1, 2) for step in range(4)]
+    return ["demonstration,time,x,y", *rows]
+
+
+def write_csv(path, lines):
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("positions", "time_step", "names", "message"),
+    [
+        (walk(3, 5), 0.1, ("x",), "positions must have shape (demonstrations, steps, columns), got (3, 5)"),
+        (walk(1, 5, 1), 0.1, ("x",), "positions must hold at least two demonstrations, got 1"),
+        (walk(2, 1, 1), 0.1, ("x",), "positions must hold at least two steps, got 1"),
+        (walk(2, 5, 2), 0.1, ("x",), "names must be 2 different names, one per column, got ('x',)"),
+        (walk(2, 5, 2), 0.1, ("x", "x"), "names must be 2 different names, one per column, got ('x', 'x')"),
+        (walk(2, 5, 1), 0.0, ("x",), "time_step must be positive and finite, in seconds, got 0.0"),
+        (walk(2, 5, 1), float("nan"), ("x",), "time_step must be positive and finite, in seconds, got nan"),
+        (
+            with_value(walk(2, 5, 2), (1, 3, 1), torch.nan),
+            0.1,
+            ("x", "y"),
+            "positions must be finite, got nan in demonstration 1, step 3, column y",
+        ),
+    ],
+)
+def test_malformed_demonstrations_are_refused(positions, time_step, names, message):
+    assert refused(Demonstrations, positions, time_step, names) == message
+
+
+def test_saved_demonstrations_load_unchanged(tmp_path):
+    saved = Demonstrations(walk(3, 5, 2), 0.1, ("x", "y"))
+    saved.save(tmp_path / "walks.npz")
+    loaded = load_demonstrations(tmp_path / "walks.npz")
+    assert torch.equal(loaded.positions, saved.positions)
+    assert (loaded.time_step, loaded.names) == (saved.time_step, saved.names)
+
+
+def test_interrupted_save_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
+    path = tmp_path / "walks.npz"
+    Demonstrations(walk(2, 5, 1), 0.1, ("x",)).save(path)
+    before = path.read_bytes()
+
+    def interrupted(file, **arrays):
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        Demonstrations(walk(3, 5, 1), 0.1, ("x",)).save(path)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["walks.npz"]
+
+
+def test_missing_file_is_an_os_error(tmp_path):
+    for name in ("none.npz", "none.csv"):
+        with pytest.raises(FileNotFoundError):
+            load_demonstrations(tmp_path / name)
+
+
+def test_other_kind_of_file_is_refused(tmp_path):
+    path = tmp_path / "walks.mat"
+    assert refused(load_demonstrations, path) == f"{path}: demonstrations must be a .npz or .csv file"
+
+
+@pytest.mark.parametrize("content", [b"", b"not a zip archive", b"PK\x03\x04 cut"])
+def test_corrupt_npz_is_refused(tmp_path, content):
+    path = tmp_path / "corrupt.npz"
+    path.write_bytes(content)
+    assert refused(load_demonstrations, path).startswith(f"{path}: not a readable NPZ file")
+
+
+@pytest.mark.parametrize("cut", [10, 200, 400, -30])
+def test_truncated_npz_is_refused(tmp_path, cut):
+    path = write_npz(tmp_path / "walks.npz")
+    path.write_bytes(path.read_bytes()[:cut])
+    assert refused(load_demonstrations, path).startswith(f"{path}: not a readable NPZ file")
+
+
+def test_damaged_npz_is_refused(tmp_path):
+    path = write_npz(tmp_path / "walks.npz")
+    damaged = bytearray(path.read_bytes())
+    damaged[250] ^= 0xFF
+    path.write_bytes(bytes(damaged))
+    assert refused(load_demonstrations, path).startswith(f"{path}: not a readable NPZ file")
+
+
+@pytest.mark.parametrize("name", ["positions", "time_step", "names"])
+def test_missing_array_is_named(tmp_path, name):
+    path = write_npz(tmp_path / "walks.npz", **{name: None})
+    assert refused(load_demonstrations, path).startswith(f"{path}: array {name} is missing, found [")
+
+
+def test_pickled_objects_are_never_loaded(tmp_path):
+    ragged = np.empty(2, dtype=object)
+    ragged[:] = [np.zeros(3), np.zeros(4)]
+    path = write_npz(tmp_path / "walks.npz", positions=ragged)
+    assert "not a readable NPZ file without object arrays" in refused(load_demonstrations, path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"positions": np.full((2, 3, 1), "a")}, "arrays positions and time_step must hold real numbers"),
+        ({"time_step": np.ones(2)}, "array time_step must be one number and names a list"),
+        ({"positions": np.zeros((1, 3, 2))}, "positions must hold at least two demonstrations, got 1"),
+    ],
+)
+def test_malformed_arrays_are_refused_naming_the_file(tmp_path, changes, message):
+    path = write_npz(tmp_path / "walks.npz", **changes)
+    assert refused(load_demonstrations, path) == f"{path}: {message}"
+
+
+def test_time_step_of_the_file_must_be_the_expected_one(tmp_path):
+    path = write_npz(tmp_path / "walks.npz")
+    assert load_demonstrations(path, time_step=0.1).time_step == 0.1
+    assert refused(load_demonstrations, path, 0.05) == f"{path}: time_step must be 0.05 s, got 0.1 s"
+
+
+def test_csv_holds_one_sample_per_row(tmp_path):
+    demonstrations = load_demonstrations(write_csv(tmp_path / "walks.csv", csv_lines()))
+    steps = torch.arange(4.0, dtype=torch.float64)
+    expected = torch.stack([torch.stack([steps, label * steps], -1) for label in (1, 2)])
+    assert torch.equal(demonstrations.positions, expected)
+    assert demonstrations.names == ("x", "y")
+    assert demonstrations.time_step == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda lines: [], "row 1 must be demonstration,time,NAME,..., got "),
+        (lambda lines: ["time,x,y", *lines[1:]], "row 1 must be demonstration,time,NAME,..., got time,x,y"),
+        (lambda lines: lines[:5], "at least two demonstrations are needed, got 1"),
+        (lambda lines: lines[:-1], "demonstration 2 must have 4 rows like demonstration 1, got 3"),
+        (lambda lines: [*lines[:2], "1,0.1,5", *lines[3:]], "row 3 must have 4 columns, got 3"),
+        (
+            lambda lines: [*lines[:2], "1,0.1,five,0", *lines[3:]],
+            "row 3, column x must be a finite number, got 'five'",
+        ),
+        (lambda lines: [*lines[:2], "1,0.1,5,nan", *lines[3:]], "row 3, column y must be a finite number, got 'nan'"),
+        (
+            lambda lines: [*lines[:-1], "2,0.4,5,0"],
+            "row 9, column time must follow the row before it by 0.1 s, got 0.2 s",
+        ),
+        (
+            lambda lines: [*lines[:2], "1,0.0,5,0", *lines[3:]],
+            "row 3, column time must increase, got a step of 0 s",
+        ),
+        (
+            lambda lines: [line.replace("time,x,y", "time,x,x") for line in lines],
+            "names must be 2 different names, one per column, got ('x', 'x')",
+        ),
+    ],
+)
+def test_malformed_csv_is_refused_naming_file_and_row(tmp_path, change, message):
+    path = write_csv(tmp_path / "walks.csv", change(csv_lines()))
+    assert refused(load_demonstrations, path) == f"{path}: {message}"
+
+
+def test_csv_that_is_not_text_is_refused(tmp_path):
+    path = tmp_path / "walks.csv"
+    path.write_bytes(b"\xff\xfe\x00demonstration")
+    assert refused(load_demonstrations, path).startswith(f"{path}: not a readable CSV file")
+
+
+def test_shipped_demonstrations_swing_up_and_balance():
+    demonstrations = shipped_demonstrations("double_pendulum")
+    assert demonstrations.positions.shape == (5, 26, 4)
+    assert demonstrations.names == ("x1", "y1", "x2", "y2")
+    assert demonstrations.duration == pytest.approx(2.5)
+    hanging, upright = (torch.tensor([0, sign * 0.5, 0, sign * 1.0]) for sign in (-1, 1))
+    assert ((demonstrations.positions[:, 0] - hanging).norm(dim=-1) < 0.5).all()
+    assert ((demonstrations.positions[:, 20:] - upright).norm(dim=-1) < 0.25).all()
+
+
+def test_shipped_demonstrations_have_links_of_constant_length():
+    inner, outer = shipped_demonstrations().positions.split(2, dim=-1)
+    assert (inner.norm(dim=-1) - 0.5).abs().max() < 1e-12
+    assert ((outer - inner).norm(dim=-1) - 0.5).abs().max() < 1e-12
+
+
+def test_unknown_shipped_demonstrations_are_refused():
+    assert "must be one of ['double_pendulum'], got triple" in refused(shipped_demonstrations, "triple")

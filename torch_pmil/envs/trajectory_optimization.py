@@ -4,16 +4,16 @@ Iterative LQR with the torque limits as a box at each step (Tassa, Mansard and T
 LQR about the plan and an infinite-horizon LQR about its target. Knows no robot: ``dynamics`` maps states (N, D) and
 actions (N, F) to the states (N, D) one control period later.
 
-========  ==========================================================================
-symbol    here
-========  ==========================================================================
-A, B      derivatives of the next state by state and action, (T, D, D), (T, D, F)
-V_x, V_xx derivatives of the cost to go
-Q_u, ...  derivatives of the cost to go before the step
-closed    derivative of the next state under feedback, A + B K
-k, K      change of the action and feedback gain, (T, F), (T, F, D)
-mu        regularisation: weight of leaving the states of the last iteration
-========  ==========================================================================
+=========  =========================================================================
+symbol     here
+=========  =========================================================================
+A, B       derivatives of the next state by state and action, (T, D, D), (T, D, F)
+V_x, V_xx  derivatives of the cost to go
+Q_u, ...   derivatives of the cost to go before the step
+closed     derivative of the next state under feedback, A + B K
+k, K       change of the action and feedback gain, (T, F), (T, F, D)
+mu         regularisation: weight of leaving the states of the last iteration
+=========  =========================================================================
 """
 
 from __future__ import annotations

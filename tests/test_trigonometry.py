@@ -1,0 +1,129 @@
+"""Moments of sines and cosines, against quadrature, their limit, and high precision."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mpmath
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from tests.draws import Draws
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.trigonometry import augment, squash
+
+ANGLES = torch.tensor([[1.0, 0.0], [1.0, 1.0], [0.5, -2.0]], dtype=torch.float64)
+U_MAX = torch.tensor([3.5, 2.0], dtype=torch.float64)
+
+
+def augmentation(x: Tensor) -> Tensor:
+    angles = x @ ANGLES.mT
+    return torch.cat([x, angles.sin(), angles.cos()], -1)
+
+
+def squashing(x: Tensor) -> Tensor:
+    return U_MAX * x.sin()
+
+
+def augmented(belief: Gaussian) -> tuple[Gaussian, Tensor]:
+    return augment(belief, ANGLES)
+
+
+def squashed(belief: Gaussian) -> tuple[Gaussian, Tensor]:
+    return squash(belief, U_MAX)
+
+
+both = pytest.mark.parametrize(("moments", "function"), [(augmented, augmentation), (squashed, squashing)], ids=["augment", "squash"])
+Function = Callable[[Tensor], Tensor]
+Moments = Callable[[Gaussian], tuple[Gaussian, Tensor]]
+
+
+@both
+@pytest.mark.parametrize("scale", [1e-3, 0.3, 2.0])
+def test_moments_are_those_of_quadrature(draws: Draws, moments: Moments, function: Function, scale: float) -> None:
+    belief = draws.belief(2, scale=scale)
+    nodes, weights = (torch.as_tensor(a) for a in np.polynomial.hermite_e.hermegauss(80))
+    x = belief.mean + torch.cartesian_prod(nodes, nodes) @ torch.linalg.cholesky(belief.cov).mT
+    w = torch.cartesian_prod(weights, weights).prod(-1) / (2 * torch.pi)
+    y = function(x)
+    mean = w @ y
+    cov = (y - mean).mT @ (w[:, None] * (y - mean))
+    cross_cov = (x - belief.mean).mT @ (w[:, None] * (y - mean))
+
+    result, inv_cov_cross_cov = moments(belief)
+    torch.testing.assert_close(result.mean, mean, rtol=0, atol=1e-10)
+    torch.testing.assert_close(result.cov, cov, rtol=0, atol=1e-10)
+    torch.testing.assert_close(belief.cov @ inv_cov_cross_cov, cross_cov, rtol=0, atol=1e-10)
+
+
+@both
+def test_zero_covariance_is_the_function_and_its_gradient(draws: Draws, moments: Moments, function: Function) -> None:
+    x = draws.normal(2)
+    result, slope = moments(Gaussian(x, torch.zeros(2, 2, dtype=torch.float64)))
+    torch.testing.assert_close(result.mean, function(x))
+    torch.testing.assert_close(result.cov, torch.zeros_like(result.cov))
+    torch.testing.assert_close(slope, torch.autograd.functional.jacobian(function, x).mT)
+
+
+@both
+def test_gradient(draws: Draws, moments: Moments, function: Function) -> None:
+    belief = draws.belief(3, 2)
+
+    def parts(mean: Tensor, root: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        result, slope = moments(Gaussian(mean, root @ root.mT))
+        return result.mean, result.cov, slope
+
+    root = torch.linalg.cholesky(belief.cov)
+    assert gradcheck(parts, (belief.mean.requires_grad_(), root.requires_grad_()))
+
+
+@both
+def test_batch_is_a_loop(draws: Draws, moments: Moments, function: Function) -> None:
+    beliefs = draws.belief(2, 3, 2)
+    together, slopes = moments(beliefs)
+    for index in np.ndindex(2, 3):
+        alone, slope = moments(beliefs[index])
+        torch.testing.assert_close(together[index].mean, alone.mean)
+        torch.testing.assert_close(together[index].cov, alone.cov)
+        torch.testing.assert_close(slopes[index], slope)
+
+
+@both
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 10.0])
+def test_covariance_is_symmetric_and_positive_semidefinite(draws: Draws, moments: Moments, function: Function, scale: float) -> None:
+    result, _ = moments(draws.belief(20, 2, scale=scale))
+    torch.testing.assert_close(result.cov, result.cov.mT)
+    assert torch.linalg.eigvalsh(result.cov / result.cov.abs().max()).min() > -1e-12
+
+
+@pytest.mark.parametrize("variance", [1e-14, 1e-8, 1e-2, 1.0])
+def test_tiny_variances_keep_their_digits(variance: float) -> None:
+    """Var sin = (1 - exp(-v)) (1 + exp(-v) cos 2m) / 2 and cov(x, sin) = v exp(-v/2) cos m, in 50 digits."""
+    m = 0.7
+    with mpmath.workdps(50):
+        v = mpmath.mpf(variance)
+        var_sin = float((1 - mpmath.exp(-v)) * (1 + mpmath.exp(-v) * mpmath.cos(2 * mpmath.mpf(m))) / 2)
+        cov_sin_cos = float(-(1 - mpmath.exp(-v)) * mpmath.exp(-v) * mpmath.sin(2 * mpmath.mpf(m)) / 2)
+        cov_x_sin = float(v * mpmath.exp(-v / 2) * mpmath.cos(m))
+    one = torch.ones(1, 1, dtype=torch.float64)
+    cov = augment(Gaussian(m * one[0], variance * one), one)[0].cov  # of x, sin, cos
+    assert cov[1, 1].item() == pytest.approx(var_sin, rel=1e-13)
+    assert cov[1, 2].item() == pytest.approx(cov_sin_cos, rel=1e-13)
+    assert cov[0, 1].item() == pytest.approx(cov_x_sin, rel=1e-13)
+
+
+def test_wide_belief_spreads_over_the_circle() -> None:
+    wide = Gaussian(torch.zeros(1, dtype=torch.float64), torch.full((1, 1), 400.0, dtype=torch.float64))
+    result, _ = augment(wide, torch.ones(1, 1, dtype=torch.float64))
+    torch.testing.assert_close(result.mean[1:], torch.zeros(2, dtype=torch.float64))
+    torch.testing.assert_close(result.cov[1:, 1:], 0.5 * torch.eye(2, dtype=torch.float64))
+
+
+def test_no_angles_leave_the_belief_as_it_is(draws: Draws) -> None:
+    belief = draws.belief(3)
+    result, slope = augment(belief, torch.zeros(0, 3, dtype=torch.float64))
+    assert torch.equal(result.mean, belief.mean) and torch.equal(result.cov, belief.cov)
+    assert torch.equal(slope, torch.eye(3, dtype=torch.float64))

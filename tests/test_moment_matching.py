@@ -17,7 +17,7 @@ from torch.autograd.graph import saved_tensors_hooks
 
 from tests.draws import Draws
 from torch_pmil import moment_matching
-from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, joint
 from torch_pmil.kernel_expansion import KernelExpansion
 from torch_pmil.moment_matching import Moments, moment_match
 
@@ -245,10 +245,8 @@ def test_covariance_is_symmetric_and_positive_semidefinite(draws: Draws, make: C
     f, beliefs = make(draws, 10, 3, 3), draws.belief(20, 3, scale=1.0)
     moments = moment_match(f, beliefs)
     torch.testing.assert_close(moments.cov, moments.cov.mT, rtol=0, atol=0)
-    joint = torch.cat(
-        [torch.cat([beliefs.cov, moments.cross_cov(beliefs)], -1), torch.cat([moments.cross_cov(beliefs).mT, moments.cov], -1)], -2
-    )
-    assert torch.linalg.eigvalsh(joint).min() > -1e-10
+    both = joint(beliefs, moments.gaussian, moments.cross_cov(beliefs))
+    assert torch.linalg.eigvalsh(both.cov).min() > -1e-10
 
 
 @pytest.mark.parametrize("make", [Draws.gp, Draws.network])

@@ -1,0 +1,249 @@
+"""Long-term prediction, against its sampled twin, its mean, and its parts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from tests.draws import Draws
+from torch_pmil import rollout
+from torch_pmil.dynamics import GPDynamics, Targets
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.kernel_expansion import KernelExpansion
+from torch_pmil.policy import Controller, RBFPolicy
+from torch_pmil.rollout import PredictionError, predict_mean_trajectory, predict_step, predict_trajectory, sample_trajectories
+from torch_pmil.state_space import StateSpace, joint_match
+
+NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
+SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))
+U_MAX = torch.tensor([2.0], dtype=torch.float64)
+
+
+def pendulum(inputs: Tensor) -> Tensor:
+    """Change of [q, dq] in 0.1 s at inputs [dq, sin q, cos q, u]."""
+    return 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1)
+
+
+def make_dynamics(draws: Draws, n: int = 30, noise: float = 0.01, targets: Targets = "difference") -> GPDynamics:
+    """A GP of a pendulum, with hyper-parameters by hand."""
+    states, actions = draws.uniform(-1.5, 1.5, n, 2), draws.uniform(-2, 2, n, 1)
+    inputs = torch.cat([SPACE.features(states), actions], -1)
+    change = pendulum(inputs) + noise * draws.normal(n, 2)
+    dynamics = GPDynamics(4, 2, targets)
+    dynamics.set_data(inputs, change if targets == "difference" else states + change)
+    dynamics.gp.covar_module.base_kernel.lengthscale = torch.tensor([[3.0, 1.5, 1.5, 4.0]], dtype=torch.float64)
+    dynamics.gp.covar_module.outputscale = torch.tensor([0.5, 0.8], dtype=torch.float64)
+    dynamics.gp.likelihood.noise = torch.full((2, 1), noise**2, dtype=torch.float64)
+    return dynamics
+
+
+@pytest.fixture
+def dynamics(draws: Draws) -> GPDynamics:
+    return make_dynamics(draws)
+
+
+@pytest.fixture
+def policy(draws: Draws) -> RBFPolicy:
+    policy = RBFPolicy(draws.normal(6, 3), U_MAX, torch.ones(3))
+    with torch.no_grad():
+        policy.weights.copy_(0.5 * draws.normal(6, 1))
+    return policy
+
+
+@pytest.fixture
+def initial(draws: Draws) -> Gaussian:
+    return Gaussian(0.5 * draws.normal(2), draws.cov(2, scale=0.02))
+
+
+def assert_moments_of(samples: Tensor, belief: Gaussian, bias: float = 0.0) -> None:
+    """The samples (N, D) have this mean and covariance up to four standard errors, and ``bias`` times the standard deviation."""
+    deviation = samples - belief.mean
+    products = deviation[:, :, None] * deviation[:, None, :]
+    root_n = len(samples) ** 0.5
+    scale = belief.std[:, None] * belief.std
+    assert (deviation.mean(0).abs() <= 4 * deviation.std(0) / root_n + bias * belief.std).all()
+    assert ((products.mean(0) - belief.cov).abs() <= 4 * products.std(0) / root_n + bias * scale).all()
+
+
+class LinearController(Controller):
+    """Acts linearly on the features, so that the action of a Gaussian is Gaussian and one step's moments are exact."""
+
+    gain = torch.tensor([[-0.4, 0.7, 0.3]], dtype=torch.float64)
+
+    def __init__(self) -> None:
+        """Has no network."""
+
+    def __call__(self, features: Tensor) -> Tensor:
+        return features @ self.gain.mT
+
+    def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
+        return features.affine(self.gain), self.gain.mT.expand(*features.batch_shape, -1, -1)
+
+
+@pytest.mark.parametrize("noise", [False, True], ids=["latent", "noisy"])
+@pytest.mark.parametrize("targets", ["difference", "successor"])
+def test_step_without_angles_has_the_moments_of_samples(draws: Draws, targets: Targets, noise: bool) -> None:
+    """Exact here: features and action are jointly Gaussian, so that nothing but the GP's output is approximated."""
+    space = StateSpace(("a", "b", "c"), ("",) * 3, (), joint_match(("a", "b", "c"), ("",) * 3))
+    inputs = draws.normal(25, 4)
+    dynamics, controller, state = GPDynamics(4, 3, targets), LinearController(), draws.belief(3)
+    dynamics.set_data(inputs, inputs[:, :3].sin() + inputs[:, 3:])
+    dynamics.gp.likelihood.noise = torch.full((3, 1), 0.05, dtype=torch.float64)
+
+    x = state.sample(100_000, draws.generator)
+    mean, variance = dynamics.expansion.predict(torch.cat([space.features(x), controller(x)], -1))
+    variance = variance + dynamics.expansion.noise_variance if noise else variance
+    y = mean + variance.sqrt() * draws.normal(*mean.shape)
+    predicted = predict_step(state, controller, dynamics, space, observation_noise=noise)
+    assert_moments_of(x + y if targets == "difference" else y, predicted)
+
+
+@pytest.mark.parametrize("targets", ["difference", "successor"])
+def test_step_has_the_moments_of_its_sampled_twin(draws: Draws, policy: RBFPolicy, initial: Gaussian, targets: Targets) -> None:
+    """Features and action are taken as Gaussian, which they are nearly for a narrow belief: half a per cent of the spread is allowed."""
+    dynamics, narrow = make_dynamics(draws, targets=targets), Gaussian(initial.mean, initial.cov / 10)
+    samples = sample_trajectories(narrow, policy, dynamics, SPACE, 1, 50_000, draws.generator)
+    assert_moments_of(samples[:, 0], predict_trajectory(narrow, policy, dynamics, SPACE, 1)[0].detach(), bias=0.005)
+
+
+@pytest.mark.slow
+def test_trajectory_has_nearly_the_moments_of_its_sampled_twin(
+    draws: Draws, dynamics: GPDynamics, policy: RBFPolicy, initial: Gaussian
+) -> None:
+    narrow = Gaussian(initial.mean, initial.cov / 10)
+    samples = sample_trajectories(narrow, policy, dynamics, SPACE, 8, 50_000, draws.generator)
+    predicted = predict_trajectory(narrow, policy, dynamics, SPACE, 8).detach()
+    for t in range(8):
+        assert_moments_of(samples[:, t], predicted[t], bias=0.05)
+
+
+def test_prediction_without_uncertainty_is_the_mean_trajectory(draws: Draws, policy: RBFPolicy) -> None:
+    """Dense data without noise leave next to no variance, up to what the prediction itself adds."""
+    dynamics, x = make_dynamics(draws, n=150, noise=1e-4), torch.tensor([0.3, -0.2], dtype=torch.float64)
+    certain = Gaussian(x, torch.zeros(2, 2, dtype=torch.float64))
+    predicted = predict_trajectory(certain, policy, dynamics, SPACE, 5, observation_noise=False)
+    mean = predict_mean_trajectory(x, policy, dynamics, SPACE, 5)
+    torch.testing.assert_close(predicted.mean, mean, rtol=0, atol=1e-5)
+    assert predicted.std.max() < 1e-2
+
+
+def test_first_step_from_a_certain_state_is_the_posterior(policy: RBFPolicy, dynamics: GPDynamics, draws: Draws) -> None:
+    x = draws.normal(2)
+    features = SPACE.features(x)
+    mean, variance = dynamics.expansion.predict(torch.cat([features, policy(features)]))
+    predicted = predict_trajectory(Gaussian(x, torch.zeros(2, 2, dtype=torch.float64)), policy, dynamics, SPACE, 1)[0]
+    torch.testing.assert_close(predicted.mean, x + mean)
+    torch.testing.assert_close(predicted.cov, torch.diag(variance + dynamics.expansion.noise_variance))
+
+
+def test_step_of_differences_is_the_step_of_successors_plus_the_state(draws: Draws, policy: RBFPolicy, initial: Gaussian) -> None:
+    """The same GP, read as change and as next state: means differ by the state's."""
+    difference, successor = make_dynamics(draws), GPDynamics(4, 2, "successor")
+    successor.load_state_dict(difference.state_dict())
+    change, moved = (predict_step(initial, policy.controller, model, SPACE) for model in (successor, difference))
+    torch.testing.assert_close(moved.mean, initial.mean + change.mean)
+
+
+def test_model_that_knows_nothing_adds_its_prior_to_the_state(policy: RBFPolicy, initial: Gaussian) -> None:
+    """With targets of zero far away, differences mean: the state stays where it is, and its variance grows by the prior's."""
+    dynamics = GPDynamics(4, 2)
+    dynamics.set_data(torch.full((2, 4), 1e3), torch.zeros(2, 2))
+    predicted = predict_step(initial, policy.controller, dynamics, SPACE, observation_noise=False)
+    torch.testing.assert_close(predicted.mean, initial.mean)
+    torch.testing.assert_close(predicted.cov, initial.cov + torch.diag(dynamics.expansion.signal_variance))
+
+
+def test_observation_noise_adds_up_step_by_step(policy: RBFPolicy, initial: Gaussian) -> None:
+    dynamics = GPDynamics(4, 2)
+    dynamics.set_data(torch.full((2, 4), 1e3), torch.zeros(2, 2))
+    latent, noisy = (predict_trajectory(initial, policy, dynamics, SPACE, 3, observation_noise=noise) for noise in (False, True))
+    steps = torch.arange(1.0, 4.0, dtype=torch.float64)[:, None, None]
+    torch.testing.assert_close(noisy.cov - latent.cov, steps * torch.diag(dynamics.expansion.noise_variance))
+
+
+def test_covariances_are_symmetric_and_positive_definite(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    cov = predict_trajectory(initial, policy, dynamics, SPACE, 15).cov.detach()
+    assert torch.equal(cov, cov.mT)
+    assert torch.linalg.eigvalsh(cov).min() > 0
+
+
+def test_batch_of_starts_is_a_loop(policy: RBFPolicy, dynamics: GPDynamics, draws: Draws) -> None:
+    initial = draws.belief(2, 3, 2, scale=0.02)
+    together = predict_trajectory(initial, policy, dynamics, SPACE, 4)
+    means = predict_mean_trajectory(initial.mean, policy, dynamics, SPACE, 4)
+    assert together.mean.shape == means.shape == (2, 3, 4, 2)
+    for index in np.ndindex(2, 3):
+        alone = predict_trajectory(initial[index], policy, dynamics, SPACE, 4)
+        torch.testing.assert_close(together[index].mean, alone.mean)
+        torch.testing.assert_close(together[index].cov, alone.cov)
+        torch.testing.assert_close(means[index], predict_mean_trajectory(initial.mean[index], policy, dynamics, SPACE, 4))
+
+
+def test_longer_horizon_begins_with_the_shorter_one(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    short, long = (predict_trajectory(initial, policy, dynamics, SPACE, horizon) for horizon in (3, 6))
+    assert torch.equal(short.mean, long.mean[:3])
+    assert torch.equal(short.cov, long.cov[:3])
+
+
+@pytest.mark.parametrize("targets", ["difference", "successor"])
+def test_gradient_in_the_policy(draws: Draws, initial: Gaussian, targets: Targets) -> None:
+    dynamics = make_dynamics(draws, n=8, targets=targets)
+
+    def last_state(centres: Tensor, weights: Tensor, log_widths: Tensor) -> tuple[Tensor, Tensor]:
+        network = KernelExpansion(centres, weights, log_widths.exp(), torch.ones(1, dtype=torch.float64))
+        state = initial
+        for _ in range(3):
+            state = predict_step(state, Controller(network, U_MAX), dynamics, SPACE)
+        return state.mean, state.cov
+
+    variables = draws.normal(4, 3), draws.normal(1, 4), 0.3 * draws.normal(1, 3)
+    assert gradcheck(last_state, tuple(variable.requires_grad_() for variable in variables))
+
+
+def test_gradient_of_the_mean_trajectory(policy: RBFPolicy, dynamics: GPDynamics, draws: Draws) -> None:
+    assert gradcheck(lambda x: predict_mean_trajectory(x, policy, dynamics, SPACE, 3), draws.normal(2, 2).requires_grad_())
+
+
+def test_prediction_is_differentiable_in_all_parameters(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    predicted = predict_trajectory(initial, policy, dynamics, SPACE, 3)
+    for gradient in torch.autograd.grad(predicted.mean.sum() + predicted.cov.sum(), list(policy.parameters())):
+        assert gradient.isfinite().all() and (gradient != 0).all()
+
+
+def test_samples_of_the_same_seed_are_the_same(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    one, other = (sample_trajectories(initial, policy, dynamics, SPACE, 3, 5, torch.Generator().manual_seed(1)) for _ in range(2))
+    assert one.shape == (5, 3, 2)
+    assert torch.equal(one, other)
+
+
+def test_failed_step_is_named(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The matrix of the second step has no Cholesky factor."""
+    steps = iter([initial])
+
+    def failing_step(*_: object) -> Gaussian:
+        for state in steps:
+            return state
+        raise NotPositiveDefiniteError("I + Sigma P must be positive definite")
+
+    monkeypatch.setattr(rollout, "predict_step", failing_step)
+    with pytest.raises(PredictionError, match=r"prediction of step 2 of 4 failed: I \+ Sigma P must be positive definite"):
+        predict_trajectory(initial, policy, dynamics, SPACE, 4)
+
+
+def test_state_that_is_not_finite_is_named(
+    policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = Gaussian(initial.mean, initial.cov.clone())
+    broken.cov[1, 1] = float("inf")
+    states = iter([initial, initial, broken])
+    monkeypatch.setattr(rollout, "predict_step", lambda *_: next(states))
+    with pytest.raises(PredictionError, match="prediction of step 3 of 4 failed: dq is not finite"):
+        predict_trajectory(initial, policy, dynamics, SPACE, 4)
+
+
+def test_start_with_a_negative_variance_is_an_error(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    with pytest.raises(PredictionError, match="prediction of step 1 of 2 failed: .* must be positive definite"):
+        predict_trajectory(Gaussian(initial.mean, -100 * torch.eye(2, dtype=torch.float64)), policy, dynamics, SPACE, 2)

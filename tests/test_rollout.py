@@ -245,5 +245,5 @@ def test_state_that_is_not_finite_is_named(
 
 
 def test_start_with_a_negative_variance_is_an_error(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
-    with pytest.raises(PredictionError, match="prediction of step 1 of 2 failed: .* must be positive definite"):
+    with pytest.raises(PredictionError, match=r"prediction of step 1 of 2 failed: .* must be positive definite"):
         predict_trajectory(Gaussian(initial.mean, -100 * torch.eye(2, dtype=torch.float64)), policy, dynamics, SPACE, 2)

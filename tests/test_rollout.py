@@ -229,8 +229,9 @@ def test_failed_step_is_named(policy: RBFPolicy, dynamics: GPDynamics, initial: 
         raise NotPositiveDefiniteError("I + Sigma P must be positive definite")
 
     monkeypatch.setattr(rollout, "predict_step", failing_step)
-    with pytest.raises(PredictionError, match=r"prediction of step 2 of 4 failed: I \+ Sigma P must be positive definite"):
+    with pytest.raises(PredictionError, match=r"prediction of step 2 of 4 failed: I \+ Sigma P must be positive definite") as error:
         predict_trajectory(initial, policy, dynamics, SPACE, 4)
+    assert error.value.step == 2
 
 
 def test_state_that_is_not_finite_is_named(
@@ -238,10 +239,11 @@ def test_state_that_is_not_finite_is_named(
 ) -> None:
     broken = Gaussian(initial.mean, initial.cov.clone())
     broken.cov[1, 1] = float("inf")
-    states = iter([initial, initial, broken])
+    states = iter([initial, initial, broken, broken])
     monkeypatch.setattr(rollout, "predict_step", lambda *_: next(states))
-    with pytest.raises(PredictionError, match="prediction of step 3 of 4 failed: dq is not finite"):
+    with pytest.raises(PredictionError, match="prediction of step 3 of 4 failed: dq is not finite") as error:
         predict_trajectory(initial, policy, dynamics, SPACE, 4)
+    assert error.value.step == 3
 
 
 def test_start_with_a_negative_variance_is_an_error(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:

@@ -45,9 +45,26 @@ def test_features_do_not_change_by_a_full_turn(space: StateSpace, draws: Draws) 
     torch.testing.assert_close(space.features(turned), space.features(x))
 
 
-def test_augmented_belief_at_zero_covariance_holds_the_features(space: StateSpace, draws: Draws) -> None:
+def test_belief_at_zero_covariance_holds_the_features_and_their_gradient(space: StateSpace, draws: Draws) -> None:
     x = draws.normal(3, 4)
-    torch.testing.assert_close(space.augment(point(x)).marginal(space.feature_index).mean, space.features(x))
+    features, slope = space.belief(point(x))
+    torch.testing.assert_close(features.mean, space.features(x))
+    torch.testing.assert_close(features.cov, torch.zeros(3, 6, 6, dtype=torch.float64))
+    for i in range(3):
+        torch.testing.assert_close(slope[i], torch.autograd.functional.jacobian(space.features, x[i]).mT)
+
+
+def test_belief_has_the_moments_of_the_features_of_samples(space: StateSpace, draws: Draws) -> None:
+    state, count = draws.belief(4), 50_000
+    x = state.sample(count, draws.generator)
+    features, slope = space.belief(state)
+    deviation, of_state = space.features(x) - features.mean, x - state.mean
+    for products, expected in (
+        (deviation, torch.zeros(6, dtype=torch.float64)),
+        (deviation[:, :, None] * deviation[:, None, :], features.cov),
+        (of_state[:, :, None] * deviation[:, None, :], state.cov @ slope),
+    ):
+        assert ((products.mean(0) - expected).abs() <= 4 * products.std(0) / count**0.5).all()
 
 
 def test_angles_in_any_position_keep_their_names(draws: Draws) -> None:
@@ -55,7 +72,7 @@ def test_angles_in_any_position_keep_their_names(draws: Draws) -> None:
     space, x = StateSpace(names, units, (1,), joint_match(names, units)), draws.normal(3)
     assert space.feature_names == ("a", "c", "sin b", "cos b")
     assert torch.equal(space.features(x), torch.stack([x[0], x[2], x[1].sin(), x[1].cos()]))
-    torch.testing.assert_close(space.augment(point(x)).marginal(space.feature_index).mean, space.features(x))
+    torch.testing.assert_close(space.belief(point(x))[0].mean, space.features(x))
 
 
 def test_state_without_angles_is_its_own_features(draws: Draws) -> None:

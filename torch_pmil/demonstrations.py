@@ -144,9 +144,7 @@ def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
         >>> shipped_demonstrations().positions.shape
         torch.Size([5, 26, 4])
     """
-    shipped = {
-        file.name.removesuffix(".npz"): file for file in resources.files("torch_pmil").joinpath("data").iterdir()
-    }
+    shipped = {file.name.removesuffix(".npz"): file for file in resources.files("torch_pmil").joinpath("data").iterdir()}
     shipped = {stem: file for stem, file in shipped.items() if file.name == f"{stem}.npz"}
     if name not in shipped:
         raise DemonstrationError(f"shipped demonstrations must be one of {sorted(shipped)}, got {name}")
@@ -215,9 +213,7 @@ def _check_csv_lengths(samples: dict[str, list[list[float]]]) -> None:
         raise DemonstrationError(f"demonstration {first_label} must have at least two rows, got {expected}")
     for label, length in lengths.items():
         if length != expected:
-            raise DemonstrationError(
-                f"demonstration {label} must have {expected} rows like demonstration {first_label}, got {length}"
-            )
+            raise DemonstrationError(f"demonstration {label} must have {expected} rows like demonstration {first_label}, got {length}")
 
 
 def _csv_time_step(times: np.ndarray, row_numbers: list[list[int]]) -> float:

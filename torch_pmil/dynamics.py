@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from dataclasses import dataclass
 from typing import Literal
 
 import gpytorch
 import torch
 from gpytorch.constraints import Positive
+from linear_operator.utils.errors import NanError, NotPSDError
+from linear_operator.utils.warnings import NumericalWarning
 from torch import Tensor, nn
 
-from torch_pmil.gaussian import NotPositiveDefiniteError
 from torch_pmil.kernel_expansion import KernelExpansion
 
 Targets = Literal["difference", "successor"]
@@ -31,9 +33,7 @@ class _BatchGP(gpytorch.models.ExactGP):
         likelihood = gpytorch.likelihoods.GaussianLikelihood(batch_shape=batch, noise_constraint=Positive(**log))
         super().__init__(inputs, targets, likelihood)
         self.mean_module = gpytorch.means.ZeroMean(batch_shape=batch)
-        rbf = gpytorch.kernels.RBFKernel(
-            ard_num_dims=inputs.shape[-1], batch_shape=batch, lengthscale_constraint=Positive(**log)
-        )
+        rbf = gpytorch.kernels.RBFKernel(ard_num_dims=inputs.shape[-1], batch_shape=batch, lengthscale_constraint=Positive(**log))
         self.covar_module = gpytorch.kernels.ScaleKernel(rbf, batch_shape=batch, outputscale_constraint=Positive(**log))
 
     def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
@@ -98,9 +98,7 @@ class GPDynamics(nn.Module):
         """
         self._check_data(inputs, targets)
         self.train_inputs, self.train_targets = inputs.detach().double(), targets.detach().double()
-        self.gp.set_train_data(
-            self.train_inputs.expand(self.num_outputs, -1, -1), self.train_targets.mT.contiguous(), strict=False
-        )
+        self.gp.set_train_data(self.train_inputs.expand(self.num_outputs, -1, -1), self.train_targets.mT.contiguous(), strict=False)
         self._expansion = None
 
     def fit(self, inputs: Tensor, targets: Tensor, max_iterations: int = 100) -> FitResult:
@@ -126,7 +124,7 @@ class GPDynamics(nn.Module):
         runs = [self._fit_from(start, max_iterations) for start in ([previous] if warm else []) + starts]
         losses = torch.stack([loss for _, loss, _ in runs])
         best = losses.argmin(0)
-        chosen = [torch.stack(options)[best, range(self.num_outputs)] for options in zip(*(p for p, _, _ in runs))]
+        chosen = [torch.stack(options)[best, range(self.num_outputs)] for options in zip(*(p for p, _, _ in runs), strict=True)]
         self._set_log_parameters(chosen)
         evaluations = sum(count for _, _, count in runs)
         return FitResult(losses.amin(0), evaluations, time.perf_counter() - start_time, f"best of {len(runs)} starts")
@@ -148,7 +146,7 @@ class GPDynamics(nn.Module):
                 losses = self._negative_log_likelihood() + self._penalty(spread)
                 total = losses.sum()
                 total.backward()
-            except (NotPositiveDefiniteError, gpytorch.utils.errors.NotPSDError):
+            except (NumericalWarning, NotPSDError, NanError):
                 return _reject(self._raw_parameters())
             if not total.isfinite():
                 return _reject(self._raw_parameters())
@@ -162,7 +160,9 @@ class GPDynamics(nn.Module):
     def _negative_log_likelihood(self) -> Tensor:
         """-log p(y | X) of each output, (E,), nats."""
         self.gp.train()
-        with gpytorch.settings.fast_computations(covar_root_decomposition=False, log_prob=False, solves=False):
+        exact = gpytorch.settings.fast_computations(covar_root_decomposition=False, log_prob=False, solves=False)
+        with exact, warnings.catch_warnings():
+            warnings.simplefilter("error", NumericalWarning)  # a jittered likelihood is another likelihood
             prior = self.gp(*self.gp.train_inputs)
             return -self.gp.likelihood(prior).log_prob(self.gp.train_targets)
 
@@ -181,7 +181,7 @@ class GPDynamics(nn.Module):
 
     def _set_log_parameters(self, values: list[Tensor]) -> None:
         with torch.no_grad():
-            for parameter, value in zip(self._raw_parameters(), values):
+            for parameter, value in zip(self._raw_parameters(), values, strict=True):
                 parameter.copy_(value)
         self._expansion = None
 

@@ -63,8 +63,7 @@ class Gaussian:
         expected = (*self.mean.shape, self.mean.shape[-1]) if self.mean.ndim else ()
         if self.mean.ndim == 0 or self.cov.shape != expected:
             raise ValueError(
-                f"cov must have shape (*batch, D, D) = {expected} for a mean of shape {tuple(self.mean.shape)}, "
-                f"got {tuple(self.cov.shape)}"
+                f"cov must have shape (*batch, D, D) = {expected} for a mean of shape {tuple(self.mean.shape)}, got {tuple(self.cov.shape)}"
             )
 
     @property

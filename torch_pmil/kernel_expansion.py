@@ -137,6 +137,7 @@ class KernelExpansion:
 
         Raises:
             TypeError: another kernel, mean or likelihood.
+            ValueError: more than one batch dimension.
             NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
         """
         _check_model(model)
@@ -177,9 +178,7 @@ class KernelExpansion:
         """
         scaled = inputs / lengthscales[:, None, :]
         half = (scaled @ scaled.mT) - scaled.square().sum(-1, keepdim=True) / 2 - scaled.square().sum(-1)[..., None, :] / 2
-        gram = signal_variance[:, None, None] * torch.exp(half) + torch.diag_embed(
-            noise_variance[:, None].expand(-1, inputs.shape[-2])
-        )
+        gram = signal_variance[:, None, None] * torch.exp(half) + torch.diag_embed(noise_variance[:, None].expand(-1, inputs.shape[-2]))
         factor = cholesky(gram, "Gram matrix of the outputs (element: output)")
         centred = targets - torch.as_tensor(offset, dtype=targets.dtype).reshape(-1, 1)
         weights = torch.cholesky_solve(centred[..., None], factor)[..., 0]
@@ -189,8 +188,12 @@ class KernelExpansion:
 
 def _check_model(model: gpytorch.models.ExactGP) -> None:
     kernel, mean, likelihood = model.covar_module, model.mean_module, model.likelihood
-    if not (isinstance(kernel, ScaleKernel) and isinstance(kernel.base_kernel, RBFKernel)):
+    if not (type(kernel) is ScaleKernel and type(kernel.base_kernel) is RBFKernel):
         raise TypeError(f"covar_module must be ScaleKernel(RBFKernel), got {type(kernel).__name__}")
+    if kernel.active_dims is not None or kernel.base_kernel.active_dims is not None:
+        raise TypeError("covar_module must see all inputs, got a kernel with active_dims")
+    if model.train_targets.ndim > 2:
+        raise ValueError(f"the model must have a batch of outputs (E,) or none, got {tuple(model.train_targets.shape[:-1])}")
     if not isinstance(mean, (ZeroMean, ConstantMean)):
         raise TypeError(f"mean_module must be ZeroMean or ConstantMean, got {type(mean).__name__}")
     if not isinstance(likelihood, gpytorch.likelihoods.GaussianLikelihood):

@@ -35,7 +35,9 @@ def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
         tensor(0.)
     """
     L_p, L_q = cholesky(p.cov, "covariance of p"), cholesky(q.cov, "covariance of q")
-    white = torch.linalg.solve_triangular(L_q, torch.cat([L_p, (p.mean - q.mean)[..., None]], -1), upper=False)
+    delta = (p.mean - q.mean)[..., None]
+    residuals = torch.cat([L_p.expand(*delta.shape[:-2], -1, -1), delta], -1)
+    white = torch.linalg.solve_triangular(L_q, residuals, upper=False)
     trace_and_mahalanobis = white.square().sum((-2, -1))
     return (trace_and_mahalanobis - p.dim + _log_det(L_q) - _log_det(L_p)) / 2
 

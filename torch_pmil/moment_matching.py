@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from torch_pmil.gaussian import Gaussian, cholesky
+from torch_pmil.gaussian import Gaussian, cholesky, symmetric
 from torch_pmil.kernel_expansion import KernelExpansion
 
 CACHED_NUMBERS = 2**17  # numbers that are worked on at a time: 1 MB, half of a common level-2 cache
@@ -49,9 +49,7 @@ class Moments:
         return belief.cov @ self.inv_cov_cross_cov
 
 
-def moment_match(
-    model: KernelExpansion | gpytorch.models.ExactGP, belief: Gaussian, observation_noise: bool = False
-) -> Moments:
+def moment_match(model: KernelExpansion | gpytorch.models.ExactGP, belief: Gaussian, observation_noise: bool = False) -> Moments:
     r"""Mean, covariance and input-output covariance of a GP or an RBF network at an uncertain input (Eqs. 14-18).
 
     Exact, no sampling: the true distribution of f(x) is not Gaussian, its first two moments are these. Differentiable
@@ -70,7 +68,7 @@ def moment_match(
         ValueError: the belief's entries are not the model's inputs.
         NotPositiveDefiniteError: the covariance has a clearly negative eigenvalue, or is not finite.
 
-    Source: Deisenroth (2010), section 2.3; the sum over pairs as in ``method``: a matrix product and one exp.
+    Source: Deisenroth (2010), section 2.3.
 
     Example:
         >>> f = KernelExpansion(torch.zeros(1, 2), torch.ones(1, 1), torch.ones(1, 2), torch.ones(1))
@@ -116,7 +114,7 @@ class _Terms:
         nu = f.inputs - belief.mean[..., None, None, :]  # (*batch, E, n, D)
         scaled = nu * f.precision[:, None, :]
         log_k = f.signal_variance.log()[:, None] - (nu * scaled).sum(-1) / 2
-        G, log_det = _regularised_cov(belief.cov, products.precision)
+        G, log_det = _RegularisedCov.apply(belief.cov, products.precision)
         u = scaled[..., products.factors, :, :]
         u_G = u @ G[..., products.integrals, :, :]
         exponent = log_k[..., products.factors, :] + (u_G * u).sum(-1) / 2
@@ -125,7 +123,10 @@ class _Terms:
 
 
 def _first_moment(f: KernelExpansion, terms: _Terms) -> tuple[Tensor, Tensor]:
-    r"""Eqs. 14-15 without the offset, and :math:`\Sigma^{-1} \operatorname{cov}(x, f_a) = (I - \Lambda_a^{-1} G) \sum_i \beta_i q_i u_i`."""
+    r"""Eqs. 14-15 without the offset, and the input-output covariance of each output a,
+
+    .. math:: \Sigma^{-1} \operatorname{cov}(x, f_a) = (I - \Lambda_a^{-1} G) \sum_i \beta_i q_i u_i
+    """
     E = f.num_outputs
     beta_q = f.weights * terms.row[..., :E, :].exp()  # Eq. 15
     pull = beta_q[..., None, :] @ torch.cat([terms.u[..., :E, :, :], terms.u_G[..., :E, :, :]], -1)
@@ -147,14 +148,33 @@ def _second_moment(f: KernelExpansion, terms: _Terms) -> Tensor:
     return sums[..., f.products.position]
 
 
-def _regularised_cov(cov: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
-    r"""G = (I + Sigma P)^-1 Sigma and log|I + Sigma P| for each row P of ``precision`` (K, D); symmetric, exact at Sigma = 0."""
-    s = precision.sqrt()[:, :, None]
-    identity = torch.eye(precision.shape[-1], dtype=cov.dtype, device=cov.device)
-    scaled_cov = s * cov[..., None, :, :]
-    factor = cholesky(identity + scaled_cov * s.mT, "I + Sigma P (last element: kernel, then pair of kernels)")
-    G = torch.cholesky_solve(scaled_cov, factor) / s
-    return G, 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+class _RegularisedCov(torch.autograd.Function):
+    r"""G = (I + Sigma P)^-1 Sigma and log|I + Sigma P| for each diagonal P, a row of ``precision`` (K, D); exact at Sigma = 0.
+
+    With R = I - G P: dG = R dSigma R' - G dP G and dlog|I + Sigma P| = tr(P R dSigma) + tr(G dP).
+    """
+
+    @staticmethod
+    def forward(ctx, cov, precision):
+        s = precision.sqrt()[:, :, None]
+        identity = torch.eye(precision.shape[-1], dtype=cov.dtype, device=cov.device)
+        scaled_cov = s * cov[..., None, :, :]
+        factor = cholesky(identity + scaled_cov * s.mT, "I + Sigma P (last element: kernel, then pair of kernels)")
+        G = symmetric(torch.cholesky_solve(scaled_cov, factor) / s)
+        ctx.save_for_backward(precision, identity, G)
+        return G, 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, d_G, d_log_det):
+        precision, identity, G = ctx.saved_tensors
+        R = identity - G * precision[:, None, :]
+        scale = d_log_det[..., None, None]
+        d_cov = (R.mT @ d_G @ R + scale * symmetric(precision[:, :, None] * R)).sum(-3)
+        if not ctx.needs_input_grad[1]:
+            return d_cov, None
+        d_P = (scale * G - G @ d_G @ G).diagonal(dim1=-2, dim2=-1)
+        return d_cov, _sum_batch(d_P, 2)
 
 
 def _chunks(left: Tensor) -> Iterator[slice]:

@@ -92,5 +92,5 @@ class Controller:
             The belief over the action (N·m), and Sigma^-1 cov(features, action), (*batch, D', F).
         """
         raw = moment_match(self.network, features)
-        action, inv_cov_cross_cov = squash(raw.gaussian, self.u_max)
-        return action, raw.inv_cov_cross_cov @ inv_cov_cross_cov
+        action, slope = squash(raw.gaussian, self.u_max)
+        return action, raw.inv_cov_cross_cov * slope[..., None, :]

@@ -13,7 +13,11 @@ from torch_pmil.state_space import StateSpace
 
 
 class PredictionError(RuntimeError):
-    """A prediction broke down; the message names the time step and what failed there."""
+    """A prediction broke down; the message names what failed, and ``step`` the time step 1..T."""
+
+    def __init__(self, message: str, step: int) -> None:
+        super().__init__(message)
+        self.step = step
 
 
 def predict_step(
@@ -21,8 +25,8 @@ def predict_step(
 ) -> Gaussian:
     r"""p(x_t) -> p(x_{t+1}) by exact moment matching of the policy and of the model.
 
-    1. the state with sin and cos of its angles; 2. the policy's action and its covariance with them; 3. the GP's moments
-    at the joint of features and action; 4. for differences, :math:`\Sigma_{t+1} = \Sigma_t + S + C + C^\top`.
+    1. the features of the state (sin and cos of its angles); 2. the policy's action and its covariance with them; 3. the GP's
+    moments at the joint of features and action; 4. for differences, :math:`\Sigma_{t+1} = \Sigma_t + S + C + C^\top`.
 
     Args:
         state: belief over the state, D entries.
@@ -33,19 +37,15 @@ def predict_step(
     Returns:
         Belief over the next state.
     """
-    augmented = space.augment(state)
-    features = augmented.marginal(space.feature_index)
-    action, inv_cov_cross_cov = controller.on_belief(features)
-    cov_augmented_action = augmented.cov[..., :, space.feature_index] @ inv_cov_cross_cov
-    inputs = joint(features, action, cov_augmented_action[..., space.feature_index, :])
-    cov_state_inputs = torch.cat(
-        [augmented.cov[..., : space.dim, space.feature_index], cov_augmented_action[..., : space.dim, :]], -1
-    )
+    features, slope = space.belief(state)
+    action, policy_slope = controller.on_belief(features)
+    inputs = joint(features, action, features.cov @ policy_slope)
     moments = moment_match(dynamics.expansion, inputs, observation_noise)
     if dynamics.targets == "successor":
         return Gaussian(moments.mean, symmetric(moments.cov))
-    C = cov_state_inputs @ moments.inv_cov_cross_cov
-    return Gaussian(state.mean + moments.mean, symmetric(state.cov + moments.cov + C + C.mT))
+    input_slope = torch.cat([slope, slope @ policy_slope], -1)  # Sigma_x^-1 cov(x, inputs)
+    C = state.cov @ (input_slope @ moments.inv_cov_cross_cov)
+    return Gaussian(state.mean + moments.mean, symmetric(state.cov + moments.cov + 2 * C))
 
 
 def predict_trajectory(
@@ -75,23 +75,23 @@ def predict_trajectory(
         try:
             state = predict_step(state, controller, dynamics, space, observation_noise)
         except NotPositiveDefiniteError as error:
-            raise PredictionError(f"prediction of step {t} of {horizon} failed: {error}") from error
-        _check_finite(state, t, horizon, space)
+            raise PredictionError(f"prediction of step {t} of {horizon} failed: {error}", t) from error
         means.append(state.mean)
         covs.append(state.cov)
-    return Gaussian(torch.stack(means, -2), torch.stack(covs, -3))
+    trajectory = Gaussian(torch.stack(means, -2), torch.stack(covs, -3))
+    _check_finite(trajectory, space)
+    return trajectory
 
 
-def _check_finite(state: Gaussian, t: int, horizon: int, space: StateSpace) -> None:
-    finite = state.mean.isfinite() & state.cov.isfinite().all(-1)
+def _check_finite(trajectory: Gaussian, space: StateSpace) -> None:
+    finite = trajectory.mean.isfinite() & trajectory.cov.isfinite().all(-1)
     if not finite.all():
-        output = (~finite).nonzero()[0, -1].item()
-        raise PredictionError(f"prediction of step {t} of {horizon} failed: {space.names[output]} is not finite")
+        step, output = (~finite).reshape(-1, *finite.shape[-2:]).any(0).nonzero()[0].tolist()
+        horizon = finite.shape[-2]
+        raise PredictionError(f"prediction of step {step + 1} of {horizon} failed: {space.names[output]} is not finite", step + 1)
 
 
-def predict_mean_trajectory(
-    initial: Tensor, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int
-) -> Tensor:
+def predict_mean_trajectory(initial: Tensor, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int) -> Tensor:
     """The model's mean alone, step by step, as if nothing were uncertain: O(n) a step.
 
     Args:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -46,13 +47,13 @@ class MatchSpace:
 
     def __call__(self, states: Tensor) -> Tensor:
         """Observations (*batch, M) of states (*batch, D)."""
-        angles = states @ self.angles.mT
-        return torch.cat([states, angles.sin(), angles.cos()], -1) @ self.weights.mT
+        angles = states @ self.angles.to(states).mT
+        return torch.cat([states, angles.sin(), angles.cos()], -1) @ self.weights.to(states).mT
 
     def belief(self, state: Gaussian) -> Gaussian:
         """Exact mean and covariance of the observation of an uncertain state."""
-        augmented, _ = augment(state, self.angles)
-        return augmented.affine(self.weights)
+        everything = torch.eye(state.dim, dtype=state.mean.dtype, device=state.mean.device)
+        return augment(state, everything, self.angles.to(state.mean))[0].affine(self.weights.to(state.mean))
 
 
 @dataclass(frozen=True)
@@ -94,26 +95,30 @@ class StateSpace:
         return len(self.names)
 
     @property
-    def feature_names(self) -> tuple[str, ...]:
-        """Names of the D' entries that models and policies see."""
-        plain = [name for i, name in enumerate(self.names) if i not in self.angles]
-        return (*plain, *(f"sin {self.names[i]}" for i in self.angles), *(f"cos {self.names[i]}" for i in self.angles))
+    def plain(self) -> tuple[int, ...]:
+        """Indices of the entries that are no angles."""
+        return tuple(i for i in range(self.dim) if i not in self.angles)
 
     @property
-    def feature_index(self) -> list[int]:
-        """Positions of the features in the augmented vector [x, sin, cos] of :meth:`augment`."""
-        plain = [i for i in range(self.dim) if i not in self.angles]
-        return plain + list(range(self.dim, self.dim + 2 * len(self.angles)))
+    def feature_names(self) -> tuple[str, ...]:
+        """Names of the D' entries that models and policies see."""
+        sines, cosines = ([f"{f} {self.names[i]}" for i in self.angles] for f in ("sin", "cos"))
+        return (*(self.names[i] for i in self.plain), *sines, *cosines)
 
     def features(self, states: Tensor) -> Tensor:
         """What models and policies see of states (*batch, D): (*batch, D')."""
-        angles = states[..., list(self.angles)]
-        return torch.cat([states, angles.sin(), angles.cos()], -1)[..., self.feature_index]
+        angles = states[..., self.angles]
+        return torch.cat([states[..., self.plain], angles.sin(), angles.cos()], -1)
 
-    def augment(self, state: Gaussian) -> Gaussian:
-        """Exact moments of [x, sin, cos] of an uncertain state, (*batch, D + 2 * number of angles)."""
-        picks = torch.eye(self.dim, dtype=state.mean.dtype, device=state.mean.device)[list(self.angles)]
-        return augment(state, picks)[0]
+    def belief(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
+        """Exact moments of the features of an uncertain state, and Sigma_x^-1 cov(x, features), (*batch, D, D')."""
+        plain, angles = self._selections
+        return augment(state, plain.to(state.mean), angles.to(state.mean))
+
+    @cached_property
+    def _selections(self) -> tuple[Tensor, Tensor]:
+        identity = torch.eye(self.dim, dtype=torch.float64)
+        return identity[list(self.plain)], identity[list(self.angles)]
 
 
 def joint_match(names: tuple[str, ...], units: tuple[str, ...]) -> MatchSpace:

@@ -1,66 +1,56 @@
 r"""Closed-form moments of sines and cosines of a Gaussian.
 
-==================  ==========================================
-paper / formula     here
-==================  ==========================================
-theta ~ N(m, V)     ``angles`` (Gaussian)
-E sin(theta)        exp(-V_ii / 2) sin(m_i)
-u_max sin(pi~)      :func:`squash` (Eq. 27)
-==================  ==========================================
+A sine is a cosine a quarter turn earlier, so one formula serves all: for phases :math:`\varphi \sim \mathcal N(m, V)`,
 
-Valid while no angle has a variance above about 700 rad^2 (a standard deviation of 26 rad): beyond, ``exp`` overflows and
-the result is not finite, which the callers report.
+.. math::
+    \mathbb E \cos\varphi_i &= e^{-V_{ii}/2} \cos m_i \\
+    \operatorname{cov}(\cos\varphi_i, \cos\varphi_j) &= \tfrac12 e^{-(V_{ii} + V_{jj})/2}
+        \left[ (e^{V_{ij}} - 1) \cos(m_i - m_j) + (e^{-V_{ij}} - 1) \cos(m_i + m_j) \right]
+
+and by Stein's lemma :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cos\varphi_i)` is the mean derivative of the cosine by x.
 """
 
 from __future__ import annotations
+
+import math
 
 import torch
 from torch import Tensor
 
 from torch_pmil.gaussian import Gaussian
 
-
-def _sine_terms(angles: Gaussian) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Means of sin and cos (*batch, K), and the four products from which every covariance is put together (*batch, K, K)."""
-    m, V = angles.mean, angles.cov
-    variance = V.diagonal(dim1=-2, dim2=-1)
-    decay = torch.exp(-variance / 2)
-    scale = decay[..., :, None] * decay[..., None, :] / 2
-    minus, plus = scale * torch.expm1(V), scale * torch.expm1(-V)
-    difference, total = m[..., :, None] - m[..., None, :], m[..., :, None] + m[..., None, :]
-    return decay * m.sin(), decay * m.cos(), minus, plus, difference, total
+QUARTER_TURN = math.pi / 2
 
 
-def augment(belief: Gaussian, angles: Tensor) -> tuple[Gaussian, Tensor]:
-    r"""Belief over :math:`[x, \sin(Ax), \cos(Ax)]` when x is Gaussian: exact mean and covariance.
+def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, Tensor]:
+    r"""Belief over :math:`[Px, \sin(Ax), \cos(Ax)]` when x is Gaussian: exact mean and covariance.
 
     Args:
-        belief: over x, D entries; the entries that A combines in rad.
-        angles: the matrix A, (K, D); its rows combine the entries to angles (a row of one 1 picks an entry).
+        belief: over x, D entries; those that A combines in rad.
+        plain: the matrix P, (K_p, D), of what is kept as it is.
+        angles: the matrix A, (K, D), of what becomes sin and cos (a row with a single 1 picks an entry).
 
     Returns:
-        The augmented belief of D + 2K entries, and :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cdot)`, (*batch, D, D + 2K).
+        The belief of K_p + 2K entries, and :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cdot)`, (*batch, D, K_p + 2K).
 
     Source: Deisenroth (2010), appendix A.
 
     Example:
-        >>> upright = Gaussian(torch.zeros(1), torch.zeros(1, 1))
-        >>> augment(upright, torch.ones(1, 1))[0].mean
-        tensor([0., 0., 1.])
+        >>> eighth_turn = Gaussian(torch.tensor([torch.pi / 4]), torch.zeros(1, 1))
+        >>> augment(eighth_turn, torch.ones(1, 1), torch.ones(1, 1))[0].mean
+        tensor([0.7854, 0.7071, 0.7071])
     """
-    theta = belief.affine(angles)
-    sin, cos, minus, plus, difference, total = _sine_terms(theta)
-    cov_ss = minus * difference.cos() - plus * total.cos()
-    cov_cc = minus * difference.cos() + plus * total.cos()
-    cov_sc = minus * difference.sin() + plus * total.sin()
-    cov_trig = torch.cat([torch.cat([cov_ss, cov_sc], -1), torch.cat([cov_sc.mT, cov_cc], -1)], -2)
-
-    slope = torch.cat([cos[..., None] * angles, -sin[..., None] * angles], -2).mT  # Stein: E[d feature / dx]
-    cross_cov = belief.cov @ slope
-    cov = torch.cat([torch.cat([belief.cov, cross_cov], -1), torch.cat([cross_cov.mT, cov_trig], -1)], -2)
-    identity = torch.eye(belief.dim, dtype=belief.mean.dtype, device=belief.mean.device)
-    inv_cov_cross_cov = torch.cat([identity.expand_as(belief.cov), slope], -1)
-    return Gaussian(torch.cat([belief.mean, sin, cos], -1), cov), inv_cov_cross_cov
+    kept = len(plain)
+    rows = torch.cat([plain, angles, angles])
+    linear = belief.affine(rows)
+    phase = linear.mean[..., kept:].clone()
+    phase[..., : len(angles)] -= QUARTER_TURN
+    mean, cov, slope = _cosines(phase, linear.cov[..., kept:, kept:])
+    cross = linear.cov[..., :kept, kept:] * slope[..., None, :]
+    upper = torch.cat([linear.cov[..., :kept, :kept], cross], -1)
+    full = torch.cat([upper, torch.cat([cross.mT, cov], -1)], -2)
+    gain = torch.cat([torch.ones_like(linear.mean[..., :kept]), slope], -1)
+    return Gaussian(torch.cat([linear.mean[..., :kept], mean], -1), full), rows.mT * gain[..., None, :]
 
 
 def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
@@ -71,13 +61,29 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
         u_max: torque limits (F,), in the unit of the action.
 
     Returns:
-        The belief over the action, and :math:`\Sigma_v^{-1} \operatorname{cov}(v, u)`, (*batch, F, F) and diagonal.
+        The belief over the action, and the diagonal of :math:`\Sigma_v^{-1} \operatorname{cov}(v, u)`, (*batch, F).
 
     Example:
         >>> v = Gaussian(torch.tensor([torch.pi / 2]), torch.zeros(1, 1))
         >>> squash(v, torch.tensor([3.5]))[0].mean
         tensor([3.5000])
     """
-    sin, cos, minus, plus, difference, total = _sine_terms(belief)
-    cov = (minus * difference.cos() - plus * total.cos()) * u_max[:, None] * u_max
-    return Gaussian(u_max * sin, cov), torch.diag_embed(u_max * cos)
+    mean, cov, slope = _cosines(belief.mean - QUARTER_TURN, belief.cov)
+    return Gaussian(u_max * mean, u_max[:, None] * cov * u_max), u_max * slope
+
+
+def _cosines(m: Tensor, V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases, and the mean slope -E sin (*batch, K).
+
+    With :math:`a = |V_{ij}|` no exponential overflows, however large the variance.
+    """
+    variance = V.diagonal(dim1=-2, dim2=-1)
+    decay = torch.exp(-variance / 2)
+    half_sum = (variance[..., :, None] + variance[..., None, :]) / 2
+    positive = V >= 0
+    a = torch.where(positive, V, -V)
+    rise = -torch.expm1(-a) / 2
+    large, small = torch.exp(a - half_sum) * rise, torch.exp(-half_sum) * rise
+    difference, total = (m[..., :, None] - m[..., None, :]).cos(), (m[..., :, None] + m[..., None, :]).cos()
+    cov = torch.where(positive, large * difference - small * total, large * total - small * difference)
+    return decay * m.cos(), cov, -decay * m.sin()

@@ -77,9 +77,7 @@ def test_motion_agrees_with_lagrange_equations(masses, torque):
     start = [math.pi - 0.6, 0.3, 0.4, -0.2]
     simulated = run(DoublePendulumEnv(masses, seed=0), start, torch.tensor([torque] * 25, dtype=torch.float64))
     times = np.linspace(0, 2.5, 26)
-    exact = solve_ivp(
-        lagrange_equations, (0, 2.5), start, "DOP853", times, args=(masses, torque), rtol=1e-12, atol=1e-12
-    ).y.T
+    exact = solve_ivp(lagrange_equations, (0, 2.5), start, "DOP853", times, args=(masses, torque), rtol=1e-12, atol=1e-12).y.T
     np.testing.assert_allclose(simulated.numpy(), exact, rtol=0, atol=1e-6)
 
 
@@ -258,8 +256,6 @@ assert (hanging != upright).any()
 def test_pictures_are_drawn_or_refused_clearly(backend, fails):
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     command = [sys.executable, "-W", "ignore", "-c", PICTURES]
-    result = subprocess.run(
-        command, env={**environment, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False
-    )
+    result = subprocess.run(command, env={**environment, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False)
     assert (result.returncode != 0) == fails, result.stderr
     assert ("RuntimeError: pictures need OpenGL, which failed with MUJOCO_GL glfw" in result.stderr) == fails

@@ -36,9 +36,7 @@ def cost_of_actions(actions):
 @pytest.mark.parametrize("limit", [100.0, 2.0])
 def test_plan_for_a_linear_system_is_the_optimum_within_the_limits(limit):
     plan = plan_trajectory(linear_dynamics, START, COST, np.zeros((STEPS, 1)), np.array([limit]), tolerance=1e-12)
-    optimum = minimize(
-        cost_of_actions, np.zeros(STEPS), method="L-BFGS-B", bounds=[(-limit, limit)] * STEPS, options={"ftol": 1e-15}
-    )
+    optimum = minimize(cost_of_actions, np.zeros(STEPS), method="L-BFGS-B", bounds=[(-limit, limit)] * STEPS, options={"ftol": 1e-15})
     assert plan.converged
     assert plan.cost == pytest.approx(optimum.fun, rel=1e-8)
     np.testing.assert_allclose(plan.actions[:, 0], optimum.x, atol=1e-2)

@@ -101,6 +101,27 @@ class MujocoRobotEnv(EnvBase):
         """
         return self._advance(self._physics_from_state(state), action)[:, self._state_columns]
 
+    def substates(self, state: Tensor, action: Tensor, count: int) -> Tensor:
+        """States at ``count`` equal steps inside one control period; the environment itself stays where it is.
+
+        Args:
+            state: state vector (D,); what it does not say (other joints) is at rest.
+            action: torques (F,) in N·m, held for the period and clipped to the limit.
+            count: a divisor of ``substeps``, the number of simulation time steps in a period.
+
+        Returns:
+            State vectors (count, D), float64; the last one is that of ``simulate``.
+
+        Raises:
+            ValueError: the period does not split into ``count`` steps.
+            RuntimeError: the simulation diverged.
+        """
+        if count < 1 or self.substeps % count:
+            raise ValueError(f"count must divide the {self.substeps} time steps of a control period, got {count}")
+        steps = self._integrate(self._physics_from_state(state[None]), action[None])[0]
+        stride = self.substeps // count
+        return steps[stride - 1 :: stride, self._state_columns]
+
     def render(self, state: Tensor) -> np.ndarray:
         """Draw the robot in one state, seen by the fixed camera, without shadows.
 
@@ -181,9 +202,7 @@ class MujocoRobotEnv(EnvBase):
         return TensorDict(measured, batch_size=self.batch_size)
 
     def _draw_starts(self) -> Tensor:
-        noise = torch.randn(
-            self._physics.shape[0], self.initial_mean.numel(), generator=self._generator, dtype=torch.float64
-        )
+        noise = torch.randn(self._physics.shape[0], self.initial_mean.numel(), generator=self._generator, dtype=torch.float64)
         return self.initial_mean + self.initial_std * noise
 
     def _check_starts(self, state: Tensor) -> Tensor:
@@ -202,10 +221,14 @@ class MujocoRobotEnv(EnvBase):
 
     def _advance(self, physics: Tensor, torque: Tensor) -> Tensor:
         """Full simulation states (N, P) one control period later, the torques (N, F) held."""
+        return self._integrate(physics, torque)[:, -1].clone()
+
+    def _integrate(self, physics: Tensor, torque: Tensor) -> Tensor:
+        """Full simulation states (N, substeps, P) after each time step of a control period, the torques (N, F) held."""
         held = torque[:, None].numpy()
         states, _ = rollout.rollout(self.model, self._data, physics.numpy(), held, nstep=self.substeps)
-        after = torch.from_numpy(states[:, -1].copy())
-        self._check_physics(physics, after)
+        after = torch.from_numpy(states)
+        self._check_physics(physics, after[:, -1])
         return after
 
     def _check_physics(self, before: Tensor, after: Tensor) -> None:

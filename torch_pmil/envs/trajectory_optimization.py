@@ -178,9 +178,7 @@ def tracking_controller(
     return TrackingController(plan, np.array(gains[::-1]), hold_gain, hold_from, target, action_limit)
 
 
-def roll_out(
-    dynamics: Dynamics, starts: Array, controller: Callable[[int, Array], Array], steps: int
-) -> tuple[Array, Array]:
+def roll_out(dynamics: Dynamics, starts: Array, controller: Callable[[int, Array], Array], steps: int) -> tuple[Array, Array]:
     """States (N, T+1, D) and actions (N, T, F) from the starts (N, D), under actions (N, F) of step and states."""
     states, actions = [starts], []
     for t in range(steps):

@@ -1,0 +1,96 @@
+"""Learn an experiment from its demonstrations and show what was learned.
+
+Example:
+    python scripts/train.py experiment=double_pendulum seed=0 trials=14 out=runs/double_pendulum/seed_0
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import hydra
+import torch
+from omegaconf import DictConfig
+from torch_pmil.plotting import plot_distributions, plot_learning_curve, plot_poses, save_figure
+from torch_pmil.video import render_rollout, write_video
+from tqdm import tqdm
+
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.experiments.training import RunResult, train
+from torch_pmil.trainer import Trial
+
+FRAMES_PER_SECOND = 50
+
+
+@hydra.main(version_base="1.3", config_path="config", config_name="train")
+def main(config: DictConfig) -> None:
+    """Learn, then draw."""
+    torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
+    out = Path(config.out)
+    try:
+        experiment = load_experiment(config.experiment)
+        command = "python scripts/train.py " + " ".join(sys.argv[1:] or [f"experiment={experiment.name}"])
+        result = train(experiment, config.seed, config.trials, out, command, on_trial=print_trial)
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")
+    draw(experiment, result, out)
+    print_summary(result.summary, out)
+
+
+def print_trial(trial: Trial) -> None:
+    """One line for each trial, above the progress bar."""
+    tqdm.write(
+        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, KL {trial.kl:6.1f} nats, "
+        f"own rollout {'succeeded' if trial.own_success else 'failed'}, "
+        f"success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s"
+    )
+
+
+def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
+    """Figures and video of a run."""
+    match = experiment.space.match
+    predicted = match.belief(result.predicted).add_noise(experiment.noise_std**2)
+    executed = match(result.executed)
+    figures = {
+        "trajectories": plot_distributions(
+            match.names, match.units, experiment.demonstrations.time_step, experiment.expert, predicted, executed[:, 1:]
+        ),
+        "learning_curve": plot_learning_curve(
+            [t.experience_s for t in result.trials],
+            [t.success_rate for t in result.trials],
+            [t.kl for t in result.trials],
+        ),
+        "poses": plot_poses(executed[0], experiment.demonstrations.time_step),
+    }
+    for name, figure in figures.items():
+        save_figure(figure, out / "figures" / f"{name}.png")
+    film(experiment, result, out / "video.mp4")
+
+
+def film(experiment: Experiment, result: RunResult, path: Path) -> None:
+    """The first executed rollout, as the simulator draws it; without OpenGL, as lines."""
+    states = result.executed[0]
+    with torch.no_grad():
+        actions = result.policy(experiment.space.features(states[:-1]))
+    env: MujocoRobotEnv = experiment.make_env(seed=0)
+    try:
+        write_video(path, render_rollout(env, states[0], actions), FRAMES_PER_SECOND)
+    except RuntimeError as error:
+        print(f"no video: {error}")
+
+
+def print_summary(summary: dict, out: Path) -> None:
+    """What the run came to, and where it is."""
+    print(
+        f"policy of trial {summary['saved_trial']}: success rate {summary['saved_success_rate']:.0%} of "
+        f"{summary['saved_n_eval']} fresh starts after {summary['experience_s']:.1f} s of experience and "
+        f"{summary['wall_seconds']:.0f} s of computing ({summary['stop_reason']})\n"
+        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations\n"
+        f"see {out}/figures, {out}/video.mp4, {out}/summary.json"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""What an experiment is: a robot, its demonstrations, the settings of the method, and when a rollout succeeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.expert import expert_distribution
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.policy_search import SearchSettings
+from torch_pmil.state_space import StateSpace
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """An imitation task.
+
+    Args:
+        name: as on the command line.
+        make_env: environment for given ``num_envs`` (None or N), ``from_pixels`` and ``seed``.
+        space: the robot's state space; the demonstrations are in its match space.
+        demonstrations: N demonstrations.
+        noise_std: observation noise, in the unit of the match space.
+        initial: p(x_0).
+        u_max: torque limits (F,), N·m.
+        demonstrated_states: states recovered from the demonstrations, (S, D), where the policy's centres are drawn.
+        num_centres: m.
+        error: of rollouts, states x_0..x_T (*batch, T + 1, D) to (*batch).
+        tolerance: error up to which a rollout is a success.
+        random_torque: of the first rollout, as a fraction of u_max.
+        initial_weight_std: of the policy's initial weights.
+        search: budget and horizon of the policy search.
+    """
+
+    name: str
+    make_env: Callable[..., MujocoRobotEnv]
+    space: StateSpace
+    demonstrations: Demonstrations
+    noise_std: float
+    initial: Gaussian
+    u_max: Tensor
+    demonstrated_states: Tensor
+    num_centres: int
+    error: Callable[[Tensor], Tensor]
+    tolerance: float
+    random_torque: float = 0.4
+    initial_weight_std: float = 0.1
+    search: SearchSettings = field(default_factory=SearchSettings)
+
+    @property
+    def horizon(self) -> int:
+        """T, number of control steps."""
+        return self.demonstrations.positions.shape[1] - 1
+
+    @property
+    def expert(self) -> Gaussian:
+        """Demonstrated marginals at t = 1..T, observation noise included."""
+        return expert_distribution(self.demonstrations, self.noise_std)
+
+    @property
+    def limits(self) -> Tensor:
+        """Largest absolute values of the state (D,) that the model learns from: three times the demonstrated, angles without limit."""
+        limits = 3 * self.demonstrated_states.abs().amax(0)
+        limits[list(self.space.angles)] = torch.inf
+        return limits
+
+    def make_policy(self, generator: torch.Generator) -> RBFPolicy:
+        """A new policy: centres near demonstrated states, small random weights."""
+        features = self.space.features(self.demonstrated_states)
+        scale = features.std(0)
+        chosen = torch.randint(len(features), (self.num_centres,), generator=generator)
+        jitter = torch.randn(self.num_centres, len(scale), dtype=torch.float64, generator=generator)
+        policy = RBFPolicy(features[chosen] + 0.1 * scale * jitter, self.u_max, scale)
+        white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
+        policy.weights.data.copy_(self.initial_weight_std * white)
+        return policy

@@ -1,0 +1,202 @@
+"""One learning run: Algorithm 1 on an experiment, and what it leaves in its folder."""
+
+from __future__ import annotations
+
+import csv
+import json
+import platform
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torch_pmil.dynamics import GPDynamics
+from torch_pmil.experiments.experiment import Experiment
+from torch_pmil.files import replacing
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.objective import TrajectoryKLLoss
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.rollout import predict_trajectory
+from torch_pmil.trainer import Candidate, PMILTrainer, Trial, states_of
+
+EVALUATION_STARTS = 20
+LIBRARIES = ("torch_pmil", "torch", "gpytorch", "torchrl", "tensordict", "mujoco", "numpy")
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A finished run.
+
+    Args:
+        summary: what ``summary.json`` holds.
+        trials: all of them.
+        predicted: p(x_1..T) of the saved policy under the newest model, mean (T, D).
+        executed: its rollouts from fresh starts, states x_0..x_T (N, T + 1, D).
+        policy: the saved policy.
+    """
+
+    summary: dict
+    trials: list[Trial]
+    predicted: Gaussian
+    executed: Tensor
+    policy: RBFPolicy
+
+
+def prepare_folder(out: Path) -> None:
+    """Make the folder of a run, with ``figures/``, and see that it can be written to. Raises OSError if not."""
+    (out / "figures").mkdir(parents=True, exist_ok=True)
+    with replacing(out / "metrics.csv") as temporary:
+        temporary.write_text(",".join(field.name for field in fields(Trial)) + "\n")
+
+
+def train(
+    experiment: Experiment,
+    seed: int,
+    trials: int,
+    out: Path,
+    command: str,
+    progress_bar: bool = True,
+    on_trial: Callable[[Trial], None] = lambda trial: None,
+) -> RunResult:
+    """Learn an experiment and write ``metrics.csv`` (after every trial), ``policy.pt``, ``dynamics.pt`` and ``summary.json``.
+
+    Args:
+        experiment: what to learn.
+        seed: of the robot's starts, the random torques and the policy; same seed, same run.
+        trials: largest number of trials.
+        out: folder of the run.
+        command: said in the summary, so that the run can be repeated.
+        progress_bar: whether to show progress.
+        on_trial: called with each finished trial.
+
+    Raises:
+        OSError: the folder cannot be written to.
+        ValueError: a setting is out of range.
+    """
+    start = time.perf_counter()
+    prepare_folder(out)
+
+    def record(trial: Trial) -> None:
+        write_metrics(out / "metrics.csv", trainer.trials)
+        on_trial(trial)
+
+    trainer = make_trainer(experiment, seed, trials, progress_bar, record)
+    trainer.train()
+    best = trainer.best_policy()
+    predicted, executed = _predict_and_execute(trainer, experiment)
+    summary = {
+        "experiment": experiment.name,
+        "seed": seed,
+        "command": command,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": _commit(),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
+        "settings": _settings(experiment, trials),
+        "wall_seconds": round(time.perf_counter() - start, 2),
+        **_outcome(trainer, best, experiment, predicted, executed),
+        "trials": [asdict(trial) for trial in trainer.trials],
+    }
+    policy, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
+    save_tensors(out / "policy.pt", policy.state_dict())
+    save_tensors(out / "dynamics.pt", dynamics.state_dict())
+    with replacing(out / "summary.json") as temporary:
+        temporary.write_text(json.dumps(summary, indent=2) + "\n")
+    return RunResult(summary, trainer.trials, predicted, executed, policy)
+
+
+def make_trainer(experiment: Experiment, seed: int, trials: int, progress_bar: bool, on_trial: Callable[[Trial], None]) -> PMILTrainer:
+    """The trainer of an experiment, with every source of randomness seeded."""
+    generators = [torch.Generator().manual_seed(seed + offset) for offset in (0, 1_000_000)]
+    dynamics = GPDynamics(len(experiment.space.feature_names) + len(experiment.u_max), experiment.space.dim)
+    policy = experiment.make_policy(generators[0])
+    return PMILTrainer(
+        env=experiment.make_env(seed=seed),
+        evaluation_env=experiment.make_env(num_envs=EVALUATION_STARTS, seed=seed + 2_000_000),
+        loss_module=TrajectoryKLLoss(policy, dynamics, experiment.space, experiment.expert, experiment.noise_std),
+        initial=experiment.initial,
+        limits=experiment.limits,
+        error=experiment.error,
+        tolerance=experiment.tolerance,
+        trials=trials,
+        search=experiment.search,
+        make_policy=lambda: experiment.make_policy(generators[0]),
+        random_torque=experiment.random_torque,
+        generator=generators[1],
+        on_trial=on_trial,
+        progress_bar=progress_bar,
+    )
+
+
+def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
+    """Fraction of executed entries inside the predicted mean plus or minus two standard deviations.
+
+    Args:
+        predicted: marginals at t = 1..T, mean (T, D).
+        executed: rollouts x_0..x_T, (N, T + 1, D).
+
+    Example:
+        >>> still = Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1))
+        >>> two_sigma_coverage(still, torch.tensor([[[0.0], [1.0], [3.0]]]))
+        0.5
+    """
+    inside = (executed[:, 1:] - predicted.mean).abs() <= 2 * predicted.std
+    return inside.double().mean().item()
+
+
+def write_metrics(path: Path, trials: list[Trial]) -> None:
+    """One row for each trial."""
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(Trial)])
+        writer.writeheader()
+        writer.writerows(asdict(trial) for trial in trials)
+
+
+def save_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
+    """A state dict that ``torch.load(path, weights_only=True)`` reads."""
+    with replacing(path) as temporary:
+        torch.save(tensors, temporary)
+
+
+@torch.no_grad()
+def _predict_and_execute(trainer: PMILTrainer, experiment: Experiment) -> tuple[Gaussian, Tensor]:
+    loss = trainer.loss_module
+    predicted = predict_trajectory(experiment.initial, loss.actor_network, loss.dynamics, experiment.space, loss.horizon)
+    return predicted, states_of(trainer.evaluation_env.rollout(loss.horizon, trainer.robot_policy))
+
+
+def _outcome(trainer: PMILTrainer, best: Candidate, experiment: Experiment, predicted: Gaussian, executed: Tensor) -> dict[str, object]:
+    """What the run came to; the saved policy is measured anew, from starts that no trial saw."""
+    success = (experiment.error(executed) <= experiment.tolerance).double().mean().item()
+    return {
+        "stop_reason": trainer.stop_reason,
+        "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
+        "saved_trial": best.trial,
+        "saved_success_rate": success,
+        "saved_n_eval": len(executed),
+        "two_sigma_coverage": two_sigma_coverage(predicted, executed),
+    }
+
+
+def _settings(experiment: Experiment, trials: int) -> dict[str, object]:
+    return {
+        "trials": trials,
+        "horizon": experiment.horizon,
+        "num_centres": experiment.num_centres,
+        "noise_std": experiment.noise_std,
+        "random_torque": experiment.random_torque,
+        "initial_weight_std": experiment.initial_weight_std,
+        "tolerance": experiment.tolerance,
+        "search": asdict(experiment.search),
+    }
+
+
+def _commit() -> str:
+    """The commit of the source tree, or "unknown" outside one."""
+    git = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
+    return git.stdout.strip() or "unknown"

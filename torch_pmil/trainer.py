@@ -1,0 +1,295 @@
+"""Algorithm 1: fit the model, search the policy on it, run it on the robot, again; as a TorchRL trainer.
+
+Read from top to bottom: :class:`PMILTrainer` is the loop, :class:`PolicySearchStepper` its optimisation step, and the rest is what a trial
+leaves behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
+from torchrl.trainers import OptimizationStepper, Trainer
+
+from torch_pmil.dynamics import FitResult
+from torch_pmil.experience import Experience
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.objective import TrajectoryKLLoss
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
+from torch_pmil.rollout import PredictionError
+from torch_pmil.state_space import StateSpace
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One turn of Algorithm 1: a search, its policy's rollout on the robot, and a measurement that decides nothing.
+
+    Args:
+        trial: 1, 2, ...
+        experience_s: seconds of experience that the policy was learned from.
+        success_rate: of ``n_eval`` rollouts from fresh starts; they are no experience.
+        n_eval: their number.
+        own_error: error of the policy's own rollout (m in the double pendulum), which becomes experience.
+        own_success: whether that is a success.
+        kl: predicted KL over the whole horizon, nats.
+        horizon: step up to which the search trusted the prediction.
+        restarted: whether the search began from a new random policy.
+        gp_seconds, search_seconds: wall time.
+        evaluations: of the objective.
+        stop_reason: why the last run of L-BFGS ended.
+    """
+
+    trial: int
+    experience_s: float
+    success_rate: float
+    n_eval: int
+    own_error: float
+    own_success: bool
+    kl: float
+    horizon: int
+    restarted: bool
+    gp_seconds: float
+    search_seconds: float
+    evaluations: int
+    stop_reason: str
+
+
+class RobotActor(torch.nn.Module):
+    """What the robot executes: random torques until the first search, then the policy.
+
+    Args:
+        policy: sees the features of the state.
+        space: gives those.
+        random_torque: largest random torque, as a fraction of the limits.
+        generator: of the random torques.
+    """
+
+    def __init__(self, policy: RBFPolicy, space: StateSpace, random_torque: float, generator: torch.Generator) -> None:
+        super().__init__()
+        self.policy, self.space, self.random_torque, self.generator = policy, space, random_torque, generator
+        self.exploring = True
+
+    @torch.no_grad()
+    def forward(self, observation: Tensor) -> Tensor:
+        """Torques (*batch, F), N·m, for states (*batch, D)."""
+        if not self.exploring:
+            return self.policy(self.space.features(observation))
+        shape = (*observation.shape[:-1], len(self.policy.u_max))
+        uniform = 2 * torch.rand(shape, dtype=torch.float64, generator=self.generator) - 1
+        return self.random_torque * self.policy.u_max * uniform
+
+
+class PolicySearchStepper(OptimizationStepper):
+    """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
+
+    A search that keeps ending at the same horizon sits in a local optimum; it then begins anew from a new random policy.
+
+    Args:
+        settings: budget and horizon of the search.
+        make_policy: a new random policy of the same shape.
+        report: called with the name and the loss of each run of L-BFGS.
+        patience: number of searches in a row without a longer horizon after which the next one begins anew.
+    """
+
+    def __init__(
+        self,
+        settings: SearchSettings,
+        make_policy: Callable[[], RBFPolicy],
+        report: Callable[[str, float], None],
+        patience: int = 2,
+    ) -> None:
+        self.settings, self.make_policy, self.report, self.patience = settings, make_policy, report, patience
+        self.result: SearchResult | None = None
+        self.restarted = False
+        self._longest = self._stalled = 0
+
+    def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
+        """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
+        loss = trainer.loss_module
+        self.restarted = self._stalled >= self.patience
+        if self.restarted:
+            loss.actor_network.load_state_dict(self.make_policy().state_dict())
+            self._longest = self._stalled = 0
+        initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
+        self.result = search_policy(loss, initial, self.settings, self.report)
+        self._stalled = 0 if self.result.horizon > self._longest or self.result.matched else self._stalled + 1
+        self._longest = max(self._longest, self.result.horizon)
+        return TensorDict({"loss_kl": torch.tensor(self.result.kl, dtype=torch.float64)})
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A policy that ran on the robot: its parameters and the error of its own rollout."""
+
+    trial: int
+    parameters: Mapping[str, Tensor]
+    own_error: float
+
+
+class PMILTrainer(Trainer):
+    """Probabilistic model-based imitation learning (Algorithm 1).
+
+    The first batch is a random rollout. After each batch the model is fitted to all experience, the policy is searched on it
+    and measured from fresh starts (which decides nothing, and is no experience); the next batch is that policy's rollout on the
+    robot. Training ends when the own rollouts of two trials in a row succeeded, or at the limit of trials.
+    :meth:`best_policy` then chooses among the policies that ran.
+
+    Args:
+        env: the robot, one of it.
+        evaluation_env: a batch of robots for the measurement.
+        loss_module: the objective with policy and model.
+        initial: p(x_0).
+        limits: of the state (D,); transitions beyond are experience, but no data of the model.
+        error: of rollouts x_0..x_T, (*batch, T + 1, D) to (*batch).
+        tolerance: error up to which a rollout is a success.
+        trials: largest number of trials.
+        search: budget and horizon of each policy search.
+        make_policy: a new random policy.
+        random_torque: of the first rollout, as a fraction of the limits.
+        generator: of the random torques.
+        on_trial: called with each trial when its own rollout is done.
+        progress_bar: whether to show progress.
+
+    Example: see ``torch_pmil/experiments/training.py``.
+    """
+
+    def __init__(
+        self,
+        *,
+        env: EnvBase,
+        evaluation_env: EnvBase,
+        loss_module: TrajectoryKLLoss,
+        initial: Gaussian,
+        limits: Tensor,
+        error: Callable[[Tensor], Tensor],
+        tolerance: float,
+        trials: int,
+        search: SearchSettings,
+        make_policy: Callable[[], RBFPolicy],
+        random_torque: float,
+        generator: torch.Generator,
+        on_trial: Callable[[Trial], None] = lambda trial: None,
+        progress_bar: bool = True,
+    ) -> None:
+        if trials < 1:
+            raise ValueError(f"trials must be at least 1, got {trials}")
+        horizon = loss_module.horizon
+        frames = (trials + 1) * horizon
+        actor = RobotActor(loss_module.actor_network, loss_module.space, random_torque, generator)
+        self.robot_policy = TensorDictModule(actor, in_keys=["observation"], out_keys=["action"])
+        super().__init__(
+            collector=Collector(env, self.robot_policy, frames_per_batch=horizon, total_frames=frames, reset_at_each_iter=True),
+            total_frames=frames,
+            frame_skip=1,
+            optim_steps_per_batch=1,
+            loss_module=loss_module,
+            optimization_stepper=PolicySearchStepper(search, make_policy, self._report),
+            progress_bar=progress_bar,
+        )
+        self.actor, self.evaluation_env, self.initial, self.limits = actor, evaluation_env, initial, limits
+        self.error, self.tolerance, self.on_trial = error, tolerance, on_trial
+        self.control_period = env.control_period
+        self.experience = Experience(capacity=frames)
+        self.trials: list[Trial] = []
+        self.candidates: list[Candidate] = []
+        self._fit: FitResult | None = None
+        self._pending: Trial | None = None
+        self.register_op("batch_process", self._learn_from_rollout)
+        self.register_op("pre_optim_steps", self.fit_dynamics)
+        self.register_op("process_optim_batch", self._start_belief)
+        self.register_op("post_steps_log", self._measure)
+
+    @property
+    def stop_reason(self) -> str:
+        """Why training ended."""
+        return self._stop_reason or "limit of trials"
+
+    def optim_steps(self, batch: TensorDictBase) -> None:
+        """Fit and search, unless training is over and only the last rollout was missing."""
+        if not (self._stop_training or self.collected_frames >= self.total_frames):
+            super().optim_steps(batch)
+
+    def fit_dynamics(self) -> None:
+        """Fit the forward model to all experience."""
+        dynamics = self.loss_module.dynamics
+        data = self.experience.training_data(self.loss_module.space, dynamics.targets, self.limits)
+        self._fit = dynamics.fit(*data)
+
+    def best_policy(self) -> Candidate:
+        """The policy of least predicted KL under a model of all experience, among those whose own rollout did best.
+
+        A success does best; where there is none, the least error. The policy of the loss then holds its parameters.
+        """
+        self.fit_dynamics()
+        least = min(candidate.own_error for candidate in self.candidates)
+        best = [c for c in self.candidates if c.own_error <= max(least, self.tolerance)]
+        chosen = min(best, key=self._predicted_kl)
+        self.loss_module.actor_network.load_state_dict(chosen.parameters)
+        return chosen
+
+    @torch.no_grad()
+    def _predicted_kl(self, candidate: Candidate) -> float:
+        self.loss_module.actor_network.load_state_dict(candidate.parameters)
+        try:
+            return self.loss_module.per_step(self.initial).sum().item()
+        except (PredictionError, NotPositiveDefiniteError):
+            return float("inf")
+
+    def _learn_from_rollout(self, batch: TensorDictBase) -> TensorDictBase:
+        """The rollout becomes experience, and completes the trial whose policy ran."""
+        self.experience.extend(batch)
+        if self._pending is None:
+            return batch
+        own_error = self.error(states_of(batch)).item()
+        trial = replace(self._pending, own_error=own_error, own_success=own_error <= self.tolerance)
+        parameters = {k: v.clone() for k, v in self.loss_module.actor_network.state_dict().items()}
+        self.trials.append(trial)
+        self.candidates.append(Candidate(trial.trial, parameters, own_error))
+        self.on_trial(trial)
+        if len(self.trials) > 1 and all(t.own_success for t in self.trials[-2:]):
+            self.request_stop("the own rollouts of two trials in a row succeeded")
+        return batch
+
+    def _start_belief(self, batch: TensorDictBase) -> TensorDictBase:
+        return TensorDict({"observation": {"mean": self.initial.mean, "var": self.initial.cov}})
+
+    def _measure(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
+        """Success rate of the new policy from fresh starts."""
+        if self._stop_training or self.collected_frames >= self.total_frames:
+            return None
+        self.actor.exploring = False
+        errors = self.error(states_of(self.evaluation_env.rollout(self.loss_module.horizon, self.robot_policy)))
+        search = self.optimization_stepper.result
+        self._pending = Trial(
+            trial=len(self.trials) + 1,
+            experience_s=len(self.experience) * self.control_period,
+            success_rate=(errors <= self.tolerance).double().mean().item(),
+            n_eval=len(errors),
+            own_error=float("nan"),
+            own_success=False,
+            kl=search.kl,
+            horizon=search.horizon,
+            restarted=self.optimization_stepper.restarted,
+            gp_seconds=self._fit.seconds,
+            search_seconds=search.seconds,
+            evaluations=search.evaluations,
+            stop_reason=search.stop_reason,
+        )
+        shown = {key: getattr(self._pending, key) for key in ("trial", "experience_s", "kl", "success_rate")}
+        return {**shown, "log_pbar": True}
+
+    def _report(self, stage: str, loss: float) -> None:
+        if self.progress_bar:
+            self._pbar.set_postfix_str(f"search: {stage} = {loss:.1f} nats")
+
+
+def states_of(rollout: TensorDictBase) -> Tensor:
+    """States x_0..x_T of rollouts (*batch, T): (*batch, T + 1, D)."""
+    return torch.cat([rollout["observation"][..., :1, :], rollout["next", "observation"]], -2)

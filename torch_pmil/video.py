@@ -1,0 +1,110 @@
+"""Videos: the pictures of a rollout, and an H.264 file from pictures."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+
+FAST_START = ["-movflags", "+faststart"]  # the index comes first, so that a browser plays at once
+
+
+def render_rollout(env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_per_step: int = 5) -> Iterator[np.ndarray]:
+    """Pictures of a rollout, ``frames_per_step`` in each control period, the first one at the start.
+
+    The control period of 0.1 s is too coarse for the eye; five pictures in it make 50 Hz. The motion is simulated
+    anew from the start, and the environment itself stays where it is.
+
+    Args:
+        env: the robot; its ``pixel_size`` is that of the pictures.
+        start: state vector (D,).
+        actions: torques (T, F) in N·m, each held for a control period.
+        frames_per_step: a divisor of ``env.substeps``.
+
+    Yields:
+        T · frames_per_step + 1 pictures (height, width, 3), uint8.
+
+    Raises:
+        ValueError: the period does not split into that many steps.
+        RuntimeError: OpenGL is not available, or the simulation diverged.
+
+    Example:
+        >>> from torch_pmil.envs import DoublePendulumEnv
+        >>> env = DoublePendulumEnv()
+        >>> pictures = render_rollout(env, env.initial_mean, torch.zeros(25, 2, dtype=torch.float64))
+        >>> write_video("hanging.mp4", pictures, fps=50)  # doctest: +SKIP
+    """
+    yield env.render(start)
+    state = start
+    for action in actions:
+        states = env.substates(state, action, frames_per_step)
+        yield from map(env.render, states)
+        state = states[-1]
+
+
+def write_video(path: str | os.PathLike[str], frames: Iterable[np.ndarray], fps: float) -> None:
+    """Write pictures as an H.264 video that every player shows (MP4, yuv420p), wholly or not at all.
+
+    Args:
+        path: of the file; one that is there is replaced.
+        frames: pictures (height, width, 3), uint8, all of one size. An odd height or width, which the format cannot
+            hold, grows by repeating the last row or column.
+        fps: pictures per second.
+
+    Raises:
+        ValueError: there are no frames, or one has another shape or type.
+        OSError: the folder is missing or not writable, or ffmpeg did not write every frame.
+
+    Example:
+        >>> import tempfile
+        >>> black = np.zeros((16, 16, 3), dtype=np.uint8)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_video(f"{folder}/black.mp4", [black] * 3, fps=50)
+        ...     imageio_ffmpeg.count_frames_and_secs(f"{folder}/black.mp4")[0]
+        3
+    """
+    path = Path(path)
+    frames = iter(frames)
+    first = next(frames, None)
+    if first is None:
+        raise ValueError("a video needs at least one frame, got none")
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".mp4")
+    os.close(descriptor)
+    try:
+        _encode(temporary, itertools.chain([first], frames), first.shape, fps)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def _encode(path: str, frames: Iterable[np.ndarray], shape: tuple[int, ...], fps: float) -> None:
+    if len(shape) != 3 or shape[2] != 3:
+        raise ValueError(f"frames must have shape (height, width, 3), got {shape}")
+    margin = [(0, shape[0] % 2), (0, shape[1] % 2), (0, 0)]
+    size = shape[1] + shape[1] % 2, shape[0] + shape[0] % 2
+    count = 0
+    encoder = imageio_ffmpeg.write_frames(
+        path, size, fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error", output_params=FAST_START
+    )
+    with closing(encoder):
+        encoder.send(None)
+        for frame in frames:
+            if frame.shape != shape or frame.dtype != np.uint8:
+                raise ValueError(f"frame {count} must be uint8 of shape {shape}, got {frame.dtype} of shape {frame.shape}")
+            encoder.send(np.pad(frame, margin, mode="edge"))
+            count += 1
+    written, _ = imageio_ffmpeg.count_frames_and_secs(path)  # ffmpeg's exit status is not shown to us
+    if written != count:
+        raise OSError(f"ffmpeg wrote {written} of {count} frames to {path}")

@@ -22,6 +22,8 @@ from torch_pmil.kernel_expansion import KernelExpansion
 from torch_pmil.moment_matching import moment_match
 from torch_pmil.trigonometry import squash
 
+MAX_SINE = 0.999  # of a torque that is taken back through Eq. 27: at the limit itself its slope is zero
+
 
 class RBFPolicy(nn.Module):
     r""":math:`\pi(x) = u_{\max} \sin(\sum_i w_i \exp(-\tfrac12 (x - c_i)^\top \Gamma^{-1} (x - c_i)))` (Eqs. 25-27).
@@ -69,6 +71,28 @@ class RBFPolicy(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         """Action (*batch, F), N·m, at features of the state (*batch, D')."""
         return self.controller(features.double())
+
+    @torch.no_grad()
+    def fit_weights(self, features: Tensor, actions: Tensor, ridge: float = 0.1) -> None:
+        """Set the weights so that the policy acts as told: ridge regression around the present weights (Eq. 25).
+
+        Args:
+            features: (S, D').
+            actions: (S, F), N·m, within the limits.
+            ridge: penalty of a change of the weights; actions before squashing count in rad.
+
+        Example:
+            >>> policy = RBFPolicy(torch.zeros(1, 1), u_max=torch.ones(1), scale=torch.ones(1))
+            >>> policy.fit_weights(torch.zeros(1, 1), torch.full((1, 1), 0.5), ridge=1e-9)
+            >>> round(policy(torch.zeros(1)).item(), 6)
+            0.5
+        """
+        basis = self.controller.network.kernel(features.double()).transpose(0, 1)  # (F, S, m)
+        raw = torch.asin((actions / self.u_max).clamp(-MAX_SINE, MAX_SINE)).mT[..., None]  # (F, S, 1)
+        weights = self.weights.mT[..., None]
+        gram = basis.mT @ basis + ridge * torch.eye(len(self.centres), dtype=torch.float64)
+        change = torch.linalg.solve(gram, basis.mT @ (raw - basis @ weights))
+        self.weights.copy_((weights + change)[..., 0].mT)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,11 @@ from torch import Tensor, nn
 
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.objective import TrajectoryKLLoss
-from torch_pmil.rollout import PredictionError
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.rollout import PredictionError, predict_trajectory
 
 REJECTED_LOSS = 1e10  # finite, so that a strong-Wolfe line search steps back from it; inf would freeze it
+RENEWAL_SAMPLES = 20  # states a time step
 
 
 class NotFiniteError(ValueError):
@@ -231,6 +233,30 @@ def search_policy(
         seconds=time.perf_counter() - start,
         stop_reason=runs[-1].stop_reason,
     )
+
+
+@torch.no_grad()
+def renew_policy(loss: TrajectoryKLLoss, initial: Gaussian, new: RBFPolicy, settings: SearchSettings, generator: torch.Generator) -> None:
+    """Give the policy of ``loss`` the new policy's centres and widths, and weights that act as it did where it is trusted.
+
+    Searches on early, poor models drive widths and centres to extremes from which no later search returns. A new network
+    that was fitted to the old one's actions keeps what was learned, and can be searched well.
+
+    Args:
+        loss: objective with the policy (changed in place) and the newest model.
+        initial: p(x_0).
+        new: a random policy of the same shape; changed in place.
+        settings: says up to which step the prediction is trusted.
+        generator: of the states, drawn from the prediction, at which the actions are compared.
+    """
+    trusted = _first_unmatched(_evaluate(loss, initial), settings) - 1
+    states = initial.sample(RENEWAL_SAMPLES, generator)[:, None]
+    if trusted > 0:
+        predicted = predict_trajectory(initial, loss.actor_network, loss.dynamics, loss.space, trusted)
+        states = torch.cat([states, predicted.sample(RENEWAL_SAMPLES, generator)], 1)
+    features = loss.space.features(states.flatten(0, 1))
+    new.fit_weights(features, loss.actor_network(features))
+    loss.actor_network.load_state_dict(new.state_dict())
 
 
 @torch.no_grad()

@@ -22,7 +22,7 @@ from torch_pmil.experience import Experience
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
+from torch_pmil.policy_search import SearchResult, SearchSettings, renew_policy, search_policy
 from torch_pmil.rollout import PredictionError
 from torch_pmil.state_space import StateSpace
 
@@ -89,11 +89,14 @@ class RobotActor(torch.nn.Module):
 class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
-    A search that keeps ending at the same horizon sits in a local optimum; it then begins anew from a new random policy.
+    While the last search did not match the whole horizon, the next one starts from a renewed network
+    (:func:`renew_policy`); one that keeps ending at the same horizon sits in a local optimum, and the next begins anew
+    from a random policy.
 
     Args:
         settings: budget and horizon of the search.
         make_policy: a new random policy of the same shape.
+        generator: of the renewal.
         report: called with the name and the loss of each run of L-BFGS.
         patience: number of searches in a row without a longer horizon after which the next one begins anew.
     """
@@ -102,26 +105,35 @@ class PolicySearchStepper(OptimizationStepper):
         self,
         settings: SearchSettings,
         make_policy: Callable[[], RBFPolicy],
+        generator: torch.Generator,
         report: Callable[[str, float], None],
         patience: int = 2,
     ) -> None:
-        self.settings, self.make_policy, self.report, self.patience = settings, make_policy, report, patience
+        self.settings, self.make_policy, self.generator = settings, make_policy, generator
+        self.report, self.patience = report, patience
         self.result: SearchResult | None = None
         self.restarted = False
         self._longest = self._stalled = 0
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
-        loss = trainer.loss_module
+        initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
+        self._prepare(trainer.loss_module, initial)
+        self.result = search_policy(trainer.loss_module, initial, self.settings, self.report)
+        self._stalled = 0 if self.result.horizon > self._longest or self._matched_all() else self._stalled + 1
+        self._longest = max(self._longest, self.result.horizon)
+        return TensorDict({"loss_kl": torch.tensor(self.result.kl, dtype=torch.float64)})
+
+    def _prepare(self, loss: TrajectoryKLLoss, initial: Gaussian) -> None:
         self.restarted = self._stalled >= self.patience
         if self.restarted:
             loss.actor_network.load_state_dict(self.make_policy().state_dict())
             self._longest = self._stalled = 0
-        initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
-        self.result = search_policy(loss, initial, self.settings, self.report)
-        self._stalled = 0 if self.result.horizon > self._longest or self.result.matched else self._stalled + 1
-        self._longest = max(self._longest, self.result.horizon)
-        return TensorDict({"loss_kl": torch.tensor(self.result.kl, dtype=torch.float64)})
+        elif self.result is not None and not self._matched_all():
+            renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
+
+    def _matched_all(self) -> bool:
+        return self.result.matched and self.result.horizon == len(self.result.per_step)
 
 
 @dataclass(frozen=True)
@@ -153,7 +165,7 @@ class PMILTrainer(Trainer):
         search: budget and horizon of each policy search.
         make_policy: a new random policy.
         random_torque: of the first rollout, as a fraction of the limits.
-        generator: of the random torques.
+        generator: of the random torques and of the renewal of policies.
         on_trial: called with each trial when its own rollout is done.
         progress_bar: whether to show progress.
 
@@ -190,7 +202,7 @@ class PMILTrainer(Trainer):
             frame_skip=1,
             optim_steps_per_batch=1,
             loss_module=loss_module,
-            optimization_stepper=PolicySearchStepper(search, make_policy, self._report),
+            optimization_stepper=PolicySearchStepper(search, make_policy, generator, self._report),
             progress_bar=progress_bar,
         )
         self.actor, self.evaluation_env, self.initial, self.limits = actor, evaluation_env, initial, limits

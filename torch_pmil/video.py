@@ -11,7 +11,6 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
-import torch
 from torch import Tensor
 
 from torch_pmil.envs.mujoco import MujocoRobotEnv
@@ -39,6 +38,7 @@ def render_rollout(env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_p
         RuntimeError: OpenGL is not available, or the simulation diverged.
 
     Example:
+        >>> import torch
         >>> from torch_pmil.envs import DoublePendulumEnv
         >>> env = DoublePendulumEnv()
         >>> pictures = render_rollout(env, env.initial_mean, torch.zeros(25, 2, dtype=torch.float64))

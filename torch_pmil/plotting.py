@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from torch import Tensor
 
+from torch_pmil.files import replacing
 from torch_pmil.gaussian import Gaussian
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart
@@ -180,7 +179,7 @@ def pendulum_frames(positions: Tensor, time_step: float, size: int = 480) -> Ite
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+def save_figure(figure: Figure, path: Path | str) -> None:
     """Write a figure as a PNG file with 150 dots per inch, wholly or not at all.
 
     Args:
@@ -191,21 +190,14 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
         OSError: the folder is missing or not writable.
 
     Example:
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     save_figure(Figure(), f"{folder}/empty.png")
-        ...     os.listdir(folder)
-        ['empty.png']
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "empty.png"
+        >>> save_figure(Figure(), path)
+        >>> path.read_bytes()[:4]
+        b'\\x89PNG'
     """
-    path = Path(path)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            figure.savefig(file, format="png", dpi=150)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=150)
 
 
 def _panels(count: int, xlabel: str) -> tuple[Figure, list[Axes]]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -14,8 +12,9 @@ import numpy as np
 from torch import Tensor
 
 from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.files import replacing
 
-FAST_START = ["-movflags", "+faststart"]  # the index comes first, so that a browser plays at once
+MP4 = ["-f", "mp4", "-movflags", "+faststart"]  # whatever the file is called; the index comes first, so that a browser plays at once
 
 
 def render_rollout(env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_per_step: int = 5) -> Iterator[np.ndarray]:
@@ -52,7 +51,7 @@ def render_rollout(env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_p
         state = states[-1]
 
 
-def write_video(path: str | os.PathLike[str], frames: Iterable[np.ndarray], fps: float) -> None:
+def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> None:
     """Write pictures as an H.264 video that every player shows (MP4, yuv420p), wholly or not at all.
 
     Args:
@@ -73,30 +72,23 @@ def write_video(path: str | os.PathLike[str], frames: Iterable[np.ndarray], fps:
         ...     imageio_ffmpeg.count_frames_and_secs(f"{folder}/black.mp4")[0]
         3
     """
-    path = Path(path)
     frames = iter(frames)
     first = next(frames, None)
     if first is None:
         raise ValueError("a video needs at least one frame, got none")
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".mp4")
-    os.close(descriptor)
-    try:
+    with replacing(path) as temporary:
+        temporary.touch()  # raises where ffmpeg would only print
         _encode(temporary, itertools.chain([first], frames), first.shape, fps)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
 
 
-def _encode(path: str, frames: Iterable[np.ndarray], shape: tuple[int, ...], fps: float) -> None:
+def _encode(path: Path, frames: Iterable[np.ndarray], shape: tuple[int, ...], fps: float) -> None:
     if len(shape) != 3 or shape[2] != 3:
         raise ValueError(f"frames must have shape (height, width, 3), got {shape}")
     margin = [(0, shape[0] % 2), (0, shape[1] % 2), (0, 0)]
     size = shape[1] + shape[1] % 2, shape[0] + shape[0] % 2
     count = 0
     encoder = imageio_ffmpeg.write_frames(
-        path, size, fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error", output_params=FAST_START
+        path, size, fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error", output_params=MP4
     )
     with closing(encoder):
         encoder.send(None)

@@ -155,6 +155,25 @@ def test_simulate_agrees_with_step_and_leaves_the_environment_alone():
     assert torch.equal(env.step(TensorDict({"action": torque[0]}))["next", "observation"], predicted[0])
 
 
+@pytest.mark.parametrize("count", [1, 5, 50])
+def test_substates_end_where_simulate_does_and_lie_on_the_motion(count):
+    env = DoublePendulumEnv(seed=0)
+    start, torque = env.reset()["observation"], random_torques(5, 2)
+    states = env.substates(start, torque, count)
+    assert states.shape == (count, 4)
+    assert torch.equal(states[-1], env.simulate(start[None], torque[None])[0])
+    times = np.linspace(0, 0.1, count + 1)[1:]
+    exact = solve_ivp(lagrange_equations, (0, 0.1), start, "DOP853", times, args=((0.5, 0.5), torque.numpy()), rtol=1e-12, atol=1e-12).y.T
+    np.testing.assert_allclose(states.numpy(), exact, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [0, 3, 100])
+def test_period_splits_into_whole_time_steps_only(count):
+    env = DoublePendulumEnv(seed=0)
+    with pytest.raises(ValueError, match=f"count must divide the 50 time steps of a control period, got {count}"):
+        env.substates(env.initial_mean, torch.zeros(2, dtype=torch.float64), count)
+
+
 def test_checkpoint_resumes_motion_and_starts():
     env, torque = DoublePendulumEnv(seed=0), TensorDict({"action": random_torques(4, 2)})
     env.reset()

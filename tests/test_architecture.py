@@ -23,7 +23,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"trainer", "torchrl_interop", "evaluation", "run"},
     {"baselines"},
     {"experiments"},
-    {"plotting"},
+    {"plotting", "video"},
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}

@@ -220,7 +220,7 @@ def search_policy(
         per_step = _evaluate(loss, initial)
         if horizon == loss.horizon or not _trusted(per_step, horizon, settings):
             break
-        horizon = min(horizon + settings.horizon_step, loss.horizon)
+        horizon = min(max(horizon + settings.horizon_step, _first_unmatched(per_step, settings)), loss.horizon)
     run("KL", loss.per_step, horizon, settings.final_iterations)
     per_step = _evaluate(loss, initial)
     return SearchResult(

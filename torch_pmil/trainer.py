@@ -6,6 +6,7 @@ leaves behind.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -90,15 +91,15 @@ class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
     While the last search did not match the whole horizon, the next one starts from a renewed network
-    (:func:`renew_policy`); one that keeps ending at the same horizon sits in a local optimum, and the next begins anew
-    from a random policy.
+    (:func:`renew_policy`); after ``patience`` searches that neither trusted more steps nor lowered the KL by a
+    twentieth, it sits in a local optimum, and the next begins anew from a random policy.
 
     Args:
         settings: budget and horizon of the search.
         make_policy: a new random policy of the same shape.
         generator: of the renewal.
         report: called with the name and the loss of each run of L-BFGS.
-        patience: number of searches in a row without a longer horizon after which the next one begins anew.
+        patience: number of searches in a row without progress after which the next one begins anew.
     """
 
     def __init__(
@@ -113,24 +114,27 @@ class PolicySearchStepper(OptimizationStepper):
         self.report, self.patience = report, patience
         self.result: SearchResult | None = None
         self.restarted = False
-        self._longest = self._stalled = 0
+        self._longest, self._least, self._stalled = 0, math.inf, 0
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
         self._prepare(trainer.loss_module, initial)
         self.result = search_policy(trainer.loss_module, initial, self.settings, self.report)
-        self._stalled = 0 if self.result.horizon > self._longest or self._matched_all() else self._stalled + 1
-        self._longest = max(self._longest, self.result.horizon)
+        self._stalled = 0 if self._progressed() or self._matched_all() else self._stalled + 1
+        self._longest, self._least = max(self._longest, self.result.horizon), min(self._least, self.result.kl)
         return TensorDict({"loss_kl": torch.tensor(self.result.kl, dtype=torch.float64)})
 
     def _prepare(self, loss: TrajectoryKLLoss, initial: Gaussian) -> None:
         self.restarted = self._stalled >= self.patience
         if self.restarted:
             loss.actor_network.load_state_dict(self.make_policy().state_dict())
-            self._longest = self._stalled = 0
+            self._longest, self._least, self._stalled = 0, math.inf, 0
         elif self.result is not None and not self._matched_all():
             renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
+
+    def _progressed(self) -> bool:
+        return self.result.horizon > self._longest or self.result.kl < 0.95 * self._least
 
     def _matched_all(self) -> bool:
         return self.result.matched and self.result.horizon == len(self.result.per_step)
@@ -197,7 +201,14 @@ class PMILTrainer(Trainer):
         actor = RobotActor(loss_module.actor_network, loss_module.space, random_torque, generator)
         self.robot_policy = TensorDictModule(actor, in_keys=["observation"], out_keys=["action"])
         super().__init__(
-            collector=Collector(env, self.robot_policy, frames_per_batch=horizon, total_frames=frames, reset_at_each_iter=True),
+            collector=Collector(
+                env,
+                self.robot_policy,
+                frames_per_batch=horizon,
+                total_frames=frames,
+                reset_at_each_iter=True,
+                auto_register_policy_transforms=False,
+            ),
             total_frames=frames,
             frame_skip=1,
             optim_steps_per_batch=1,

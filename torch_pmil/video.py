@@ -9,6 +9,7 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
+import torch
 from torch import Tensor
 
 from torch_pmil.envs.mujoco import MujocoRobotEnv
@@ -29,7 +30,7 @@ def render_rollout(env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_p
         actions: torques (T, F) in N·m, each held for a control period.
         frames_per_step: a divisor of ``env.substeps``.
 
-    Yields:
+    Returns:
         T · frames_per_step + 1 pictures (height, width, 3), uint8.
 
     Raises:
@@ -37,18 +38,37 @@ def render_rollout(env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_p
         RuntimeError: OpenGL is not available, or the simulation diverged.
 
     Example:
-        >>> import torch
         >>> from torch_pmil.envs import DoublePendulumEnv
         >>> env = DoublePendulumEnv()
         >>> pictures = render_rollout(env, env.initial_mean, torch.zeros(25, 2, dtype=torch.float64))
         >>> write_video("hanging.mp4", pictures, fps=50)  # doctest: +SKIP
     """
-    yield env.render(start)
-    state = start
+    return map(env.render, dense_states(env, start, actions, frames_per_step))
+
+
+def dense_states(env: MujocoRobotEnv, start: Tensor, actions: Tensor, states_per_step: int = 5) -> Tensor:
+    """States of a rollout within its control periods too: (T · states_per_step + 1, D), the first one the start.
+
+    Args:
+        env: the robot; it stays where it is.
+        start: state vector (D,).
+        actions: torques (T, F) in N·m, each held for a control period.
+        states_per_step: a divisor of ``env.substeps``.
+
+    Raises:
+        ValueError: the period does not split into that many steps.
+        RuntimeError: the simulation diverged.
+
+    Example:
+        >>> from torch_pmil.envs import DoublePendulumEnv
+        >>> env = DoublePendulumEnv()
+        >>> dense_states(env, env.initial_mean, torch.zeros(25, 2, dtype=torch.float64)).shape
+        torch.Size([126, 4])
+    """
+    states = [start[None]]
     for action in actions:
-        states = env.substates(state, action, frames_per_step)
-        yield from map(env.render, states)
-        state = states[-1]
+        states.append(env.substates(states[-1][-1], action, states_per_step))
+    return torch.cat(states)
 
 
 def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> None:

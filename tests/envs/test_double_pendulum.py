@@ -265,7 +265,7 @@ for num_envs in (None, 2):
     check_env_specs(env)
     pixels = env.reset()["pixels"]
 hanging, upright = env.render(torch.tensor([3.14, 0, 0, 0])), env.render(torch.zeros(4))
-assert pixels.shape == (2, 240, 240, 3) and pixels.dtype == torch.uint8 and hanging.shape == (240, 240, 3)
+assert pixels.shape == (2, 480, 480, 3) and pixels.dtype == torch.uint8 and hanging.shape == (480, 480, 3)
 assert (hanging != upright).any()
 """
 

@@ -32,7 +32,7 @@ class DoublePendulumEnv(MujocoRobotEnv):
         initial_mean: mean of the start state, length 4.
         initial_std: standard deviations of the start state, length 4.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
-        from_pixels: whether to draw a picture (240, 240, 3) at each step under ``"pixels"``.
+        from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
         seed: of the generator of the starts; None takes entropy from the system.
 
     Raises:
@@ -67,6 +67,7 @@ class DoublePendulumEnv(MujocoRobotEnv):
             torque_limit=torque_limit,
             num_envs=num_envs,
             from_pixels=from_pixels,
+            pixel_size=(480, 480),
             seed=seed,
         )
 

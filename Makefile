@@ -4,10 +4,12 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-user-action=ignore
 ARGS ?=
+SEEDS := 0 1 2 3 4 5 6 7 8 9
 TORCH_ARGS ?=
+SEEDS := 0 1 2 3 4 5 6 7 8 9
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-all lint demonstrations clean
+.PHONY: help train test test-all lint demonstrations results clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -27,6 +29,14 @@ lint: .venv/.installed  ## check style and formatting
 
 demonstrations: .venv/.installed  ## record the shipped demonstrations anew
 	@.venv/bin/python scripts/record_demonstrations.py $(ARGS)
+
+results: results/double_pendulum/summary.json  ## learn with the seeds 0-9, resumable; -j2 for two at a time
+
+results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summary.json)
+	@.venv/bin/python scripts/summarise.py $@ $^
+
+runs/double_pendulum/seed_%/summary.json: | .venv/.installed
+	@.venv/bin/python scripts/train.py experiment=double_pendulum seed=$* out=$(@D)
 
 clean:  ## remove what make and the tests built, not runs/
 	@rm -rf .venv .pytest_cache .ruff_cache build dist *.egg-info

@@ -181,6 +181,11 @@ class SearchResult:
     seconds: float
     stop_reason: str
 
+    @property
+    def complete(self) -> bool:
+        """Whether the whole horizon T is matched."""
+        return self.matched and self.horizon == len(self.per_step)
+
 
 def search_policy(
     loss: TrajectoryKLLoss,

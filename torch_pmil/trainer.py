@@ -6,6 +6,7 @@ leaves behind.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -41,7 +42,7 @@ class Trial:
         own_success: whether that is a success.
         kl: predicted KL over the whole horizon, nats.
         horizon: step up to which the search trusted the prediction.
-        restarted: whether the search began from a new random policy.
+        restarted: whether a second search was made, from a new random policy.
         gp_seconds, search_seconds: wall time.
         evaluations: of the objective.
         stop_reason: why the last run of L-BFGS ended.
@@ -91,15 +92,14 @@ class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
     While the last search did not match the whole horizon, the next one starts from a renewed network
-    (:func:`renew_policy`); after ``patience`` searches that neither trusted more steps nor lowered the KL by a
-    twentieth, it sits in a local optimum, and the next begins anew from a random policy.
+    (:func:`renew_policy`). Where a search ends without progress (no more steps trusted, and not a twentieth less KL than
+    the best before), it sits in a local optimum: another begins at once from a random policy, and the better one is kept.
 
     Args:
-        settings: budget and horizon of the search.
+        settings: budget and horizon of a search.
         make_policy: a new random policy of the same shape.
         generator: of the renewal.
         report: called with the name and the loss of each run of L-BFGS.
-        patience: number of searches in a row without progress after which the next one begins anew.
     """
 
     def __init__(
@@ -108,36 +108,41 @@ class PolicySearchStepper(OptimizationStepper):
         make_policy: Callable[[], RBFPolicy],
         generator: torch.Generator,
         report: Callable[[str, float], None],
-        patience: int = 2,
     ) -> None:
-        self.settings, self.make_policy, self.generator = settings, make_policy, generator
-        self.report, self.patience = report, patience
+        self.settings, self.make_policy, self.generator, self.report = settings, make_policy, generator, report
         self.result: SearchResult | None = None
         self.restarted = False
-        self._longest, self._least, self._stalled = 0, math.inf, 0
+        self._longest, self._least = 0, math.inf
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
+        loss = trainer.loss_module
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
-        self._prepare(trainer.loss_module, initial)
-        self.result = search_policy(trainer.loss_module, initial, self.settings, self.report)
-        self._stalled = 0 if self._progressed() or self._matched_all() else self._stalled + 1
+        if self.result is not None and not self.result.complete:
+            renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
+        self.result = search_policy(loss, initial, self.settings, self.report)
+        self.restarted = not (self.result.complete or self._progressed())
+        if self.restarted:
+            self._search_anew(loss, initial)
         self._longest, self._least = max(self._longest, self.result.horizon), min(self._least, self.result.kl)
         return TensorDict({"loss_kl": torch.tensor(self.result.kl, dtype=torch.float64)})
 
-    def _prepare(self, loss: TrajectoryKLLoss, initial: Gaussian) -> None:
-        self.restarted = self._stalled >= self.patience
-        if self.restarted:
-            loss.actor_network.load_state_dict(self.make_policy().state_dict())
-            self._longest, self._least, self._stalled = 0, math.inf, 0
-        elif self.result is not None and not self._matched_all():
-            renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
+    def _search_anew(self, loss: TrajectoryKLLoss, initial: Gaussian) -> None:
+        first = copy.deepcopy(loss.actor_network.state_dict())
+        loss.actor_network.load_state_dict(self.make_policy().state_dict())
+        second = search_policy(loss, initial, self.settings, self.report)
+        better = second if second.kl < self.result.kl else self.result
+        if better is not second:
+            loss.actor_network.load_state_dict(first)
+        self.result = replace(
+            better,
+            seconds=self.result.seconds + second.seconds,
+            evaluations=self.result.evaluations + second.evaluations,
+            failures=self.result.failures + second.failures,
+        )
 
     def _progressed(self) -> bool:
         return self.result.horizon > self._longest or self.result.kl < 0.95 * self._least
-
-    def _matched_all(self) -> bool:
-        return self.result.matched and self.result.horizon == len(self.result.per_step)
 
 
 @dataclass(frozen=True)

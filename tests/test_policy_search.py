@@ -1,0 +1,365 @@
+"""The guarded L-BFGS on plain functions, and the policy search on a damped integrator."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from tests.draws import Draws
+from torch_pmil.dynamics import GPDynamics
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.objective import TrajectoryKLLoss
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.policy_search import NotFiniteError, SearchResult, SearchSettings, _evaluate, minimise, renew_policy, search_policy
+from torch_pmil.rollout import PredictionError, predict_mean_trajectory
+from torch_pmil.state_space import StateSpace, joint_match
+
+
+def parameter(*values: float) -> nn.Parameter:
+    return nn.Parameter(torch.tensor(values, dtype=torch.float64))
+
+
+def rosenbrock(x: Tensor) -> Tensor:
+    return (1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2
+
+
+def test_rosenbrock_is_minimised() -> None:
+    x = parameter(-1.2, 1.0)
+    result = minimise([x], lambda: rosenbrock(x), max_iterations=200)
+    torch.testing.assert_close(x.detach(), torch.ones(2, dtype=torch.float64), rtol=0, atol=1e-4)
+    assert result.initial_loss == pytest.approx(24.2)
+    assert result.loss == rosenbrock(x).item() < 1e-8
+    assert result.failures == 0
+    assert x.grad is None
+
+
+def test_parameters_of_several_shapes_are_searched_together_without_contiguous_gradients() -> None:
+    matrix, scalar = nn.Parameter(torch.zeros(2, 3, dtype=torch.float64)), parameter(5.0)
+    target = torch.arange(6.0, dtype=torch.float64).reshape(3, 2)
+
+    def objective() -> Tensor:
+        return (matrix.mT.contiguous() - target).square().sum() + (scalar - 1).square().sum()
+
+    assert not torch.autograd.grad(objective(), matrix)[0].is_contiguous()
+    minimise([matrix, scalar], objective, max_iterations=50)
+    torch.testing.assert_close(matrix.mT.detach(), target, rtol=0, atol=1e-4)
+    assert scalar.item() == pytest.approx(1, abs=1e-4)
+
+
+def test_search_works_where_gradients_are_switched_off() -> None:
+    x = parameter(3.0)
+    with torch.no_grad():
+        assert minimise([x], lambda: (x**2).sum(), max_iterations=10).loss < 1e-8
+
+
+def test_parameters_end_at_the_best_point_that_was_seen() -> None:
+    """The objective worsens with each evaluation, so that L-BFGS itself ends at a later, worse point."""
+    x, seen = parameter(-1.2, 1.0), []
+
+    def objective() -> Tensor:
+        loss = rosenbrock(x) + 10 * len(seen)
+        seen.append((loss.item(), x.detach().clone()))
+        return loss
+
+    result = minimise([x], objective, max_iterations=5)
+    loss, best = min(seen, key=lambda pair: pair[0])
+    assert seen[-1][0] > loss
+    assert result.loss == loss
+    assert torch.equal(x.detach(), best)
+
+
+def test_every_evaluation_is_counted() -> None:
+    x, calls = parameter(-1.2, 1.0), []
+
+    def objective() -> Tensor:
+        calls.append(1)
+        return rosenbrock(x)
+
+    result = minimise([x], objective, max_iterations=20)
+    assert result.evaluations == len(calls) >= result.iterations == 20
+
+
+def raising(error: Exception) -> float:
+    raise error
+
+
+FAILURES = {
+    "prediction": lambda: raising(PredictionError("no Cholesky factor", 2)),
+    "covariance": lambda: raising(NotPositiveDefiniteError("no Cholesky factor")),
+    "nan": lambda: math.nan,
+    "inf": lambda: math.inf,
+    "minus inf": lambda: -math.inf,
+    "beyond the rejected": lambda: 1e11,
+}
+
+
+def walled(x: Tensor, wall: float, failure: str) -> Tensor:
+    """x - log x, minimal at 1; it fails below the wall."""
+    broken = FAILURES[failure]() if x.item() <= wall else 0.0
+    return (x - x.log()).sum() if broken == 0 else x.sum() * 0 + broken
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_failures_in_a_part_of_the_space_are_survived_and_counted(failure: str) -> None:
+    """The second step of L-BFGS leads to -1.7, beyond the wall."""
+    x, fails = parameter(3.0), []
+
+    def objective() -> Tensor:
+        fails.append(x.item() <= 0)
+        return walled(x, 0.0, failure)
+
+    result = minimise([x], objective, max_iterations=50)
+    assert x.item() == pytest.approx(1, abs=1e-4)
+    assert result.failures == sum(fails) > 0
+    assert result.evaluations == len(fails)
+    assert result.stop_reason == "gradient is small"
+
+
+def test_gradient_that_is_not_finite_is_a_failure() -> None:
+    """sqrt has no slope at zero."""
+    x = parameter(0.0)
+    with pytest.raises(NotFiniteError, match=r"the objective must be finite with a finite gradient, got 0\.0 and inf"):
+        minimise([x], lambda: x.sqrt().sum(), max_iterations=5)
+
+
+@pytest.mark.parametrize(
+    ("failure", "error"),
+    [("prediction", PredictionError), ("covariance", NotPositiveDefiniteError), ("nan", NotFiniteError), ("inf", NotFiniteError)],
+)
+def test_failure_at_the_start_is_an_error(failure: str, error: type[Exception]) -> None:
+    x = parameter(0.5)
+    with pytest.raises(error):
+        minimise([x], lambda: walled(x, 0.6, failure), max_iterations=5)
+    assert x.item() == 0.5
+
+
+def test_other_errors_of_the_objective_are_not_swallowed() -> None:
+    x, calls = parameter(3.0), iter([1])
+
+    def objective() -> Tensor:
+        return (next(calls) * x**2).sum()
+
+    with pytest.raises(StopIteration):
+        minimise([x], objective, max_iterations=5)
+
+
+@pytest.mark.parametrize(
+    ("start", "wall", "iterations", "reason"),
+    [(3.0, 0.0, 50, "gradient is small"), (3.0, 0.0, 1, "iteration limit"), (3.0, 2.999999999999, 50, "numerical failure")],
+)
+def test_result_says_why_the_search_ended(start: float, wall: float, iterations: int, reason: str) -> None:
+    x = parameter(start)
+    assert minimise([x], lambda: walled(x, wall, "nan"), max_iterations=iterations).stop_reason == reason
+
+
+def test_tolerance_is_that_of_the_largest_gradient_entry() -> None:
+    x = parameter(3.0, 1.0)
+    result = minimise([x], lambda: (x**2).sum(), max_iterations=10, tolerance_grad=6.5)
+    assert (result.evaluations, result.stop_reason) == (1, "gradient is small")
+
+
+HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
+SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
+SETTINGS = SearchSettings(mean_iterations=5, stage_iterations=5, final_iterations=5, first_horizon=2, horizon_step=2, trusted_kl=1.0)
+INITIAL = Gaussian(torch.ones(1, dtype=torch.float64), torch.full((1, 1), 0.01, dtype=torch.float64))
+REACHABLE = 0.75 ** torch.arange(1.0, HORIZON + 1, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def dynamics() -> GPDynamics:
+    """A damped integrator, learned from 30 random transitions."""
+    draws = Draws(seed=0)
+    x, u = draws.uniform(-1.5, 1.5, 30, 1), draws.uniform(-2, 2, 30, 1)
+    dynamics = GPDynamics(2, 1)
+    dynamics.fit(torch.cat([x, u], -1), 0.2 * (u - 0.5 * x) + 0.01 * draws.normal(30, 1))
+    return dynamics
+
+
+def make_policy(draws: Draws) -> RBFPolicy:
+    policy = RBFPolicy(draws.uniform(-1.5, 1.5, 8, 1), U_MAX, torch.ones(1))
+    policy.weights.data.copy_(0.1 * draws.normal(8, 1))
+    return policy
+
+
+def make_loss(dynamics: GPDynamics, draws: Draws, mean: Tensor) -> TrajectoryKLLoss:
+    """An expert of that mean (T,) and a standard deviation of 0.14."""
+    expert = Gaussian(mean[:, None], torch.full((HORIZON, 1, 1), 0.02, dtype=torch.float64))
+    return TrajectoryKLLoss(make_policy(draws), dynamics, SPACE, expert, noise_std=0.05)
+
+
+@pytest.fixture
+def loss(dynamics: GPDynamics, draws: Draws) -> TrajectoryKLLoss:
+    """What the expert shows can be reached; the random policy does not."""
+    return make_loss(dynamics, draws, REACHABLE)
+
+
+@pytest.fixture
+def hopeless(dynamics: GPDynamics, draws: Draws) -> TrajectoryKLLoss:
+    """From step 4 on the expert is where no torque leads."""
+    return make_loss(dynamics, draws, REACHABLE + 10 * (torch.arange(HORIZON) >= 3))
+
+
+@dataclass(frozen=True)
+class Search:
+    """A search, with what was reported and the policy's parameters that it left."""
+
+    result: SearchResult
+    reports: list[tuple[str, float]]
+    parameters: dict[str, Tensor]
+
+
+def search(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS) -> Search:
+    reports: list[tuple[str, float]] = []
+    result = search_policy(loss, INITIAL, settings, lambda *report: reports.append(report))
+    return Search(result, reports, {name: value.clone() for name, value in loss.actor_network.state_dict().items()})
+
+
+@pytest.fixture(scope="module")
+def finished(dynamics: GPDynamics) -> Search:
+    """The search on ``loss``."""
+    return search(make_loss(dynamics, Draws(seed=0), REACHABLE))
+
+
+@pytest.fixture
+def found(loss: TrajectoryKLLoss, finished: Search) -> TrajectoryKLLoss:
+    """The loss with the policy that the search found."""
+    loss.actor_network.load_state_dict(finished.parameters)
+    return loss
+
+
+def test_search_lowers_the_kl_until_the_whole_horizon_is_matched(loss: TrajectoryKLLoss, finished: Search) -> None:
+    result = finished.result
+    assert result.kl < 0.5 * loss.per_step(INITIAL).sum().item()
+    assert result.matched and result.horizon == HORIZON
+    assert (result.per_step < SETTINGS.trusted_kl).all()
+
+
+def test_result_is_that_of_the_policy_that_is_left(found: TrajectoryKLLoss, finished: Search) -> None:
+    assert torch.equal(finished.result.per_step, found.per_step(INITIAL).detach())
+    assert finished.result.kl == finished.result.per_step.sum().item()
+    assert finished.result.seconds > 0
+
+
+def horizons(search: Search, objective: str) -> list[int]:
+    """Horizons of the runs of L-BFGS on "mean" or "KL", as they were reported."""
+    assert all(stage.endswith(f"/{HORIZON}") for stage, _ in search.reports)
+    return [int(stage.split()[1].split("/")[0]) for stage, _ in search.reports if stage.startswith(objective)]
+
+
+def test_horizon_grows_step_by_step_each_with_a_run_on_the_mean_and_then_the_kl(finished: Search) -> None:
+    grown = [f"{objective} {horizon}/6" for horizon in (2, 4, 6) for objective in ("mean", "KL")]
+    assert [stage for stage, _ in finished.reports] == [*grown, "KL 6/6"]
+
+
+def test_last_report_is_the_result(finished: Search) -> None:
+    assert finished.reports[-1][1] == pytest.approx(finished.result.kl)
+
+
+@pytest.mark.parametrize(("first", "step", "expected"), [(2, 3, [2, 5, 6]), (4, 7, [4, 6]), (9, 3, [6])])
+def test_horizon_never_exceeds_that_of_the_expert(loss: TrajectoryKLLoss, first: int, step: int, expected: list[int]) -> None:
+    settings = SearchSettings(3, 3, 1, first_horizon=first, horizon_step=step, trusted_kl=1.0)
+    assert horizons(search(loss, settings), "mean") == expected
+
+
+def test_search_of_a_policy_that_matches_begins_at_the_whole_horizon(found: TrajectoryKLLoss) -> None:
+    settings = SearchSettings(1, 1, 1, first_horizon=2, trusted_kl=SETTINGS.trusted_kl)
+    assert horizons(search(found, settings), "KL") == [6, 6]
+
+
+def test_horizon_stops_where_the_last_steps_are_not_trusted(hopeless: TrajectoryKLLoss) -> None:
+    result = search(hopeless).result
+    assert result.horizon == 4
+    assert not result.matched
+    assert result.per_step.shape == (HORIZON,)
+    assert result.per_step[2:4].mean() > SETTINGS.trusted_kl
+
+
+def test_same_start_gives_the_same_search(loss: TrajectoryKLLoss, finished: Search) -> None:
+    again = search(loss).result
+    assert torch.equal(again.per_step, finished.result.per_step)
+    assert again.evaluations == finished.result.evaluations
+
+
+def test_search_leaves_the_model_as_it_was(loss: TrajectoryKLLoss) -> None:
+    before = {name: value.clone() for name, value in loss.dynamics.state_dict().items()}
+    search(loss, SearchSettings(1, 1, 1))
+    assert all(torch.equal(value, before[name]) for name, value in loss.dynamics.state_dict().items())
+
+
+def fail_beyond(loss: TrajectoryKLLoss, step: int, monkeypatch: pytest.MonkeyPatch) -> Tensor:
+    """Predictions longer than ``step`` fail in the next one; returns those that are left."""
+    per_step = loss.per_step
+
+    def failing(initial: Gaussian, horizon: int | None = None) -> Tensor:
+        if (horizon or HORIZON) > step:
+            raise PredictionError(f"prediction of step {step + 1} failed", step + 1)
+        return per_step(initial, horizon)
+
+    monkeypatch.setattr(loss, "per_step", failing)
+    return per_step(INITIAL, step).detach() if step else torch.empty(0)
+
+
+@pytest.mark.parametrize("step", [1, 3, 5])
+def test_steps_beyond_a_failed_prediction_cost_infinitely_much(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, step: int) -> None:
+    known = fail_beyond(loss, step, monkeypatch)
+    evaluated = _evaluate(loss, INITIAL)
+    assert torch.equal(evaluated[:step], known)
+    assert evaluated[step:].tolist() == [math.inf] * (HORIZON - step)
+
+
+def test_failure_of_the_first_step_is_an_error(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch) -> None:
+    fail_beyond(loss, 0, monkeypatch)
+    with pytest.raises(PredictionError, match="prediction of step 1 failed"):
+        search_policy(loss, INITIAL, SETTINGS)
+
+
+def test_search_goes_on_where_the_prediction_can_be_followed(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The far part fails throughout, and is not searched."""
+    fail_beyond(loss, 3, monkeypatch)
+    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted_kl=0.0)).result
+    assert (result.horizon, result.matched, result.kl) == (3, False, math.inf)
+    assert result.per_step[:3].isfinite().all()
+
+
+def renewed(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS) -> tuple[Tensor, Tensor, RBFPolicy]:
+    """Actions before and after along the mean of the old policy, x_0 first, and the new policy as it was drawn."""
+    draws = Draws(seed=5)
+    new, policy = make_policy(draws), loss.actor_network
+    drawn = {name: value.clone() for name, value in new.state_dict().items()}
+    mean = predict_mean_trajectory(INITIAL.mean, policy, loss.dynamics, SPACE, HORIZON)
+    features = SPACE.features(torch.cat([INITIAL.mean[None], mean])).detach()
+    before = policy(features).detach()
+    renew_policy(loss, INITIAL, new, settings, draws.generator)
+    after = policy(features).detach()
+    new.load_state_dict(drawn)
+    return before, after, new
+
+
+def test_renewed_policy_acts_nearly_as_the_old_one_along_the_prediction(found: TrajectoryKLLoss) -> None:
+    before, after, drawn = renewed(found)
+    assert (after - before).abs().max() < 0.05 * U_MAX
+    features = SPACE.features(INITIAL.mean)
+    assert (drawn(features) - before[0]).abs() > 0.2 * U_MAX
+
+
+def test_renewed_policy_has_the_centres_and_widths_of_the_new_one(found: TrajectoryKLLoss) -> None:
+    _, _, drawn = renewed(found)
+    assert torch.equal(found.actor_network.centres, drawn.centres)
+    assert torch.equal(found.actor_network.log_widths, drawn.log_widths)
+    assert not torch.equal(found.actor_network.weights, drawn.weights)
+
+
+def test_policy_that_is_trusted_nowhere_is_renewed_at_the_start_alone(found: TrajectoryKLLoss) -> None:
+    before, after, _ = renewed(found, SearchSettings(first_horizon=1, trusted_kl=0.0))
+    difference = (after - before).abs()
+    assert difference[0] < 0.05 * U_MAX < difference[1:].max()
+
+
+def test_renewal_with_the_same_seed_is_the_same(dynamics: GPDynamics) -> None:
+    losses = [make_loss(dynamics, Draws(seed=0), REACHABLE) for _ in range(2)]
+    (_, one, _), (_, other, _) = (renewed(loss) for loss in losses)
+    assert torch.equal(one, other)

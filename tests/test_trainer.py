@@ -1,0 +1,333 @@
+"""Algorithm 1 as a trainer, on the first four steps of the double pendulum and with searches of a few evaluations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
+from functools import partialmethod
+from types import SimpleNamespace
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from torch_pmil import trainer as trainer_module
+from torch_pmil.dynamics import GPDynamics
+from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.experiments.training import make_trainer
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.policy_search import SearchResult, SearchSettings
+from torch_pmil.rollout import PredictionError
+from torch_pmil.trainer import Candidate, PMILTrainer, PolicySearchStepper, RobotActor, Trial, states_of
+
+HORIZON, STARTS = 4, 20
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_fits() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+        yield
+
+
+def make_experiment(**changes: object) -> Experiment:
+    experiment = load_experiment("double_pendulum")
+    beginning = replace(experiment.demonstrations, positions=experiment.demonstrations.positions[:, : HORIZON + 1])
+    search = SearchSettings(mean_iterations=1, stage_iterations=1, final_iterations=1, first_horizon=HORIZON)
+    return replace(experiment, demonstrations=beginning, num_centres=5, search=search, **changes)
+
+
+def make(trials: int, seed: int = 0, progress_bar: bool = False, **changes: object) -> tuple[PMILTrainer, list[Trial]]:
+    """A trainer, and the list that its trials are told to."""
+    told: list[Trial] = []
+    return make_trainer(make_experiment(**changes), seed, trials, progress_bar, told.append), told
+
+
+def own_errors(*errors: float) -> Callable[[Tensor], Tensor]:
+    """An error measure under which own rollouts have these errors, one after the other, and a quarter of the starts succeed."""
+    script, starts = iter(errors), torch.arange(STARTS) % 4
+    return lambda states: torch.tensor(next(script)) if states.ndim == 2 else 1.0 * starts
+
+
+@pytest.fixture(scope="module")
+def trained() -> PMILTrainer:
+    """Two trials, without success."""
+    trainer, _ = make(trials=2)
+    trainer.train()
+    return trainer
+
+
+def rollouts_of(trainer: PMILTrainer) -> list[TensorDict]:
+    return trainer.experience.transitions.split(HORIZON)
+
+
+def test_experience_is_the_random_rollout_and_one_of_each_trial(trained: PMILTrainer) -> None:
+    assert len(trained.experience) == trained.collected_frames == 3 * HORIZON
+    assert [trial.trial for trial in trained.trials] == [1, 2]
+    assert [trial.experience_s for trial in trained.trials] == pytest.approx([0.4, 0.8])
+
+
+def test_each_rollout_is_one_motion_from_a_start_of_its_own(trained: PMILTrainer) -> None:
+    """So that no measurement from other starts is among them."""
+    rollouts = rollouts_of(trained)
+    for rollout in rollouts:
+        assert torch.equal(rollout["next", "observation"][:-1], rollout["observation"][1:])
+    starts = torch.stack([rollout["observation"][0] for rollout in rollouts])
+    assert ((starts - trained.initial.mean).abs() < 5 * trained.initial.std).all()
+    assert len(starts.unique(dim=0)) == 3
+
+
+def test_first_rollout_is_random_within_a_fraction_of_the_limit() -> None:
+    trainer, _ = make(trials=1, random_torque=0.1)
+    trainer.train()
+    actions, u_max = rollouts_of(trainer)[0]["action"], trainer.actor.policy.u_max
+    assert (actions.abs() <= 0.1 * u_max).all()
+    assert actions.abs().max() > 0.02 * u_max.max()
+    assert len(actions.unique()) == actions.numel()
+
+
+def test_later_rollouts_are_the_searched_policies(trained: PMILTrainer) -> None:
+    policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
+    for candidate, rollout in zip(trained.candidates, rollouts_of(trained)[1:], strict=True):
+        policy.load_state_dict(candidate.parameters)
+        expected = policy(trained.actor.space.features(rollout["observation"]))
+        torch.testing.assert_close(rollout["action"], expected.detach(), rtol=0, atol=1e-12)
+
+
+def test_own_error_is_that_of_the_rollout_that_became_experience(trained: PMILTrainer) -> None:
+    for trial, rollout in zip(trained.trials, rollouts_of(trained)[1:], strict=True):
+        assert trial.own_error == trained.error(states_of(rollout)).item()
+
+
+def test_model_is_fitted_to_all_experience_before_each_search() -> None:
+    """The last rollout belongs to no search any more."""
+    trainer, _ = make(trials=2)
+    sizes: list[int] = []
+    trainer.register_op("post_optim", lambda: sizes.append(len(trainer.loss_module.dynamics.train_inputs)))
+    trainer.train()
+    assert sizes == [HORIZON, 2 * HORIZON]
+
+
+def test_rate_is_that_of_the_fresh_starts_and_decides_nothing() -> None:
+    trainer, told = make(trials=2, error=own_errors(9.0, 9.0), tolerance=0.5)
+    trainer.train()
+    assert [(trial.success_rate, trial.n_eval) for trial in told] == [(0.25, STARTS)] * 2
+    assert not any(trial.own_success for trial in told)
+
+
+def test_trials_are_told_one_by_one_when_their_rollout_is_done() -> None:
+    trainer, told = make(trials=2, error=own_errors(0.2, 0.9), tolerance=0.5)
+    trainer.train()
+    assert told == trainer.trials
+    assert [(trial.own_error, trial.own_success) for trial in told] == [(pytest.approx(0.2), True), (pytest.approx(0.9), False)]
+
+
+def test_training_ends_after_two_own_successes_in_a_row() -> None:
+    trainer, told = make(trials=5, error=own_errors(0.1, 0.9, 0.1, 0.5), tolerance=0.5)
+    trainer.train()
+    assert [trial.own_success for trial in told] == [True, False, True, True]
+    assert trainer.stop_reason == "the own rollouts of two trials in a row succeeded"
+    assert len(trainer.experience) == 5 * HORIZON
+
+
+@pytest.mark.parametrize("errors", [(0.1,), (0.1, 0.9, 0.1), (0.9, 0.9)], ids=str)
+def test_training_ends_at_the_limit_of_trials_without_two_in_a_row(errors: tuple[float, ...]) -> None:
+    trainer, told = make(trials=len(errors), error=own_errors(*errors), tolerance=0.5)
+    trainer.train()
+    assert len(told) == len(errors)
+    assert trainer.stop_reason == "limit of trials"
+
+
+def timeless(trials: list[Trial]) -> list[dict[str, object]]:
+    return [asdict(replace(trial, gp_seconds=0.0, search_seconds=0.0)) for trial in trials]
+
+
+def test_same_seed_gives_the_same_trials_bit_for_bit_with_a_progress_bar_too(trained: PMILTrainer) -> None:
+    again, _ = make(trials=2, progress_bar=True)
+    again.train()
+    assert timeless(again.trials) == timeless(trained.trials)
+    for key in ("observation", "action"):
+        assert torch.equal(again.experience.transitions[key], trained.experience.transitions[key])
+
+
+def test_other_seed_gives_another_run(trained: PMILTrainer) -> None:
+    other, _ = make(trials=1, seed=1)
+    other.train()
+    assert timeless(other.trials) != timeless(trained.trials[:1])
+    ours, theirs = rollouts_of(trained)[0], rollouts_of(other)[0]
+    assert not torch.equal(ours["observation"][0], theirs["observation"][0])
+    assert not torch.equal(ours["action"], theirs["action"])
+
+
+def test_hooks_of_a_user_are_called() -> None:
+    trainer, _ = make(trials=2)
+    calls = dict.fromkeys(("batch_process", "pre_optim_steps", "post_optim", "post_steps"), 0)
+
+    def count(name: str) -> Callable[..., object]:
+        def hook(*batch: TensorDict) -> object:
+            calls[name] += 1
+            return batch[0] if batch else None
+
+        return hook
+
+    for name in calls:
+        trainer.register_op(name, count(name))
+    trainer.train()
+    assert calls == {"batch_process": 3, "pre_optim_steps": 2, "post_optim": 2, "post_steps": 3}
+
+
+def test_no_trials_are_an_error() -> None:
+    with pytest.raises(ValueError, match="trials must be at least 1, got 0"):
+        make(trials=0)
+
+
+# the choice of the policy
+
+
+@pytest.fixture
+def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Candidate]:
+    """Chooses among policies with these own errors and predicted KLs (None: the prediction fails), numbered from 1."""
+
+    def choose(*outcomes: tuple[float, float | None]) -> Candidate:
+        policy, made = trained.loss_module.actor_network, []
+        for trial, (own_error, _) in enumerate(outcomes, start=1):
+            parameters = {name: value.clone() for name, value in policy.state_dict().items()}
+            parameters["weights"].fill_(trial)
+            made.append(Candidate(trial, parameters, own_error))
+
+        def per_step(_: object) -> Tensor:
+            kl = outcomes[int(policy.weights[0, 0].item()) - 1][1]
+            if kl is None:
+                raise PredictionError("prediction of step 2 failed", 2)
+            return torch.tensor([kl / 2, kl / 2])
+
+        monkeypatch.setattr(trained, "candidates", made)
+        monkeypatch.setattr(trained, "tolerance", 0.25)
+        monkeypatch.setattr(trained.loss_module, "per_step", per_step)
+        return trained.best_policy()
+
+    return choose
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "best"),
+    [
+        ([(0.3, 1.0), (0.2, 9.0), (0.1, 5.0), (0.05, 7.0)], 3),
+        ([(0.25, 1.0), (0.1, 5.0)], 1),
+        ([(0.9, 1.0), (0.6, 9.0), (0.7, 2.0)], 2),
+        ([(0.1, None), (0.2, 5.0)], 2),
+        ([(0.1, None), (0.3, 5.0)], 1),
+    ],
+    ids=["least KL of the successes", "tolerance succeeds", "least error without success", "failed KL is worst", "success before KL"],
+)
+def test_best_policy(candidates: Callable[..., Candidate], trained: PMILTrainer, outcomes: list, best: int) -> None:
+    assert candidates(*outcomes).trial == best
+    assert (trained.loss_module.actor_network.weights == best).all()
+
+
+def test_best_policy_is_chosen_under_a_model_of_all_experience(candidates: Callable[..., Candidate], trained: PMILTrainer) -> None:
+    candidates((0.1, 1.0))
+    assert len(trained.loss_module.dynamics.train_inputs) == len(trained.experience)
+
+
+# the search of a trial
+
+
+class ScriptedSearches:
+    """A stepper whose searches end with these results; the policy's weights are then the number of the search, 1, 2, ..."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, results: list[tuple[float, int, bool]]) -> None:
+        self.loss = make(trials=1)[0].loss_module
+        self.renewed_at: list[int] = []  # numbers of the searches that began from a renewed policy
+        self.anew_at: list[int] = []  # and of those that began from a new one
+        self.searches = 0
+        self._results = iter(results)
+        monkeypatch.setattr(trainer_module, "search_policy", self._search)
+        monkeypatch.setattr(trainer_module, "renew_policy", lambda *_: self.renewed_at.append(self.searches + 1))
+        self.stepper = PolicySearchStepper(SearchSettings(), self._make_policy, torch.Generator(), lambda *_: None)
+
+    def _search(self, loss: torch.nn.Module, *_: object) -> SearchResult:
+        self.searches += 1
+        if (loss.actor_network.weights == -1).all():
+            self.anew_at.append(self.searches)
+        loss.actor_network.weights.data.fill_(self.searches)
+        kl, horizon, matched = next(self._results)
+        per_step = torch.full((HORIZON,), kl / HORIZON, dtype=torch.float64)
+        return SearchResult(kl, per_step, horizon, matched, evaluations=10, failures=1, seconds=0.5, stop_reason="iteration limit")
+
+    def _make_policy(self) -> RBFPolicy:
+        policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
+        policy.weights.data.fill_(-1)
+        return policy
+
+    def step(self) -> int:
+        """One trial's search; number of the search whose policy was kept."""
+        start = TensorDict({"observation": {"mean": torch.zeros(4), "var": torch.eye(4)}})
+        loss = self.stepper.step(SimpleNamespace(loss_module=self.loss), start)["loss_kl"]
+        assert loss.item() == self.stepper.result.kl
+        return int(self.loss.actor_network.weights[0, 0].item())
+
+
+def test_search_after_an_incomplete_one_begins_from_a_renewed_policy(monkeypatch: pytest.MonkeyPatch) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(9.0, 2, False), (8.0, 4, False), (7.0, 4, True), (6.0, 4, True)])
+    assert [scripted.step() for _ in range(4)] == [1, 2, 3, 4]
+    assert scripted.renewed_at == [2, 3]
+    assert scripted.anew_at == []
+
+
+@pytest.mark.parametrize("second", [(99.0, 3, False), (90.0, 2, False), (99.0, 4, True)], ids=["farther", "less KL", "complete"])
+def test_search_that_makes_progress_is_not_begun_anew(monkeypatch: pytest.MonkeyPatch, second: tuple[float, int, bool]) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(99.0, 2, False), second])
+    assert [scripted.step(), scripted.step()] == [1, 2]
+    assert not scripted.stepper.restarted
+
+
+@pytest.mark.parametrize(("anew", "kept"), [(50.0, 3), (100.0, 2)], ids=["better", "worse"])
+def test_search_without_progress_is_begun_anew_and_the_better_one_is_kept(monkeypatch: pytest.MonkeyPatch, anew: float, kept: int) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(99.0, 2, False), (98.0, 2, False), (anew, 2, False)])
+    assert [scripted.step(), scripted.step()] == [1, kept]
+    assert scripted.anew_at == [3]
+    result = scripted.stepper.result
+    assert scripted.stepper.restarted
+    assert result.kl == min(anew, 98.0)
+    assert (result.evaluations, result.failures, result.seconds) == (20, 2, 1.0)
+
+
+def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(math.inf, 2, False), (math.inf, 2, False), (50.0, 2, False)])
+    assert [scripted.step(), scripted.step()] == [1, 3]
+
+
+# what the robot executes
+
+
+@pytest.fixture
+def actor() -> RobotActor:
+    experiment = make_experiment()
+    generator = torch.Generator().manual_seed(0)
+    return RobotActor(experiment.make_policy(generator), experiment.space, 0.4, generator)
+
+
+def test_exploring_robot_acts_uniformly_within_its_fraction_of_the_limit(actor: RobotActor) -> None:
+    """Mean and variance of a uniform distribution, to four standard errors."""
+    fractions = actor(torch.zeros(2000, 4, dtype=torch.float64)) / (0.4 * actor.policy.u_max)
+    assert fractions.shape == (2000, 2)
+    assert (fractions.abs() <= 1).all()
+    assert (fractions.mean(0).abs() < 4 * (1 / 3 / 2000) ** 0.5).all()
+    assert ((fractions.square().mean(0) - 1 / 3).abs() < 4 * (4 / 45 / 2000) ** 0.5).all()
+
+
+def test_robot_that_no_longer_explores_follows_its_policy(actor: RobotActor) -> None:
+    actor.exploring = False
+    states = torch.linspace(-1, 1, 12, dtype=torch.float64).reshape(3, 4)
+    actions = actor(states)
+    assert torch.equal(actions, actor.policy(actor.space.features(states)).detach())
+    assert not actions.requires_grad
+
+
+def test_states_of_rollouts_are_the_start_and_all_that_followed() -> None:
+    path = torch.arange(2 * 5 * 3.0).reshape(2, 5, 3)
+    rollout = TensorDict({"observation": path[:, :-1], "next": {"observation": path[:, 1:]}}, batch_size=(2, 4))
+    assert torch.equal(states_of(rollout), path)

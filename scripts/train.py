@@ -6,6 +6,7 @@ Example:
 
 from __future__ import annotations
 
+import logging
 import sys
 from pathlib import Path
 
@@ -28,6 +29,7 @@ SKETCHES = {"double_pendulum": pendulum_frames}  # pictures without OpenGL, from
 @hydra.main(version_base="1.3", config_path="config", config_name="train")
 def main(config: DictConfig) -> None:
     """Learn, then draw."""
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     out = Path(config.out)
     try:

@@ -1,5 +1,11 @@
 """Probabilistic model-based imitation learning (Englert, Paraschos, Peters, Deisenroth 2013) in PyTorch."""
 
+import ctypes.util
+import os
+
+if "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
+    os.environ.setdefault("MUJOCO_GL", "egl")  # headless pictures; MuJoCo reads it when it is first imported
+
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, load_demonstrations, shipped_demonstrations
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.expert import expert_distribution

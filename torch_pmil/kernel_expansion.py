@@ -109,6 +109,17 @@ class KernelExpansion:
         """beta_a beta_a' - K_a^-1, (E, n, n): the weights of Q in an output's own variance (Eq. 16). Needs ``gram_inverse``."""
         return self.weights[:, :, None] * self.weights[:, None, :] - self.gram_inverse
 
+    @cached_property
+    def pair_weights(self) -> tuple[Tensor, Tensor]:
+        """Weights of the two outputs a < b of each product, (E (E - 1) / 2, n) each."""
+        E = self.num_outputs
+        return self.weights[self.products.first[E:]], self.weights[self.products.second[E:]]
+
+    @cached_property
+    def log_signal_variance(self) -> Tensor:
+        """log alpha_a^2, (E,)."""
+        return self.signal_variance.log()
+
     def kernel(self, x: Tensor) -> Tensor:
         """k_a(x, x_i) at points x (*batch, D): (*batch, E, n)."""
         scaled = (self.inputs - x[..., None, None, :]) / self.lengthscales[:, None, :]

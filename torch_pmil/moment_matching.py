@@ -99,27 +99,34 @@ class _Terms:
         \log Q_{ij} &= \mathrm{row}_i + u_i^\top G v_j + \mathrm{column}_j
 
     where row is the expression for q and column the same for b without the determinant. K = E + E(E+1)/2 integrals:
-    first the E single kernels, then the products (see :class:`Products`).
+    the E single kernels, and the products (see :class:`Products`).
     """
 
-    u: Tensor  # (*batch, K, n, D)
-    u_G: Tensor  # (*batch, K, n, D)
-    row: Tensor  # (*batch, K, n)
-    v: Tensor  # (*batch, K - E, n, D)
-    column: Tensor  # (*batch, K - E, n)
+    u: Tensor  # (*batch, E, n, D), of the single kernels
+    u_G: Tensor  # (*batch, E, n, D)
+    log_q: Tensor  # (*batch, E, n)
+    left: Tensor  # (*batch, K - E, n, D + 2), [u' G, row, 1] of the products
+    right: Tensor  # (*batch, K - E, n, D + 2), [v', 1, column]
 
     @classmethod
     def of(cls, f: KernelExpansion, belief: Gaussian) -> _Terms:
-        products, K = f.products, len(f.products.precision)
+        products, E = f.products, f.num_outputs
+        sizes = [E, len(products.first), len(products.second)]
         nu = f.inputs - belief.mean[..., None, None, :]  # (*batch, E, n, D)
         scaled = nu * f.precision[:, None, :]
-        log_k = f.signal_variance.log()[:, None] - (nu * scaled).sum(-1) / 2
+        log_k = f.log_signal_variance[:, None] - (nu * scaled).sum(-1) / 2
         G, log_det = _RegularisedCov.apply(belief.cov, products.precision)
-        u = scaled[..., products.factors, :, :]
-        u_G = u @ G[..., products.integrals, :, :]
-        exponent = log_k[..., products.factors, :] + (u_G * u).sum(-1) / 2
-        row = exponent[..., :K, :] - log_det[..., None] / 2
-        return cls(u[..., :K, :, :], u_G[..., :K, :, :], row, u[..., K:, :, :], exponent[..., K:, :])
+        u = scaled.index_select(-3, products.factors)
+        u_G = u @ G.index_select(-3, products.integrals)
+        exponent = log_k.index_select(-2, products.factors) + (u_G * u).sum(-1) / 2
+        (u, _, v), (u_G, u_G_products, _) = u.split(sizes, -3), u_G.split(sizes, -3)
+        log_q, row, column = exponent.split(sizes, -2)
+        half_log_det, half_log_det_products = (log_det[..., None] / 2).split(sizes[:2], -2)
+        row = row - half_log_det_products
+        one = torch.ones_like(row)[..., None]
+        left = torch.cat([u_G_products, row[..., None], one], -1)
+        right = torch.cat([v, one, column[..., None]], -1)
+        return cls(u, u_G, log_q - half_log_det, left, right)
 
 
 def _first_moment(f: KernelExpansion, terms: _Terms) -> tuple[Tensor, Tensor]:
@@ -127,25 +134,25 @@ def _first_moment(f: KernelExpansion, terms: _Terms) -> tuple[Tensor, Tensor]:
 
     .. math:: \Sigma^{-1} \operatorname{cov}(x, f_a) = (I - \Lambda_a^{-1} G) \sum_i \beta_i q_i u_i
     """
-    E = f.num_outputs
-    beta_q = f.weights * terms.row[..., :E, :].exp()  # Eq. 15
-    pull = beta_q[..., None, :] @ torch.cat([terms.u[..., :E, :, :], terms.u_G[..., :E, :, :]], -1)
-    direct, shrunk = pull[..., 0, :].chunk(2, -1)
+    beta_q = f.weights * terms.log_q.exp()  # Eq. 15
+    direct, shrunk = ((beta_q[..., None, :] @ factor).squeeze(-2) for factor in (terms.u, terms.u_G))
     return beta_q.sum(-1), (direct - f.precision * shrunk).mT
 
 
 def _second_moment(f: KernelExpansion, terms: _Terms) -> Tensor:
     """E[f_a f_b] without the offsets and without the prior variance, (*batch, E, E): the sums over Q of Eqs. 16-17."""
-    E, one = f.num_outputs, torch.ones_like(terms.column)[..., None]
-    left = torch.cat([terms.u_G[..., E:, :, :], terms.row[..., E:, :, None], one], -1)
-    right = torch.cat([terms.v, one, terms.column[..., None]], -1)
-    w, z = f.weights[f.products.first], f.weights[f.products.second]
     if f.gram_inverse is None:
-        sums = _OuterExpSum.apply(left, right, w, z)
+        w, z = f.weights.index_select(0, f.products.first), f.weights.index_select(0, f.products.second)
+        sums = _OuterExpSum.apply(terms.left, terms.right, w, z)
     else:
-        own = _MatrixExpSum.apply(left[..., :E, :, :], right[..., :E, :, :], f.self_weights)
-        sums = torch.cat([own, _OuterExpSum.apply(left[..., E:, :, :], right[..., E:, :, :], w[E:], z[E:])], -1)
-    return sums[..., f.products.position]
+        (own_left, left), (own_right, right) = (
+            t.split([f.num_outputs, t.shape[-3] - f.num_outputs], -3) for t in (terms.left, terms.right)
+        )
+        own = _MatrixExpSum.apply(own_left, own_right, f.self_weights)
+        w, z = f.pair_weights
+        sums = torch.cat([own, _OuterExpSum.apply(left, right, w, z)], -1)
+    E = f.num_outputs
+    return sums.index_select(-1, f.products.position.flatten()).unflatten(-1, (E, E))
 
 
 class _RegularisedCov(torch.autograd.Function):

@@ -239,6 +239,12 @@ class PMILTrainer(Trainer):
         """Why training ended."""
         return self._stop_reason or "limit of trials"
 
+    def train(self) -> None:
+        """Run Algorithm 1 to its end."""
+        super().train()
+        if self.progress_bar:
+            self._pbar.close()
+
     def optim_steps(self, batch: TensorDictBase) -> None:
         """Fit and search, unless training is over and only the last rollout was missing."""
         if not (self._stop_training or self.collected_frames >= self.total_frames):

@@ -40,17 +40,22 @@ def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, 
         >>> augment(eighth_turn, torch.ones(1, 1), torch.ones(1, 1))[0].mean
         tensor([0.7854, 0.7071, 0.7071])
     """
-    kept = len(plain)
+    sizes = [len(plain), 2 * len(angles)]
     rows = torch.cat([plain, angles, angles])
-    linear = belief.affine(rows)
-    phase = linear.mean[..., kept:].clone()
-    phase[..., : len(angles)] -= QUARTER_TURN
-    mean, cov, slope = _cosines(phase, linear.cov[..., kept:, kept:])
-    cross = linear.cov[..., :kept, kept:] * slope[..., None, :]
-    upper = torch.cat([linear.cov[..., :kept, :kept], cross], -1)
-    full = torch.cat([upper, torch.cat([cross.mT, cov], -1)], -2)
-    gain = torch.cat([torch.ones_like(linear.mean[..., :kept]), slope], -1)
-    return Gaussian(torch.cat([linear.mean[..., :kept], mean], -1), full), rows.mT * gain[..., None, :]
+    linear = belief.affine(rows, _quarter_turns(plain, angles))
+    kept, phase = linear.mean.split(sizes, -1)
+    upper, lower = linear.cov.split(sizes, -2)
+    (cov_kept, cov_kept_phase), (_, cov_phase) = upper.split(sizes, -1), lower.split(sizes, -1)
+    mean, cov, slope = _cosines(phase, cov_phase)
+    cross = cov_kept_phase * slope[..., None, :]
+    full = torch.cat([torch.cat([cov_kept, cross], -1), torch.cat([cross.mT, cov], -1)], -2)
+    gain = torch.cat([torch.ones_like(kept), slope], -1)
+    return Gaussian(torch.cat([kept, mean], -1), full), rows.mT * gain[..., None, :]
+
+
+def _quarter_turns(plain: Tensor, angles: Tensor) -> Tensor:
+    """What turns the first copy of the angles to phases of which the cosine is their sine."""
+    return torch.cat([plain.new_zeros(len(plain)), angles.new_full((len(angles),), -QUARTER_TURN), angles.new_zeros(len(angles))])
 
 
 def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:

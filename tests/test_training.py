@@ -1,0 +1,195 @@
+"""What a learning run leaves in its folder, on the first four steps of the double pendulum."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, fields, replace
+from datetime import datetime
+from functools import partialmethod
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.draws import Draws
+from torch_pmil.dynamics import GPDynamics
+from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.experiments.training import EVALUATION_STARTS, RunResult, prepare_folder, save_tensors, train, two_sigma_coverage
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.policy_search import SearchSettings
+from torch_pmil.rollout import predict_trajectory
+from torch_pmil.trainer import Trial
+
+HORIZON, TRIALS, SEED = 4, 2, 3
+COMMAND = f"python scripts/train.py seed={SEED}"
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    experiment = load_experiment("double_pendulum")
+    beginning = replace(experiment.demonstrations, positions=experiment.demonstrations.positions[:, : HORIZON + 1])
+    search = SearchSettings(mean_iterations=1, stage_iterations=1, final_iterations=1, first_horizon=HORIZON)
+    return replace(experiment, demonstrations=beginning, num_centres=5, search=search)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_fits() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+        yield
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Is made by the run."""
+    return tmp_path_factory.mktemp("runs") / "double_pendulum" / "seed_3"
+
+
+@pytest.fixture(scope="module")
+def rows_when_told() -> list[int]:
+    """Trials in metrics.csv when each trial was told."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(experiment: Experiment, folder: Path, rows_when_told: list[int]) -> RunResult:
+    def on_trial(_: Trial) -> None:
+        rows_when_told.append(len(read_metrics(folder)))
+
+    return train(experiment, SEED, TRIALS, folder, COMMAND, progress_bar=False, on_trial=on_trial)
+
+
+@pytest.fixture(scope="module")
+def summary(result: RunResult, folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+def read_metrics(folder: Path) -> list[dict[str, str]]:
+    with (folder / "metrics.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_run_leaves_these_files_and_no_temporary_ones(result: RunResult, folder: Path) -> None:
+    assert sorted(os.listdir(folder)) == ["dynamics.pt", "figures", "metrics.csv", "policy.pt", "summary.json"]
+    assert os.listdir(folder / "figures") == []
+
+
+def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> None:
+    assert (summary["experiment"], summary["seed"], summary["command"]) == ("double_pendulum", SEED, COMMAND)
+    assert datetime.fromisoformat(summary["date"]).utcoffset().total_seconds() == 0
+    assert summary["commit"]
+    assert summary["versions"]["torch"] == torch.__version__
+    assert {"python", "torch_pmil", "gpytorch", "torchrl", "tensordict", "mujoco", "numpy"} <= summary["versions"].keys()
+    settings = summary["settings"]
+    assert (settings["trials"], settings["horizon"], settings["num_centres"]) == (TRIALS, HORIZON, 5)
+    assert settings["search"] == asdict(experiment.search)
+    assert {"noise_std", "random_torque", "initial_weight_std", "tolerance"} <= settings.keys()
+
+
+def test_summary_says_what_came_of_it(summary: dict, result: RunResult, experiment: Experiment) -> None:
+    successes = experiment.error(result.executed) <= experiment.tolerance
+    assert summary["saved_success_rate"] == successes.double().mean().item()
+    assert summary["saved_n_eval"] == len(result.executed) == EVALUATION_STARTS
+    assert summary["two_sigma_coverage"] == two_sigma_coverage(result.predicted, result.executed)
+    assert summary["saved_trial"] in (1, 2)
+    assert summary["stop_reason"] == "limit of trials"
+    assert summary["experience_s"] == pytest.approx((TRIALS + 1) * HORIZON * 0.1)
+    assert summary["wall_seconds"] > 0
+
+
+def test_summary_holds_every_trial_whole(summary: dict, result: RunResult) -> None:
+    named = {"trial", "experience_s", "success_rate", "n_eval", "kl", "gp_seconds", "search_seconds", "evaluations", "stop_reason"}
+    assert len(summary["trials"]) == TRIALS
+    assert all(named <= trial.keys() for trial in summary["trials"])
+    assert summary["trials"] == [asdict(trial) for trial in result.trials]
+
+
+def test_result_holds_the_summary_that_was_written(summary: dict, result: RunResult) -> None:
+    assert result.summary == summary
+
+
+def test_metrics_hold_a_row_for_each_trial(result: RunResult, folder: Path) -> None:
+    rows = read_metrics(folder)
+    assert list(rows[0]) == [field.name for field in fields(Trial)]
+    assert rows == [{name: str(value) for name, value in asdict(trial).items()} for trial in result.trials]
+
+
+def test_metrics_are_written_after_every_trial(result: RunResult, rows_when_told: list[int]) -> None:
+    assert rows_when_told == [1, 2]
+
+
+def load_policy(folder: Path) -> RBFPolicy:
+    policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
+    policy.load_state_dict(torch.load(folder / "policy.pt", weights_only=True))
+    return policy
+
+
+def load_dynamics(folder: Path) -> GPDynamics:
+    dynamics = GPDynamics(8, 4)
+    dynamics.load_state_dict(torch.load(folder / "dynamics.pt", weights_only=True))
+    return dynamics
+
+
+def test_saved_policy_acts_as_the_learned_one(result: RunResult, folder: Path, draws: Draws) -> None:
+    features = draws.normal(50, 6)
+    assert torch.equal(load_policy(folder)(features), result.policy(features))
+
+
+def test_saved_policy_and_model_predict_as_the_run_did(result: RunResult, folder: Path, experiment: Experiment) -> None:
+    predicted = predict_trajectory(experiment.initial, load_policy(folder), load_dynamics(folder), experiment.space, HORIZON)
+    assert torch.equal(predicted.mean, result.predicted.mean)
+    assert torch.equal(predicted.cov, result.predicted.cov)
+
+
+def test_saved_model_knows_all_experience(result: RunResult, folder: Path) -> None:
+    assert load_dynamics(folder).train_inputs.shape == ((TRIALS + 1) * HORIZON, 8)
+
+
+def test_executed_rollouts_are_those_of_the_saved_policy(result: RunResult, folder: Path, experiment: Experiment) -> None:
+    before, after = result.executed[:, :-1].flatten(0, 1), result.executed[:, 1:].flatten(0, 1)
+    actions = load_policy(folder)(experiment.space.features(before)).detach()
+    torch.testing.assert_close(experiment.make_env(seed=0).simulate(before, actions), after, rtol=0, atol=1e-9)
+
+
+def test_two_standard_deviations_cover_95_per_cent_of_gaussian_rollouts(draws: Draws) -> None:
+    """Entries of one state are correlated: the standard error is that of independent states."""
+    predicted, count = draws.belief(5, 3), 4000
+    rollouts = torch.cat([draws.normal(count, 1, 3), predicted.sample(count, draws.generator)], 1)
+    standard_error = (0.954 * 0.046 / (5 * count)) ** 0.5
+    assert two_sigma_coverage(predicted, rollouts) == pytest.approx(0.9545, abs=4 * standard_error)
+
+
+def test_coverage_counts_entries_within_and_leaves_the_start_out() -> None:
+    predicted = Gaussian(torch.zeros(2, 1), torch.full((2, 1, 1), 0.25))
+    rollouts = torch.tensor([[[9.0], [1.0], [-1.0]], [[9.0], [1.1], [-1.1]]])
+    assert two_sigma_coverage(predicted, rollouts) == 0.5
+
+
+def test_folder_is_made_with_its_parents_and_used_again(tmp_path: Path) -> None:
+    out = tmp_path / "runs" / "here"
+    prepare_folder(out)
+    (out / "metrics.csv").write_text("of an older run")
+    prepare_folder(out)
+    assert read_metrics(out) == []
+    assert sorted(os.listdir(out)) == ["figures", "metrics.csv"]
+
+
+@pytest.mark.parametrize("below", ["", "run"], ids=["a file", "below a file"])
+def test_folder_that_cannot_be_made_is_an_oserror_before_anything_is_learned(experiment: Experiment, tmp_path: Path, below: str) -> None:
+    (tmp_path / "file").write_text("old")
+    with pytest.raises(OSError, match="file"):
+        train(experiment, SEED, TRIALS, tmp_path / "file" / below, COMMAND, progress_bar=False)
+    assert (tmp_path / "file").read_text() == "old"
+
+
+def test_saved_tensors_come_back_and_leave_no_temporary_file(tmp_path: Path, draws: Draws) -> None:
+    tensors = {"a": draws.normal(3), "b": draws.normal(2, 2)}
+    save_tensors(tmp_path / "tensors.pt", tensors)
+    loaded = torch.load(tmp_path / "tensors.pt", weights_only=True)
+    assert loaded.keys() == tensors.keys()
+    assert all(torch.equal(loaded[name], value) for name, value in tensors.items())
+    assert os.listdir(tmp_path) == ["tensors.pt"]

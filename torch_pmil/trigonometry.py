@@ -16,6 +16,7 @@ import math
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from torch_pmil.gaussian import Gaussian
 
@@ -46,7 +47,7 @@ def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, 
     kept, phase = linear.mean.split(sizes, -1)
     upper, lower = linear.cov.split(sizes, -2)
     (cov_kept, cov_kept_phase), (_, cov_phase) = upper.split(sizes, -1), lower.split(sizes, -1)
-    mean, cov, slope = _cosines(phase, cov_phase)
+    mean, cov, slope = _Cosines.apply(phase, cov_phase)
     cross = cov_kept_phase * slope[..., None, :]
     full = torch.cat([torch.cat([cov_kept, cross], -1), torch.cat([cross.mT, cov], -1)], -2)
     gain = torch.cat([torch.ones_like(kept), slope], -1)
@@ -73,22 +74,41 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
         >>> squash(v, torch.tensor([3.5]))[0].mean
         tensor([3.5000])
     """
-    mean, cov, slope = _cosines(belief.mean - QUARTER_TURN, belief.cov)
+    mean, cov, slope = _Cosines.apply(belief.mean - QUARTER_TURN, belief.cov)
     return Gaussian(u_max * mean, u_max[:, None] * cov * u_max), u_max * slope
 
 
-def _cosines(m: Tensor, V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases, and the mean slope -E sin (*batch, K).
+class _Cosines(torch.autograd.Function):
+    r"""Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases, and the mean slope -E sin (*batch, K).
 
-    With :math:`a = |V_{ij}|` no exponential overflows, however large the variance.
+    The covariance is :math:`A \cos(m_i - m_j) + B \cos(m_i + m_j)`. With :math:`a = |V_{ij}|` no exponential overflows, however
+    large the variance.
     """
-    variance = V.diagonal(dim1=-2, dim2=-1)
-    decay = torch.exp(-variance / 2)
-    half_sum = (variance[..., :, None] + variance[..., None, :]) / 2
-    positive = V >= 0
-    a = torch.where(positive, V, -V)
-    rise = -torch.expm1(-a) / 2
-    large, small = torch.exp(a - half_sum) * rise, torch.exp(-half_sum) * rise
-    difference, total = (m[..., :, None] - m[..., None, :]).cos(), (m[..., :, None] + m[..., None, :]).cos()
-    cov = torch.where(positive, large * difference - small * total, large * total - small * difference)
-    return decay * m.cos(), cov, -decay * m.sin()
+
+    @staticmethod
+    def forward(ctx, m, V):
+        variance = V.diagonal(dim1=-2, dim2=-1)
+        decay = torch.exp(-variance / 2)
+        half_sum = (variance[..., :, None] + variance[..., None, :]) / 2
+        positive, a = V >= 0, V.abs()
+        large, small = torch.exp(a - half_sum) / 2, torch.exp(-a - half_sum) / 2
+        rise = torch.expm1(-a)
+        plus, minus = -large * rise, torch.exp(-half_sum) * rise / 2
+        A, B = torch.where(positive, plus, minus), torch.where(positive, minus, plus)
+        difference, total = m[..., :, None] - m[..., None, :], m[..., :, None] + m[..., None, :]
+        cos_difference, cos_total = difference.cos(), total.cos()
+        cov = A * cos_difference + B * cos_total
+        by_m = -A * difference.sin() - B * total.sin()
+        by_V = torch.where(positive, large, small) * cos_difference - torch.where(positive, small, large) * cos_total
+        mean, slope = decay * m.cos(), -decay * m.sin()
+        ctx.save_for_backward(mean, cov, slope, by_m, by_V)
+        return mean, cov, slope
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, d_mean, d_cov, d_slope):
+        mean, cov, slope, by_m, by_V = ctx.saved_tensors
+        both = d_cov + d_cov.mT
+        d_m = (both * by_m).sum(-1) + d_mean * slope - d_slope * mean
+        d_variance = ((both * cov).sum(-1) + d_mean * mean + d_slope * slope) / -2
+        return d_m, d_cov * by_V + torch.diag_embed(d_variance)

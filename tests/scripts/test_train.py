@@ -1,0 +1,96 @@
+"""The training script: what it leaves, what it says, and that it fails in one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import runpy
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from torch_pmil.experiments import EXPERIMENTS, load_experiment
+from torch_pmil.policy_search import SearchSettings
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "train.py"
+Script = Callable[..., None]
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
+    """The script, run with command-line overrides in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*overrides: str) -> None:
+        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *overrides])
+        runpy.run_path(str(SCRIPT), run_name="__main__")
+
+    return run
+
+
+@pytest.fixture
+def short_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The double pendulum is its first six steps, and a search a few evaluations."""
+    whole = load_experiment("double_pendulum")
+    beginning = replace(whole.demonstrations, positions=whole.demonstrations.positions[:, :7])
+    short = replace(whole, demonstrations=beginning, num_centres=5, search=SearchSettings(1, 1, 1, first_horizon=6))
+    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda: short)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("short_experiment")
+def test_run_leaves_numbers_policy_figures_and_a_video(script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script("trials=1", "seed=2", "out=run")
+    files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    figures = {f"run/figures/{name}.png" for name in ("trajectories", "learning_curve", "poses")}
+    assert files == {f"run/{name}" for name in ("metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4")} | figures
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["command"], summary["seed"]) == ("python scripts/train.py trials=1 seed=2 out=run", 2)
+    printed = capsys.readouterr().out
+    assert "trial  1:   0.6 s of experience" in printed
+    assert "policy of trial 1: success rate" in printed
+    assert "see run/figures, run/video.mp4, run/summary.json" in printed
+
+
+def error_of(script: Script, *overrides: str) -> str:
+    """The one line that the script fails with, after "error: "."""
+    with pytest.raises(SystemExit) as stop:
+        script(*overrides)
+    message = stop.value.code
+    assert isinstance(message, str) and message.startswith("error: ") and "\n" not in message
+    return message.removeprefix("error: ")
+
+
+def test_unknown_experiment_is_refused_with_those_there_are(script: Script, tmp_path: Path) -> None:
+    assert error_of(script, "experiment=triple", "out=run") == "experiment must be one of double_pendulum, got 'triple'"
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.xfail(strict=True, reason="train() makes the folder before it looks at the numbers")
+@pytest.mark.parametrize(("override", "got"), [("trials=0", "0"), ("trials=two", "'two'"), ("trials=1.5", "1.5"), ("seed=abc", "'abc'")])
+@pytest.mark.usefixtures("short_experiment")
+def test_number_out_of_range_is_refused_before_there_is_a_folder(script: Script, tmp_path: Path, override: str, got: str) -> None:
+    message = error_of(script, override, "out=run")
+    assert message.startswith(f"{override.split('=')[0]} must be ") and message.endswith(f", got {got}")
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("out", ["file", "file/run", "/dev/null/run"])
+def test_folder_that_cannot_be_made_is_refused(script: Script, tmp_path: Path, out: str) -> None:
+    (tmp_path / "file").write_text("old")
+    assert out in error_of(script, f"out={out}")
+    assert os.listdir(tmp_path) == ["file"]
+    assert (tmp_path / "file").read_text() == "old"
+
+
+def test_failure_is_one_line_on_stderr_and_an_exit_code(tmp_path: Path) -> None:
+    command = [sys.executable, str(SCRIPT), "experiment=triple", "out=run"]
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert process.returncode == 1
+    assert process.stdout == ""
+    assert process.stderr == "error: experiment must be one of double_pendulum, got 'triple'\n"
+    assert os.listdir(tmp_path) == []

@@ -28,6 +28,8 @@ from torch_pmil.policy_search import SearchResult, SearchSettings, renew_policy,
 from torch_pmil.rollout import PredictionError
 from torch_pmil.state_space import StateSpace
 
+PATIENCE = 2  # searches in a row without progress, before one from a random policy
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -92,8 +94,8 @@ class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
     While the last search did not match the whole horizon, the next one starts from a renewed network
-    (:func:`renew_policy`). Where a search ends without progress (no more steps trusted, and not a twentieth less KL than
-    the best before), it sits in a local optimum: another begins at once from a random policy, and the better one is kept.
+    (:func:`renew_policy`). Two searches in a row without progress (no more steps trusted, and not a twentieth less KL than
+    the best before) sit in a local optimum: another begins at once from a random policy, and the better one is kept.
 
     Args:
         settings: budget and horizon of a search.
@@ -112,7 +114,7 @@ class PolicySearchStepper(OptimizationStepper):
         self.settings, self.make_policy, self.generator, self.report = settings, make_policy, generator, report
         self.result: SearchResult | None = None
         self.restarted = False
-        self._longest, self._least = 0, math.inf
+        self._longest, self._least, self._stalled = 0, math.inf, 0
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
@@ -121,9 +123,11 @@ class PolicySearchStepper(OptimizationStepper):
         if self.result is not None and not self.result.complete:
             renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
         self.result = search_policy(loss, initial, self.settings, self.report)
-        self.restarted = not (self.result.complete or self._progressed())
+        self._stalled = 0 if self.result.complete or self._progressed() else self._stalled + 1
+        self.restarted = self._stalled == PATIENCE
         if self.restarted:
             self._search_anew(loss, initial)
+            self._stalled = 0
         self._longest, self._least = max(self._longest, self.result.horizon), min(self._least, self.result.kl)
         return TensorDict({"loss_kl": torch.tensor(self.result.kl, dtype=torch.float64)})
 

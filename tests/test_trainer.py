@@ -20,7 +20,7 @@ from torch_pmil.experiments.training import make_trainer
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings
 from torch_pmil.rollout import PredictionError
-from torch_pmil.trainer import Candidate, PMILTrainer, PolicySearchStepper, RobotActor, Trial, states_of
+from torch_pmil.trainer import PATIENCE, Candidate, PMILTrainer, PolicySearchStepper, RobotActor, Trial, states_of
 
 HORIZON, STARTS = 4, 20
 
@@ -284,20 +284,33 @@ def test_search_that_makes_progress_is_not_begun_anew(monkeypatch: pytest.Monkey
     assert not scripted.stepper.restarted
 
 
-@pytest.mark.parametrize(("anew", "kept"), [(50.0, 3), (100.0, 2)], ids=["better", "worse"])
-def test_search_without_progress_is_begun_anew_and_the_better_one_is_kept(monkeypatch: pytest.MonkeyPatch, anew: float, kept: int) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(99.0, 2, False), (98.0, 2, False), (anew, 2, False)])
-    assert [scripted.step(), scripted.step()] == [1, kept]
-    assert scripted.anew_at == [3]
+STALLED = [(99.0, 2, False)] * (1 + PATIENCE)
+
+
+@pytest.mark.parametrize(("anew", "keeps_new"), [(50.0, True), (100.0, False)], ids=["better", "worse"])
+def test_searches_without_progress_are_begun_anew_and_the_better_one_is_kept(
+    monkeypatch: pytest.MonkeyPatch, anew: float, keeps_new: bool
+) -> None:
+    scripted = ScriptedSearches(monkeypatch, [*STALLED, (anew, 2, False)])
+    kept = [scripted.step() for _ in STALLED]
+    assert scripted.anew_at == [len(STALLED) + 1]
+    assert kept == [*range(1, len(STALLED)), len(STALLED) + keeps_new]
     result = scripted.stepper.result
     assert scripted.stepper.restarted
-    assert result.kl == min(anew, 98.0)
+    assert result.kl == min(anew, 99.0)
     assert (result.evaluations, result.failures, result.seconds) == (20, 2, 1.0)
 
 
+def test_progress_in_between_starts_the_count_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    results = [*STALLED[:-1], (99.0, 3, False), *STALLED[:-2], (99.0, 4, True), *STALLED[:-2]]
+    scripted = ScriptedSearches(monkeypatch, results)
+    assert [scripted.step() for _ in results] == list(range(1, len(results) + 1))
+    assert scripted.anew_at == []
+
+
 def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(math.inf, 2, False), (math.inf, 2, False), (50.0, 2, False)])
-    assert [scripted.step(), scripted.step()] == [1, 3]
+    scripted = ScriptedSearches(monkeypatch, [(math.inf, 2, False)] * (1 + PATIENCE) + [(50.0, 2, False)])
+    assert [scripted.step() for _ in STALLED][-1] == len(STALLED) + 1
 
 
 # what the robot executes

@@ -1,7 +1,7 @@
 """Learn an experiment from its demonstrations and show what was learned.
 
 Example:
-    python scripts/train.py experiment=double_pendulum seed=0 trials=14 out=runs/double_pendulum/seed_0
+    python scripts/train.py experiment=double_pendulum seed=0 trials=12 out=runs/double_pendulum/seed_0
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import torch
 from omegaconf import DictConfig
 from tqdm import tqdm
 
+from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.training import RunResult, train
@@ -33,10 +34,11 @@ def main(config: DictConfig) -> None:
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     out = Path(config.out)
     try:
-        experiment = load_experiment(config.experiment)
+        demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
+        experiment = load_experiment(config.experiment, demonstrations)
         command = "python scripts/train.py " + " ".join(sys.argv[1:] or [f"experiment={experiment.name}"])
         result = train(experiment, config.seed, config.trials, out, command, on_trial=print_trial)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RuntimeError) as error:
         sys.exit(f"error: {error}")
     draw(experiment, result, out)
     print_summary(result.summary, out)

@@ -363,3 +363,13 @@ def test_renewal_with_the_same_seed_is_the_same(dynamics: GPDynamics) -> None:
     losses = [make_loss(dynamics, Draws(seed=0), REACHABLE) for _ in range(2)]
     (_, one, _), (_, other, _) = (renewed(loss) for loss in losses)
     assert torch.equal(one, other)
+
+
+@pytest.mark.parametrize("known", [3, 4])
+def test_horizon_grows_no_further_than_the_prediction_can_be_followed(
+    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, known: int
+) -> None:
+    """The first three steps are matched, and beyond step ``known`` the prediction fails."""
+    fail_beyond(loss, known, monkeypatch)
+    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted_kl=1.0)).result
+    assert (result.horizon, result.kl) == (known, math.inf)

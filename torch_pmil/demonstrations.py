@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 import os
-import tempfile
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -15,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
+
+from torch_pmil.files import replacing
 
 TIME_STEP_TOLERANCE = 1e-6  # relative difference between two time steps that count as equal
 
@@ -85,16 +86,8 @@ class Demonstrations:
         Raises:
             OSError: the folder is missing or not writable.
         """
-        path = Path(path)
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                np.savez(file, positions=self.positions.numpy(), time_step=self.time_step, names=np.array(self.names))
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
+        with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+            np.savez(file, positions=self.positions.numpy(), time_step=self.time_step, names=np.array(self.names))
 
 
 def load_demonstrations(path: str | os.PathLike[str], time_step: float | None = None) -> Demonstrations:

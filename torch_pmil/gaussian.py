@@ -9,7 +9,11 @@ from torch import Tensor
 
 
 class NotPositiveDefiniteError(ValueError):
-    """A matrix that must be positive definite has no Cholesky factor."""
+    """A matrix that must be positive definite has no Cholesky factor; ``element`` is its index in the batch."""
+
+    def __init__(self, message: str, element: tuple[int, ...] = ()) -> None:
+        super().__init__(message)
+        self.element = element
 
 
 def symmetric(matrix: Tensor) -> Tensor:
@@ -25,14 +29,13 @@ def cholesky(matrix: Tensor, name: str) -> Tensor:
     """
     factor, info = torch.linalg.cholesky_ex(matrix)
     if info.any():
-        raise NotPositiveDefiniteError(_describe_failure(matrix.detach(), info, name))
+        element = tuple(info.nonzero()[0].tolist())
+        raise NotPositiveDefiniteError(_describe_failure(matrix.detach()[element], element, name), element)
     return factor
 
 
-def _describe_failure(matrix: Tensor, info: Tensor, name: str) -> str:
-    element = tuple(info.nonzero()[0].tolist())
+def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> str:
     where = f" at batch element {element}" if element else ""
-    failed = matrix[element]
     if not failed.isfinite().all():
         return f"{name} must be positive definite, got a matrix that is not finite{where}"
     eigenvalues = torch.linalg.eigvalsh(failed)

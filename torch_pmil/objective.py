@@ -11,10 +11,10 @@ from torch import Tensor
 from torchrl.objectives import LossModule
 
 from torch_pmil.dynamics import GPDynamics
-from torch_pmil.gaussian import Gaussian
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.kl import gaussian_kl, mean_kl
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.rollout import predict_mean_trajectory, predict_trajectory
+from torch_pmil.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
 from torch_pmil.state_space import StateSpace
 
 
@@ -70,9 +70,13 @@ class TrajectoryKLLoss(LossModule):
         return self.space.match.belief(states).add_noise(self.noise_std**2)
 
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """KL of each marginal up to a horizon (the summands of Eq. 20), (*batch, horizon)."""
+        """KL of each marginal up to a horizon (the summands of Eq. 20), (*batch, horizon). Raises PredictionError."""
         predicted = self.predict(initial, horizon)
-        return gaussian_kl(self._expert(horizon), predicted)
+        try:
+            return gaussian_kl(self._expert(horizon), predicted)
+        except NotPositiveDefiniteError as error:
+            step = error.element[-1] + 1
+            raise PredictionError(f"comparison of step {step} of {predicted.batch_shape[-1]} failed: {error}", step) from error
 
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """The same for the model's mean alone, weighed by the expert's covariance: cheap, and no local optimum of wide predictions."""

@@ -15,7 +15,7 @@ from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import PredictionError, predict_trajectory
 
-REJECTED_LOSS = 1e10  # finite, so that a strong-Wolfe line search steps back from it; inf would freeze it
+LARGEST_LOSS = 1e10  # beyond, an objective counts as failed
 RENEWAL_SAMPLES = 20  # states a time step
 
 
@@ -109,7 +109,7 @@ class _Guard:
                 raise
             self.failures += 1
             self.last_failed = True
-            loss, gradients = torch.tensor(REJECTED_LOSS), [torch.zeros_like(p) for p in self.parameters]
+            loss, gradients = torch.tensor(self._rejected_loss()), [torch.zeros_like(p) for p in self.parameters]
         for parameter, gradient in zip(self.parameters, gradients, strict=True):
             parameter.grad = gradient.contiguous()
         return loss
@@ -119,7 +119,7 @@ class _Guard:
         gradients = torch.autograd.grad(loss, self.parameters)
         largest = max(g.abs().max().item() for g in gradients)
         value = loss.item()
-        if not (abs(value) < REJECTED_LOSS and largest < float("inf")):
+        if not (abs(value) < LARGEST_LOSS and largest < float("inf")):
             raise NotFiniteError(f"the objective must be finite with a finite gradient, got {value} and {largest}")
         if self.evaluations == 1:
             self.initial_loss = value
@@ -129,11 +129,12 @@ class _Guard:
         self.last_failed = False
         return loss.detach(), gradients
 
-    @torch.no_grad()
+    def _rejected_loss(self) -> float:
+        """Worse than all that counts, yet finite (inf would freeze the line search) and near enough for a fair step back."""
+        return self.best_loss + 10 * (1 + abs(self.best_loss))
+
     def restore_best(self) -> None:
-        for parameter, value in zip(self.parameters, self.best, strict=True):
-            parameter.copy_(value)
-            parameter.grad = None
+        _restore(self.parameters, self.best)
 
     def stop_reason(self, iterations: int, max_iterations: int, tolerance_grad: float) -> str:
         if self.best_gradient <= tolerance_grad:
@@ -209,35 +210,65 @@ def search_policy(
     Raises:
         PredictionError: the prediction fails at the policy that was given.
     """
-    start = time.perf_counter()
-    parameters = list(loss.actor_network.parameters())
-    runs: list[MinimiseResult] = []
-
-    def run(name: str, per_step: Callable[[Gaussian, int], Tensor], horizon: int, iterations: int) -> None:
-        runs.append(minimise(parameters, lambda: per_step(initial, horizon).sum(), iterations))
-        report(f"{name} {horizon}/{loss.horizon}", runs[-1].loss)
-
+    search = _Search(loss, initial, settings, report)
     per_step = _evaluate(loss, initial)
     horizon = _first_unmatched(per_step, settings)
     while True:
-        run("mean", loss.mean_per_step, horizon, settings.mean_iterations)
-        run("KL", loss.per_step, horizon, settings.stage_iterations)
+        begun = search.stage(horizon)
         per_step = _evaluate(loss, initial)
-        if horizon == loss.horizon or not _trusted(per_step, horizon, settings):
+        if not begun or horizon == loss.horizon or not _trusted(per_step, horizon, settings):
             break
         horizon = min(max(horizon + settings.horizon_step, _first_unmatched(per_step, settings)), loss.horizon)
-    run("KL", loss.per_step, horizon, settings.final_iterations)
-    per_step = _evaluate(loss, initial)
-    return SearchResult(
-        kl=per_step.sum().item(),
-        per_step=per_step,
-        horizon=horizon,
-        matched=_trusted(per_step, horizon, settings),
-        evaluations=sum(r.evaluations for r in runs),
-        failures=sum(r.failures for r in runs),
-        seconds=time.perf_counter() - start,
-        stop_reason=runs[-1].stop_reason,
-    )
+    horizon = min(horizon, int(per_step.isfinite().sum()))
+    search.run("KL", loss.per_step, horizon, settings.final_iterations)
+    return search.result(horizon)
+
+
+class _Search:
+    """The runs of L-BFGS of one policy search."""
+
+    def __init__(self, loss: TrajectoryKLLoss, initial: Gaussian, settings: SearchSettings, report: Callable[[str, float], None]) -> None:
+        self.loss, self.initial, self.settings, self.report = loss, initial, settings, report
+        self.parameters = list(loss.actor_network.parameters())
+        self.runs: list[MinimiseResult] = []
+        self.start = time.perf_counter()
+
+    def run(self, name: str, per_step: Callable[[Gaussian, int], Tensor], horizon: int, iterations: int) -> None:
+        """Minimise the sum of the steps up to a horizon."""
+        self.runs.append(minimise(self.parameters, lambda: per_step(self.initial, horizon).sum(), iterations))
+        self.report(f"{name} {horizon}/{self.loss.horizon}", self.runs[-1].loss)
+
+    def stage(self, horizon: int) -> bool:
+        """Search the mean, then the KL. Where one cannot begin, the policy is what it was before, and the answer False."""
+        before = [parameter.detach().clone() for parameter in self.parameters]
+        try:
+            self.run("mean", self.loss.mean_per_step, horizon, self.settings.mean_iterations)
+            self.run("KL", self.loss.per_step, horizon, self.settings.stage_iterations)
+        except (PredictionError, NotFiniteError):
+            _restore(self.parameters, before)
+            return False
+        return True
+
+    def result(self, horizon: int) -> SearchResult:
+        """What the policy has come to."""
+        per_step = _evaluate(self.loss, self.initial)
+        return SearchResult(
+            kl=per_step.sum().item(),
+            per_step=per_step,
+            horizon=horizon,
+            matched=_trusted(per_step, horizon, self.settings),
+            evaluations=sum(run.evaluations for run in self.runs),
+            failures=sum(run.failures for run in self.runs),
+            seconds=time.perf_counter() - self.start,
+            stop_reason=self.runs[-1].stop_reason,
+        )
+
+
+@torch.no_grad()
+def _restore(parameters: list[nn.Parameter], values: list[Tensor]) -> None:
+    for parameter, value in zip(parameters, values, strict=True):
+        parameter.copy_(value)
+        parameter.grad = None
 
 
 @torch.no_grad()

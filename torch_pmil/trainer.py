@@ -21,7 +21,7 @@ from torchrl.trainers import OptimizationStepper, Trainer
 
 from torch_pmil.dynamics import FitResult
 from torch_pmil.experience import Experience
-from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.gaussian import Gaussian
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, renew_policy, search_policy
@@ -277,7 +277,7 @@ class PMILTrainer(Trainer):
         self.loss_module.actor_network.load_state_dict(candidate.parameters)
         try:
             return self.loss_module.per_step(self.initial).sum().item()
-        except (PredictionError, NotPositiveDefiniteError):
+        except PredictionError:
             return float("inf")
 
     def _learn_from_rollout(self, batch: TensorDictBase) -> TensorDictBase:

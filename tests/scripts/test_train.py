@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.experiments import EXPERIMENTS, load_experiment
 from torch_pmil.policy_search import SearchSettings
 
@@ -38,7 +39,7 @@ def short_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = load_experiment("double_pendulum")
     beginning = replace(whole.demonstrations, positions=whole.demonstrations.positions[:, :7])
     short = replace(whole, demonstrations=beginning, num_centres=5, search=SearchSettings(1, 1, 1, first_horizon=6))
-    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda: short)
+    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
 
 
 @pytest.mark.slow
@@ -70,12 +71,31 @@ def test_unknown_experiment_is_refused_with_those_there_are(script: Script, tmp_
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.xfail(strict=True, reason="train() makes the folder before it looks at the numbers")
 @pytest.mark.parametrize(("override", "got"), [("trials=0", "0"), ("trials=two", "'two'"), ("trials=1.5", "1.5"), ("seed=abc", "'abc'")])
 @pytest.mark.usefixtures("short_experiment")
 def test_number_out_of_range_is_refused_before_there_is_a_folder(script: Script, tmp_path: Path, override: str, got: str) -> None:
     message = error_of(script, override, "out=run")
     assert message.startswith(f"{override.split('=')[0]} must be ") and message.endswith(f", got {got}")
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("names", "time_step", "complaint"),
+    [
+        (("x1", "y1", "x2", "z2"), 0.1, "demonstrations must be of x1, y1, x2, y2, got x1, y1, x2, z2"),
+        (("x1", "y1", "x2", "y2"), 0.05, "demonstrations must have a time step of 0.1 s, got 0.05 s"),
+    ],
+)
+def test_demonstrations_of_something_else_are_refused(
+    script: Script, tmp_path: Path, names: tuple[str, ...], time_step: float, complaint: str
+) -> None:
+    Demonstrations(shipped_demonstrations().positions, time_step, names).save(tmp_path / "own.npz")
+    assert error_of(script, "demonstrations=own.npz", "out=run") == complaint
+    assert os.listdir(tmp_path) == ["own.npz"]
+
+
+def test_missing_demonstrations_are_named(script: Script, tmp_path: Path) -> None:
+    assert "own.csv" in error_of(script, "demonstrations=own.csv", "out=run")
     assert os.listdir(tmp_path) == []
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.double_pendulum import double_pendulum
 from torch_pmil.experiments.experiment import Experiment
 
 EXPERIMENTS = {"double_pendulum": double_pendulum}
 
 
-def load_experiment(name: str) -> Experiment:
+def load_experiment(name: str, demonstrations: Demonstrations | None = None) -> Experiment:
     """The experiment of that name.
 
+    Args:
+        name: as on the command line.
+        demonstrations: one's own; those that come with the package if None.
+
     Raises:
-        ValueError: there is none; the message lists those there are.
+        ValueError: there is none; the message lists those there are. Or the demonstrations are not of that robot.
 
     Example:
         >>> load_experiment("double_pendulum").horizon
@@ -20,4 +25,4 @@ def load_experiment(name: str) -> Experiment:
     """
     if name not in EXPERIMENTS:
         raise ValueError(f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}, got {name!r}")
-    return EXPERIMENTS[name]()
+    return EXPERIMENTS[name](demonstrations)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_pmil.demonstrations import shipped_demonstrations
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations, shipped_demonstrations
 from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.gaussian import Gaussian
@@ -52,10 +52,18 @@ def distance_from_upright(states: Tensor) -> Tensor:
     return (positions - upright).norm(dim=-1).amax(-1)
 
 
-def double_pendulum() -> Experiment:
-    """The experiment of Section 5.1: 100 basis functions, 812 policy parameters, 2.5 s at 10 Hz."""
-    demonstrations = shipped_demonstrations("double_pendulum")
+def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
+    """The experiment of Section 5.1: 100 basis functions, 812 policy parameters, 2.5 s at 10 Hz.
+
+    Args:
+        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz; those that come with the package if None.
+
+    Raises:
+        DemonstrationError: they hold something else, or at another rate.
+    """
+    demonstrations = demonstrations or shipped_demonstrations("double_pendulum")
     env = DoublePendulumEnv()
+    _check_demonstrations(demonstrations, env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
     return Experiment(
         name="double_pendulum",
@@ -70,3 +78,11 @@ def double_pendulum() -> Experiment:
         error=distance_from_upright,
         tolerance=SUCCESS_DISTANCE,
     )
+
+
+def _check_demonstrations(demonstrations: Demonstrations, env: DoublePendulumEnv) -> None:
+    names = double_pendulum_space().match.names
+    if demonstrations.names != names:
+        raise DemonstrationError(f"demonstrations must be of {', '.join(names)}, got {', '.join(demonstrations.names)}")
+    if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
+        raise DemonstrationError(f"demonstrations must have a time step of {env.control_period} s, got {demonstrations.time_step} s")

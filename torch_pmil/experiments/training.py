@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import platform
 import subprocess
 import time
@@ -80,6 +81,9 @@ def train(
         ValueError: a setting is out of range.
     """
     start = time.perf_counter()
+    _check_whole("seed", seed, least=0)
+    _check_whole("trials", trials, least=1)
+    source = _source(command)
     prepare_folder(out)
 
     def record(trial: Trial) -> None:
@@ -89,24 +93,21 @@ def train(
     trainer = make_trainer(experiment, seed, trials, progress_bar, record)
     trainer.train()
     best = trainer.best_policy()
+    policy, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
+    save_tensors(out / "policy.pt", policy.state_dict())
+    save_tensors(out / "dynamics.pt", dynamics.state_dict())
     predicted, executed = _predict_and_execute(trainer, experiment)
     summary = {
         "experiment": experiment.name,
         "seed": seed,
-        "command": command,
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "commit": _commit(),
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
+        **source,
         "settings": _settings(experiment, trials),
         "wall_seconds": round(time.perf_counter() - start, 2),
         **_outcome(trainer, best, experiment, predicted, executed),
-        "trials": [asdict(trial) for trial in trainer.trials],
+        "trials": [_plain(trial) for trial in trainer.trials],
     }
-    policy, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
-    save_tensors(out / "policy.pt", policy.state_dict())
-    save_tensors(out / "dynamics.pt", dynamics.state_dict())
     with replacing(out / "summary.json") as temporary:
-        temporary.write_text(json.dumps(summary, indent=2) + "\n")
+        temporary.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return RunResult(summary, trainer.trials, predicted, executed, policy)
 
 
@@ -163,6 +164,11 @@ def save_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
         torch.save(tensors, temporary)
 
 
+def _check_whole(name: str, value: int, least: int) -> None:
+    if not isinstance(value, int) or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+
+
 @torch.no_grad()
 def _predict_and_execute(trainer: PMILTrainer, experiment: Experiment) -> tuple[Gaussian, Tensor]:
     loss = trainer.loss_module
@@ -196,7 +202,24 @@ def _settings(experiment: Experiment, trials: int) -> dict[str, object]:
     }
 
 
-def _commit() -> str:
-    """The commit of the source tree, or "unknown" outside one."""
-    git = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
-    return git.stdout.strip() or "unknown"
+def _source(command: str) -> dict[str, object]:
+    """Where a result comes from: command, date, commit of the source tree (or "unknown" outside one), versions."""
+    try:
+        git = subprocess.run(
+            ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
+        )
+        commit = git.stdout.strip() or "unknown"
+    except OSError:
+        commit = "unknown"
+    return {
+        "command": command,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": commit,
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
+    }
+
+
+def _plain(trial: Trial) -> dict[str, object]:
+    """A trial as JSON can say it: a KL that is not finite is null."""
+    values = asdict(trial)
+    return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in values.items()}

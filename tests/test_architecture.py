@@ -18,8 +18,9 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"demonstrations", "alignment", "expert"},
     {"dynamics", "experience", "policy"},
     {"rollout"},
-    {"objective"},
+    {"objective", "lbfgs"},
     {"policy_search"},
+    {"search_stepper"},
     {"trainer", "torchrl_interop", "evaluation", "run"},
     {"baselines"},
     {"experiments"},
@@ -27,7 +28,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}
-OF_TORCHRL = {"envs", "experience", "objective", "trainer", "evaluation", "run", "torchrl_interop"}
+OF_TORCHRL = {"envs", "search_stepper", "experience", "objective", "trainer", "evaluation", "run", "torchrl_interop"}
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 

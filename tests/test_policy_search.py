@@ -12,9 +12,10 @@ from torch import Tensor, nn
 from tests.draws import Draws
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.lbfgs import NotFiniteError, minimise
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.policy_search import NotFiniteError, SearchResult, SearchSettings, _evaluate, minimise, renew_policy, search_policy
+from torch_pmil.policy_search import SearchResult, SearchSettings, _evaluate, renew_policy, search_policy
 from torch_pmil.rollout import PredictionError, predict_mean_trajectory
 from torch_pmil.state_space import StateSpace, joint_match
 

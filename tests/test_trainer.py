@@ -13,14 +13,15 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from torch_pmil import trainer as trainer_module
+from torch_pmil import search_stepper as stepper_module
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.training import make_trainer
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings
 from torch_pmil.rollout import PredictionError
-from torch_pmil.trainer import PATIENCE, Candidate, PMILTrainer, PolicySearchStepper, RobotActor, Trial, states_of
+from torch_pmil.search_stepper import PATIENCE, PolicySearchStepper
+from torch_pmil.trainer import Candidate, PMILTrainer, RobotActor, Trial, states_of
 
 HORIZON, STARTS = 4, 20
 
@@ -244,8 +245,8 @@ class ScriptedSearches:
         self.anew_at: list[int] = []  # and of those that began from a new one
         self.searches = 0
         self._results = iter(results)
-        monkeypatch.setattr(trainer_module, "search_policy", self._search)
-        monkeypatch.setattr(trainer_module, "renew_policy", lambda *_: self.renewed_at.append(self.searches + 1))
+        monkeypatch.setattr(stepper_module, "search_policy", self._search)
+        monkeypatch.setattr(stepper_module, "renew_policy", lambda *_: self.renewed_at.append(self.searches + 1))
         self.stepper = PolicySearchStepper(SearchSettings(), self._make_policy, torch.Generator(), lambda *_: None)
 
     def _search(self, loss: torch.nn.Module, *_: object) -> SearchResult:

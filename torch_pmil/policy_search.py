@@ -1,147 +1,22 @@
-"""Search for the policy of least predicted KL (Eq. 22): guarded L-BFGS, a horizon that grows as far as it can be trusted."""
+"""Search for the policy of least predicted KL (Eq. 22), over a horizon that grows as far as the prediction can be trusted."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.lbfgs import MinimiseResult, NotFiniteError, minimise, restore
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import PredictionError, predict_trajectory
 
-LARGEST_LOSS = 1e10  # beyond, an objective counts as failed
 RENEWAL_SAMPLES = 20  # states a time step
-
-
-class NotFiniteError(ValueError):
-    """An objective or its gradient is not finite."""
-
-
-@dataclass(frozen=True)
-class MinimiseResult:
-    """What one run of L-BFGS did.
-
-    ``stop_reason`` is one of "iteration limit", "gradient is small", "no further progress", "numerical failure".
-    """
-
-    initial_loss: float
-    loss: float
-    iterations: int
-    evaluations: int
-    failures: int
-    stop_reason: str
-
-
-def minimise(
-    parameters: Iterable[nn.Parameter],
-    objective: Callable[[], Tensor],
-    max_iterations: int,
-    tolerance_grad: float = 1e-5,
-) -> MinimiseResult:
-    """Minimise with ``torch.optim.LBFGS`` and strong Wolfe; the parameters end at the best point that was seen.
-
-    A point where the objective raises one of the errors below, or is not finite in value or gradient, counts as a large
-    loss without gradient: the line search steps back from it.
-
-    Args:
-        parameters: changed in place.
-        objective: a scalar with a graph.
-        max_iterations: of L-BFGS; each takes one to a few evaluations.
-        tolerance_grad: largest gradient entry at which the search ends.
-
-    Raises:
-        PredictionError, NotPositiveDefiniteError, NotFiniteError: at the starting point, where there is nothing to step back to.
-
-    Example:
-        >>> x = nn.Parameter(torch.tensor([3.0, -1.0], dtype=torch.float64))
-        >>> minimise([x], lambda: ((x - 1) ** 2).sum(), max_iterations=20).stop_reason
-        'gradient is small'
-        >>> [round(v, 6) for v in x.tolist()]
-        [1.0, 1.0]
-    """
-    guard = _Guard(list(parameters), objective)
-    optimizer = torch.optim.LBFGS(
-        guard.parameters,
-        max_iter=max_iterations,
-        max_eval=3 * max_iterations,
-        history_size=50,
-        tolerance_grad=tolerance_grad,
-        tolerance_change=1e-10,
-        line_search_fn="strong_wolfe",
-    )
-    optimizer.step(guard)
-    iterations = optimizer.state[guard.parameters[0]]["n_iter"]
-    guard.restore_best()
-    return MinimiseResult(
-        initial_loss=guard.initial_loss,
-        loss=guard.best_loss,
-        iterations=iterations,
-        evaluations=guard.evaluations,
-        failures=guard.failures,
-        stop_reason=guard.stop_reason(iterations, max_iterations, tolerance_grad),
-    )
-
-
-class _Guard:
-    """An L-BFGS closure that survives failed evaluations and keeps the best point."""
-
-    def __init__(self, parameters: list[nn.Parameter], objective: Callable[[], Tensor]) -> None:
-        self.parameters, self.objective = parameters, objective
-        self.evaluations = self.failures = 0
-        self.initial_loss = self.best_loss = float("inf")
-        self.best_gradient = float("inf")
-        self.best: list[Tensor] = []
-        self.last_failed = False
-
-    @torch.enable_grad()
-    def __call__(self) -> Tensor:
-        self.evaluations += 1
-        try:
-            loss, gradients = self._evaluate()
-        except (PredictionError, NotPositiveDefiniteError, NotFiniteError):
-            if self.evaluations == 1:
-                raise
-            self.failures += 1
-            self.last_failed = True
-            loss, gradients = torch.tensor(self._rejected_loss()), [torch.zeros_like(p) for p in self.parameters]
-        for parameter, gradient in zip(self.parameters, gradients, strict=True):
-            parameter.grad = gradient.contiguous()
-        return loss
-
-    def _evaluate(self) -> tuple[Tensor, tuple[Tensor, ...]]:
-        loss = self.objective()
-        gradients = torch.autograd.grad(loss, self.parameters)
-        largest = max(g.abs().max().item() for g in gradients)
-        value = loss.item()
-        if not (abs(value) < LARGEST_LOSS and largest < float("inf")):
-            raise NotFiniteError(f"the objective must be finite with a finite gradient, got {value} and {largest}")
-        if self.evaluations == 1:
-            self.initial_loss = value
-        if value < self.best_loss:
-            self.best_loss, self.best_gradient = value, largest
-            self.best = [p.detach().clone() for p in self.parameters]
-        self.last_failed = False
-        return loss.detach(), gradients
-
-    def _rejected_loss(self) -> float:
-        """Worse than all that counts, yet finite (inf would freeze the line search) and near enough for a fair step back."""
-        return self.best_loss + 10 * (1 + abs(self.best_loss))
-
-    def restore_best(self) -> None:
-        _restore(self.parameters, self.best)
-
-    def stop_reason(self, iterations: int, max_iterations: int, tolerance_grad: float) -> str:
-        if self.best_gradient <= tolerance_grad:
-            return "gradient is small"
-        if self.last_failed:
-            return "numerical failure"
-        return "iteration limit" if iterations >= max_iterations else "no further progress"
 
 
 @dataclass(frozen=True)
@@ -245,7 +120,7 @@ class _Search:
             self.run("mean", self.loss.mean_per_step, horizon, self.settings.mean_iterations)
             self.run("KL", self.loss.per_step, horizon, self.settings.stage_iterations)
         except (PredictionError, NotFiniteError):
-            _restore(self.parameters, before)
+            restore(self.parameters, before)
             return False
         return True
 
@@ -262,13 +137,6 @@ class _Search:
             seconds=time.perf_counter() - self.start,
             stop_reason=self.runs[-1].stop_reason,
         )
-
-
-@torch.no_grad()
-def _restore(parameters: list[nn.Parameter], values: list[Tensor]) -> None:
-    for parameter, value in zip(parameters, values, strict=True):
-        parameter.copy_(value)
-        parameter.grad = None
 
 
 @torch.no_grad()

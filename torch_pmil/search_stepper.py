@@ -1,0 +1,78 @@
+"""The optimisation step of Algorithm 1, as TorchRL's trainer takes it."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.trainers import OptimizationStepper, Trainer
+
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.objective import TrajectoryKLLoss
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.policy_search import SearchResult, SearchSettings, renew_policy, search_policy
+
+PATIENCE = 2  # searches in a row without progress, before one from a random policy
+
+
+class PolicySearchStepper(OptimizationStepper):
+    """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
+
+    While the last search did not match the whole horizon, the next one starts from a renewed network
+    (:func:`renew_policy`). Two searches in a row without progress (no more steps trusted, and not a twentieth less KL than
+    the best before) sit in a local optimum: another begins at once from a random policy, and the better one is kept.
+
+    Args:
+        settings: budget and horizon of a search.
+        make_policy: a new random policy of the same shape.
+        generator: of the renewal.
+        report: called with the name and the loss of each run of L-BFGS.
+    """
+
+    def __init__(
+        self,
+        settings: SearchSettings,
+        make_policy: Callable[[], RBFPolicy],
+        generator: torch.Generator,
+        report: Callable[[str, float], None],
+    ) -> None:
+        self.settings, self.make_policy, self.generator, self.report = settings, make_policy, generator, report
+        self.result: SearchResult | None = None
+        self.restarted = False
+        self._longest, self._least, self._stalled = 0, math.inf, 0
+
+    def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
+        """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
+        loss = trainer.loss_module
+        initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
+        if self.result is not None and not self.result.complete:
+            renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
+        self.result = search_policy(loss, initial, self.settings, self.report)
+        self._stalled = 0 if self.result.complete or self._progressed() else self._stalled + 1
+        self.restarted = self._stalled == PATIENCE
+        if self.restarted:
+            self._search_anew(loss, initial)
+            self._stalled = 0
+        self._longest, self._least = max(self._longest, self.result.horizon), min(self._least, self.result.kl)
+        return TensorDict({"loss_kl": torch.tensor(self.result.kl, dtype=torch.float64)})
+
+    def _search_anew(self, loss: TrajectoryKLLoss, initial: Gaussian) -> None:
+        first = copy.deepcopy(loss.actor_network.state_dict())
+        loss.actor_network.load_state_dict(self.make_policy().state_dict())
+        second = search_policy(loss, initial, self.settings, self.report)
+        better = second if second.kl < self.result.kl else self.result
+        if better is not second:
+            loss.actor_network.load_state_dict(first)
+        self.result = replace(
+            better,
+            seconds=self.result.seconds + second.seconds,
+            evaluations=self.result.evaluations + second.evaluations,
+            failures=self.result.failures + second.failures,
+        )
+
+    def _progressed(self) -> bool:
+        return self.result.horizon > self._longest or self.result.kl < 0.95 * self._least

@@ -229,7 +229,7 @@ class _MatrixExpSum(torch.autograd.Function):
         Qs = []
         for p in _chunks(left):
             Q = (left[..., p, :, :] @ right[..., p, :, :].mT).exp_()
-            W = M[p] * Q
+            W = M[p] * Q if ctx.needs_input_grad[2] else Q.mul_(M[p])
             torch.matmul(W, right[..., p, :, :], out=d_left[..., p, :, :])
             torch.matmul(W.mT, left[..., p, :, :], out=d_right[..., p, :, :])
             Qs += [Q] if ctx.needs_input_grad[2] else []

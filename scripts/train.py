@@ -6,7 +6,6 @@ Example:
 
 from __future__ import annotations
 
-import gc
 import logging
 import sys
 from pathlib import Path
@@ -33,7 +32,6 @@ def main(config: DictConfig) -> None:
     """Learn, then draw."""
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
-    gc.freeze()  # the libraries' objects stay: the collector need not visit them again and again during the search
     out = Path(config.out)
     try:
         demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None

@@ -1,4 +1,4 @@
-# Python 3.11 or 3.12 is all that must be there; the rest goes into .venv.
+# Python 3.11 is all that must be there; the rest goes into .venv.
 # For torch's CPU-only wheels: make train TORCH_ARGS="--index-url https://download.pytorch.org/whl/cpu"
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)

@@ -16,13 +16,12 @@ from omegaconf import DictConfig
 
 import torch_pmil.demonstrations
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv, link_positions
-from torch_pmil.envs.swing_up import HOLD_FROM, STEPS, array_dynamics, swing_up_expert
+from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
+from torch_pmil.envs.swing_up import STEPS, array_dynamics, swing_up_expert
 from torch_pmil.envs.trajectory_optimization import Array, roll_out
+from torch_pmil.experiments.double_pendulum import SUCCESS_DISTANCE, distance_from_upright
 
 DEMONSTRATIONS = 5  # paper
-UPRIGHT_POSITIONS = torch.tensor([0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH])  # m
-SUCCESS_DISTANCE = 0.25  # m, over the whole last 0.5 s
 
 
 def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
@@ -43,14 +42,13 @@ def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
         return (expert(step, states) + torque_noise * noise[step]).clip(-expert.action_limit, expert.action_limit)
 
     states, torques = roll_out(array_dynamics(env), starts, imprecise_expert, STEPS)
-    positions = link_positions(torch.from_numpy(states))
-    distances = (positions[:, HOLD_FROM:] - UPRIGHT_POSITIONS).norm(dim=-1).amax(dim=-1)
+    distances = distance_from_upright(torch.from_numpy(states))
     print("demonstration  largest distance from upright in the last 0.5 s (m)  peak torque (N·m)")
     for number, (distance, peak) in enumerate(zip(distances.tolist(), np.abs(torques).max((1, 2)), strict=True)):
         print(f"{number:13d}  {distance:53.4f}  {peak:17.3f}")
     if not (distances < SUCCESS_DISTANCE).all():
         raise RuntimeError(f"a demonstration must stay within {SUCCESS_DISTANCE} m, got {distances.max():.3f} m")
-    return Demonstrations(positions, env.control_period, ("x1", "y1", "x2", "y2"))
+    return Demonstrations(link_positions(torch.from_numpy(states)), env.control_period, ("x1", "y1", "x2", "y2"))
 
 
 EXPERIMENTS = {"double_pendulum": record_double_pendulum}

@@ -36,7 +36,7 @@ class MatchSpace:
     weights: Tensor
 
     def __post_init__(self) -> None:
-        entries = len(self.names), sum(self.angles.shape[:1]) * 2 + self.angles.shape[-1]
+        entries = len(self.names), 2 * self.angles.shape[0] + self.angles.shape[1]
         if len(self.units) != len(self.names) or self.weights.shape != entries:
             raise ValueError(f"weights must have shape {entries} and units {len(self.names)} entries, got {tuple(self.weights.shape)}")
 

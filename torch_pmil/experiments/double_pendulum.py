@@ -35,10 +35,10 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
     """States (..., T, 4) that show link positions (..., T, 4): angles by arctangent, velocities by central differences."""
     x1, y1, x2, y2 = positions.unbind(-1)
     first, second = torch.atan2(x1, y1), torch.atan2(x2 - x1, y2 - y1)
-    wrap = torch.atan2  # of sin and cos of a difference: the difference between -pi and pi
     columns = []
     for angle in (first, second):
-        step = wrap(angle.diff(dim=-1).sin(), angle.diff(dim=-1).cos())
+        step = angle.diff(dim=-1)
+        step = torch.atan2(step.sin(), step.cos())  # between -pi and pi
         columns.append(angle[..., :1] + torch.cat([torch.zeros_like(step[..., :1]), step.cumsum(-1)], -1))
     q1, q2 = columns[0], columns[1] - columns[0]
     dq1, dq2 = (torch.gradient(q, spacing=time_step, dim=-1)[0] for q in (q1, q2))

@@ -52,8 +52,7 @@ class RunResult:
 def prepare_folder(out: Path) -> None:
     """Make the folder of a run, with ``figures/``, and see that it can be written to. Raises OSError if not."""
     (out / "figures").mkdir(parents=True, exist_ok=True)
-    with replacing(out / "metrics.csv") as temporary:
-        temporary.write_text(",".join(field.name for field in fields(Trial)) + "\n")
+    write_metrics(out / "metrics.csv", [])
 
 
 def train(

@@ -12,13 +12,16 @@ PACKAGE = Path(__file__).parents[1] / "torch_pmil"
 
 FLOORS = (  # bottom first; modules of one floor may import each other
     {"envs", "files"},  # know nothing of the mathematics, see below
-    {"gaussian"},
-    {"trigonometry", "kernel_expansion", "moment_matching", "kl"},
+    {"gaussian", "lbfgs"},
+    {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "marginal_likelihood"},
+    {"gaussian_integrals"},
+    {"moment_matching"},
+    {"linearised_moments"},
     {"state_space"},
     {"demonstrations", "alignment", "expert"},
-    {"dynamics", "experience", "policy"},
+    {"dynamics", "hyperparameters", "experience", "policy"},
     {"rollout"},
-    {"objective", "lbfgs"},
+    {"objective"},
     {"policy_search"},
     {"search_stepper"},
     {"trainer", "torchrl_interop", "evaluation", "run"},

@@ -221,14 +221,14 @@ def test_samples_of_the_same_seed_are_the_same(policy: RBFPolicy, dynamics: GPDy
 
 def test_failed_step_is_named(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch) -> None:
     """The matrix of the second step has no Cholesky factor."""
-    steps = iter([initial])
+    steps = iter([initial.flattened])
 
     def failing_step(*_: object) -> Gaussian:
         for state in steps:
             return state
         raise NotPositiveDefiniteError("I + Sigma P must be positive definite")
 
-    monkeypatch.setattr(rollout, "predict_step", failing_step)
+    monkeypatch.setattr(rollout, "_propagate", failing_step)
     with pytest.raises(PredictionError, match=r"prediction of step 2 of 4 failed: I \+ Sigma P must be positive definite") as error:
         predict_trajectory(initial, policy, dynamics, SPACE, 4)
     assert error.value.step == 2
@@ -239,8 +239,8 @@ def test_state_that_is_not_finite_is_named(
 ) -> None:
     broken = Gaussian(initial.mean, initial.cov.clone())
     broken.cov[1, 1] = float("inf")
-    states = iter([initial, initial, broken, broken])
-    monkeypatch.setattr(rollout, "predict_step", lambda *_: next(states))
+    states = iter(state.flattened for state in (initial, initial, broken, broken))
+    monkeypatch.setattr(rollout, "_propagate", lambda *_: next(states))
     with pytest.raises(PredictionError, match="prediction of step 3 of 4 failed: dq is not finite") as error:
         predict_trajectory(initial, policy, dynamics, SPACE, 4)
     assert error.value.step == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -27,11 +28,11 @@ def cholesky(matrix: Tensor, name: str) -> Tensor:
     Raises:
         NotPositiveDefiniteError: says which matrix (``name``), which batch element, and its extreme eigenvalues.
     """
-    factor, info = torch.linalg.cholesky_ex(matrix)
-    if info.any():
-        element = tuple(info.nonzero()[0].tolist())
-        raise NotPositiveDefiniteError(_describe_failure(matrix.detach()[element], element, name), element)
-    return factor
+    try:
+        return torch.linalg.cholesky(matrix)
+    except torch.linalg.LinAlgError:
+        element = tuple(torch.linalg.cholesky_ex(matrix).info.nonzero()[0].tolist())
+        raise NotPositiveDefiniteError(_describe_failure(matrix.detach()[element], element, name), element) from None
 
 
 def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> str:
@@ -40,6 +41,15 @@ def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> st
         return f"{name} must be positive definite, got a matrix that is not finite{where}"
     eigenvalues = torch.linalg.eigvalsh(failed)
     return f"{name} must be positive definite, got eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}{where}"
+
+
+@lru_cache
+def _triangle(dim: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Where the lower triangle's entries stand in a flattened matrix, and where each entry of a symmetric one stands in the triangle."""
+    rows, columns = torch.tril_indices(dim, dim, device=device)
+    position = torch.empty(dim, dim, dtype=torch.long, device=device)
+    position[rows, columns] = position[columns, rows] = torch.arange(len(rows), device=device)
+    return rows * dim + columns, position.flatten()
 
 
 @dataclass(frozen=True)
@@ -83,6 +93,26 @@ class Gaussian:
     def std(self) -> Tensor:
         """Standard deviations of the entries, (*batch, D)."""
         return self.cov.diagonal(dim1=-2, dim2=-1).clamp(min=0).sqrt()
+
+    @property
+    def flattened(self) -> Gaussian:
+        """The same beliefs with a single batch dimension."""
+        if self.mean.ndim == 2:
+            return self
+        return Gaussian(self.mean.reshape(-1, self.dim), self.cov.reshape(-1, self.dim, self.dim))
+
+    @property
+    def flat(self) -> Tensor:
+        """Mean and lower triangle of the covariance in one vector, (*batch, D + D(D+1)/2); see :meth:`from_flat`."""
+        lower, _ = _triangle(self.dim, self.mean.device)
+        return torch.cat([self.mean, self.cov.flatten(-2).index_select(-1, lower)], -1)
+
+    @classmethod
+    def from_flat(cls, vector: Tensor, dim: int) -> Gaussian:
+        """The belief over ``dim`` entries whose :attr:`flat` vector this is."""
+        _, position = _triangle(dim, vector.device)
+        mean, triangle = vector.split([dim, vector.shape[-1] - dim], -1)
+        return cls(mean, triangle.index_select(-1, position).unflatten(-1, (dim, dim)))
 
     def __getitem__(self, index) -> Gaussian:
         """Part of the batch; the variable's axes stay as they are."""

@@ -16,40 +16,66 @@ from torch_pmil.gaussian import cholesky
 
 @dataclass(frozen=True)
 class Products:
-    """Which kernels moment matching integrates: the E single ones, then the products of two, of each output with itself first.
+    """Which kernels moment matching integrates: the E single ones, then the P = E(E+1)/2 products of two, of each output with itself first.
 
     Args:
-        precision: summed precisions, (K, D), K = E + E(E+1)/2.
-        first, second: the two outputs of each product, (K - E,).
-        factors: output of every row term, then of every column term, (2K - E,).
-        integrals: integral to which each of those belongs, (2K - E,).
-        position: where the product of outputs a and b stands among the products, (E, E).
+        first, second: the two outputs of each product, (P,).
+        position: where the product of outputs a and b stands among the products, (E * E,).
+        precision: summed precisions, (E + P, D).
+        root: outer products of the square roots of these, (E + P, D, D).
+        shares: what the first and the second factor have of the sum, (2, P, D).
+        forms: quadratic forms of one belief: of x_i for the single kernels; of x_i, of x_j, and of both for the products. They are
+            ``constant + factor * B``, (E + 3P, D, D), with B of the integral ``integrals`` (E + 3P,).
+        constant, factor, integrals: see above.
+        log_factor: log alpha^2 of each single kernel, then of the first and of the second factor of each product, (E + 2P,).
+        minus_log_det: where -log|I + Sigma P| / 2 counts among these, (E + 2P, E + P).
     """
 
-    precision: Tensor
     first: Tensor
     second: Tensor
-    factors: Tensor
-    integrals: Tensor
     position: Tensor
+    precision: Tensor
+    root: Tensor
+    shares: Tensor
+    constant: Tensor
+    factor: Tensor
+    integrals: Tensor
+    log_factor: Tensor
+    minus_log_det: Tensor
 
     @classmethod
-    def of(cls, precision: Tensor) -> Products:
-        """Built from the diagonals of Lambda_a^-1, (E, D)."""
-        E = len(precision)
+    def of(cls, precision: Tensor, log_signal_variance: Tensor) -> Products:
+        """Built from the diagonals of Lambda_a^-1, (E, D), and log alpha_a^2, (E,)."""
+        E, D = precision.shape
         outputs = torch.arange(E, device=precision.device)
         a, b = torch.triu_indices(E, E, offset=1, device=precision.device)
         first, second = torch.cat([outputs, a]), torch.cat([outputs, b])
+        P = len(first)
         position = torch.empty(E, E, dtype=torch.long, device=precision.device)
-        position[first, second] = position[second, first] = torch.arange(len(first), device=precision.device)
+        position[first, second] = position[second, first] = torch.arange(P, device=precision.device)
+        factors = torch.stack([precision[first], precision[second]])  # (2, P, D)
+        shares = factors / factors.sum(0)
+        precisions = torch.cat([precision, factors.sum(0)])
+        distance = torch.diag_embed(factors[0] * shares[1])  # (Lambda_a + Lambda_b)^-1
+        integrals = torch.arange(E + P, device=precision.device)
+        own_terms = _outer(shares, shares).flatten(0, 1)
         return cls(
-            precision=torch.cat([precision, precision[first] + precision[second]]),
             first=first,
             second=second,
-            factors=torch.cat([outputs, first, second]),
-            integrals=torch.cat([outputs, E + position[first, second], E + position[first, second]]),
-            position=position,
+            position=position.flatten(),
+            precision=precisions,
+            root=_outer(precisions.sqrt(), precisions.sqrt()),
+            shares=shares,
+            constant=torch.cat([precision.new_zeros(E, D, D), distance / -2, distance / -2, distance]),
+            factor=torch.cat([precision.new_full((E, D, D), -0.5), own_terms / -2, -_outer(*shares)]),
+            integrals=torch.cat([integrals, integrals[E:], integrals[E:]]),
+            log_factor=torch.cat([log_signal_variance, log_signal_variance[first], log_signal_variance[second]]),
+            minus_log_det=-torch.eye(E + 2 * P, E + P, dtype=precision.dtype, device=precision.device),
         )
+
+
+def _outer(a: Tensor, b: Tensor) -> Tensor:
+    return a[..., :, None] * b[..., None, :]
 
 
 @dataclass(frozen=True)
@@ -62,7 +88,7 @@ class KernelExpansion:
     its weights for :math:`\beta` and no Gram matrix: it is a GP without the variance term.
 
     Args:
-        inputs: (n, D), or (E, n, D) where the outputs have inputs of their own.
+        inputs: (n, D).
         weights: beta, (E, n).
         lengthscales: square roots of the diagonal of Lambda_a, (E, D), in the units of the inputs.
         signal_variance: alpha_a^2, (E,), in the squared units of the outputs.
@@ -100,30 +126,50 @@ class KernelExpansion:
         return self.lengthscales.square().reciprocal()
 
     @cached_property
-    def products(self) -> Products:
-        """The pairs of outputs, and the precisions of their kernels' products."""
-        return Products.of(self.precision)
-
-    @cached_property
-    def self_weights(self) -> Tensor:
-        """beta_a beta_a' - K_a^-1, (E, n, n): the weights of Q in an output's own variance (Eq. 16). Needs ``gram_inverse``."""
-        return self.weights[:, :, None] * self.weights[:, None, :] - self.gram_inverse
-
-    @cached_property
-    def pair_weights(self) -> tuple[Tensor, Tensor]:
-        """Weights of the two outputs a < b of each product, (E (E - 1) / 2, n) each."""
-        E = self.num_outputs
-        return self.weights[self.products.first[E:]], self.weights[self.products.second[E:]]
-
-    @cached_property
     def log_signal_variance(self) -> Tensor:
         """log alpha_a^2, (E,)."""
         return self.signal_variance.log()
 
+    @cached_property
+    def products(self) -> Products:
+        """The pairs of outputs, and the precisions of their kernels' products."""
+        return Products.of(self.precision, self.log_signal_variance)
+
+    @cached_property
+    def inputs_and_one(self) -> Tensor:
+        """The inputs as columns, and a last row of ones, (D + 1, n)."""
+        return torch.cat([self.inputs.mT, torch.ones_like(self.inputs[:, :1].mT)])
+
+    @cached_property
+    def pair_weights(self) -> tuple[Tensor, Tensor]:
+        """Weights of the two outputs of each product, (P, 1, n) each: Q_ij counts w_i z_j times."""
+        w, z = self.weights[self.products.first], self.weights[self.products.second]
+        if self.gram_inverse is not None:
+            one = torch.ones_like(self.weights)  # of an output with itself: see self_weights
+            w, z = (torch.cat([one, weights[self.num_outputs :]]) for weights in (w, z))
+        return w[:, None], z[:, None]
+
+    @cached_property
+    def self_weights(self) -> Tensor | None:
+        """beta_a beta_a' - K_a^-1, (E, n, n): how often Q counts in an output's own variance (Eq. 16); None without Gram matrix."""
+        if self.gram_inverse is None:
+            return None
+        return torch.baddbmm(self.gram_inverse, self.weights[:, :, None], self.weights[:, None, :], beta=-1)
+
+    @cached_property
+    def prior_cov(self) -> Tensor:
+        """Prior covariance of the outputs at one input, (E, E)."""
+        return torch.diag_embed(self.signal_variance)
+
+    @cached_property
+    def observed_prior_cov(self) -> Tensor:
+        """The same of noisy observations (Eq. 5). Needs ``noise_variance``."""
+        return torch.diag_embed(self.signal_variance + self.noise_variance)
+
     def kernel(self, x: Tensor) -> Tensor:
         """k_a(x, x_i) at points x (*batch, D): (*batch, E, n)."""
-        scaled = (self.inputs - x[..., None, None, :]) / self.lengthscales[:, None, :]
-        return self.signal_variance[:, None] * torch.exp(-scaled.square().sum(-1) / 2)
+        squares = (self.inputs.mT - x[..., None]).square()  # (*batch, D, n)
+        return torch.exp(self.log_signal_variance[:, None] - (self.precision / 2) @ squares)
 
     def mean(self, x: Tensor) -> Tensor:
         """Posterior mean (Eq. 6) at points x (*batch, D): (*batch, E)."""
@@ -153,6 +199,8 @@ class KernelExpansion:
         """
         _check_model(model)
         inputs, targets = model.train_inputs[0], model.train_targets
+        if inputs.ndim == 3 and (inputs == inputs[0]).all():
+            inputs = inputs[0]
         lengthscales = model.covar_module.base_kernel.lengthscale.squeeze(-2)  # (*E, D)
         noise = model.likelihood.noise.squeeze(-1)
         signal = model.covar_module.outputscale
@@ -161,10 +209,8 @@ class KernelExpansion:
         return cls.from_data(
             inputs,
             targets.reshape(*outputs, -1),
-            lengthscales.expand(*outputs, inputs.shape[-1]),
-            signal.expand(outputs),
-            noise.expand(outputs),
-            offset.expand(outputs),
+            lengthscales.expand(*outputs, inputs.shape[-1]).to(inputs),
+            *(parameter.expand(outputs).to(inputs) for parameter in (signal, noise, offset)),
         )
 
     @classmethod
@@ -180,7 +226,7 @@ class KernelExpansion:
         r"""The posterior given data: :math:`\beta_a = K_a^{-1} (y_a - c_a)` and :math:`K_a^{-1}` from one Cholesky factor.
 
         Args:
-            inputs: (n, D) or (E, n, D).
+            inputs: (n, D), or (E, n, D) where the outputs have inputs of their own: the expansion then holds all E n of them.
             targets: (E, n).
             lengthscales, signal_variance, noise_variance, offset: as in the class, noise in squared units of the targets.
 
@@ -188,12 +234,19 @@ class KernelExpansion:
             NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
         """
         scaled = inputs / lengthscales[:, None, :]
-        half = (scaled @ scaled.mT) - scaled.square().sum(-1, keepdim=True) / 2 - scaled.square().sum(-1)[..., None, :] / 2
-        gram = signal_variance[:, None, None] * torch.exp(half) + torch.diag_embed(noise_variance[:, None].expand(-1, inputs.shape[-2]))
+        half_square, one = scaled.square().sum(-1, keepdim=True) / -2, torch.ones_like(scaled[..., :1])
+        left = torch.cat([scaled, half_square + signal_variance.log()[:, None, None], one], -1)
+        gram = torch.exp(left @ torch.cat([scaled, one, half_square], -1).mT)
+        gram = gram.diagonal_scatter(gram.diagonal(dim1=1, dim2=2) + noise_variance[:, None], dim1=1, dim2=2)
         factor = cholesky(gram, "Gram matrix of the outputs (element: output)")
-        centred = targets - torch.as_tensor(offset, dtype=targets.dtype).reshape(-1, 1)
+        del gram
+        centred = targets - torch.as_tensor(offset, dtype=targets.dtype, device=targets.device).reshape(-1, 1)
         weights = torch.cholesky_solve(centred[..., None], factor)[..., 0]
         inverse = torch.cholesky_inverse(factor)
+        if inputs.ndim == 3:
+            own = torch.eye(len(inputs), dtype=inputs.dtype, device=inputs.device)
+            inputs, weights = inputs.flatten(0, 1), torch.einsum("ea,an->ean", own, weights).flatten(1)
+            inverse = torch.einsum("ea,eb,anm->eanbm", own, own, inverse).flatten(3).flatten(1, 2)
         return cls(inputs, weights, lengthscales, signal_variance, inverse, noise_variance, offset)
 
 

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.kernel_expansion import KernelExpansion
-from torch_pmil.moment_matching import moment_match
+from torch_pmil.moment_matching import Moments, moment_match
 from torch_pmil.trigonometry import squash
 
 MAX_SINE = 0.999  # of a torque that is taken back through Eq. 27: at the limit itself its slope is zero
@@ -106,6 +106,15 @@ class Controller:
         """Action (*batch, F), N·m, at features of the state (*batch, D')."""
         return self.u_max * self.network.mean(features).sin()
 
+    @property
+    def parameters(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Centres (m, D'), weights (F, m) and widths (F, D') of the network, in the units of its inputs."""
+        return self.network.inputs, self.network.weights, self.network.lengthscales
+
+    def with_parameters(self, centres: Tensor, weights: Tensor, widths: Tensor) -> Controller:
+        """The same with another network."""
+        return Controller(KernelExpansion(centres, weights, widths, self.network.signal_variance), self.u_max)
+
     def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
         """Exact moments of the network at an uncertain input, then of its squashing.
 
@@ -115,6 +124,9 @@ class Controller:
         Returns:
             The belief over the action (N·m), and Sigma^-1 cov(features, action), (*batch, D', F).
         """
-        raw = moment_match(self.network, features)
+        return self.squashed(moment_match(self.network, features))
+
+    def squashed(self, raw: Moments) -> tuple[Gaussian, Tensor]:
+        """As :meth:`on_belief`, from the moments of the network."""
         action, slope = squash(raw.gaussian, self.u_max)
         return action, raw.inv_cov_cross_cov * slope[..., None, :]

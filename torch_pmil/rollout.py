@@ -2,13 +2,17 @@ r"""From p(x_0), a policy and a model to the trajectory distribution p(x_1), ...
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
-from torch_pmil.dynamics import GPDynamics
+from torch_pmil.dynamics import GPDynamics, Targets
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, joint, symmetric
-from torch_pmil.moment_matching import moment_match
+from torch_pmil.linearised_moments import RecordedMoments
+from torch_pmil.moment_matching import Moments, moment_match
 from torch_pmil.policy import Controller, RBFPolicy
+from torch_pmil.recurrence import unroll
 from torch_pmil.state_space import StateSpace
 
 
@@ -37,15 +41,27 @@ def predict_step(
     Returns:
         Belief over the next state.
     """
+    return _propagate(
+        state, controller.on_belief, lambda inputs: moment_match(dynamics.expansion, inputs, observation_noise), dynamics.targets, space
+    )
+
+
+def _propagate(
+    state: Gaussian,
+    act: Callable[[Gaussian], tuple[Gaussian, Tensor]],
+    respond: Callable[[Gaussian], Moments],
+    targets: Targets,
+    space: StateSpace,
+) -> Gaussian:
+    """:func:`predict_step` for a policy and a model that are given as functions of beliefs."""
     features, slope = space.belief(state)
-    action, policy_slope = controller.on_belief(features)
-    inputs = joint(features, action, features.cov @ policy_slope)
-    moments = moment_match(dynamics.expansion, inputs, observation_noise)
-    if dynamics.targets == "successor":
+    action, policy_slope = act(features)
+    moments = respond(joint(features, action, features.cov @ policy_slope))
+    if targets == "successor":
         return Gaussian(moments.mean, symmetric(moments.cov))
     input_slope = torch.cat([slope, slope @ policy_slope], -1)  # Sigma_x^-1 cov(x, inputs)
     C = state.cov @ (input_slope @ moments.inv_cov_cross_cov)
-    return Gaussian(state.mean + moments.mean, symmetric(state.cov + moments.cov + 2 * C))
+    return Gaussian(state.mean + moments.mean, symmetric(torch.add(state.cov + moments.cov, C, alpha=2)))
 
 
 def predict_trajectory(
@@ -70,17 +86,41 @@ def predict_trajectory(
     Raises:
         PredictionError: names the time step and the matrix that has no Cholesky factor, or the state that is not finite.
     """
-    controller, state, means, covs = policy.controller, initial, [], []
-    for t in range(1, horizon + 1):
-        try:
-            state = predict_step(state, controller, dynamics, space, observation_noise)
-        except NotPositiveDefiniteError as error:
-            raise PredictionError(f"prediction of step {t} of {horizon} failed: {error}", t) from error
-        means.append(state.mean)
-        covs.append(state.cov)
-    trajectory = Gaussian(torch.stack(means, -2), torch.stack(covs, -3))
+    controller = policy.controller
+    step = _MomentStep(controller, dynamics, space, observation_noise, horizon)
+    start = Gaussian(initial.mean, symmetric(initial.cov)).flattened.flat
+    states = unroll(step, start, controller.parameters, horizon)
+    trajectory = Gaussian.from_flat(states.movedim(0, -2).reshape(*initial.batch_shape, horizon, -1), initial.dim)
     _check_finite(trajectory, space)
     return trajectory
+
+
+class _MomentStep:
+    """:func:`predict_step` as a step of a recurrence of flat beliefs."""
+
+    def __init__(self, controller: Controller, dynamics: GPDynamics, space: StateSpace, observation_noise: bool, horizon: int) -> None:
+        self.controller, self.space, self.targets, self.horizon = controller, space, dynamics.targets, horizon
+        self.network, self.model = RecordedMoments(controller.network), RecordedMoments(dynamics.expansion, observation_noise)
+        self.taken = 0
+
+    def advance(self, state: Tensor) -> Tensor:
+        self.taken += 1
+        try:
+            return self._propagate(state, self._act_by(self.network), self.model)
+        except NotPositiveDefiniteError as error:
+            raise PredictionError(f"prediction of step {self.taken} of {self.horizon} failed: {error}", self.taken) from error
+
+    def by_state(self, states: Tensor) -> Tensor:
+        return self._propagate(states, self._act_by(self.network.linearised), self.model.linearised)
+
+    def by_parameters(self, states: Tensor, parameters: tuple[Tensor, ...]) -> Tensor:
+        return self._propagate(states, self.controller.with_parameters(*parameters).on_belief, self.model.linearised)
+
+    def _act_by(self, network: Callable[[Gaussian], Moments]) -> Callable[[Gaussian], tuple[Gaussian, Tensor]]:
+        return lambda features: self.controller.squashed(network(features))
+
+    def _propagate(self, state: Tensor, act: Callable, respond: Callable) -> Tensor:
+        return _propagate(Gaussian.from_flat(state, self.space.dim), act, respond, self.targets, self.space).flat
 
 
 def _check_finite(trajectory: Gaussian, space: StateSpace) -> None:
@@ -101,13 +141,30 @@ def predict_mean_trajectory(initial: Tensor, policy: RBFPolicy, dynamics: GPDyna
     Returns:
         States at t = 1..T, (*batch, T, D).
     """
-    controller, state, states = policy.controller, initial, []
-    for _ in range(horizon):
-        features = space.features(state)
-        mean = dynamics.expansion.mean(torch.cat([features, controller(features)], -1))
-        state = mean if dynamics.targets == "successor" else state + mean
-        states.append(state)
-    return torch.stack(states, -2)
+    controller = policy.controller
+    states = unroll(_MeanStep(controller, dynamics, space), initial.reshape(-1, space.dim), controller.parameters, horizon)
+    return states.movedim(0, -2).reshape(*initial.shape[:-1], horizon, space.dim)
+
+
+class _MeanStep:
+    """The model's mean as a step of a recurrence."""
+
+    def __init__(self, controller: Controller, dynamics: GPDynamics, space: StateSpace) -> None:
+        self.controller, self.expansion, self.targets, self.space = controller, dynamics.expansion, dynamics.targets, space
+
+    def advance(self, state: Tensor) -> Tensor:
+        return self._follow(state, self.controller)
+
+    def by_state(self, states: Tensor) -> Tensor:
+        return self._follow(states, self.controller)
+
+    def by_parameters(self, states: Tensor, parameters: tuple[Tensor, ...]) -> Tensor:
+        return self._follow(states, self.controller.with_parameters(*parameters))
+
+    def _follow(self, state: Tensor, controller: Controller) -> Tensor:
+        features = self.space.features(state)
+        mean = self.expansion.mean(torch.cat([features, controller(features)], -1))
+        return mean if self.targets == "successor" else state + mean
 
 
 @torch.no_grad()

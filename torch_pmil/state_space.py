@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.trigonometry import augment
+from torch_pmil.trigonometry import Augmentation
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,11 @@ class MatchSpace:
 
     def belief(self, state: Gaussian) -> Gaussian:
         """Exact mean and covariance of the observation of an uncertain state."""
-        everything = torch.eye(state.dim, dtype=state.mean.dtype, device=state.mean.device)
-        return augment(state, everything, self.angles.to(state.mean))[0].affine(self.weights.to(state.mean))
+        return self._augmentation.to(state.mean)(state)[0].affine(self.weights.to(state.mean))
+
+    @cached_property
+    def _augmentation(self) -> Augmentation:
+        return Augmentation.of(torch.eye(self.angles.shape[-1], dtype=torch.float64), self.angles.double())
 
 
 @dataclass(frozen=True)
@@ -112,13 +115,12 @@ class StateSpace:
 
     def belief(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
         """Exact moments of the features of an uncertain state, and Sigma_x^-1 cov(x, features), (*batch, D, D')."""
-        plain, angles = self._selections
-        return augment(state, plain.to(state.mean), angles.to(state.mean))
+        return self._augmentation.to(state.mean)(state)
 
     @cached_property
-    def _selections(self) -> tuple[Tensor, Tensor]:
+    def _augmentation(self) -> Augmentation:
         identity = torch.eye(self.dim, dtype=torch.float64)
-        return identity[list(self.plain)], identity[list(self.angles)]
+        return Augmentation.of(identity[list(self.plain)], identity[list(self.angles)])
 
 
 def joint_match(names: tuple[str, ...], units: tuple[str, ...]) -> MatchSpace:

@@ -4,8 +4,8 @@ A sine is a cosine a quarter turn earlier, so one formula serves all: for phases
 
 .. math::
     \mathbb E \cos\varphi_i &= e^{-V_{ii}/2} \cos m_i \\
-    \operatorname{cov}(\cos\varphi_i, \cos\varphi_j) &= \tfrac12 e^{-(V_{ii} + V_{jj})/2}
-        \left[ (e^{V_{ij}} - 1) \cos(m_i - m_j) + (e^{-V_{ij}} - 1) \cos(m_i + m_j) \right]
+    \operatorname{cov}(\cos\varphi_i, \cos\varphi_j) &= e^{-(V_{ii} + V_{jj})/2}
+        \left[ (\cosh V_{ij} - 1) \cos m_i \cos m_j + \sinh V_{ij} \sin m_i \sin m_j \right]
 
 and by Stein's lemma :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cos\varphi_i)` is the mean derivative of the cosine by x.
 """
@@ -13,6 +13,7 @@ and by Stein's lemma :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cos\varphi_i)` 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -41,22 +42,39 @@ def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, 
         >>> augment(eighth_turn, torch.ones(1, 1), torch.ones(1, 1))[0].mean
         tensor([0.7854, 0.7071, 0.7071])
     """
-    sizes = [len(plain), 2 * len(angles)]
-    rows = torch.cat([plain, angles, angles])
-    linear = belief.affine(rows, _quarter_turns(plain, angles))
-    kept, phase = linear.mean.split(sizes, -1)
-    upper, lower = linear.cov.split(sizes, -2)
-    (cov_kept, cov_kept_phase), (_, cov_phase) = upper.split(sizes, -1), lower.split(sizes, -1)
-    mean, cov, slope = _Cosines.apply(phase, cov_phase)
-    cross = cov_kept_phase * slope[..., None, :]
-    full = torch.cat([torch.cat([cov_kept, cross], -1), torch.cat([cross.mT, cov], -1)], -2)
-    gain = torch.cat([torch.ones_like(kept), slope], -1)
-    return Gaussian(torch.cat([kept, mean], -1), full), rows.mT * gain[..., None, :]
+    return Augmentation.of(plain, angles)(belief)
 
 
-def _quarter_turns(plain: Tensor, angles: Tensor) -> Tensor:
-    """What turns the first copy of the angles to phases of which the cosine is their sine."""
-    return torch.cat([plain.new_zeros(len(plain)), angles.new_full((len(angles),), -QUARTER_TURN), angles.new_zeros(len(angles))])
+@dataclass(frozen=True)
+class Augmentation:
+    """:func:`augment` for many beliefs: everything linear in x by one matrix, the last entries then through the cosine."""
+
+    rows: Tensor  # P, A and A again, (K_p + 2K, D)
+    turns: Tensor  # turns the first copy of the angles to phases of which the cosine is their sine, (K_p + 2K,)
+    kept: int  # K_p
+
+    @classmethod
+    def of(cls, plain: Tensor, angles: Tensor) -> Augmentation:
+        """From the matrices P and A of :func:`augment`."""
+        turns = angles.new_zeros(len(plain) + 2 * len(angles))
+        turns[len(plain) : len(plain) + len(angles)] = -QUARTER_TURN
+        return cls(torch.cat([plain, angles, angles]), turns, len(plain))
+
+    def to(self, other: Tensor) -> Augmentation:
+        """With the dtype and on the device of another tensor."""
+        same = (self.rows.dtype, self.rows.device) == (other.dtype, other.device)
+        return self if same else Augmentation(self.rows.to(other), self.turns.to(other), self.kept)
+
+    def __call__(self, belief: Gaussian) -> tuple[Gaussian, Tensor]:
+        """As :func:`augment`."""
+        columns, kept = self.rows.mT, self.kept
+        mean = torch.nn.functional.linear(belief.mean, self.rows, self.turns)
+        cov = self.rows @ belief.cov @ columns
+        cosine, cosine_cov, slope = _cosines(mean[..., kept:], cov[..., kept:, kept:])
+        gain = torch.nn.functional.pad(slope, (kept, 0), value=1.0)[..., None, :]
+        cov = gain.mT * cov * gain
+        cov[..., kept:, kept:] = cosine_cov
+        return Gaussian(torch.cat([mean[..., :kept], cosine], -1), cov), columns * gain
 
 
 def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
@@ -74,41 +92,52 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
         >>> squash(v, torch.tensor([3.5]))[0].mean
         tensor([3.5000])
     """
-    mean, cov, slope = _Cosines.apply(belief.mean - QUARTER_TURN, belief.cov)
+    mean, cov, slope = _cosines(belief.mean - QUARTER_TURN, belief.cov)
     return Gaussian(u_max * mean, u_max[:, None] * cov * u_max), u_max * slope
 
 
-class _Cosines(torch.autograd.Function):
-    r"""Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases, and the mean slope -E sin (*batch, K).
+def _cosines(m: Tensor, V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """:class:`_Cosines`, without its overhead where no graph is recorded."""
+    return (_Cosines.apply if torch.is_grad_enabled() else _Cosines.forward)(m, V)
 
-    The covariance is :math:`A \cos(m_i - m_j) + B \cos(m_i + m_j)`. With :math:`a = |V_{ij}|` no exponential overflows, however
-    large the variance.
-    """
+
+class _Cosines(torch.autograd.Function):
+    r"""Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases, and the mean slope -E sin (*batch, K)."""
 
     @staticmethod
-    def forward(ctx, m, V):
-        variance = V.diagonal(dim1=-2, dim2=-1)
-        decay = torch.exp(-variance / 2)
-        half_sum = (variance[..., :, None] + variance[..., None, :]) / 2
-        positive, a = V >= 0, V.abs()
-        large, small = torch.exp(a - half_sum) / 2, torch.exp(-a - half_sum) / 2
-        rise = torch.expm1(-a)
-        plus, minus = -large * rise, torch.exp(-half_sum) * rise / 2
-        A, B = torch.where(positive, plus, minus), torch.where(positive, minus, plus)
-        difference, total = m[..., :, None] - m[..., None, :], m[..., :, None] + m[..., None, :]
-        cos_difference, cos_total = difference.cos(), total.cos()
-        cov = A * cos_difference + B * cos_total
-        by_m = -A * difference.sin() - B * total.sin()
-        by_V = torch.where(positive, large, small) * cos_difference - torch.where(positive, small, large) * cos_total
-        mean, slope = decay * m.cos(), -decay * m.sin()
-        ctx.save_for_backward(mean, cov, slope, by_m, by_V)
-        return mean, cov, slope
+    def forward(m, V):
+        decay, even, odd = _coefficients(V)
+        cos, sin = m.cos(), m.sin()
+        return decay * cos, even * _square(cos) + odd * _square(sin), -decay * sin
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        ctx.save_for_backward(*inputs, output[1])
 
     @staticmethod
     @once_differentiable
     def backward(ctx, d_mean, d_cov, d_slope):
-        mean, cov, slope, by_m, by_V = ctx.saved_tensors
+        m, V, cov = ctx.saved_tensors
+        decay, even, odd = _coefficients(V)
+        cos, sin = m.cos(), m.sin()
         both = d_cov + d_cov.mT
-        d_m = (both * by_m).sum(-1) + d_mean * slope - d_slope * mean
-        d_variance = ((both * cov).sum(-1) + d_mean * mean + d_slope * slope) / -2
+        by_cos, by_sin = (((both * part) @ values[..., None]).squeeze(-1) for part, values in ((even, cos), (odd, sin)))
+        d_m = cos * by_sin - sin * by_cos - decay * (d_mean * sin + d_slope * cos)
+        d_variance = ((both * cov).sum(-1) + decay * (d_mean * cos - d_slope * sin)) / -2
+        by_V = odd * _square(cos) + (even + _square(decay)) * _square(sin)
         return d_m, d_cov * by_V + torch.diag_embed(d_variance)
+
+
+def _coefficients(V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    r""":math:`e^{-V_{ii}/2}`, and what multiplies the products of cosines and of sines: :math:`\cosh V_{ij} - 1` and
+    :math:`\sinh V_{ij}`, each times :math:`e^{-(V_{ii} + V_{jj})/2}`. No exponential overflows, however large the variance.
+    """
+    exponent, size = V.diagonal(dim1=-2, dim2=-1)[..., None] / -2, V.abs()
+    growth = torch.exp(size + exponent + exponent.mT) * torch.expm1(-2 * size)
+    odd = torch.copysign(growth / 2, V)
+    return exponent.squeeze(-1).exp(), odd * torch.tanh(V / 2), odd
+
+
+def _square(vector: Tensor) -> Tensor:
+    """Outer product of (*batch, K) with itself."""
+    return vector[..., :, None] * vector[..., None, :]

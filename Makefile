@@ -9,7 +9,7 @@ TORCH_ARGS ?=
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-all lint demonstrations results clean
+.PHONY: help train test test-all lint demonstrations results benchmark benchmark-steps clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -38,6 +38,12 @@ results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summ
 runs/double_pendulum/seed_%/summary.json: | .venv/.installed
 	@.venv/bin/python scripts/train.py experiment=double_pendulum seed=$* out=$(@D)
 
+benchmark: .venv/.benchmark  ## time and memory of predictions, beside TorchRL's, into results/prediction
+	@.venv/bin/python benchmarks/prediction.py $(ARGS)
+
+benchmark-steps: .venv/.benchmark  ## time of single steps
+	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest benchmarks/test_single_steps.py $(ARGS)
+
 clean:  ## remove what make and the tests built, not runs/
 	@rm -rf .venv .pytest_cache .ruff_cache build dist *.egg-info
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -47,4 +53,8 @@ clean:  ## remove what make and the tests built, not runs/
 	@$(PYTHON) -m venv .venv
 	@$(PIP) $(TORCH_ARGS) -c constraints.txt torch==2.13.0
 	@$(PIP) -c constraints.txt -e ".[test]"
+	@touch $@
+
+.venv/.benchmark: .venv/.installed
+	@$(PIP) -c constraints.txt -e ".[benchmark]"
 	@touch $@

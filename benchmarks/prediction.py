@@ -1,0 +1,234 @@
+"""Time and memory of a predicted trajectory's KL with its policy gradient: this package, TorchRL, and the exponentials alone.
+
+What is measured, and how, stands in ``workloads.py`` and ``measure.py``; each row comes from a process of its own.
+
+Example:
+    python benchmarks/prediction.py --sizes 50 100 200 400 --threads 1 --json results/prediction/summary.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import platform
+import shlex
+import statistics
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+
+from torch_pmil.experiments.training import _source
+from torch_pmil.files import replacing
+from torch_pmil.plotting import BLUE, GREY, VERMILLION, _style, save_figure
+
+ROOT = Path(__file__).parents[1]
+OURS, RAW, TORCHRL, FLOOR = "torch_pmil", "torch_pmil_raw_angles", "torchrl", "exp_floor"
+NOTES = {
+    OURS: "model and policy see sin and cos of the two angles: 8 GP inputs",
+    RAW: "model and policy see the four states themselves: 6 GP inputs, the same computation as torchrl",
+    TORCHRL: "takes no sin and cos of angles: 6 GP inputs; adds 1e-6 to the raw action's covariance and 1e-8 to the state's",
+    FLOOR: "D (D + 1) / 2 n^2 T exponentials, forward only",
+}
+DRAWN = {OURS: (BLUE, "o"), TORCHRL: (VERMILLION, "s"), FLOOR: (GREY, "^")}  # colour and marker
+LABELS = {OURS: "torch_pmil", TORCHRL: "TorchRL", FLOOR: "exponentials"}
+
+
+def main() -> None:
+    """Measure, print, write."""
+    arguments = parse_arguments()
+    try:
+        check(arguments)
+        arguments.json.parent.mkdir(parents=True, exist_ok=True)
+        report = make_report(arguments)
+        if not any(row["library"] == OURS for row in report["rows"]):
+            raise RuntimeError(f"{OURS} could not be measured")
+        with replacing(arguments.json) as temporary:
+            temporary.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
+        save_figure(plot(report["rows"], arguments.horizon), arguments.json.with_name("prediction.png"))
+    except (ValueError, OSError, RuntimeError) as error:
+        sys.exit(f"error: {error}")
+    print("\n".join(f"{name}: {value:.4g}" for name, value in report["headline"].items()))
+
+
+def parse_arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    whole = {"type": int, "metavar": "N"}
+    parser.add_argument("--sizes", nargs="+", default=[50, 100, 200, 400], **whole, help="numbers n of data for all libraries")
+    parser.add_argument("--growth-sizes", nargs="*", default=[25, 1000], **whole, help="more of them for torch_pmil alone")
+    parser.add_argument("--horizon", default=25, **whole, help="time steps T")
+    parser.add_argument("--growth-horizons", nargs="*", default=[50, 100], **whole, help="more of them, at the two largest n")
+    parser.add_argument("--threads", default=1, **whole, help="of all rows but those of the speed-up")
+    parser.add_argument("--speedup-rounds", default=3, **whole, help="processes with one and with two threads, in turn; 0 for none")
+    parser.add_argument("--repeats", default=7, **whole, help="evaluations, of which the fastest counts")
+    parser.add_argument("--json", type=Path, default=ROOT / "results/prediction/summary.json", help="to write; the plot goes beside it")
+    return parser.parse_args()
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Raise ValueError if a number is out of range."""
+    least = {"sizes": 2, "growth_sizes": 2, "horizon": 1, "growth_horizons": 1, "threads": 1, "speedup_rounds": 0, "repeats": 1}
+    for name, smallest in least.items():
+        values = getattr(arguments, name)
+        for value in values if isinstance(values, list) else [values]:
+            if value < smallest:
+                raise ValueError(f"{name} must be at least {smallest}, got {value}")
+
+
+def make_report(arguments: argparse.Namespace) -> dict[str, object]:
+    """Everything that the JSON file holds."""
+    source = _source(shlex.join(["python", *sys.argv]))
+    libraries, left_out = [FLOOR, OURS, RAW], []
+    if importlib.util.find_spec("botorch"):
+        libraries.append(TORCHRL)
+        source["versions"]["botorch"] = version("botorch")
+    else:
+        left_out.append(f"{TORCHRL}: its GPWorldModel needs botorch; pip install -c constraints.txt -e '.[benchmark]'")
+        print(left_out[-1])
+    print(f"{'library':<22}{'n':>6}{'T':>5}{'threads':>9}{'CPU s':>10}{'wall s':>10}{'peak MB':>10}{'of ours':>10}{'of floor':>10}")
+    rows: list[dict] = []
+    for library, n, horizon in plan(arguments, libraries):
+        row = measure(library, n, horizon, arguments.threads, arguments.repeats, left_out)
+        if row:
+            rows.append(row)
+            print(line(row, rows), flush=True)
+    size = max(arguments.sizes)
+    speedup = thread_rows(size, arguments, left_out)
+    return {
+        **source,
+        "machine": {"cpu": cpu_model(), "cores": cores()},
+        "notes": NOTES,
+        "left_out": left_out,
+        "headline": headline(rows, arguments.horizon) | thread_headline(speedup, size),
+        "rows": rows,
+        "thread_rows": speedup,
+    }
+
+
+def plan(arguments: argparse.Namespace, libraries: list[str]) -> list[tuple[str, int, int]]:
+    """Library, n and T of each row; what is compared is measured one after the other."""
+    compared = [(library, n, arguments.horizon) for n in arguments.sizes for library in libraries]
+    grown = [(library, n, arguments.horizon) for n in arguments.growth_sizes for library in (FLOOR, OURS)]
+    largest = {max(arguments.sizes), max([*arguments.sizes, *arguments.growth_sizes])}
+    longer = [(OURS, n, horizon) for n in sorted(largest) for horizon in arguments.growth_horizons]
+    return compared + grown + longer
+
+
+def measure(library: str, n: int, horizon: int, threads: int, repeats: int, left_out: list[str]) -> dict | None:
+    """A row, from a process of its own; None, with a line in ``left_out``, if that process fails."""
+    numbers = {"--n": n, "--horizon": horizon, "--threads": threads, "--repeats": repeats}
+    command = [sys.executable, "-m", "benchmarks.measure", library, *(str(part) for item in numbers.items() for part in item)]
+    limits = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS"), str(threads))
+    process = subprocess.run(command, cwd=ROOT, env=os.environ | limits, capture_output=True, text=True, check=False)
+    if process.returncode == 0:
+        return json.loads(process.stdout.splitlines()[-1])
+    reason = (process.stderr.strip().splitlines() or ["no memory left?"])[-1]
+    left_out.append(f"{library} n={n} T={horizon}: ended with status {process.returncode}, {reason}")
+    print(left_out[-1])
+    return None
+
+
+def thread_rows(n: int, arguments: argparse.Namespace, left_out: list[str]) -> list[dict]:
+    """Rows of torch_pmil with one and with two threads, in turn."""
+    if cores() < 2 and arguments.speedup_rounds:
+        print("one core: no speed-up of two threads to measure")
+        return []
+    turns = [1, 2] * arguments.speedup_rounds
+    tries = [measure(OURS, n, arguments.horizon, threads, arguments.repeats, left_out) for threads in turns]
+    return [row for row in tries if row]
+
+
+def line(row: dict, rows: list[dict]) -> str:
+    """A row of the table, with its CPU seconds over those of ours and of the floor at the same n and T."""
+    ratios = (ratio(row, find(rows, library, row["n"], row["horizon"])) for library in (OURS, FLOOR))
+    return (
+        f"{row['library']:<22}{row['n']:>6}{row['horizon']:>5}{row['threads']:>9}{row['cpu_seconds']:>10.4f}{row['wall_seconds']:>10.4f}"
+        f"{row['peak_mb']:>10.1f}" + "".join(f"{value:>10.3g}" if value else f"{'':>10}" for value in ratios)
+    )
+
+
+def find(rows: list[dict], library: str, n: int, horizon: int) -> dict | None:
+    """The row of that library, n and T."""
+    return next((row for row in rows if (row["library"], row["n"], row["horizon"]) == (library, n, horizon)), None)
+
+
+def ratio(row: dict | None, other: dict | None) -> float | None:
+    """CPU seconds of a row over those of another."""
+    return row["cpu_seconds"] / other["cpu_seconds"] if row and other else None
+
+
+def headline(rows: list[dict], horizon: int) -> dict[str, float]:
+    """Main numbers: CPU seconds (system: those of them in the kernel), peak memory (10^6 bytes) and ratios of CPU seconds."""
+    numbers = {}
+    for row in rows:
+        n, steps = row["n"], row["horizon"]
+        if row["library"] == OURS:
+            suffix = f"n{n}" if steps == horizon else f"n{n}_t{steps}"
+            numbers[f"ours_cpu_seconds_{suffix}"] = row["cpu_seconds"]
+            numbers[f"peak_mb_{suffix}"] = row["peak_mb"]
+            numbers[f"ours_over_floor_{suffix}"] = ratio(row, find(rows, FLOOR, n, steps))
+        elif row["library"] == TORCHRL:
+            numbers[f"torchrl_cpu_seconds_n{n}"] = row["cpu_seconds"]
+            numbers[f"torchrl_system_seconds_n{n}"] = row["system_seconds"]
+            numbers[f"torchrl_peak_mb_n{n}"] = row["peak_mb"]
+            numbers[f"torchrl_over_ours_n{n}"] = ratio(row, find(rows, OURS, n, steps))
+            numbers[f"torchrl_over_ours_raw_angles_n{n}"] = ratio(row, find(rows, RAW, n, steps))
+    return {name: value for name, value in numbers.items() if value is not None}
+
+
+def thread_headline(rows: list[dict], n: int) -> dict[str, float]:
+    """Wall seconds with one thread over those with two: medians over the processes."""
+    one, two = ([row["wall_seconds"] for row in rows if row["threads"] == threads] for threads in (1, 2))
+    return {f"thread_speedup_n{n}": statistics.median(one) / statistics.median(two)} if one and two else {}
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def cpu_model() -> str:
+    """Name of the processor."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def plot(rows: list[dict], horizon: int) -> Figure:
+    """CPU seconds and peak memory over n at one horizon, each line with its name at its end."""
+    figure = Figure(figsize=(9.4, 3.8), layout="constrained")
+    time, memory = figure.subplots(1, 2)
+    for library in DRAWN:
+        drawn = sorted((row for row in rows if (row["library"], row["horizon"]) == (library, horizon)), key=lambda row: row["n"])
+        draw(time, drawn, "cpu_seconds", library)
+        if library != FLOOR:
+            draw(memory, drawn, "peak_mb", library)
+    time.set(ylabel="CPU time (s)")
+    memory.set(ylabel="peak memory (MB)")
+    for panel in (time, memory):
+        sizes = sorted({row["n"] for row in rows})
+        panel.set(xscale="log", yscale="log", xlabel="number n of data")
+        panel.set_xticks(sizes, map(str, sizes))
+        panel.xaxis.set_minor_locator(NullLocator())
+        _style(panel)
+    figure.suptitle(f"value and policy gradient of the KL, double pendulum, T = {horizon}, threads: {rows[0]['threads']}", fontsize=10)
+    return figure
+
+
+def draw(panel: Axes, rows: list[dict], quantity: str, library: str) -> None:
+    """One line and its name."""
+    if rows:
+        colour, marker = DRAWN[library]
+        panel.plot([row["n"] for row in rows], [row[quantity] for row in rows], color=colour, marker=marker, markersize=5)
+        end = (rows[-1]["n"], rows[-1][quantity])
+        panel.annotate(LABELS[library], end, xytext=(7, 0), textcoords="offset points", color=colour, va="center", fontsize=9)
+
+
+if __name__ == "__main__":
+    main()

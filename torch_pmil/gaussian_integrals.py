@@ -29,14 +29,12 @@ class GaussianIntegrals:
 
     Args:
         nu1: nu, and a last row of ones, (N, D + 1, n).
-        squares: outer products of nu with itself, (N, D * D, n).
         precision: B, (N, E + P, D, D).
         q: (N, E, n).
         left, right: log Q_ij = left_i . right_j, (N, P, D + 2, n). ``left`` is [nu, 1, terms of i], ``right`` [.., terms of j, 1].
     """
 
     nu1: Tensor
-    squares: Tensor
     precision: Tensor
     q: Tensor
     left: Tensor
@@ -53,9 +51,7 @@ class GaussianIntegrals:
         D, E, products = f.num_inputs, f.num_outputs, f.products
         if belief.dim != D:
             raise ValueError(f"belief must have the model's {D} inputs, got {belief.dim}")
-        nu1 = f.inputs_and_one - torch.nn.functional.pad(belief.mean, (0, 1))[:, :, None]
-        nu = nu1[:, :D]
-        squares = (nu[:, :, None] * nu[:, None]).flatten(1, 2)
+        nu1, squares = centred(f, belief.mean)
         B, half_log_det = regularised_precision(belief.cov, products.precision, products.root)
         P = len(products.first)
         forms = torch.addcmul(products.constant, products.factor, B.index_select(1, products.integrals))
@@ -64,8 +60,15 @@ class GaussianIntegrals:
         log_q, i_terms, j_terms = torch.baddbmm(constant[:, :, None], own_forms.flatten(2), squares)[:, :, None].split([E, P, P], 1)
         repeated = nu1[:, None].expand(-1, P, -1, -1)
         left = torch.cat([repeated, i_terms], 2)
-        right = torch.cat([(cross_forms.flatten(1, 2) @ nu).unflatten(1, (P, D)), j_terms, repeated[:, :, D:]], 2)
-        return cls(nu1, squares, B, log_q.exp().squeeze(2), left, right)
+        right = torch.cat([(cross_forms.flatten(1, 2) @ nu1[:, :D]).unflatten(1, (P, D)), j_terms, repeated[:, :, D:]], 2)
+        return cls(nu1, B, log_q.exp().squeeze(2), left, right)
+
+
+def centred(f: KernelExpansion, mean: Tensor) -> tuple[Tensor, Tensor]:
+    """For means (N, D): nu and a last row of ones, (N, D + 1, n), and the outer products of nu with itself, (N, D * D, n)."""
+    nu1 = f.inputs_and_one - torch.nn.functional.pad(mean, (0, 1))[:, :, None]
+    nu = nu1[:, :-1]
+    return nu1, (nu[:, :, None] * nu[:, None]).flatten(1, 2)
 
 
 def regularised_precision(cov: Tensor, precision: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:

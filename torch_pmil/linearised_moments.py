@@ -15,65 +15,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import TypeVar
 
 import torch
 from torch import Tensor
 
 from torch_pmil.exponential_sums import thin_products
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.gaussian_integrals import GaussianIntegrals
+from torch_pmil.gaussian_integrals import GaussianIntegrals, centred
 from torch_pmil.kernel_expansion import KernelExpansion
 from torch_pmil.moment_matching import Moments, combine, first_slope
 
 
-@dataclass(frozen=True)
-class MomentSums:
-    """Sums over the data at N beliefs, from which the moments and their derivatives follow: a few kB a belief, whatever n.
-
-    With W_ij the weighted Q_ij of a pair of outputs, w_i = beta_i q_i of a single one, and the terms of :class:`GaussianIntegrals`:
-
-    Args:
-        precision: B, (N, E + P, D, D).
-        single: sum_i w_i [nu_i, 1], (N, E, D + 1).
-        pair: sum_ij W_ij [nu_i, 1] [nu_j, 1]', (N, P, D + 1, D + 1).
-        squares: (N, E + 2P, D, D), of each output sum_i w_i nu_i nu_i', then of each pair sum_ij W_ij nu_i nu_i', and with nu_j nu_j'.
-        cubes: sum_i w_i nu_i nu_i nu_i, (N, E, D, D, D).
-    """
-
-    precision: Tensor
-    single: Tensor
-    pair: Tensor
-    squares: Tensor
-    cubes: Tensor
-
-    @classmethod
-    def of(cls, f: KernelExpansion, belief: Gaussian) -> MomentSums:
-        """Without a graph. Raises as :meth:`GaussianIntegrals.of`."""
-        integrals = GaussianIntegrals.of(f, belief)
-        D, E, nu1, (w, z) = f.num_inputs, f.num_outputs, integrals.nu1, f.pair_weights
-        w_nu1 = w * integrals.left[:, :, : D + 1]
-        left_Q, Q_z = thin_products(integrals.left, integrals.right, w_nu1, z.mT.expand(len(nu1), -1, -1, -1), f.self_weights)
-        left_Q_z = left_Q * z
-        beta_q = f.weights * integrals.q
-        row_sums, column_sums = w[:, 0] * Q_z.squeeze(-1), left_Q_z[:, :, D]
-        squares, columns = integrals.squares.mT, nu1.mT
-        return cls(
-            precision=integrals.precision,
-            single=beta_q @ columns,
-            pair=left_Q_z @ columns[:, None],
-            squares=(torch.cat([beta_q, row_sums, column_sums], 1) @ squares).unflatten(2, (D, D)),
-            cubes=((beta_q[:, :, None] * nu1[:, None, :D]).flatten(1, 2) @ squares).view(-1, E, D, D, D),
-        )
-
-    @classmethod
-    def concatenated(cls, sums: Sequence[MomentSums]) -> MomentSums:
-        """Those of all beliefs, one after the other."""
-        return cls(*(torch.cat([getattr(s, field.name) for s in sums]) for field in fields(cls)))
-
-    def moments(self, f: KernelExpansion, observation_noise: bool) -> Moments:
-        """As :func:`moment_match` gives them."""
-        slope = first_slope(self.precision, self.single)
-        return combine(f, self.single[..., -1], slope, self.pair[..., -1, -1], observation_noise)
+Part = TypeVar("Part", "ThinProducts", "MomentSums")
+KEPT_NUMBERS = 2**18  # of arrays as long as the data, before they are summed up: 2 MB
 
 
 class RecordedMoments:
@@ -86,21 +41,107 @@ class RecordedMoments:
 
     def __init__(self, f: KernelExpansion, observation_noise: bool = False) -> None:
         self.f, self.observation_noise = f, observation_noise
-        self._record: list[tuple[Gaussian, MomentSums]] = []
+        self._sums: list[MomentSums] = []
+        self._pending: list[ThinProducts] = []
 
     @torch.no_grad()
     def __call__(self, belief: Gaussian) -> Moments:
         """Moments at N beliefs, the same number in all calls."""
-        sums = MomentSums.of(self.f, belief)
-        self._record.append((belief, sums))
-        return sums.moments(self.f, self.observation_noise)
+        products, moments = ThinProducts.at(self.f, belief, self.observation_noise)
+        self._pending.append(products)
+        if len(self._pending) * products.left_Q.numel() > KEPT_NUMBERS:
+            self._sum_up()
+        return moments
+
+    def _sum_up(self) -> None:
+        if self._pending:
+            self._sums.append(MomentSums.of(self.f, _concatenated(self._pending)))
+            self._pending = []
 
     @cached_property
     def linearised(self) -> LinearisedMoments:
-        """The moments at the beliefs of all T calls, (T, N), to first order around them."""
-        beliefs, sums = zip(*self._record, strict=True)
-        mean, cov = torch.stack([b.mean for b in beliefs]), torch.stack([b.cov for b in beliefs])
-        return LinearisedMoments(self.f, MomentSums.concatenated(sums), Gaussian(mean, cov), self.observation_noise)
+        """The moments at the beliefs of all T calls, T N of them, to first order around them."""
+        self._sum_up()
+        return LinearisedMoments(self.f, _concatenated(self._sums), self.observation_noise)
+
+
+@dataclass(frozen=True)
+class ThinProducts:
+    """What moment matching of N beliefs gives on the way, besides the moments: arrays as long as the data.
+
+    Args:
+        mean, cov: of the beliefs, (N, D) and (N, D, D).
+        precision: B of :class:`GaussianIntegrals`, (N, E + P, D, D).
+        beta_q: (N, E, n).
+        left_Q: sum_i w_i [nu_i, 1] Q_ij of each pair of outputs, (N, P, D + 1, n).
+        Q_z: sum_j Q_ij z_j, (N, P, n, 1).
+    """
+
+    mean: Tensor
+    cov: Tensor
+    precision: Tensor
+    beta_q: Tensor
+    left_Q: Tensor
+    Q_z: Tensor
+
+    @classmethod
+    def at(cls, f: KernelExpansion, belief: Gaussian, observation_noise: bool) -> tuple[ThinProducts, Moments]:
+        """For N beliefs, with the moments as :func:`moment_match` gives them. Raises as :meth:`GaussianIntegrals.of`."""
+        integrals, (w, z) = GaussianIntegrals.of(f, belief), f.pair_weights
+        left, right, nu1 = integrals.left, integrals.right, integrals.nu1
+        left_Q, Q_z = thin_products(left, right, w * left[:, :, :-1], z.mT.expand(len(nu1), -1, -1, -1), f.self_weights)
+        beta_q = f.weights * integrals.q
+        single, second = beta_q @ nu1.mT, (w @ Q_z).flatten(1)
+        moments = combine(f, single[..., -1], first_slope(integrals.precision, single), second, observation_noise)
+        return cls(belief.mean, belief.cov, integrals.precision, beta_q, left_Q, Q_z), moments
+
+
+@dataclass(frozen=True)
+class MomentSums:
+    """Sums over the data at N beliefs, from which the moments and their derivatives follow: a few kB a belief, whatever n.
+
+    With W_ij the weighted Q_ij of a pair of outputs, w_i = beta_i q_i of a single one, and the terms of :class:`GaussianIntegrals`:
+
+    Args:
+        mean, cov: of the beliefs, (N, D) and (N, D, D).
+        precision: B, (N, E + P, D, D).
+        single: sum_i w_i [nu_i, 1], (N, E, D + 1).
+        pair: sum_ij W_ij [nu_i, 1] [nu_j, 1]', (N, P, D + 1, D + 1).
+        squares: (N, E + 2P, D, D), of each output sum_i w_i nu_i nu_i', then of each pair sum_ij W_ij nu_i nu_i', and with nu_j nu_j'.
+        cubes: sum_i w_i nu_i nu_i nu_i, (N, E, D, D, D).
+    """
+
+    mean: Tensor
+    cov: Tensor
+    precision: Tensor
+    single: Tensor
+    pair: Tensor
+    squares: Tensor
+    cubes: Tensor
+
+    @classmethod
+    def of(cls, f: KernelExpansion, products: ThinProducts) -> MomentSums:
+        """Summed over the data."""
+        D, E, (w, z) = f.num_inputs, f.num_outputs, f.pair_weights
+        nu1, squares = centred(f, products.mean)
+        left_Q_z = products.left_Q * z
+        row_sums, column_sums = w[:, 0] * products.Q_z.squeeze(-1), left_Q_z[:, :, D]
+        weighted_nu = (products.beta_q[:, :, None] * nu1[:, None, :D]).flatten(1, 2)
+        return cls(
+            mean=products.mean,
+            cov=products.cov,
+            precision=products.precision,
+            single=products.beta_q @ nu1.mT,
+            pair=left_Q_z @ nu1[:, None].mT,
+            squares=(torch.cat([products.beta_q, row_sums, column_sums], 1) @ squares.mT).unflatten(2, (D, D)),
+            cubes=(weighted_nu @ squares.mT).view(-1, E, D, D, D),
+        )
+
+
+def _concatenated(parts: Sequence[Part]) -> Part:
+    """Those of all beliefs, one after the other."""
+    kind = type(parts[0])
+    return kind(*(torch.cat([getattr(part, field.name) for part in parts]) for field in fields(kind)))
 
 
 class LinearisedMoments:
@@ -109,13 +150,12 @@ class LinearisedMoments:
     Args:
         f: the expansion.
         sums: over its data.
-        belief: where these were taken.
         observation_noise: as in :func:`moment_match`.
     """
 
-    def __init__(self, f: KernelExpansion, sums: MomentSums, belief: Gaussian, observation_noise: bool) -> None:
+    def __init__(self, f: KernelExpansion, sums: MomentSums, observation_noise: bool) -> None:
         self.f, self.observation_noise = f, observation_noise
-        self.point = belief.flat.flatten(0, -2)
+        self.point = Gaussian(sums.mean, sums.cov).flat
         total, gradient, hessian, third = _derivatives(f, sums)
         slope = gradient[:, : f.num_outputs]
         self.values = torch.cat([total, slope.flatten(1)], 1)

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "torch_pmil"
 
 FLOORS = (  # bottom first; modules of one floor may import each other
     {"envs", "files"},  # know nothing of the mathematics, see below
-    {"gaussian", "lbfgs"},
+    {"functions", "gaussian", "lbfgs"},
     {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "marginal_likelihood"},
     {"gaussian_integrals"},
     {"moment_matching"},
@@ -20,6 +20,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"state_space"},
     {"demonstrations", "alignment", "expert"},
     {"dynamics", "hyperparameters", "experience", "policy"},
+    {"linearised_step"},
     {"rollout"},
     {"objective"},
     {"policy_search"},

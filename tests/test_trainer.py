@@ -337,7 +337,7 @@ def test_robot_that_no_longer_explores_follows_its_policy(actor: RobotActor) -> 
     actor.exploring = False
     states = torch.linspace(-1, 1, 12, dtype=torch.float64).reshape(3, 4)
     actions = actor(states)
-    assert torch.equal(actions, actor.policy(actor.space.features(states)).detach())
+    torch.testing.assert_close(actions, actor.policy(actor.space.features(states)).detach(), rtol=1e-12, atol=0)
     assert not actions.requires_grad
 
 

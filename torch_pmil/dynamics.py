@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import math
+import contextlib
 import time
-import warnings
 from dataclasses import dataclass
 from typing import Literal
 
 import gpytorch
 import torch
 from gpytorch.constraints import Positive
-from linear_operator.utils.errors import NanError, NotPSDError
-from linear_operator.utils.warnings import NumericalWarning
 from torch import Tensor, nn
 
+from torch_pmil.gaussian import NotPositiveDefiniteError
+from torch_pmil.hyperparameters import Optimum, find_hyperparameters, pilco_starts
 from torch_pmil.kernel_expansion import KernelExpansion
+from torch_pmil.lbfgs import NotFiniteError
 
 Targets = Literal["difference", "successor"]
 
-MAX_SIGNAL_TO_NOISE = 500.0  # PILCO's penalties: beyond this ratio of standard deviations, and
-MAX_LENGTHSCALE_RATIO = 100.0  # beyond this factor from the inputs' spread, the likelihood is bent down
-PENALTY_POWER = 30
+RENEWAL = 1.25  # growth of the data after which hyper-parameters are searched from all starts again
 
 
 class _BatchGP(gpytorch.models.ExactGP):
@@ -42,12 +40,19 @@ class _BatchGP(gpytorch.models.ExactGP):
 
 @dataclass(frozen=True)
 class FitResult:
-    """How the hyper-parameters were found: negative log marginal likelihood per output (nats, (E,)), work done, why it ended."""
+    """How the hyper-parameters were found.
+
+    Args:
+        negative_log_likelihood: of each output, (E,), nats, without PILCO's penalties.
+        evaluations: of the likelihood of one output, over all outputs and starts.
+        seconds: wall time.
+        stop_reason: why the best search of each output ended, one of those in ``MinimiseResult``.
+    """
 
     negative_log_likelihood: Tensor
     evaluations: int
     seconds: float
-    stop_reason: str
+    stop_reason: tuple[str, ...]
 
 
 class GPDynamics(nn.Module):
@@ -79,6 +84,7 @@ class GPDynamics(nn.Module):
         self.register_buffer("train_inputs", torch.zeros(0, num_inputs, dtype=torch.float64))
         self.register_buffer("train_targets", torch.zeros(0, num_outputs, dtype=torch.float64))
         self._expansion: KernelExpansion | None = None
+        self._forget_last_search()
 
     @property
     def expansion(self) -> KernelExpansion:
@@ -97,16 +103,18 @@ class GPDynamics(nn.Module):
             ValueError: shapes do not fit, or an entry is not finite.
         """
         self._check_data(inputs, targets)
-        self.train_inputs, self.train_targets = inputs.detach().double(), targets.detach().double()
+        self.train_inputs, self.train_targets = (data.detach().to(torch.float64, copy=True) for data in (inputs, targets))
         self.gp.set_train_data(self.train_inputs.expand(self.num_outputs, -1, -1), self.train_targets.mT.contiguous(), strict=False)
         self._expansion = None
 
     def fit(self, inputs: Tensor, targets: Tensor, max_iterations: int = 100) -> FitResult:
-        """Maximise the marginal likelihood of the data with L-BFGS, from PILCO's start and from the last optimum.
+        """Maximise the marginal likelihood of the data, each output by an L-BFGS of its own, and keep the best of several starts.
 
-        PILCO's start: lengthscales std(input), signal std(target), noise a tenth of it. Its penalties keep the
-        signal-to-noise ratio below about 500 and the lengthscales within a factor 100 of std(input). Each output keeps
-        the better of its starts.
+        Starts are the last optimum and PILCO's: lengthscales std(input), signal std(target), noise a tenth or a hundredth of
+        it. PILCO's penalties keep the signal-to-noise ratio below about 500 and the lengthscales within a factor 100 of
+        std(input). Few data have several optima, and one of them may explain all motion as noise. Later, when many data have come
+        rollout by rollout, the other starts hardly ever lead further than the last optimum: it is the only one while the data
+        begin with those of the last fit from all starts, and are less than ``RENEWAL`` times as many.
 
         Args:
             inputs: features and actions (n, D' + F).
@@ -115,75 +123,55 @@ class GPDynamics(nn.Module):
 
         Raises:
             ValueError: shapes do not fit, or an entry is not finite, or fewer than two data.
+            NotPositiveDefiniteError, NotFiniteError: the likelihood of an output has no value at any start.
         """
         start_time = time.perf_counter()
-        warm = len(self.train_inputs) > 0
-        previous = self._log_parameters()
+        fitted = len(self.train_inputs) > 0
         self.set_data(inputs, targets)
-        starts = [_pilco_start(self.train_inputs, self.train_targets, noise_ratio) for noise_ratio in (0.1, 0.01)]
-        runs = [self._fit_from(start, max_iterations) for start in ([previous] if warm else []) + starts]
-        losses = torch.stack([loss for _, loss, _ in runs])
-        best = losses.argmin(0)
-        chosen = [torch.stack(options)[best, range(self.num_outputs)] for options in zip(*(p for p, _, _ in runs), strict=True)]
-        self._set_log_parameters(chosen)
-        evaluations = sum(count for _, _, count in runs)
-        return FitResult(losses.amin(0), evaluations, time.perf_counter() - start_time, f"best of {len(runs)} starts")
-
-    def _fit_from(self, start: list[Tensor], max_iterations: int) -> tuple[list[Tensor], Tensor, int]:
-        self._set_log_parameters(start)
-        spread = self.train_inputs.std(0).clamp(min=1e-6).log()
-        optimizer = torch.optim.LBFGS(
-            self._raw_parameters(), max_iter=max_iterations, max_eval=2 * max_iterations, line_search_fn="strong_wolfe"
+        renewed = self._outgrew_last_search()
+        optima = [self._find(output, fitted, renewed, max_iterations) for output in range(self.num_outputs)]
+        self._set_log_parameters(torch.stack([optimum.log_parameters for optimum in optima]))
+        if renewed:
+            self._searched_inputs, self._searched_targets = self.train_inputs, self.train_targets
+        return FitResult(
+            negative_log_likelihood=torch.tensor([optimum.negative_log_likelihood for optimum in optima], dtype=torch.float64),
+            evaluations=sum(optimum.evaluations for optimum in optima),
+            seconds=time.perf_counter() - start_time,
+            stop_reason=tuple(optimum.stop_reason for optimum in optima),
         )
-        best: list = [math.inf, start, torch.full((self.num_outputs,), math.inf, dtype=torch.float64)]
-        evaluations = 0
 
-        def closure() -> Tensor:
-            nonlocal evaluations
-            evaluations += 1
-            optimizer.zero_grad()
-            try:
-                losses = self._negative_log_likelihood() + self._penalty(spread)
-                total = losses.sum()
-                total.backward()
-            except (NumericalWarning, NotPSDError, NanError):
-                return _reject(self._raw_parameters())
-            if not total.isfinite():
-                return _reject(self._raw_parameters())
-            if total.item() < best[0]:
-                best[:] = [total.item(), self._log_parameters(), losses.detach()]
-            return total
+    def _find(self, output: int, fitted: bool, renewed: bool, max_iterations: int) -> Optimum:
+        """Hyper-parameters of one output: from the last ones alone where those do, else from PILCO's starts too."""
+        target, last = self.train_targets[:, output].contiguous(), self._log_parameters()[output]
+        if not renewed:
+            with contextlib.suppress(NotPositiveDefiniteError, NotFiniteError):  # new data may contradict the last model
+                return find_hyperparameters(self.train_inputs, target, [last], max_iterations)
+        starts = ([last] if fitted else []) + pilco_starts(self.train_inputs, target)
+        return find_hyperparameters(self.train_inputs, target, starts, max_iterations)
 
-        optimizer.step(closure)
-        return best[1], best[2], evaluations
+    def _outgrew_last_search(self) -> bool:
+        """Whether the data are others than those of the last fit from all starts, or many more."""
+        n = len(self._searched_inputs)
+        same = torch.equal(self.train_inputs[:n], self._searched_inputs) and torch.equal(self.train_targets[:n], self._searched_targets)
+        return not same or len(self.train_inputs) >= RENEWAL * n
 
-    def _negative_log_likelihood(self) -> Tensor:
-        """-log p(y | X) of each output, (E,), nats."""
-        self.gp.train()
-        exact = gpytorch.settings.fast_computations(covar_root_decomposition=False, log_prob=False, solves=False)
-        with exact, warnings.catch_warnings():
-            warnings.simplefilter("error", NumericalWarning)  # a jittered likelihood is another likelihood
-            prior = self.gp(*self.gp.train_inputs)
-            return -self.gp.likelihood(prior).log_prob(self.gp.train_targets)
-
-    def _penalty(self, log_spread: Tensor) -> Tensor:
-        log_lengthscale, log_signal, log_noise = self._raw_parameters()
-        ratio = (log_signal - log_noise.squeeze(-1)) / 2 / math.log(MAX_SIGNAL_TO_NOISE)
-        length = (log_lengthscale.squeeze(-2) - log_spread) / math.log(MAX_LENGTHSCALE_RATIO)
-        return ratio**PENALTY_POWER + (length**PENALTY_POWER).sum(-1)
+    def _forget_last_search(self) -> None:
+        self.register_buffer("_searched_inputs", self.train_inputs[:0], persistent=False)
+        self.register_buffer("_searched_targets", self.train_targets[:0], persistent=False)
 
     def _raw_parameters(self) -> list[Tensor]:
-        kernel = self.gp.covar_module
-        return [kernel.base_kernel.raw_lengthscale, kernel.raw_outputscale, self.gp.likelihood.noise_covar.raw_noise]
+        """Logarithms of lengthscales, signal and noise variances, (E, D), (E, 1) and (E, 1); they share the model's memory."""
+        kernel, noise = self.gp.covar_module, self.gp.likelihood.noise_covar
+        raw = kernel.base_kernel.raw_lengthscale, kernel.raw_outputscale, noise.raw_noise
+        return [parameter.detach().view(self.num_outputs, -1) for parameter in raw]
 
-    def _log_parameters(self) -> list[Tensor]:
-        return [parameter.detach().clone() for parameter in self._raw_parameters()]
+    def _log_parameters(self) -> Tensor:
+        """Of every output, (E, D + 2), in the order of :mod:`torch_pmil.hyperparameters`."""
+        return torch.cat(self._raw_parameters(), -1)
 
-    def _set_log_parameters(self, values: list[Tensor]) -> None:
-        with torch.no_grad():
-            for parameter, value in zip(self._raw_parameters(), values, strict=True):
-                parameter.copy_(value)
-        self._expansion = None
+    def _set_log_parameters(self, values: Tensor) -> None:
+        for parameter, value in zip(self._raw_parameters(), values.split([self.num_inputs, 1, 1], -1), strict=True):
+            parameter.copy_(value)
 
     def _check_data(self, inputs: Tensor, targets: Tensor) -> None:
         n = len(inputs)
@@ -203,18 +191,4 @@ class GPDynamics(nn.Module):
             self.set_data(inputs, targets)
         super()._load_from_state_dict(state_dict, prefix, *args)
         self._expansion = None
-
-
-def _pilco_start(inputs: Tensor, targets: Tensor, noise_ratio: float) -> list[Tensor]:
-    """Log lengthscales (E, 1, D), log signal variance (E,), log noise variance (E, 1)."""
-    outputs = targets.shape[-1]
-    length = inputs.std(0).clamp(min=1e-6).log().expand(outputs, 1, -1)
-    signal = 2 * targets.std(0).clamp(min=1e-12).log()
-    return [length.clone(), signal, (signal + 2 * math.log(noise_ratio))[:, None]]
-
-
-def _reject(parameters: list[Tensor]) -> Tensor:
-    """A large loss with zero gradient, at which a strong-Wolfe line search steps back."""
-    for parameter in parameters:
-        parameter.grad = torch.zeros_like(parameter)
-    return torch.tensor(1e10, dtype=torch.float64)
+        self._forget_last_search()

@@ -47,7 +47,7 @@ def _multiply(left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | Non
     n = right.shape[-1]
     if n * n <= 4 * CACHED_NUMBERS:
         return _products_with(torch.bmm(left, right), w, z, M)
-    rows = max(1, CACHED_NUMBERS // n)
+    rows = max(1, 2 * CACHED_NUMBERS // n)
     tiles = zip(left.split(rows, 1), w.split(rows, 2), repeat(None) if M is None else M.split(rows, 1), strict=False)
     wQ, Qz = zip(
         *(_products_with(torch.bmm(rows_of_left, right), w_rows, z, M_rows) for rows_of_left, w_rows, M_rows in tiles), strict=True

@@ -114,6 +114,17 @@ class Gaussian:
         mean, triangle = vector.split([dim, vector.shape[-1] - dim], -1)
         return cls(mean, triangle.index_select(-1, position).unflatten(-1, (dim, dim)))
 
+    @staticmethod
+    def flat_cotangent(d_mean: Tensor, d_cov: Tensor) -> Tensor:
+        """Cotangent of :attr:`flat` from those of mean and covariance, the latter symmetric."""
+        return Gaussian(d_mean, 2 * d_cov - torch.diag_embed(d_cov.diagonal(dim1=-2, dim2=-1))).flat
+
+    @classmethod
+    def cotangent_from_flat(cls, vector: Tensor, dim: int) -> tuple[Tensor, Tensor]:
+        """Cotangents of mean and covariance, the latter symmetric, from that of :attr:`flat`."""
+        cotangent = cls.from_flat(vector, dim)
+        return cotangent.mean, (cotangent.cov + torch.diag_embed(cotangent.cov.diagonal(dim1=-2, dim2=-1))) / 2
+
     def __getitem__(self, index) -> Gaussian:
         """Part of the batch; the variable's axes stay as they are."""
         return Gaussian(self.mean[index], self.cov[index])

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from torch_pmil.functions import apply
 from torch_pmil.gaussian import Gaussian, cholesky, symmetric
 from torch_pmil.kernel_expansion import KernelExpansion
 
@@ -52,7 +53,7 @@ class GaussianIntegrals:
         if belief.dim != D:
             raise ValueError(f"belief must have the model's {D} inputs, got {belief.dim}")
         nu1, squares = centred(f, belief.mean)
-        B, half_log_det = regularised_precision(belief.cov, products.precision, products.root)
+        B, half_log_det = apply(_RegularisedPrecision, belief.cov, products.precision, products.root)
         P = len(products.first)
         forms = torch.addcmul(products.constant, products.factor, B.index_select(1, products.integrals))
         own_forms, cross_forms = forms.split([E + 2 * P, P], 1)
@@ -69,11 +70,6 @@ def centred(f: KernelExpansion, mean: Tensor) -> tuple[Tensor, Tensor]:
     nu1 = f.inputs_and_one - torch.nn.functional.pad(mean, (0, 1))[:, :, None]
     nu = nu1[:, :-1]
     return nu1, (nu[:, :, None] * nu[:, None]).flatten(1, 2)
-
-
-def regularised_precision(cov: Tensor, precision: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:
-    """:class:`_RegularisedPrecision`, without its overhead where no graph is recorded."""
-    return (_RegularisedPrecision.apply if torch.is_grad_enabled() else _RegularisedPrecision.forward)(cov, precision, root)
 
 
 class _RegularisedPrecision(torch.autograd.Function):

@@ -233,7 +233,7 @@ class KernelExpansion:
         Raises:
             NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
         """
-        scaled = inputs / lengthscales[:, None, :]
+        scaled = (inputs - inputs.mean(-2, keepdim=True)) / lengthscales[:, None, :]
         half_square, one = scaled.square().sum(-1, keepdim=True) / -2, torch.ones_like(scaled[..., :1])
         left = torch.cat([scaled, half_square + signal_variance.log()[:, None, None], one], -1)
         gram = torch.exp(left @ torch.cat([scaled, one, half_square], -1).mT)

@@ -8,9 +8,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from torch_pmil.gaussian import NotPositiveDefiniteError
-from torch_pmil.rollout import PredictionError
-
 LARGEST_LOSS = 1e10  # beyond, an objective counts as failed
 
 
@@ -37,21 +34,25 @@ def minimise(
     parameters: Iterable[nn.Parameter],
     objective: Callable[[], Tensor],
     max_iterations: int,
+    survives: tuple[type[Exception], ...] = (),
     tolerance_grad: float = 1e-5,
+    tolerance_change: float = 1e-10,
 ) -> MinimiseResult:
     """Minimise with ``torch.optim.LBFGS`` and strong Wolfe; the parameters end at the best point that was seen.
 
-    A point where the objective raises one of the errors below, or is not finite in value or gradient, counts as a large
+    A point where the objective raises one of the errors to survive, or is not finite in value or gradient, counts as a large
     loss without gradient: the line search steps back from it.
 
     Args:
         parameters: changed in place.
         objective: a scalar with a graph.
         max_iterations: of L-BFGS; each takes one to a few evaluations.
+        survives: errors of the objective that say no more than that it has no value at this point.
         tolerance_grad: largest gradient entry at which the search ends.
+        tolerance_change: change of the loss, and of every parameter, in an iteration below which the search ends.
 
     Raises:
-        PredictionError, NotPositiveDefiniteError, NotFiniteError: at the starting point, where there is nothing to step back to.
+        NotFiniteError, and those of ``survives``: at the starting point, where there is nothing to step back to.
 
     Example:
         >>> x = nn.Parameter(torch.tensor([3.0, -1.0], dtype=torch.float64))
@@ -60,14 +61,14 @@ def minimise(
         >>> [round(v, 6) for v in x.tolist()]
         [1.0, 1.0]
     """
-    guard = _Guard(list(parameters), objective)
+    guard = _Guard(list(parameters), objective, survives)
     optimizer = torch.optim.LBFGS(
         guard.parameters,
         max_iter=max_iterations,
         max_eval=3 * max_iterations,
         history_size=50,
         tolerance_grad=tolerance_grad,
-        tolerance_change=1e-10,
+        tolerance_change=tolerance_change,
         line_search_fn="strong_wolfe",
     )
     optimizer.step(guard)
@@ -86,8 +87,8 @@ def minimise(
 class _Guard:
     """An L-BFGS closure that survives failed evaluations and keeps the best point."""
 
-    def __init__(self, parameters: list[nn.Parameter], objective: Callable[[], Tensor]) -> None:
-        self.parameters, self.objective = parameters, objective
+    def __init__(self, parameters: list[nn.Parameter], objective: Callable[[], Tensor], survives: tuple[type[Exception], ...]) -> None:
+        self.parameters, self.objective, self.failed = parameters, objective, (NotFiniteError, *survives)
         self.evaluations = self.failures = 0
         self.initial_loss = self.best_loss = float("inf")
         self.best_gradient = float("inf")
@@ -99,7 +100,7 @@ class _Guard:
         self.evaluations += 1
         try:
             loss, gradients = self._evaluate()
-        except (PredictionError, NotPositiveDefiniteError, NotFiniteError):
+        except self.failed:
             if self.evaluations == 1:
                 raise
             self.failures += 1

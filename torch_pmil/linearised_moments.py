@@ -26,9 +26,8 @@ from torch_pmil.gaussian_integrals import GaussianIntegrals, centred
 from torch_pmil.kernel_expansion import KernelExpansion
 from torch_pmil.moment_matching import Moments, combine, first_slope
 
-
 Part = TypeVar("Part", "ThinProducts", "MomentSums")
-KEPT_NUMBERS = 2**18  # of arrays as long as the data, before they are summed up: 2 MB
+KEPT_NUMBERS = 2**16  # of arrays as long as the data, before they are summed up: half a megabyte
 
 
 class RecordedMoments:
@@ -145,7 +144,7 @@ def _concatenated(parts: Sequence[Part]) -> Part:
 
 
 class LinearisedMoments:
-    """Moments as functions of the belief, to first order around the N beliefs at which the sums were taken.
+    """Moments at N beliefs and their Jacobian in these.
 
     Args:
         f: the expansion.
@@ -154,24 +153,24 @@ class LinearisedMoments:
     """
 
     def __init__(self, f: KernelExpansion, sums: MomentSums, observation_noise: bool) -> None:
-        self.f, self.observation_noise = f, observation_noise
-        self.point = Gaussian(sums.mean, sums.cov).flat
+        self.f = f
         total, gradient, hessian, third = _derivatives(f, sums)
         slope = gradient[:, : f.num_outputs]
-        self.values = torch.cat([total, slope.flatten(1)], 1)
+        self.mean = total[:, : f.num_outputs]  # without the offset
+        self.moments = combine(f, self.mean, slope, total[:, f.num_outputs :], observation_noise)
         by_mean = torch.cat([gradient, hessian[:, : f.num_outputs].flatten(1, 2)], 1)
         by_cov = torch.cat([hessian, third.flatten(1, 2)], 1) / 2
         both = by_cov + by_cov.mT  # an entry of the triangle stands for two of the matrix
         both.diagonal(dim1=-2, dim2=-1).copy_(by_cov.diagonal(dim1=-2, dim2=-1))
         self.jacobian = Gaussian(by_mean, both).flat
 
-    def __call__(self, belief: Gaussian) -> Moments:
-        """At one or more copies of the beliefs of the expansion, (T, N, C): exact there, with exact derivatives."""
-        E, P = self.f.num_outputs, len(self.f.products.first)
-        change = belief.flat.reshape(len(self.point), -1, self.point.shape[-1]) - self.point[:, None]
-        outputs = (self.values[:, None] + change @ self.jacobian.mT).flatten(0, 1)
-        mean, second, slope = outputs.split([E, P, E * self.f.num_inputs], 1)
-        return combine(self.f, mean, slope.unflatten(1, (E, -1)), second, self.observation_noise).unflatten(belief.batch_shape)
+    def adjoint(self, d_mean: Tensor, d_cov: Tensor, d_inv_cov_cross_cov: Tensor) -> tuple[Tensor, Tensor]:
+        """Cotangents of the beliefs, (N, C, D) and (N, C, D, D), from C cotangents of each belief's moments; covariances are symmetric."""
+        d_single = d_mean - 2 * (d_cov @ self.mean[:, None, :, None]).squeeze(-1)
+        first, second = self.f.products.first, self.f.products.second
+        d_second = d_cov[..., first, second] * torch.where(first == second, 1.0, 2.0)
+        d_outputs = torch.cat([d_single, d_second, d_inv_cov_cross_cov.mT.flatten(-2)], -1)
+        return Gaussian.cotangent_from_flat(d_outputs @ self.jacobian, self.f.num_inputs)
 
 
 def _derivatives(f: KernelExpansion, sums: MomentSums) -> tuple[Tensor, Tensor, Tensor, Tensor]:

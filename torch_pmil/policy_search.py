@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_pmil.gaussian import Gaussian
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.lbfgs import MinimiseResult, NotFiniteError, minimise, restore
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
@@ -110,7 +110,8 @@ class _Search:
 
     def run(self, name: str, per_step: Callable[[Gaussian, int], Tensor], horizon: int, iterations: int) -> None:
         """Minimise the sum of the steps up to a horizon."""
-        self.runs.append(minimise(self.parameters, lambda: per_step(self.initial, horizon).sum(), iterations))
+        failures = (PredictionError, NotPositiveDefiniteError)
+        self.runs.append(minimise(self.parameters, lambda: per_step(self.initial, horizon).sum(), iterations, failures))
         self.report(f"{name} {horizon}/{self.loss.horizon}", self.runs[-1].loss)
 
     def stage(self, horizon: int) -> bool:

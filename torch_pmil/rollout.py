@@ -2,7 +2,7 @@ r"""From p(x_0), a policy and a model to the trajectory distribution p(x_1), ...
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -10,6 +10,7 @@ from torch import Tensor
 from torch_pmil.dynamics import GPDynamics, Targets
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, joint, symmetric
 from torch_pmil.linearised_moments import RecordedMoments
+from torch_pmil.linearised_step import LinearisedStep
 from torch_pmil.moment_matching import Moments, moment_match
 from torch_pmil.policy import Controller, RBFPolicy
 from torch_pmil.recurrence import unroll
@@ -106,21 +107,35 @@ class _MomentStep:
     def advance(self, state: Tensor) -> Tensor:
         self.taken += 1
         try:
-            return self._propagate(state, self._act_by(self.network), self.model)
+            following = _propagate(Gaussian.from_flat(state, self.space.dim), self._act, self.model, self.targets, self.space)
         except NotPositiveDefiniteError as error:
             raise PredictionError(f"prediction of step {self.taken} of {self.horizon} failed: {error}", self.taken) from error
+        return following.flat
 
-    def by_state(self, states: Tensor) -> Tensor:
-        return self._propagate(states, self._act_by(self.network.linearised), self.model.linearised)
+    def _act(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
+        return self.controller.squashed(self.network(features))
 
-    def by_parameters(self, states: Tensor, parameters: tuple[Tensor, ...]) -> Tensor:
-        return self._propagate(states, self.controller.with_parameters(*parameters).on_belief, self.model.linearised)
+    def jacobian(self, states: Tensor) -> Tensor:
+        size = states.shape[-1]
+        identity = torch.eye(size, dtype=states.dtype, device=states.device)
+        d_next = Gaussian.cotangent_from_flat(identity, self.space.dim)
+        d_mean, d_cov = (t.expand(states[..., 0].numel(), *t.shape) for t in d_next)
+        d_state = self._linearised(states).state_adjoint(d_mean, d_cov)
+        return Gaussian.flat_cotangent(*d_state).view(*states.shape, size)
 
-    def _act_by(self, network: Callable[[Gaussian], Moments]) -> Callable[[Gaussian], tuple[Gaussian, Tensor]]:
-        return lambda features: self.controller.squashed(network(features))
+    def parameter_gradients(self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor) -> Sequence[Tensor]:
+        step = self._linearised(states)
+        d_mean, d_cov = Gaussian.cotangent_from_flat(adjoints.flatten(0, 1)[:, None], self.space.dim)
+        d_network = [cotangent.squeeze(1) for cotangent in step.network_adjoint(d_mean, d_cov)]
+        leaves = [parameter.detach().requires_grad_() for parameter in parameters]
+        with torch.enable_grad():
+            moments = moment_match(self.controller.with_parameters(*leaves).network, step.features)
+        return torch.autograd.grad((moments.mean, moments.cov, moments.inv_cov_cross_cov), leaves, d_network)
 
-    def _propagate(self, state: Tensor, act: Callable, respond: Callable) -> Tensor:
-        return _propagate(Gaussian.from_flat(state, self.space.dim), act, respond, self.targets, self.space).flat
+    def _linearised(self, states: Tensor) -> LinearisedStep:
+        state = Gaussian.from_flat(states.flatten(0, -2), self.space.dim)
+        differences = self.targets == "difference"
+        return LinearisedStep(state, self.network.linearised, self.controller.u_max, self.model.linearised, differences, self.space)
 
 
 def _check_finite(trajectory: Gaussian, space: StateSpace) -> None:
@@ -155,11 +170,19 @@ class _MeanStep:
     def advance(self, state: Tensor) -> Tensor:
         return self._follow(state, self.controller)
 
-    def by_state(self, states: Tensor) -> Tensor:
-        return self._follow(states, self.controller)
+    def jacobian(self, states: Tensor) -> Tensor:
+        size = states.shape[-1]
+        copies = states[..., None, :].expand(*states.shape, size).clone().requires_grad_()
+        with torch.enable_grad():
+            following = self._follow(copies, self.controller)
+        identity = torch.eye(size, dtype=states.dtype, device=states.device)
+        return torch.autograd.grad(following, copies, identity.expand(following.shape))[0]
 
-    def by_parameters(self, states: Tensor, parameters: tuple[Tensor, ...]) -> Tensor:
-        return self._follow(states, self.controller.with_parameters(*parameters))
+    def parameter_gradients(self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor) -> Sequence[Tensor]:
+        leaves = [parameter.detach().requires_grad_() for parameter in parameters]
+        with torch.enable_grad():
+            following = self._follow(states, self.controller.with_parameters(*leaves))
+        return torch.autograd.grad(following, leaves, adjoints)
 
     def _follow(self, state: Tensor, controller: Controller) -> Tensor:
         features = self.space.features(state)

@@ -115,10 +115,11 @@ class StateSpace:
 
     def belief(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
         """Exact moments of the features of an uncertain state, and Sigma_x^-1 cov(x, features), (*batch, D, D')."""
-        return self._augmentation.to(state.mean)(state)
+        return self.augmentation.to(state.mean)(state)
 
     @cached_property
-    def _augmentation(self) -> Augmentation:
+    def augmentation(self) -> Augmentation:
+        """What makes the features of an uncertain state."""
         identity = torch.eye(self.dim, dtype=torch.float64)
         return Augmentation.of(identity[list(self.plain)], identity[list(self.angles)])
 

@@ -19,7 +19,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from torch_pmil.gaussian import Gaussian
+from torch_pmil.functions import apply
+from torch_pmil.gaussian import Gaussian, symmetric
 
 QUARTER_TURN = math.pi / 2
 
@@ -67,14 +68,60 @@ class Augmentation:
 
     def __call__(self, belief: Gaussian) -> tuple[Gaussian, Tensor]:
         """As :func:`augment`."""
-        columns, kept = self.rows.mT, self.kept
-        mean = torch.nn.functional.linear(belief.mean, self.rows, self.turns)
-        cov = self.rows @ belief.cov @ columns
-        cosine, cosine_cov, slope = _cosines(mean[..., kept:], cov[..., kept:, kept:])
-        gain = torch.nn.functional.pad(slope, (kept, 0), value=1.0)[..., None, :]
+        mean, cov, slope = apply(_Augment, belief.mean, belief.cov, self)
+        return Gaussian(mean, cov), slope
+
+    def linear(self, belief_mean: Tensor, belief_cov: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and covariance of [Px, phases]."""
+        return torch.nn.functional.linear(belief_mean, self.rows, self.turns), self.rows @ belief_cov @ self.rows.mT
+
+
+class _Augment(torch.autograd.Function):
+    """:class:`Augmentation` of a mean (*batch, D) and a covariance (*batch, D, D)."""
+
+    @staticmethod
+    def forward(mean, cov, augmentation):
+        kept, (mean, cov) = augmentation.kept, augmentation.linear(mean, cov)
+        cosine, cosine_cov, slope = _Cosines.forward(mean[..., kept:], cov[..., kept:, kept:])
+        gain = _gain(slope, kept)
         cov = gain.mT * cov * gain
         cov[..., kept:, kept:] = cosine_cov
-        return Gaussian(torch.cat([mean[..., :kept], cosine], -1), cov), columns * gain
+        return torch.cat([mean[..., :kept], cosine], -1), cov, augmentation.rows.mT * gain
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        ctx.save_for_backward(*inputs[:2])
+        ctx.augmentation = inputs[2]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, d_mean, d_cov, d_slope):
+        return *augment_adjoint(ctx.augmentation, *ctx.saved_tensors, d_mean, symmetric(d_cov), d_slope), None
+
+
+def augment_adjoint(
+    augmentation: Augmentation, mean: Tensor, cov: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Cotangents of the mean and of the covariance from those of what :class:`Augmentation` gives; ``d_cov`` is symmetric.
+
+    All batch shapes broadcast.
+    """
+    rows, kept = augmentation.rows, augmentation.kept
+    phase, linear_cov = augmentation.linear(mean, cov)
+    phase, phase_cov = phase[..., kept:], linear_cov[..., kept:, kept:]
+    gain = _gain(_Cosines.forward(phase, phase_cov)[2], kept)
+    scaled = d_cov * gain
+    scaled[..., kept:, kept:] = 0  # that block is not linear, see below
+    d_gain = 2 * (scaled * linear_cov).sum(-1) + (d_slope * rows.mT).sum(-2)
+    d_phase, d_phase_cov = cosines_adjoint(phase, phase_cov, d_mean[..., kept:], d_cov[..., kept:, kept:], d_gain[..., kept:])
+    d_linear_cov = gain.mT * scaled
+    d_linear_cov[..., kept:, kept:] = d_phase_cov
+    return torch.cat([d_mean[..., :kept], d_phase], -1) @ rows, rows.mT @ d_linear_cov @ rows
+
+
+def _gain(slope: Tensor, kept: int) -> Tensor:
+    """Mean slope of every entry by its linear part, as a row (*batch, 1, K_p + 2K)."""
+    return torch.nn.functional.pad(slope, (kept, 0), value=1.0)[..., None, :]
 
 
 def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
@@ -92,13 +139,13 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
         >>> squash(v, torch.tensor([3.5]))[0].mean
         tensor([3.5000])
     """
-    mean, cov, slope = _cosines(belief.mean - QUARTER_TURN, belief.cov)
+    mean, cov, slope = apply(_Cosines, belief.mean - QUARTER_TURN, belief.cov)
     return Gaussian(u_max * mean, u_max[:, None] * cov * u_max), u_max * slope
 
 
-def _cosines(m: Tensor, V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """:class:`_Cosines`, without its overhead where no graph is recorded."""
-    return (_Cosines.apply if torch.is_grad_enabled() else _Cosines.forward)(m, V)
+def squash_adjoint(belief: Gaussian, u_max: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor) -> tuple[Tensor, Tensor]:
+    """Cotangents of the mean and of the covariance of ``belief`` from those of what :func:`squash` gives; ``d_cov`` is symmetric."""
+    return cosines_adjoint(belief.mean - QUARTER_TURN, belief.cov, u_max * d_mean, u_max[:, None] * d_cov * u_max, u_max * d_slope)
 
 
 class _Cosines(torch.autograd.Function):
@@ -112,20 +159,23 @@ class _Cosines(torch.autograd.Function):
 
     @staticmethod
     def setup_context(ctx, inputs, output):
-        ctx.save_for_backward(*inputs, output[1])
+        ctx.save_for_backward(*inputs)
 
     @staticmethod
     @once_differentiable
     def backward(ctx, d_mean, d_cov, d_slope):
-        m, V, cov = ctx.saved_tensors
-        decay, even, odd = _coefficients(V)
-        cos, sin = m.cos(), m.sin()
-        both = d_cov + d_cov.mT
-        by_cos, by_sin = (((both * part) @ values[..., None]).squeeze(-1) for part, values in ((even, cos), (odd, sin)))
-        d_m = cos * by_sin - sin * by_cos - decay * (d_mean * sin + d_slope * cos)
-        d_variance = ((both * cov).sum(-1) + decay * (d_mean * cos - d_slope * sin)) / -2
-        by_V = odd * _square(cos) + (even + _square(decay)) * _square(sin)
-        return d_m, d_cov * by_V + torch.diag_embed(d_variance)
+        return cosines_adjoint(*ctx.saved_tensors, d_mean, symmetric(d_cov), d_slope)
+
+
+def cosines_adjoint(m: Tensor, V: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor) -> tuple[Tensor, Tensor]:
+    """Cotangents of phases' mean and covariance from those of their cosines' mean, covariance (symmetric) and mean slope."""
+    decay, even, odd = _coefficients(V)
+    cos, sin = m.cos(), m.sin()
+    cos_cos, sin_sin, level = _square(cos), _square(sin), even + _square(decay)
+    by_cos, by_sin = ((d_cov * part * values[..., None, :]).sum(-1) for part, values in ((even, cos), (odd, sin)))
+    d_m = 2 * (cos * by_sin - sin * by_cos) - decay * (d_mean * sin + d_slope * cos)
+    d_variance = (d_cov * (even * cos_cos + odd * sin_sin)).sum(-1) + decay * (d_mean * cos - d_slope * sin) / 2
+    return d_m, d_cov * (odd * cos_cos + level * sin_sin) - torch.diag_embed(d_variance)
 
 
 def _coefficients(V: Tensor) -> tuple[Tensor, Tensor, Tensor]:

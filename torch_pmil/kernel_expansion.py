@@ -131,6 +131,10 @@ class KernelExpansion:
         return self.signal_variance.log()
 
     @cached_property
+    def _minus_half_precision(self) -> Tensor:
+        return self.precision / -2
+
+    @cached_property
     def products(self) -> Products:
         """The pairs of outputs, and the precisions of their kernels' products."""
         return Products.of(self.precision, self.log_signal_variance)
@@ -169,11 +173,18 @@ class KernelExpansion:
     def kernel(self, x: Tensor) -> Tensor:
         """k_a(x, x_i) at points x (*batch, D): (*batch, E, n)."""
         squares = (self.inputs.mT - x[..., None]).square()  # (*batch, D, n)
-        return torch.exp(self.log_signal_variance[:, None] - (self.precision / 2) @ squares)
+        return torch.exp(self._minus_half_precision @ squares + self.log_signal_variance[:, None])
 
     def mean(self, x: Tensor) -> Tensor:
         """Posterior mean (Eq. 6) at points x (*batch, D): (*batch, E)."""
         return (self.kernel(x) * self.weights).sum(-1) + self.offset
+
+    def mean_and_gradient(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Posterior mean (*batch, E) and its gradient (*batch, E, D) at points x (*batch, D)."""
+        weighted = self.kernel(x) * self.weights
+        total = weighted.sum(-1)
+        gradient = (weighted @ self.inputs - total[..., None] * x[..., None, :]) * self.precision
+        return total + self.offset, gradient
 
     def predict(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior mean (Eq. 6) and variance (Eq. 7, without observation noise) at points x (*batch, D): both (*batch, E)."""

@@ -74,7 +74,8 @@ def search_policy(
     The far, unpredictable part of a trajectory would pull the policy away from the near part that is right already.
     So the horizon starts where the present policy stops matching, and grows; at each horizon the mean alone is
     searched first (a policy that only widens the prediction is no optimum there), then the KL. It stops growing
-    where the last steps cost more than ``settings.trusted_kl`` each.
+    where the last steps cost more than ``settings.trusted_kl`` each. A policy that matches every step already is searched on
+    the KL of the whole horizon alone.
 
     Args:
         loss: objective with the policy (changed in place) and the model.
@@ -88,12 +89,13 @@ def search_policy(
     search = _Search(loss, initial, settings, report)
     per_step = _evaluate(loss, initial)
     horizon = _first_unmatched(per_step, settings)
-    while True:
+    growing = bool((per_step > settings.trusted_kl).any())
+    while growing:
         begun = search.stage(horizon)
         per_step = _evaluate(loss, initial)
-        if not begun or horizon == loss.horizon or not _trusted(per_step, horizon, settings):
-            break
-        horizon = min(max(horizon + settings.horizon_step, _first_unmatched(per_step, settings)), loss.horizon)
+        growing = begun and horizon < loss.horizon and _trusted(per_step, horizon, settings)
+        if growing:
+            horizon = min(max(horizon + settings.horizon_step, _first_unmatched(per_step, settings)), loss.horizon)
     horizon = min(horizon, int(per_step.isfinite().sum()))
     search.run("KL", loss.per_step, horizon, settings.final_iterations)
     return search.result(horizon)

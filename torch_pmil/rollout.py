@@ -171,12 +171,15 @@ class _MeanStep:
         return self._follow(state, self.controller)
 
     def jacobian(self, states: Tensor) -> Tensor:
-        size = states.shape[-1]
-        copies = states[..., None, :].expand(*states.shape, size).clone().requires_grad_()
-        with torch.enable_grad():
-            following = self._follow(copies, self.controller)
-        identity = torch.eye(size, dtype=states.dtype, device=states.device)
-        return torch.autograd.grad(following, copies, identity.expand(following.shape))[0]
+        features, slope = self.space.belief(Gaussian(states, torch.diag_embed(torch.zeros_like(states))))
+        raw, raw_slope = self.controller.network.mean_and_gradient(features.mean)
+        action_slope = (self.controller.u_max * raw.cos())[..., None] * raw_slope
+        inputs = torch.cat([features.mean, self.controller.u_max * raw.sin()], -1)
+        _, model_slope = self.expansion.mean_and_gradient(inputs)
+        jacobian = model_slope @ torch.cat([slope.mT, action_slope @ slope.mT], -2)
+        if self.targets == "difference":
+            jacobian.diagonal(dim1=-2, dim2=-1).add_(1)
+        return jacobian
 
     def parameter_gradients(self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor) -> Sequence[Tensor]:
         leaves = [parameter.detach().requires_grad_() for parameter in parameters]

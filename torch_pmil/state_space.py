@@ -110,8 +110,9 @@ class StateSpace:
 
     def features(self, states: Tensor) -> Tensor:
         """What models and policies see of states (*batch, D): (*batch, D')."""
-        angles = states[..., self.angles]
-        return torch.cat([states[..., self.plain], angles.sin(), angles.cos()], -1)
+        selected = states @ self.augmentation.to(states).rows.mT
+        plain, for_sine, for_cosine = selected.split([len(self.plain), len(self.angles), len(self.angles)], -1)
+        return torch.cat([plain, for_sine.sin(), for_cosine.cos()], -1)
 
     def belief(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
         """Exact moments of the features of an uncertain state, and Sigma_x^-1 cov(x, features), (*batch, D, D')."""

@@ -6,7 +6,6 @@ PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-us
 ARGS ?=
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 TORCH_ARGS ?=
-SEEDS := 0 1 2 3 4 5 6 7 8 9
 
 .DEFAULT_GOAL := help
 .PHONY: help train test test-all lint demonstrations results benchmark benchmark-steps clean
@@ -38,8 +37,10 @@ results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summ
 runs/double_pendulum/seed_%/summary.json: | .venv/.installed
 	@.venv/bin/python scripts/train.py experiment=double_pendulum seed=$* out=$(@D)
 
-benchmark: .venv/.benchmark  ## time and memory of predictions, beside TorchRL's, into results/prediction
+benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's) and of fits, into results
 	@.venv/bin/python benchmarks/prediction.py $(ARGS)
+	@.venv/bin/python -m benchmarks.breakdown
+	@OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.gp_fit
 
 benchmark-steps: .venv/.benchmark  ## time of single steps
 	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest benchmarks/test_single_steps.py $(ARGS)

@@ -28,7 +28,7 @@ from torch import Tensor
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experience import Experience
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.training import _source
+from torch_pmil.experiments.training import provenance
 from torch_pmil.files import replacing
 from torch_pmil.hyperparameters import pilco_starts
 from torch_pmil.marginal_likelihood import negative_log_likelihood
@@ -51,7 +51,7 @@ def main() -> None:
     if min(arguments.sizes) < ROLLOUT + 2 or arguments.repeats < 1:
         parser.error(f"sizes must be more than {ROLLOUT + 1} and repeats at least 1, got {arguments.sizes} and {arguments.repeats}")
     torch.set_num_threads(1)
-    source = _source(shlex.join(["python", *sys.argv]))
+    source = provenance(shlex.join(["python", *sys.argv]))
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     rows = [row for n in arguments.sizes for row in measure(*experience(n, arguments.seed), arguments.repeats)]
     summary = {**source, "seed": arguments.seed, "repeats": arguments.repeats, "headline": headline(rows), "rows": rows}

@@ -24,9 +24,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from torch_pmil.experiments.training import _source
+from torch_pmil.experiments.training import provenance
 from torch_pmil.files import replacing
-from torch_pmil.plotting import BLUE, GREY, VERMILLION, _style, save_figure
+from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure, style
 
 ROOT = Path(__file__).parents[1]
 OURS, RAW, TORCHRL, FLOOR = "torch_pmil", "torch_pmil_raw_angles", "torchrl", "exp_floor"
@@ -84,7 +84,7 @@ def check(arguments: argparse.Namespace) -> None:
 
 def make_report(arguments: argparse.Namespace) -> dict[str, object]:
     """Everything that the JSON file holds."""
-    source = _source(shlex.join(["python", *sys.argv]))
+    source = provenance(shlex.join(["python", *sys.argv]))
     libraries, left_out = [FLOOR, OURS, RAW], []
     if importlib.util.find_spec("botorch"):
         libraries.append(TORCHRL)
@@ -216,7 +216,7 @@ def plot(rows: list[dict], horizon: int) -> Figure:
         panel.set(xscale="log", yscale="log", xlabel="number n of data")
         panel.set_xticks(sizes, map(str, sizes))
         panel.xaxis.set_minor_locator(NullLocator())
-        _style(panel)
+        style(panel)
     figure.suptitle(f"value and policy gradient of the KL, double pendulum, T = {horizon}, threads: {rows[0]['threads']}", fontsize=10)
     return figure
 

@@ -110,7 +110,7 @@ def plot_learning_curve(experience_s: Sequence[float], success_rate: Sequence[fl
     lower.set(yscale="log", xlabel="experience (s)", ylabel="predicted KL (nats)")
     lower.set_xlim(left=0)
     for panel in (upper, lower):
-        _style(panel)
+        style(panel)
     return figure
 
 
@@ -138,7 +138,7 @@ def plot_poses(positions: Tensor, time_step: float) -> Figure:
         panel.plot(*pose.T, color=colours.to_rgba(time_step * step), linewidth=2.2, solid_capstyle="round", marker="o", markersize=3.5)
     panel.plot(0, 0, color=DARK, marker="o", markersize=8)
     panel.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="x (m)", ylabel="y (m)")
-    _style(panel)
+    style(panel)
     figure.colorbar(colours, ax=panel, label="time (s)")
     return figure
 
@@ -207,7 +207,7 @@ def _panels(count: int, xlabel: str) -> tuple[Figure, list[Axes]]:
     figure = Figure(figsize=(1.2 + 3.4 * columns, 0.8 + 2.2 * rows), layout="constrained")
     panels = [figure.add_subplot(rows, columns, index + 1) for index in range(count)]
     for index, panel in enumerate(panels):
-        _style(panel)
+        style(panel)
         panel.margins(x=0)
         if index + columns < count:
             panel.tick_params(labelbottom=False)
@@ -217,7 +217,7 @@ def _panels(count: int, xlabel: str) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def _style(panel: Axes) -> None:
+def style(panel: Axes) -> None:
     panel.spines[["top", "right"]].set_visible(False)
     panel.grid(color="0.92", linewidth=0.6)
     panel.set_axisbelow(True)

@@ -82,7 +82,7 @@ def train(
     start = time.perf_counter()
     _check_whole("seed", seed, least=0)
     _check_whole("trials", trials, least=1)
-    source = _source(command)
+    source = provenance(command)
     prepare_folder(out)
 
     def record(trial: Trial) -> None:
@@ -201,7 +201,7 @@ def _settings(experiment: Experiment, trials: int) -> dict[str, object]:
     }
 
 
-def _source(command: str) -> dict[str, object]:
+def provenance(command: str) -> dict[str, object]:
     """Where a result comes from: command, date, commit of the source tree (or "unknown" outside one), versions."""
     try:
         git = subprocess.run(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import gpytorch
@@ -104,15 +105,19 @@ def test_start_without_a_value_is_passed_over(data: tuple[Tensor, Tensor], name:
 
 def test_pilco_starts_are_in_the_units_of_the_data(draws: Draws) -> None:
     inputs, target = draws.normal(50, 3) * torch.tensor([0.1, 1.0, 100.0]) + 5, 7 * draws.normal(50)
-    for start, ratio in zip(pilco_starts(inputs, target), (0.1, 0.01), strict=True):
-        torch.testing.assert_close(start[:3].exp(), inputs.std(0))
+    for start, (factor, ratio) in zip(pilco_starts(inputs, target), itertools.product((1, 2), (0.1, 0.01)), strict=True):
+        torch.testing.assert_close(start[:3].exp(), factor * inputs.std(0))
         torch.testing.assert_close(start[3:].exp().sqrt(), target.std() * torch.tensor([1.0, ratio], dtype=torch.float64))
+
+
+def test_many_data_have_two_starts(draws: Draws) -> None:
+    assert [len(pilco_starts(draws.normal(n, 1), draws.normal(n))) for n in (99, 100)] == [4, 2]
 
 
 def test_column_that_never_changes_is_of_its_own_size(draws: Draws) -> None:
     """It may change by rounding; a small column keeps its standard deviation."""
     inputs = torch.stack([0.7 + 1e-15 * draws.normal(50), torch.zeros(50), 1e-8 * draws.normal(50)], -1)
-    start, _ = pilco_starts(inputs, torch.full((50,), 4.0, dtype=torch.float64))
+    start, *_ = pilco_starts(inputs, torch.full((50,), 4.0, dtype=torch.float64))
     expected = torch.tensor([0.7, 1.0, inputs[:, 2].std(), 16.0, 0.16], dtype=torch.float64)
     torch.testing.assert_close(start.exp(), expected, rtol=1e-6, atol=0)
 

@@ -111,7 +111,7 @@ class GPDynamics(nn.Module):
         """Maximise the marginal likelihood of the data, each output by an L-BFGS of its own, and keep the best of several starts.
 
         Starts are the last optimum and PILCO's: lengthscales std(input), signal std(target), noise a tenth or a hundredth of
-        it. PILCO's penalties keep the signal-to-noise ratio below about 500 and the lengthscales within a factor 100 of
+        it, and where data are few the same with twice the lengthscales. PILCO's penalties keep the signal-to-noise ratio below about 500 and the lengthscales within a factor 100 of
         std(input). Few data have several optima, and one of them may explain all motion as noise. Later, when many data have come
         rollout by rollout, the other starts hardly ever lead further than the last optimum: it is the only one while the data
         begin with those of the last fit from all starts, and are less than ``RENEWAL`` times as many.

@@ -20,6 +20,7 @@ MAX_SIGNAL_TO_NOISE = 500.0  # PILCO's penalties: beyond this ratio of standard 
 MAX_LENGTHSCALE_RATIO = 100.0  # beyond this factor from the inputs' spread, the likelihood is bent down
 PENALTY_POWER = 30
 NOISE_RATIOS = (0.1, 0.01)  # noise std over signal std at PILCO's start, and at a second one that explains less by noise
+FEW_DATA = 100  # fewer than these have several optima: there are starts of twice the lengthscales too
 CONSTANT = 1e-9  # a column whose std is less than this part of its size never changes but by rounding
 SMALL_GRADIENT = 1e-3  # nats for a factor e; with the next, searches of some hundred data end within 1e-5 nats of an optimum
 SMALL_CHANGE = 1e-6  # nats an iteration
@@ -81,10 +82,14 @@ def find_hyperparameters(inputs: Tensor, target: Tensor, starts: Sequence[Tensor
 
 
 def pilco_starts(inputs: Tensor, target: Tensor) -> list[Tensor]:
-    """Lengthscales std(input), signal std(target), noise one of ``NOISE_RATIOS`` times that; log parameters (D + 2,) each."""
-    log_signal = 2 * _log_spread(target)
+    """Lengthscales std(input), signal std(target), noise one of ``NOISE_RATIOS`` times that; log parameters (D + 2,) each.
+
+    For few data the same again with twice the lengthscales.
+    """
+    log_signal, log_spread = 2 * _log_spread(target), _log_spread(inputs)
     variances = [torch.stack([log_signal, log_signal + 2 * math.log(ratio)]) for ratio in NOISE_RATIOS]
-    return [torch.cat([_log_spread(inputs), pair]) for pair in variances]
+    factors = (1.0, 2.0) if len(inputs) < FEW_DATA else (1.0,)
+    return [torch.cat([log_spread + math.log(factor), pair]) for factor in factors for pair in variances]
 
 
 def penalty(log_parameters: Tensor, log_spread: Tensor) -> Tensor:

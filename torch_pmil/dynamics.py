@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -111,10 +112,11 @@ class GPDynamics(nn.Module):
         """Maximise the marginal likelihood of the data, each output by an L-BFGS of its own, and keep the best of several starts.
 
         Starts are the last optimum and PILCO's: lengthscales std(input), signal std(target), noise a tenth or a hundredth of
-        it, and where data are few the same with twice the lengthscales. PILCO's penalties keep the signal-to-noise ratio below about 500 and the lengthscales within a factor 100 of
-        std(input). Few data have several optima, and one of them may explain all motion as noise. Later, when many data have come
-        rollout by rollout, the other starts hardly ever lead further than the last optimum: it is the only one while the data
-        begin with those of the last fit from all starts, and are less than ``RENEWAL`` times as many.
+        it, and where data are few the same with twice the lengthscales. PILCO's penalties keep the signal-to-noise ratio below
+        about 500 and the lengthscales within a factor 100 of std(input). Few data have several optima, and one of them may
+        explain all motion as noise. Later, when many data have come rollout by rollout, the other starts hardly ever lead
+        further than the last optimum: it is the only one while the data begin with those of the last fit from all starts, and
+        are less than ``RENEWAL`` times as many.
 
         Args:
             inputs: features and actions (n, D' + F).
@@ -184,6 +186,10 @@ class GPDynamics(nn.Module):
             if not values.isfinite().all():
                 row, column = (~values.isfinite()).nonzero()[0].tolist()
                 raise ValueError(f"{name} must be finite, got {values[row, column]} in row {row}, column {column}")
+
+    def _apply(self, function: Callable[[Tensor], Tensor], recurse: bool = True) -> GPDynamics:
+        self._expansion = None  # on the former device
+        return super()._apply(function, recurse)
 
     def _load_from_state_dict(self, state_dict, prefix, *args) -> None:
         inputs, targets = state_dict.get(prefix + "train_inputs"), state_dict.get(prefix + "train_targets")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -157,8 +158,14 @@ class Gaussian:
         """
         values, vectors = torch.linalg.eigh(self.cov)
         root = vectors * values.clamp(min=0).sqrt()[..., None, :]
-        white = torch.randn(count, *self.mean.shape, dtype=self.mean.dtype, generator=generator)
+        white = normal((count, *self.mean.shape), self.mean, generator)
         return self.mean + (root @ white[..., None])[..., 0]
+
+
+def normal(shape: Sequence[int], like: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """Standard normal draws on the device of the generator, with the dtype and on the device of another tensor."""
+    device = like.device if generator is None else generator.device
+    return torch.randn(*shape, dtype=like.dtype, device=device, generator=generator).to(like.device)
 
 
 def joint(x: Gaussian, y: Gaussian, cross_cov: Tensor) -> Gaussian:

@@ -90,7 +90,7 @@ class RBFPolicy(nn.Module):
         basis = self.controller.network.kernel(features.double()).transpose(0, 1)  # (F, S, m)
         raw = torch.asin((actions / self.u_max).clamp(-MAX_SINE, MAX_SINE)).mT[..., None]  # (F, S, 1)
         weights = self.weights.mT[..., None]
-        gram = basis.mT @ basis + ridge * torch.eye(len(self.centres), dtype=torch.float64)
+        gram = basis.mT @ basis + ridge * torch.eye(len(self.centres)).to(basis)
         change = torch.linalg.solve(gram, basis.mT @ (raw - basis @ weights))
         self.weights.copy_((weights + change)[..., 0].mT)
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.dynamics import GPDynamics, Targets
-from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, joint, symmetric
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, joint, normal, symmetric
 from torch_pmil.linearised_moments import RecordedMoments
 from torch_pmil.linearised_step import LinearisedStep
 from torch_pmil.moment_matching import Moments, moment_match
@@ -220,8 +220,7 @@ def sample_trajectories(
         mean, variance = expansion.predict(torch.cat([features, controller(features)], -1))
         if observation_noise:
             variance = variance + expansion.noise_variance
-        white = torch.randn(mean.shape, dtype=mean.dtype, generator=generator)
-        change = mean + variance.clamp(min=0).sqrt() * white
+        change = mean + variance.clamp(min=0).sqrt() * normal(mean.shape, mean, generator)
         state = change if dynamics.targets == "successor" else state + change
         states.append(state)
     return torch.stack(states, -2)

@@ -1,0 +1,43 @@
+"""Prediction, its gradient and the fit give the same numbers on a GPU, in float64."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.draws import Draws
+from torch_pmil import GPDynamics, RBFPolicy, TrajectoryKLLoss
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.rollout import sample_trajectories
+from torch_pmil.state_space import StateSpace, joint_match
+
+SPACE = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s")))
+DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"))]
+
+
+def results(device: str) -> list[Tensor]:
+    """Likelihood of a fit, KL and mean KL with their policy gradients, and samples; computed on a device."""
+    draws = Draws(seed=0)
+    states, actions = draws.uniform(-1.5, 1.5, 60, 2), draws.uniform(-2, 2, 60, 1)
+    inputs = torch.cat([SPACE.features(states), actions], -1)
+    change = 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1) + 0.01 * draws.normal(60, 2)
+    policy = RBFPolicy(draws.normal(10, 3), torch.tensor([2.0]), torch.ones(3))
+    policy.weights.data.copy_(0.5 * draws.normal(10, 1))
+    expert = Gaussian(draws.normal(8, 2), draws.cov(8, 2))
+    initial = Gaussian(draws.normal(2).to(device), draws.cov(2, scale=0.02).to(device))
+    dynamics = GPDynamics(4, 2).to(device)
+    likelihood = dynamics.fit(inputs.to(device), change.to(device)).negative_log_likelihood
+    loss = TrajectoryKLLoss(policy, dynamics, SPACE, expert, noise_std=0.1).to(device)
+    values = [likelihood]
+    for per_step in (loss.per_step, loss.mean_per_step):
+        value = per_step(initial)
+        values += [value.detach(), *torch.autograd.grad(value.sum(), list(policy.parameters()))]
+    samples = sample_trajectories(initial, policy, dynamics, SPACE, 3, 4, torch.Generator().manual_seed(0))
+    return [value.cpu() for value in [*values, samples]]
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_numbers_do_not_depend_on_the_device(device: str) -> None:
+    for here, there in zip(results("cpu"), results(device), strict=True):
+        torch.testing.assert_close(here, there, rtol=1e-8, atol=1e-8)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 from torch.autograd import gradcheck
+from torch.autograd.graph import saved_tensors_hooks
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from tests.draws import Draws
-from torch_pmil import rollout
+from torch_pmil import exponential_sums, linearised_moments, rollout
 from torch_pmil.dynamics import GPDynamics, Targets
-from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
 from torch_pmil.kernel_expansion import KernelExpansion
 from torch_pmil.policy import Controller, RBFPolicy
 from torch_pmil.rollout import PredictionError, predict_mean_trajectory, predict_step, predict_trajectory, sample_trajectories
@@ -249,3 +253,155 @@ def test_state_that_is_not_finite_is_named(
 def test_start_with_a_negative_variance_is_an_error(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
     with pytest.raises(PredictionError, match=r"prediction of step 1 of 2 failed: .* must be positive definite"):
         predict_trajectory(Gaussian(initial.mean, -100 * torch.eye(2, dtype=torch.float64)), policy, dynamics, SPACE, 2)
+
+
+# --- the trajectory against its steps ---
+
+kinds_of_targets = pytest.mark.parametrize("targets", ["difference", "successor"])
+batches = pytest.mark.parametrize("batch", [(), (3,), (2, 3)], ids=["one start", "batch", "two batch dimensions"])
+
+
+def loop_of_steps(initial: Gaussian, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int, noise: bool) -> Gaussian:
+    states = [initial]
+    for _ in range(horizon):
+        states.append(predict_step(states[-1], policy.controller, dynamics, space, noise))
+    return Gaussian(torch.stack([state.mean for state in states[1:]], -2), torch.stack([state.cov for state in states[1:]], -3))
+
+
+def loop_of_means(initial: Tensor, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int) -> Tensor:
+    states = [initial]
+    for _ in range(horizon):
+        features = space.features(states[-1])
+        mean = dynamics.expansion.mean(torch.cat([features, policy(features)], -1))
+        states.append(mean if dynamics.targets == "successor" else states[-1] + mean)
+    return torch.stack(states[1:], -2)
+
+
+def assert_all_close(ours: Sequence[Tensor], expected: Sequence[Tensor]) -> None:
+    for one, other in zip(ours, expected, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10 * other.abs().max().item())
+
+
+@kinds_of_targets
+@batches
+@pytest.mark.parametrize(("horizon", "noise"), [(1, True), (6, True), (6, False)])
+def test_trajectory_and_gradient_are_those_of_a_loop_of_steps(
+    draws: Draws, policy: RBFPolicy, targets: Targets, batch: tuple[int, ...], horizon: int, noise: bool
+) -> None:
+    dynamics, start = make_dynamics(draws, n=15, targets=targets), draws.belief(*batch, 2, scale=0.05)
+    mean, cov = (t.requires_grad_() for t in (start.mean, start.cov))
+    loop = loop_of_steps(Gaussian(mean, cov), policy, dynamics, SPACE, horizon, noise)
+    predicted = predict_trajectory(Gaussian(mean, cov), policy, dynamics, SPACE, horizon, noise)
+    assert predicted.mean.shape == (*batch, horizon, 2)
+    assert_all_close((predicted.mean, predicted.cov), (loop.mean, loop.cov))
+
+    leaves, cotangent = [mean, cov, *policy.parameters()], (draws.normal(*loop.mean.shape), draws.normal(*loop.cov.shape))
+    gradients = [list(torch.autograd.grad((states.mean, states.cov), leaves, cotangent)) for states in (predicted, loop)]
+    for gradient in gradients:
+        gradient[1] = symmetric(gradient[1])
+    assert_all_close(*gradients)
+
+
+@kinds_of_targets
+@batches
+@pytest.mark.parametrize("horizon", [1, 6])
+def test_mean_trajectory_and_gradient_are_those_of_a_loop(
+    draws: Draws, policy: RBFPolicy, targets: Targets, batch: tuple[int, ...], horizon: int
+) -> None:
+    dynamics, start = make_dynamics(draws, n=15, targets=targets), draws.normal(*batch, 2).requires_grad_()
+    loop, predicted = (function(start, policy, dynamics, SPACE, horizon) for function in (loop_of_means, predict_mean_trajectory))
+    assert predicted.shape == (*batch, horizon, 2)
+    assert_all_close([predicted], [loop])
+    leaves, cotangent = [start, *policy.parameters()], draws.normal(*loop.shape)
+    assert_all_close(*(torch.autograd.grad(states, leaves, cotangent) for states in (predicted, loop)))
+
+
+@kinds_of_targets
+@pytest.mark.parametrize("angles", [(), (2, 0)], ids=["no angle", "two angles"])
+def test_trajectories_in_other_spaces_are_those_of_a_loop(draws: Draws, targets: Targets, angles: tuple[int, ...]) -> None:
+    """With three entries of the state, two actions, and inputs of different scales."""
+    names, u_max = ("a", "b", "c"), torch.tensor([2.0, 0.7], dtype=torch.float64)
+    space = StateSpace(names, ("",) * 3, angles, joint_match(names, ("",) * 3))
+    features = len(space.feature_names)
+    policy = RBFPolicy(draws.normal(5, features), u_max, draws.uniform(0.5, 2.0, features))
+    dynamics = GPDynamics(features + 2, 3, targets)
+    dynamics.set_data(draws.normal(12, features + 2), 0.3 * draws.normal(12, 3))
+    dynamics.gp.covar_module.base_kernel.lengthscale = draws.uniform(1.0, 3.0, 3, 1, features + 2)
+    dynamics.gp.likelihood.noise = torch.full((3, 1), 0.05, dtype=torch.float64)
+    with torch.no_grad():
+        policy.weights.copy_(draws.normal(5, 2))
+        policy.log_widths.copy_(0.3 * draws.normal(2, features))
+    start = draws.belief(2, 3, scale=0.05)
+    mean, cov = (t.requires_grad_() for t in (start.mean, start.cov))
+    leaves = [mean, *policy.parameters()]
+
+    loop = loop_of_steps(Gaussian(mean, cov), policy, dynamics, space, 4, True)
+    predicted = predict_trajectory(Gaussian(mean, cov), policy, dynamics, space, 4)
+    both = (predicted.mean, predicted.cov), (loop.mean, loop.cov)
+    cotangent = draws.normal(*loop.mean.shape), draws.normal(*loop.cov.shape)
+    assert_all_close(*both)
+    gradients = [list(torch.autograd.grad(states, [cov, *leaves], cotangent)) for states in both]
+    for gradient in gradients:
+        gradient[0] = symmetric(gradient[0])
+    assert_all_close(*gradients)
+
+    means = [function(mean, policy, dynamics, space, 4) for function in (predict_mean_trajectory, loop_of_means)]
+    assert_all_close(means[:1], means[1:])
+    assert_all_close(*(torch.autograd.grad(states, leaves, cotangent[0]) for states in means))
+
+
+@pytest.mark.parametrize("kept", [0, 300, 2**30])
+def test_gradient_is_the_same_however_many_steps_are_summed_up_together(
+    draws: Draws, policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch, kept: int
+) -> None:
+    parameters, cotangent = list(policy.parameters()), draws.normal(7, 2, 2)
+    gradients = []
+    for numbers in (linearised_moments.KEPT_NUMBERS, kept):
+        monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", numbers)
+        gradients.append(torch.autograd.grad(predict_trajectory(initial, policy, dynamics, SPACE, 7).cov, parameters, cotangent))
+    assert_all_close(*gradients)
+
+
+def test_gradient_in_part_of_the_policy(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    """With constant centres and widths, the gradient in the weights is what it is with all of them."""
+
+    def by_weights() -> Sequence[Tensor]:
+        return torch.autograd.grad(predict_trajectory(initial, policy, dynamics, SPACE, 4).cov.sum(), [policy.weights])
+
+    whole = by_weights()
+    for parameter in (policy.centres, policy.log_widths):
+        parameter.requires_grad_(False)
+    assert_all_close(by_weights(), whole)
+
+
+class LargestResult(TorchDispatchMode):
+    """Records how many numbers the largest array has that is computed inside; views do not count."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.numbers = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        result = func(*args, **(kwargs or {}))
+        if not func.is_view:
+            tensors = [t for t in (result if isinstance(result, (tuple, list)) else (result,)) if isinstance(t, Tensor)]
+            self.numbers = max(self.numbers, *(t.numel() for t in tensors), 0)
+        return result
+
+
+@kinds_of_targets
+def test_no_array_of_pairs_of_data_is_saved_for_the_gradient(
+    draws: Draws, policy: RBFPolicy, initial: Gaussian, monkeypatch: pytest.MonkeyPatch, targets: Targets
+) -> None:
+    """Nor is one made, but by pieces as small as the cache."""
+    n, horizon, saved = 120, 3, []
+    dynamics = make_dynamics(draws, n=n, noise=0.1, targets=targets)
+    predict_trajectory(initial, policy, dynamics, SPACE, 1)  # what the expansion itself keeps is there from now on
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    monkeypatch.setattr(exponential_sums, "CACHED_NUMBERS", 8 * n)
+    monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", 0)
+    with LargestResult() as largest, saved_tensors_hooks(lambda tensor: (saved.append(tensor.numel()), tensor)[1], lambda tensor: tensor):
+        predicted = predict_trajectory(initial, policy, dynamics, SPACE, horizon)
+        predicted.cov.sum().backward()
+    assert 0 < max(saved) < n * n / 10
+    assert 0 < largest.numbers < n * n / 2

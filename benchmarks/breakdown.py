@@ -52,7 +52,7 @@ def main() -> None:
     clock.watch(rollout._MomentStep, "jacobian", "jacobian")
     clock.watch(rollout._MomentStep, "parameter_gradients", "policy gradient")
     rows = [{"n": n, "horizon": HORIZON, "cpu_ms": clock.least(evaluation(n), arguments.repeats)} for n in arguments.sizes]
-    report = provenance(shlex.join(["python", *sys.argv])) | {"parts": PARTS, "rows": rows}
+    report = provenance(shlex.join(["python", "-m", "benchmarks.breakdown", *sys.argv[1:]])) | {"parts": PARTS, "rows": rows}
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     with replacing(arguments.json) as temporary:
         temporary.write_text(json.dumps(report, indent=2) + "\n")

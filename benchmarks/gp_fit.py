@@ -6,7 +6,7 @@ a batch of exact GPs on the same data, from the first of PILCO's starts, by at m
 output's likelihood; nats are the total negative log likelihood, without penalties.
 
 Example:
-    python benchmarks/gp_fit.py --sizes 100 200 300 --repeats 7
+    python -m benchmarks.gp_fit --sizes 100 200 300 --repeats 7
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def main() -> None:
     if min(arguments.sizes) < ROLLOUT + 2 or arguments.repeats < 1:
         parser.error(f"sizes must be more than {ROLLOUT + 1} and repeats at least 1, got {arguments.sizes} and {arguments.repeats}")
     torch.set_num_threads(1)
-    source = provenance(shlex.join(["python", *sys.argv]))
+    source = provenance(shlex.join(["python", "-m", "benchmarks.gp_fit", *sys.argv[1:]]))
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     rows = [row for n in arguments.sizes for row in measure(*experience(n, arguments.seed), arguments.repeats)]
     summary = {**source, "seed": arguments.seed, "repeats": arguments.repeats, "headline": headline(rows), "rows": rows}

@@ -32,4 +32,4 @@ def test_every_part_has_its_time(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         times = row["cpu_ms"]
         assert set(times) == set(report["parts"]) == set(breakdown.PARTS)
         assert 0 < times["pairs of data"] < times["rollout"] < times["whole"]
-    assert "breakdown.py" in report["command"]
+    assert report["command"].startswith("python -m benchmarks.breakdown --sizes 10 12")

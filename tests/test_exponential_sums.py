@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 from torch.autograd import gradcheck
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from tests.draws import Draws
+from tests.memory import LargestResult
 from torch_pmil import exponential_sums
 from torch_pmil.exponential_sums import ExponentialSum, thin_products
 
@@ -100,20 +100,6 @@ def test_number_of_threads_does_not_change_the_products(
         products.append(thin_products(*given))
     for one, two in zip(*products, strict=True):
         torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
-
-
-class LargestResult(TorchDispatchMode):
-    """Records how many numbers the largest array has that is computed inside; views do not count."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.numbers = 0
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        result = func(*args, **(kwargs or {}))
-        if isinstance(result, Tensor) and not func.is_view:
-            self.numbers = max(self.numbers, result.numel())
-        return result
 
 
 @with_and_without_M

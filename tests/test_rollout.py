@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 from torch.autograd.graph import saved_tensors_hooks
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from tests.draws import Draws
+from tests.memory import LargestResult
 from torch_pmil import exponential_sums, linearised_moments, rollout
 from torch_pmil.dynamics import GPDynamics, Targets
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
@@ -372,21 +372,6 @@ def test_gradient_in_part_of_the_policy(policy: RBFPolicy, dynamics: GPDynamics,
     for parameter in (policy.centres, policy.log_widths):
         parameter.requires_grad_(False)
     assert_all_close(by_weights(), whole)
-
-
-class LargestResult(TorchDispatchMode):
-    """Records how many numbers the largest array has that is computed inside; views do not count."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.numbers = 0
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        result = func(*args, **(kwargs or {}))
-        if not func.is_view:
-            tensors = [t for t in (result if isinstance(result, (tuple, list)) else (result,)) if isinstance(t, Tensor)]
-            self.numbers = max(self.numbers, *(t.numel() for t in tensors), 0)
-        return result
 
 
 @kinds_of_targets

@@ -1,0 +1,21 @@
+"""How large the arrays are that a computation makes."""
+
+from __future__ import annotations
+
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+
+
+class LargestResult(TorchDispatchMode):
+    """Records how many numbers the largest array has that is computed inside; views do not count."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.numbers = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        result = func(*args, **(kwargs or {}))
+        if not func.is_view:
+            tensors = [t for t in (result if isinstance(result, (tuple, list)) else (result,)) if isinstance(t, Tensor)]
+            self.numbers = max(self.numbers, *(t.numel() for t in tensors), 0)
+        return result

@@ -104,7 +104,7 @@ def augment_adjoint(
 ) -> tuple[Tensor, Tensor]:
     """Cotangents of the mean and of the covariance from those of what :class:`Augmentation` gives; ``d_cov`` is symmetric.
 
-    All batch shapes broadcast.
+    The cotangents may have more batch dimensions than the belief, which broadcasts.
     """
     rows, kept = augmentation.rows, augmentation.kept
     phase, linear_cov = augmentation.linear(mean, cov)

@@ -69,7 +69,7 @@ class ThinProducts:
     """What moment matching of N beliefs gives on the way, besides the moments: arrays as long as the data.
 
     Args:
-        mean, cov: of the beliefs, (N, D) and (N, D, D).
+        mean: of the beliefs, (N, D).
         precision: B of :class:`GaussianIntegrals`, (N, E + P, D, D).
         beta_q: (N, E, n).
         left_Q: sum_i w_i [nu_i, 1] Q_ij of each pair of outputs, (N, P, D + 1, n).
@@ -77,7 +77,6 @@ class ThinProducts:
     """
 
     mean: Tensor
-    cov: Tensor
     precision: Tensor
     beta_q: Tensor
     left_Q: Tensor
@@ -92,7 +91,7 @@ class ThinProducts:
         beta_q = f.weights * integrals.q
         single, second = beta_q @ nu1.mT, (w @ Q_z).flatten(1)
         moments = combine(f, single[..., -1], first_slope(integrals.precision, single), second, observation_noise)
-        return cls(belief.mean, belief.cov, integrals.precision, beta_q, left_Q, Q_z), moments
+        return cls(belief.mean, integrals.precision, beta_q, left_Q, Q_z), moments
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,6 @@ class MomentSums:
     With W_ij the weighted Q_ij of a pair of outputs, w_i = beta_i q_i of a single one, and the terms of :class:`GaussianIntegrals`:
 
     Args:
-        mean, cov: of the beliefs, (N, D) and (N, D, D).
         precision: B, (N, E + P, D, D).
         single: sum_i w_i [nu_i, 1], (N, E, D + 1).
         pair: sum_ij W_ij [nu_i, 1] [nu_j, 1]', (N, P, D + 1, D + 1).
@@ -110,8 +108,6 @@ class MomentSums:
         cubes: sum_i w_i nu_i nu_i nu_i, (N, E, D, D, D).
     """
 
-    mean: Tensor
-    cov: Tensor
     precision: Tensor
     single: Tensor
     pair: Tensor
@@ -127,8 +123,6 @@ class MomentSums:
         row_sums, column_sums = w[:, 0] * products.Q_z.squeeze(-1), left_Q_z[:, :, D]
         weighted_nu = (products.beta_q[:, :, None] * nu1[:, None, :D]).flatten(1, 2)
         return cls(
-            mean=products.mean,
-            cov=products.cov,
             precision=products.precision,
             single=products.beta_q @ nu1.mT,
             pair=left_Q_z @ nu1[:, None].mT,

@@ -10,7 +10,6 @@ Example:
 from __future__ import annotations
 
 import argparse
-import json
 import shlex
 import sys
 import time
@@ -23,7 +22,7 @@ import torch
 from benchmarks.workloads import make_problem
 from torch_pmil import linearised_moments, rollout
 from torch_pmil.experiments.training import provenance
-from torch_pmil.files import replacing
+from torch_pmil.files import write_json
 
 ROOT = Path(__file__).parents[1]
 HORIZON = 25
@@ -54,8 +53,7 @@ def main() -> None:
     rows = [{"n": n, "horizon": HORIZON, "cpu_ms": clock.least(evaluation(n), arguments.repeats)} for n in arguments.sizes]
     report = provenance(shlex.join(["python", "-m", "benchmarks.breakdown", *sys.argv[1:]])) | {"parts": PARTS, "rows": rows}
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(arguments.json) as temporary:
-        temporary.write_text(json.dumps(report, indent=2) + "\n")
+    write_json(arguments.json, report)
     print("\n".join(table(rows)))
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import copy
-import json
 import shlex
 import statistics
 import sys
@@ -29,7 +28,7 @@ from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experience import Experience
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.training import provenance
-from torch_pmil.files import replacing
+from torch_pmil.files import write_json
 from torch_pmil.hyperparameters import pilco_starts
 from torch_pmil.marginal_likelihood import negative_log_likelihood
 from torch_pmil.trainer import RobotActor
@@ -55,8 +54,7 @@ def main() -> None:
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     rows = [row for n in arguments.sizes for row in measure(*experience(n, arguments.seed), arguments.repeats)]
     summary = {**source, "seed": arguments.seed, "repeats": arguments.repeats, "headline": headline(rows), "rows": rows}
-    with replacing(arguments.json) as temporary:
-        temporary.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    write_json(arguments.json, summary)
     print(table(rows))
 
 

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from torch_pmil.experiments.training import provenance
-from torch_pmil.files import replacing
+from torch_pmil.files import write_json
 from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure, style
 
 ROOT = Path(__file__).parents[1]
@@ -49,8 +49,7 @@ def main() -> None:
         report = make_report(arguments)
         if not any(row["library"] == OURS for row in report["rows"]):
             raise RuntimeError(f"{OURS} could not be measured")
-        with replacing(arguments.json) as temporary:
-            temporary.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
+        write_json(arguments.json, report)
         save_figure(plot(report["rows"], arguments.horizon), arguments.json.with_name("prediction.png"))
     except (ValueError, OSError, RuntimeError) as error:
         sys.exit(f"error: {error}")

@@ -13,7 +13,7 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
-from torch_pmil.files import replacing
+from torch_pmil.files import write_json
 
 SUCCESS_RATE = 0.95  # paper
 EXPERIENCE_S = 33.0  # paper
@@ -61,8 +61,7 @@ def main() -> None:
             "runs": runs,
         }
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(arguments.out) as temporary:
-            temporary.write_text(json.dumps(merged, indent=2) + "\n")
+        write_json(arguments.out, merged)
     except (OSError, ValueError, KeyError) as error:
         sys.exit(f"error: {error}")
     print("\n".join(f"{name}: {value:g}" for name, value in merged["headline"].items()))

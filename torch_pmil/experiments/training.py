@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 import platform
 import subprocess
@@ -19,7 +18,7 @@ from torch import Tensor
 
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experiments.experiment import Experiment
-from torch_pmil.files import replacing
+from torch_pmil.files import replacing, write_json
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
@@ -105,8 +104,7 @@ def train(
         **_outcome(trainer, best, experiment, predicted, executed),
         "trials": [_plain(trial) for trial in trainer.trials],
     }
-    with replacing(out / "summary.json") as temporary:
-        temporary.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    write_json(out / "summary.json", summary)
     return RunResult(summary, trainer.trials, predicted, executed, policy)
 
 

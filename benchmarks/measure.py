@@ -38,8 +38,8 @@ def measure(library: str, n: int, horizon: int, threads: int, repeats: int) -> d
     seconds that the kernel took, nearly all of them to hand out memory.
 
     ``peak_mb`` (10^6 bytes) is the most memory that the process held during all of them, the model with its inverse Gram
-    matrices included. Left out are what it held before the model was made (libraries, and what they keep after a tiny
-    evaluation) and what making the model needs for a moment. What the allocator keeps of freed memory counts.
+    matrices included; ``building_peak_mb`` the most while the problem was made, that model's matrices among it. Left out is what it
+    held before (libraries, and what they keep after a tiny evaluation). What the allocator keeps of freed memory counts.
 
     Raises:
         ValueError: the loss is not finite.
@@ -50,6 +50,7 @@ def measure(library: str, n: int, horizon: int, threads: int, repeats: int) -> d
     forget_peak()
     before = memory_mb("VmRSS")
     evaluate = make(n, horizon)
+    building_peak = memory_mb("VmHWM") - before
     forget_peak()
     start = time.perf_counter()
     loss = [tensor.item() for tensor in evaluate()[:1]]
@@ -67,6 +68,7 @@ def measure(library: str, n: int, horizon: int, threads: int, repeats: int) -> d
         "system_seconds": round(min(times)[1], 3),
         "wall_seconds": min(wall for _, _, wall in times),
         "peak_mb": round(peak, 3),
+        "building_peak_mb": round(building_peak, 3),
         "repeats": repeats,
         "loss": loss[0] if loss else None,
     }

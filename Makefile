@@ -35,7 +35,7 @@ results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summ
 	@.venv/bin/python scripts/summarise.py $@ $^
 
 runs/double_pendulum/seed_%/summary.json: | .venv/.installed
-	@.venv/bin/python scripts/train.py experiment=double_pendulum seed=$* out=$(@D)
+	@.venv/bin/python scripts/train.py experiment=double_pendulum seed=$* out=$(@D) resume=true
 
 benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's) and of fits, into results
 	@.venv/bin/python benchmarks/prediction.py $(ARGS)

@@ -2,6 +2,8 @@
 
 Example:
     python scripts/train.py experiment=double_pendulum seed=0 trials=12 out=runs/double_pendulum/seed_0
+
+A run that was stopped goes on with the same command and resume=true.
 """
 
 from __future__ import annotations
@@ -33,12 +35,17 @@ def main(config: DictConfig) -> None:
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     out = Path(config.out)
+    command = "python scripts/train.py " + " ".join(sys.argv[1:] or [f"experiment={config.experiment}"])
     try:
         demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
         experiment = load_experiment(config.experiment, demonstrations)
-        command = "python scripts/train.py " + " ".join(sys.argv[1:] or [f"experiment={experiment.name}"])
-        result = train(experiment, config.seed, config.trials, out, command, on_trial=print_trial)
-    except (ValueError, OSError, RuntimeError) as error:
+        result = train(
+            experiment, config.seed, config.trials, out, command, on_trial=print_trial, resume=config.resume, logger=config.logger
+        )
+    except KeyboardInterrupt:
+        print(f"\nstopped; go on with: {command.removesuffix(' resume=true')} resume=true", file=sys.stderr)
+        sys.exit(130)
+    except (ValueError, OSError, RuntimeError, ImportError) as error:
         sys.exit(f"error: {error}")
     draw(experiment, result, out)
     print_summary(result.summary, out)

@@ -24,7 +24,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"rollout"},
     {"objective"},
     {"policy_search"},
-    {"search_stepper"},
+    {"search_stepper", "collection", "checkpoints"},
     {"trainer", "torchrl_interop", "evaluation", "run"},
     {"baselines"},
     {"experiments"},
@@ -32,7 +32,11 @@ FLOORS = (  # bottom first; modules of one floor may import each other
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}
-OF_TORCHRL = {"envs", "search_stepper", "experience", "objective", "trainer", "evaluation", "run", "torchrl_interop"}
+OF_TORCHRL = {"envs", "search_stepper", "collection", "checkpoints", "experience", "objective", "trainer", "torchrl_interop"} | {
+    "experiments",
+    "evaluation",
+    "run",
+}
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 

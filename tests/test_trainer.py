@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
-from functools import partialmethod
 from types import SimpleNamespace
 
 import pytest
@@ -13,15 +12,16 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from tests.short_run import quick_fits as shorten_fits
+from tests.short_run import short_experiment
 from torch_pmil import search_stepper as stepper_module
-from torch_pmil.dynamics import GPDynamics
-from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.collection import RobotActor, states_of
 from torch_pmil.experiments.training import make_trainer
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings
 from torch_pmil.rollout import PredictionError
 from torch_pmil.search_stepper import PATIENCE, PolicySearchStepper
-from torch_pmil.trainer import Candidate, PMILTrainer, RobotActor, Trial, states_of
+from torch_pmil.trainer import Candidate, PMILTrainer, Trial
 
 HORIZON, STARTS = 4, 20
 
@@ -29,21 +29,14 @@ HORIZON, STARTS = 4, 20
 @pytest.fixture(scope="module", autouse=True)
 def quick_fits() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+        shorten_fits(patch)
         yield
-
-
-def make_experiment(**changes: object) -> Experiment:
-    experiment = load_experiment("double_pendulum")
-    beginning = replace(experiment.demonstrations, positions=experiment.demonstrations.positions[:, : HORIZON + 1])
-    search = SearchSettings(mean_iterations=1, stage_iterations=1, final_iterations=1, first_horizon=HORIZON)
-    return replace(experiment, demonstrations=beginning, num_centres=5, search=search, **changes)
 
 
 def make(trials: int, seed: int = 0, progress_bar: bool = False, **changes: object) -> tuple[PMILTrainer, list[Trial]]:
     """A trainer, and the list that its trials are told to."""
     told: list[Trial] = []
-    return make_trainer(make_experiment(**changes), seed, trials, progress_bar, told.append), told
+    return make_trainer(short_experiment(HORIZON, **changes), seed, trials, progress_bar, told.append), told
 
 
 def own_errors(*errors: float) -> Callable[[Tensor], Tensor]:
@@ -319,7 +312,7 @@ def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPa
 
 @pytest.fixture
 def actor() -> RobotActor:
-    experiment = make_experiment()
+    experiment = short_experiment(HORIZON)
     generator = torch.Generator().manual_seed(0)
     return RobotActor(experiment.make_policy(generator), experiment.space, 0.4, generator)
 

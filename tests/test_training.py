@@ -6,21 +6,21 @@ import csv
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from datetime import datetime
-from functools import partialmethod
 from pathlib import Path
 
 import pytest
 import torch
 
 from tests.draws import Draws
+from tests.short_run import quick_fits as shorten_fits
+from tests.short_run import short_experiment
 from torch_pmil.dynamics import GPDynamics
-from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.experiments import Experiment
 from torch_pmil.experiments.training import EVALUATION_STARTS, RunResult, prepare_folder, save_tensors, train, two_sigma_coverage
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.policy_search import SearchSettings
 from torch_pmil.rollout import predict_trajectory
 from torch_pmil.trainer import Trial
 
@@ -30,16 +30,13 @@ COMMAND = f"python scripts/train.py seed={SEED}"
 
 @pytest.fixture(scope="module")
 def experiment() -> Experiment:
-    experiment = load_experiment("double_pendulum")
-    beginning = replace(experiment.demonstrations, positions=experiment.demonstrations.positions[:, : HORIZON + 1])
-    search = SearchSettings(mean_iterations=1, stage_iterations=1, final_iterations=1, first_horizon=HORIZON)
-    return replace(experiment, demonstrations=beginning, num_centres=5, search=search)
+    return short_experiment(HORIZON)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def quick_fits() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+        shorten_fits(patch)
         yield
 
 
@@ -74,7 +71,7 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
 
 
 def test_run_leaves_these_files_and_no_temporary_ones(result: RunResult, folder: Path) -> None:
-    assert sorted(os.listdir(folder)) == ["dynamics.pt", "figures", "metrics.csv", "policy.pt", "summary.json"]
+    assert sorted(os.listdir(folder)) == ["checkpoints", "dynamics.pt", "figures", "metrics.csv", "policy.pt", "summary.json"]
     assert os.listdir(folder / "figures") == []
 
 

@@ -84,8 +84,8 @@ class GPDynamics(nn.Module):
         self.gp = _BatchGP(torch.zeros(num_outputs, 1, num_inputs), torch.zeros(num_outputs, 1)).double()
         self.register_buffer("train_inputs", torch.zeros(0, num_inputs, dtype=torch.float64))
         self.register_buffer("train_targets", torch.zeros(0, num_outputs, dtype=torch.float64))
+        self.register_buffer("searched_size", torch.tensor(0))  # number of data at the last fit from all starts
         self._expansion: KernelExpansion | None = None
-        self._forget_last_search()
 
     @property
     def expansion(self) -> KernelExpansion:
@@ -104,6 +104,8 @@ class GPDynamics(nn.Module):
             ValueError: shapes do not fit, or an entry is not finite.
         """
         self._check_data(inputs, targets)
+        if not self._continued_by(inputs, targets):
+            self.searched_size.zero_()
         self.train_inputs, self.train_targets = (data.detach().to(torch.float64, copy=True) for data in (inputs, targets))
         self.gp.set_train_data(self.train_inputs.expand(self.num_outputs, -1, -1), self.train_targets.mT.contiguous(), strict=False)
         self._expansion = None
@@ -130,11 +132,11 @@ class GPDynamics(nn.Module):
         start_time = time.perf_counter()
         fitted = len(self.train_inputs) > 0
         self.set_data(inputs, targets)
-        renewed = self._outgrew_last_search()
+        renewed = len(inputs) >= RENEWAL * self.searched_size.item()
         optima = [self._find(output, fitted, renewed, max_iterations) for output in range(self.num_outputs)]
         self._set_log_parameters(torch.stack([optimum.log_parameters for optimum in optima]))
         if renewed:
-            self._searched_inputs, self._searched_targets = self.train_inputs, self.train_targets
+            self.searched_size.fill_(len(inputs))
         return FitResult(
             negative_log_likelihood=torch.tensor([optimum.negative_log_likelihood for optimum in optima], dtype=torch.float64),
             evaluations=sum(optimum.evaluations for optimum in optima),
@@ -151,15 +153,10 @@ class GPDynamics(nn.Module):
         starts = ([last] if fitted else []) + pilco_starts(self.train_inputs, target)
         return find_hyperparameters(self.train_inputs, target, starts, max_iterations)
 
-    def _outgrew_last_search(self) -> bool:
-        """Whether the data are others than those of the last fit from all starts, or many more."""
-        n = len(self._searched_inputs)
-        same = torch.equal(self.train_inputs[:n], self._searched_inputs) and torch.equal(self.train_targets[:n], self._searched_targets)
-        return not same or len(self.train_inputs) >= RENEWAL * n
-
-    def _forget_last_search(self) -> None:
-        self.register_buffer("_searched_inputs", self.train_inputs[:0], persistent=False)
-        self.register_buffer("_searched_targets", self.train_targets[:0], persistent=False)
+    def _continued_by(self, inputs: Tensor, targets: Tensor) -> bool:
+        """Whether new data begin with the present ones."""
+        n = len(self.train_inputs)
+        return torch.equal(inputs[:n], self.train_inputs) and torch.equal(targets[:n], self.train_targets)
 
     def _raw_parameters(self) -> list[Tensor]:
         """Logarithms of lengthscales, signal and noise variances, (E, D), (E, 1) and (E, 1); they share the model's memory."""
@@ -197,4 +194,3 @@ class GPDynamics(nn.Module):
             self.set_data(inputs, targets)
         super()._load_from_state_dict(state_dict, prefix, *args)
         self._expansion = None
-        self._forget_last_search()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -11,6 +12,8 @@ from torchrl.data import LazyMemmapStorage, TensorDictReplayBuffer
 
 from torch_pmil.dynamics import Targets
 from torch_pmil.state_space import StateSpace
+
+KEYS = ("observation", "action", ("next", "observation"))
 
 
 class Experience:
@@ -40,13 +43,23 @@ class Experience:
         Raises:
             ValueError: an entry is not finite, or the buffer is full.
         """
-        flat = transitions.select("observation", "action", ("next", "observation")).detach().reshape(-1)
-        for key in ("observation", "action", ("next", "observation")):
+        flat = transitions.select(*KEYS).detach().reshape(-1)
+        for key in KEYS:
             if not flat[key].isfinite().all():
                 raise ValueError(f"transitions must be finite, got {key} = {flat[key][~flat[key].isfinite()][0].item()}")
         if len(self) + len(flat) > self.capacity:
             raise ValueError(f"experience holds at most {self.capacity} transitions, got {len(self) + len(flat)}")
         self.buffer.extend(TensorDict(flat.to_dict(), batch_size=flat.batch_size))
+
+    def state_dict(self) -> dict[str, object]:
+        """All transitions, for a checkpoint."""
+        return {"count": len(self), "transitions": self.transitions.select(*KEYS).to_dict() if len(self) else {}}
+
+    def load_state_dict(self, state_dict: Mapping[str, object]) -> None:
+        """Hold the transitions of a checkpoint and no others."""
+        self.buffer.empty()
+        if state_dict["count"]:
+            self.extend(TensorDict(state_dict["transitions"], batch_size=[state_dict["count"]]))
 
     @property
     def transitions(self) -> TensorDictBase:

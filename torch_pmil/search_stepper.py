@@ -16,6 +16,7 @@ from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, renew_policy, search_policy
 
+STATE = ("_longest", "_least", "_stalled", "_renewing")
 PATIENCE = 2  # searches in a row without progress, before one from a random policy
 
 
@@ -43,13 +44,13 @@ class PolicySearchStepper(OptimizationStepper):
         self.settings, self.make_policy, self.generator, self.report = settings, make_policy, generator, report
         self.result: SearchResult | None = None
         self.restarted = False
-        self._longest, self._least, self._stalled = 0, math.inf, 0
+        self._longest, self._least, self._stalled, self._renewing = 0, math.inf, 0, False
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
         loss = trainer.loss_module
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
-        if self.result is not None and not self.result.complete:
+        if self._renewing:
             renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
         self.result = search_policy(loss, initial, self.settings, self.report)
         self._stalled = 0 if self.result.complete or self._progressed() else self._stalled + 1
@@ -58,7 +59,17 @@ class PolicySearchStepper(OptimizationStepper):
             self._search_anew(loss, initial)
             self._stalled = 0
         self._longest, self._least = max(self._longest, self.result.horizon), min(self._least, self.result.kl)
+        self._renewing = not self.result.complete
         return TensorDict({"loss_kl": torch.tensor(self.result.kl, dtype=torch.float64)})
+
+    def state_dict(self) -> dict[str, object]:
+        """What the next search depends on, besides policy and model."""
+        return {name: getattr(self, name) for name in STATE}
+
+    def load_state_dict(self, state_dict: dict[str, object]) -> None:
+        """Restore what :meth:`state_dict` gave."""
+        for name in STATE:
+            setattr(self, name, state_dict[name])
 
     def _search_anew(self, loss: TrajectoryKLLoss, initial: Gaussian) -> None:
         first = copy.deepcopy(loss.actor_network.state_dict())

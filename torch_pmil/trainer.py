@@ -5,17 +5,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
-from torchrl.collectors import Collector
+from torchrl.checkpoint import CheckpointRotation
 from torchrl.envs import EnvBase
+from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
 
+from torch_pmil.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
+from torch_pmil.collection import RobotActor, RolloutCollector, states_of
 from torch_pmil.dynamics import FitResult
 from torch_pmil.experience import Experience
 from torch_pmil.gaussian import Gaussian
@@ -24,7 +29,6 @@ from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchSettings
 from torch_pmil.rollout import PredictionError
 from torch_pmil.search_stepper import PolicySearchStepper
-from torch_pmil.state_space import StateSpace
 
 
 @dataclass(frozen=True)
@@ -61,31 +65,6 @@ class Trial:
     stop_reason: str
 
 
-class RobotActor(torch.nn.Module):
-    """What the robot executes: random torques until the first search, then the policy.
-
-    Args:
-        policy: sees the features of the state.
-        space: gives those.
-        random_torque: largest random torque, as a fraction of the limits.
-        generator: of the random torques.
-    """
-
-    def __init__(self, policy: RBFPolicy, space: StateSpace, random_torque: float, generator: torch.Generator) -> None:
-        super().__init__()
-        self.policy, self.space, self.random_torque, self.generator = policy, space, random_torque, generator
-        self.exploring = True
-
-    @torch.no_grad()
-    def forward(self, observation: Tensor) -> Tensor:
-        """Torques (*batch, F), N·m, for states (*batch, D)."""
-        if not self.exploring:
-            return self.policy(self.space.features(observation))
-        shape = (*observation.shape[:-1], len(self.policy.u_max))
-        uniform = 2 * torch.rand(shape, dtype=torch.float64, generator=self.generator) - 1
-        return self.random_torque * self.policy.u_max * uniform
-
-
 @dataclass(frozen=True)
 class Candidate:
     """A policy that ran on the robot: its parameters and the error of its own rollout."""
@@ -103,6 +82,9 @@ class PMILTrainer(Trainer):
     robot. Training ends when the own rollouts of two trials in a row succeeded, or at the limit of trials.
     :meth:`best_policy` then chooses among the policies that ran.
 
+    With a ``checkpoint_rotation`` everything is written down as soon as the robot has moved, before anything is learned from that.
+    :meth:`resume` goes on from there, and ends with the very same parameters.
+
     Args:
         env: the robot, one of it.
         evaluation_env: a batch of robots for the measurement.
@@ -113,11 +95,15 @@ class PMILTrainer(Trainer):
         tolerance: error up to which a rollout is a success.
         trials: largest number of trials.
         search: budget and horizon of each policy search.
-        make_policy: a new random policy.
+        make_policy: a new random policy, drawn from a generator.
         random_torque: of the first rollout, as a fraction of the limits.
+        policy_generator: of new policies.
         generator: of the random torques and of the renewal of policies.
         on_trial: called with each trial when its own rollout is done.
         progress_bar: whether to show progress.
+        logger: TorchRL's, for the numbers of every trial; None for none.
+        checkpoint_rotation: where checkpoints go; None for none.
+        checkpoint_metadata: called with the trainer, what a checkpoint's manifest says of the run.
 
     Example: see ``torch_pmil/experiments/training.py``.
     """
@@ -134,11 +120,15 @@ class PMILTrainer(Trainer):
         tolerance: float,
         trials: int,
         search: SearchSettings,
-        make_policy: Callable[[], RBFPolicy],
+        make_policy: Callable[[torch.Generator], RBFPolicy],
         random_torque: float,
+        policy_generator: torch.Generator,
         generator: torch.Generator,
         on_trial: Callable[[Trial], None] = lambda trial: None,
         progress_bar: bool = True,
+        logger: Logger | None = None,
+        checkpoint_rotation: CheckpointRotation | None = None,
+        checkpoint_metadata: Callable[[PMILTrainer], Mapping[str, object]] = lambda trainer: {},
     ) -> None:
         if trials < 1:
             raise ValueError(f"trials must be at least 1, got {trials}")
@@ -147,7 +137,7 @@ class PMILTrainer(Trainer):
         actor = RobotActor(loss_module.actor_network, loss_module.space, random_torque, generator)
         self.robot_policy = TensorDictModule(actor, in_keys=["observation"], out_keys=["action"])
         super().__init__(
-            collector=Collector(
+            collector=RolloutCollector(
                 env,
                 self.robot_policy,
                 frames_per_batch=horizon,
@@ -159,8 +149,11 @@ class PMILTrainer(Trainer):
             frame_skip=1,
             optim_steps_per_batch=1,
             loss_module=loss_module,
-            optimization_stepper=PolicySearchStepper(search, make_policy, generator, self._report),
+            optimization_stepper=PolicySearchStepper(search, lambda: make_policy(policy_generator), generator, self._report),
             progress_bar=progress_bar,
+            logger=logger,
+            log_interval=0,
+            checkpoint=new_checkpoint(),
         )
         self.actor, self.evaluation_env, self.initial, self.limits = actor, evaluation_env, initial, limits
         self.error, self.tolerance, self.on_trial = error, tolerance, on_trial
@@ -168,17 +161,40 @@ class PMILTrainer(Trainer):
         self.experience = Experience(capacity=frames)
         self.trials: list[Trial] = []
         self.candidates: list[Candidate] = []
+        self.rotation, self.metadata = checkpoint_rotation, checkpoint_metadata
         self._fit: FitResult | None = None
         self._pending: Trial | None = None
+        self._begun = time.perf_counter()
+        self._register_state(policy_generator, generator)
+        self.register_op("setup", self._show_progress)
+        self.register_op("batch_process", self._save)
         self.register_op("batch_process", self._learn_from_rollout)
+        self.register_op("pre_steps_log", self._log_own_rollout)
         self.register_op("pre_optim_steps", self.fit_dynamics)
         self.register_op("process_optim_batch", self._start_belief)
         self.register_op("post_steps_log", self._measure)
+        self.register_op("post_steps_log", self._log_search)
 
     @property
     def stop_reason(self) -> str:
         """Why training ended."""
         return self._stop_reason or "limit of trials"
+
+    @property
+    def seconds(self) -> float:
+        """Wall time since the run began, that before a resumption included."""
+        return time.perf_counter() - self._begun
+
+    def resume(self) -> Path | None:
+        """Go on from the newest undamaged checkpoint, with a warning for a damaged one; None if there is none.
+
+        Raises:
+            CheckpointError: all checkpoints are damaged, or the newest is of another kind of run.
+        """
+        path = newest_undamaged(self.rotation)
+        if path is not None:
+            self.load_from_file(path)
+        return path
 
     def train(self) -> None:
         """Run Algorithm 1 to its end."""
@@ -217,6 +233,24 @@ class PMILTrainer(Trainer):
         except PredictionError:
             return float("inf")
 
+    def _register_state(self, policy_generator: torch.Generator, generator: torch.Generator) -> None:
+        """All that a checkpoint holds besides TorchRL's own parts."""
+        self.register_module("evaluation_env", self.evaluation_env)
+        self.register_module("policy_generator", GeneratorState(policy_generator))
+        self.register_module("generator", GeneratorState(generator))
+        self.register_module("experience", self.experience)
+        self.register_module("progress", _Progress(self))
+
+    def _save(self, batch: TensorDictBase) -> TensorDictBase:
+        """Write a checkpoint: the collector's part holds ``batch``, the others are from before it."""
+        if self.rotation is not None:
+            self.rotation.save(self._sync_checkpoint_components(), step=self.collected_frames, metadata=self.metadata(self))
+        return batch
+
+    def _show_progress(self) -> None:
+        if self.progress_bar:
+            self._pbar.update(self.collected_frames)
+
     def _learn_from_rollout(self, batch: TensorDictBase) -> TensorDictBase:
         """The rollout becomes experience, and completes the trial whose policy ran."""
         self.experience.extend(batch)
@@ -226,6 +260,7 @@ class PMILTrainer(Trainer):
         trial = replace(self._pending, own_error=own_error, own_success=own_error <= self.tolerance)
         parameters = {k: v.clone() for k, v in self.loss_module.actor_network.state_dict().items()}
         self.trials.append(trial)
+        self._pending = None
         self.candidates.append(Candidate(trial.trial, parameters, own_error))
         self.on_trial(trial)
         if len(self.trials) > 1 and all(t.own_success for t in self.trials[-2:]):
@@ -260,11 +295,42 @@ class PMILTrainer(Trainer):
         shown = {key: getattr(self._pending, key) for key in ("trial", "experience_s", "kl", "success_rate")}
         return {**shown, "log_pbar": True}
 
+    def _log_search(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
+        """What else the logger gets of a search."""
+        if self._pending is None:
+            return None
+        return {key: getattr(self._pending, key) for key in ("horizon", "restarted", "gp_seconds", "search_seconds", "evaluations")}
+
+    def _log_own_rollout(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
+        if not self.trials:
+            return None
+        return {key: getattr(self.trials[-1], key) for key in ("own_error", "own_success")}
+
     def _report(self, stage: str, loss: float) -> None:
         if self.progress_bar:
             self._pbar.set_postfix_str(f"search: {stage} = {loss:.1f} nats")
 
 
-def states_of(rollout: TensorDictBase) -> Tensor:
-    """States x_0..x_T of rollouts (*batch, T): (*batch, T + 1, D)."""
-    return torch.cat([rollout["observation"][..., :1, :], rollout["next", "observation"]], -2)
+class _Progress:
+    """What the trainer itself remembers, as a checkpoint takes it."""
+
+    def __init__(self, trainer: PMILTrainer) -> None:
+        self.trainer = trainer
+
+    def state_dict(self) -> dict[str, object]:
+        trainer = self.trainer
+        return {
+            "exploring": trainer.actor.exploring,
+            "seconds": trainer.seconds,
+            "trials": [asdict(trial) for trial in trainer.trials],
+            "pending": None if trainer._pending is None else asdict(trainer._pending),
+            "candidates": [vars(candidate) for candidate in trainer.candidates],
+        }
+
+    def load_state_dict(self, state_dict: Mapping[str, object]) -> None:
+        trainer, pending = self.trainer, state_dict["pending"]
+        trainer.actor.exploring = state_dict["exploring"]
+        trainer._begun = time.perf_counter() - state_dict["seconds"]
+        trainer.trials = [Trial(**trial) for trial in state_dict["trials"]]
+        trainer._pending = None if pending is None else Trial(**pending)
+        trainer.candidates = [Candidate(**candidate) for candidate in state_dict["candidates"]]

@@ -8,14 +8,14 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from tests.short_run import short_experiment
+from torch_pmil import policy_search, search_stepper
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
-from torch_pmil.experiments import EXPERIMENTS, load_experiment
-from torch_pmil.policy_search import SearchSettings
+from torch_pmil.experiments import EXPERIMENTS
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "train.py"
 Script = Callable[..., None]
@@ -34,27 +34,56 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
 
 
 @pytest.fixture
-def short_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_double_pendulum(monkeypatch: pytest.MonkeyPatch) -> None:
     """The double pendulum is its first six steps, and a search a few evaluations."""
-    whole = load_experiment("double_pendulum")
-    beginning = replace(whole.demonstrations, positions=whole.demonstrations.positions[:, :7])
-    short = replace(whole, demonstrations=beginning, num_centres=5, search=SearchSettings(1, 1, 1, first_horizon=6))
+    short = short_experiment(6)
     monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("short_experiment")
+@pytest.mark.usefixtures("short_double_pendulum")
 def test_run_leaves_numbers_policy_figures_and_a_video(script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script("trials=1", "seed=2", "out=run")
     files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     figures = {f"run/figures/{name}.png" for name in ("trajectories", "learning_curve", "poses")}
-    assert files == {f"run/{name}" for name in ("metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4")} | figures
+    logged = {name for name in files if name.startswith(("run/checkpoints/", "run/logs/double_pendulum_seed_2/scalars/"))}
+    assert len([name for name in logged if name.endswith(".torchrl")]) == 2
+    assert {"run/logs/double_pendulum_seed_2/scalars/kl.csv", "run/logs/double_pendulum_seed_2/scalars/own_error.csv"} <= logged
+    assert files - logged == {f"run/{name}" for name in ("metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4")} | figures
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["command"], summary["seed"]) == ("python scripts/train.py trials=1 seed=2 out=run", 2)
     printed = capsys.readouterr().out
     assert "trial  1:   0.6 s of experience" in printed
     assert "policy of trial 1: success rate" in printed
     assert "see run/figures, run/video.mp4, run/summary.json" in printed
+
+
+@pytest.mark.usefixtures("short_double_pendulum")
+def test_interrupted_run_ends_with_how_to_go_on(
+    script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(policy_search, "minimise", interrupted)
+    with pytest.raises(SystemExit) as stop:
+        script("trials=1", "seed=2", "out=run")
+    assert stop.value.code == 130
+    assert capsys.readouterr().err.endswith("stopped; go on with: python scripts/train.py trials=1 seed=2 out=run resume=true\n")
+
+
+@pytest.mark.usefixtures("short_double_pendulum")
+def test_stopped_run_is_not_overwritten_by_the_same_command(script: Script, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        patch.setattr(search_stepper, "search_policy", lambda *args: sys.exit("power cut"))
+        script("trials=1", "seed=2", "out=run")
+    assert error_of(script, "trials=1", "seed=2", "out=run") == (
+        "run holds a run that was stopped: go on with resume=true, or remove run/checkpoints"
+    )
+
+
+def test_unknown_logger_is_refused_with_those_there_are(script: Script) -> None:
+    assert error_of(script, "logger=stone") == "logger must be one of csv, tensorboard, wandb, mlflow or null, got stone"
 
 
 def error_of(script: Script, *overrides: str) -> str:
@@ -72,7 +101,7 @@ def test_unknown_experiment_is_refused_with_those_there_are(script: Script, tmp_
 
 
 @pytest.mark.parametrize(("override", "got"), [("trials=0", "0"), ("trials=two", "'two'"), ("trials=1.5", "1.5"), ("seed=abc", "'abc'")])
-@pytest.mark.usefixtures("short_experiment")
+@pytest.mark.usefixtures("short_double_pendulum")
 def test_number_out_of_range_is_refused_before_there_is_a_folder(script: Script, tmp_path: Path, override: str, got: str) -> None:
     message = error_of(script, override, "out=run")
     assert message.startswith(f"{override.split('=')[0]} must be ") and message.endswith(f", got {got}")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import json
 import math
 import platform
+import shutil
 import subprocess
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
@@ -15,7 +17,11 @@ from pathlib import Path
 
 import torch
 from torch import Tensor
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.record.loggers import Logger, get_logger
 
+from torch_pmil.checkpoints import rotation_in, saved_checkpoints
+from torch_pmil.collection import states_of
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.files import replacing, write_json
@@ -23,9 +29,10 @@ from torch_pmil.gaussian import Gaussian
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import predict_trajectory
-from torch_pmil.trainer import Candidate, PMILTrainer, Trial, states_of
+from torch_pmil.trainer import Candidate, PMILTrainer, Trial
 
 EVALUATION_STARTS = 20
+LOGGERS = ("csv", "tensorboard", "wandb", "mlflow")
 LIBRARIES = ("torch_pmil", "torch", "gpytorch", "torchrl", "tensordict", "mujoco", "numpy")
 
 
@@ -48,10 +55,8 @@ class RunResult:
     policy: RBFPolicy
 
 
-def prepare_folder(out: Path) -> None:
-    """Make the folder of a run, with ``figures/``, and see that it can be written to. Raises OSError if not."""
-    (out / "figures").mkdir(parents=True, exist_ok=True)
-    write_metrics(out / "metrics.csv", [])
+class UnfinishedRunError(ValueError):
+    """A folder holds a run that was stopped, which a new one would overwrite."""
 
 
 def train(
@@ -62,8 +67,14 @@ def train(
     command: str,
     progress_bar: bool = True,
     on_trial: Callable[[Trial], None] = lambda trial: None,
+    resume: bool = False,
+    logger: str | None = None,
 ) -> RunResult:
     """Learn an experiment and write ``metrics.csv`` (after every trial), ``policy.pt``, ``dynamics.pt`` and ``summary.json``.
+
+    A checkpoint is written into ``checkpoints/`` after every rollout of the robot. A run that was killed goes on from there with
+    ``resume`` and ends with the very same policy and model; one that has ended comes to the same end again, or goes on if ``trials``
+    was its limit and is larger now.
 
     Args:
         experiment: what to learn.
@@ -73,22 +84,36 @@ def train(
         command: said in the summary, so that the run can be repeated.
         progress_bar: whether to show progress.
         on_trial: called with each finished trial.
+        resume: whether to go on from the newest checkpoint in the folder; without one the run begins anew.
+        logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``; None for none.
 
     Raises:
         OSError: the folder cannot be written to.
-        ValueError: a setting is out of range.
+        ValueError: a setting is out of range, or the checkpoint is of a run with other settings.
+        UnfinishedRunError: the folder holds a run that was stopped, and ``resume`` is not set.
+        CheckpointError: all checkpoints are damaged.
+        ImportError: the library of that logger is missing.
     """
-    start = time.perf_counter()
     _check_whole("seed", seed, least=0)
     _check_whole("trials", trials, least=1)
+    if logger not in (None, *LOGGERS):
+        raise ValueError(f"logger must be one of {', '.join(LOGGERS)} or null, got {logger}")
     source = provenance(command)
+    rotation = rotation_in(out / "checkpoints")
+    if resume:
+        _check_same_run(rotation, _identity(experiment, seed))
+    else:
+        clear_folder(out)
     prepare_folder(out)
 
     def record(trial: Trial) -> None:
         write_metrics(out / "metrics.csv", trainer.trials)
         on_trial(trial)
 
-    trainer = make_trainer(experiment, seed, trials, progress_bar, record)
+    trainer = make_trainer(experiment, seed, trials, progress_bar, record, open_logger(logger, out, experiment.name, seed), rotation)
+    if resume:
+        trainer.resume()
+    write_metrics(out / "metrics.csv", trainer.trials)
     trainer.train()
     best = trainer.best_policy()
     policy, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
@@ -99,8 +124,8 @@ def train(
         "experiment": experiment.name,
         "seed": seed,
         **source,
-        "settings": _settings(experiment, trials),
-        "wall_seconds": round(time.perf_counter() - start, 2),
+        "settings": {"trials": trials, **_settings(experiment)},
+        "wall_seconds": round(trainer.seconds, 2),
         **_outcome(trainer, best, experiment, predicted, executed),
         "trials": [_plain(trial) for trial in trainer.trials],
     }
@@ -108,7 +133,55 @@ def train(
     return RunResult(summary, trainer.trials, predicted, executed, policy)
 
 
-def make_trainer(experiment: Experiment, seed: int, trials: int, progress_bar: bool, on_trial: Callable[[Trial], None]) -> PMILTrainer:
+def prepare_folder(out: Path) -> None:
+    """Make the folder of a run, with ``figures/``, and see that it can be written to. Raises OSError if not."""
+    (out / "figures").mkdir(parents=True, exist_ok=True)
+    with replacing(out / ".writable") as probe:
+        probe.touch()
+    (out / ".writable").unlink()
+
+
+def clear_folder(out: Path) -> None:
+    """Remove what a finished run left of its course. Raises UnfinishedRunError where the last one has not ended."""
+    saved = saved_checkpoints(rotation_in(out / "checkpoints"))
+    if saved and not (out / "summary.json").exists():
+        raise UnfinishedRunError(f"{out} holds a run that was stopped: go on with resume=true, or remove {out / 'checkpoints'}")
+    for leftover in (out / "checkpoints", out / "logs"):
+        if leftover.exists():
+            shutil.rmtree(leftover)
+    (out / "summary.json").unlink(missing_ok=True)
+
+
+def open_logger(kind: str | None, out: Path, experiment: str, seed: int) -> Logger | None:
+    """TorchRL's logger of that kind for a run. Raises ImportError where its library is missing."""
+    return None if kind is None else get_logger(kind, str(out / "logs"), f"{experiment}_seed_{seed}")
+
+
+def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
+    """What a resumed run must have in common with the one that was stopped, as JSON says it."""
+    positions = experiment.demonstrations.positions.contiguous().numpy().tobytes()
+    identity = {"experiment": experiment.name, "seed": seed, "demonstrations": hashlib.sha256(positions).hexdigest()}
+    return json.loads(json.dumps({**identity, **_settings(experiment)}))
+
+
+def _check_same_run(rotation: CheckpointRotation, identity: dict[str, object]) -> None:
+    if rotation.latest() is None:
+        return
+    saved = Checkpoint.manifest(rotation.latest())["metadata"]
+    for name, value in identity.items():
+        if saved.get(name) != value:
+            raise ValueError(f"the run in {rotation.directory} has {name} = {saved.get(name)}, got {value}: it cannot go on so")
+
+
+def make_trainer(
+    experiment: Experiment,
+    seed: int,
+    trials: int,
+    progress_bar: bool,
+    on_trial: Callable[[Trial], None],
+    logger: Logger | None = None,
+    rotation: CheckpointRotation | None = None,
+) -> PMILTrainer:
     """The trainer of an experiment, with every source of randomness seeded."""
     generators = [torch.Generator().manual_seed(seed + offset) for offset in (0, 1_000_000)]
     dynamics = GPDynamics(len(experiment.space.feature_names) + len(experiment.u_max), experiment.space.dim)
@@ -123,11 +196,15 @@ def make_trainer(experiment: Experiment, seed: int, trials: int, progress_bar: b
         tolerance=experiment.tolerance,
         trials=trials,
         search=experiment.search,
-        make_policy=lambda: experiment.make_policy(generators[0]),
+        make_policy=experiment.make_policy,
         random_torque=experiment.random_torque,
+        policy_generator=generators[0],
         generator=generators[1],
         on_trial=on_trial,
         progress_bar=progress_bar,
+        logger=logger,
+        checkpoint_rotation=rotation,
+        checkpoint_metadata=lambda trainer: _identity(experiment, seed),
     )
 
 
@@ -186,9 +263,8 @@ def _outcome(trainer: PMILTrainer, best: Candidate, experiment: Experiment, pred
     }
 
 
-def _settings(experiment: Experiment, trials: int) -> dict[str, object]:
+def _settings(experiment: Experiment) -> dict[str, object]:
     return {
-        "trials": trials,
         "horizon": experiment.horizon,
         "num_centres": experiment.num_centres,
         "noise_std": experiment.noise_std,

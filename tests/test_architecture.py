@@ -24,18 +24,21 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"rollout"},
     {"objective"},
     {"policy_search"},
-    {"search_stepper", "collection", "checkpoints"},
+    {"search_stepper", "lbfgs_stepper", "collection", "checkpoints"},
     {"trainer", "torchrl_interop", "evaluation", "run"},
     {"baselines"},
     {"experiments"},
-    {"plotting", "video"},
+    {"plotting", "video", "configs"},
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}
-OF_TORCHRL = {"envs", "search_stepper", "collection", "checkpoints", "experience", "objective", "trainer", "torchrl_interop"} | {
-    "experiments",
+OF_TORCHRL = {"envs", "experience", "objective", "search_stepper", "lbfgs_stepper", "collection", "checkpoints"} | {
+    "trainer",
+    "torchrl_interop",
     "evaluation",
     "run",
+    "experiments",
+    "configs",
 }
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 

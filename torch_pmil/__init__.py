@@ -12,12 +12,14 @@ from torch_pmil.expert import expert_distribution
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.kernel_expansion import KernelExpansion
 from torch_pmil.kl import gaussian_kl, trajectory_kl
+from torch_pmil.lbfgs_stepper import LBFGSStepper
 from torch_pmil.moment_matching import Moments, moment_match
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.rollout import PredictionError, predict_trajectory, sample_trajectories
 from torch_pmil.state_space import MatchSpace, StateSpace, joint_match
+from torch_pmil.trainer import PMILTrainer, Trial
 
 __version__ = "0.1.0"
 
@@ -27,15 +29,18 @@ __all__ = [
     "GPDynamics",
     "Gaussian",
     "KernelExpansion",
+    "LBFGSStepper",
     "MatchSpace",
     "Moments",
     "NotPositiveDefiniteError",
+    "PMILTrainer",
     "PredictionError",
     "RBFPolicy",
     "SearchResult",
     "SearchSettings",
     "StateSpace",
     "TrajectoryKLLoss",
+    "Trial",
     "expert_distribution",
     "gaussian_kl",
     "joint_match",

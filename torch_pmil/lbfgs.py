@@ -112,7 +112,7 @@ class _Guard:
 
     def _evaluate(self) -> tuple[Tensor, tuple[Tensor, ...]]:
         loss = self.objective()
-        gradients = torch.autograd.grad(loss, self.parameters)
+        gradients = torch.autograd.grad(loss, self.parameters, allow_unused=True, materialize_grads=True)
         largest = max(g.abs().max().item() for g in gradients)
         value = loss.item()
         if not (abs(value) < LARGEST_LOSS and largest < float("inf")):

@@ -26,6 +26,7 @@ STOPS = (
     ("fit", 6),
     ("search", 1),
     ("search", 4),
+    ("search", 8),
     ("evaluation", STEPS + 2),
     ("writing", 3),  # the first checkpoint
     ("writing", 60),
@@ -33,7 +34,7 @@ STOPS = (
     ("renaming", 3),
     ("fit", 4 * TRIALS + 1),  # all trials are done, the best policy is chosen
 )
-each_stop = pytest.mark.parametrize(("phase", "count"), STOPS, ids=lambda value: str(value))
+FEW = (STOPS[1], STOPS[3], STOPS[6], STOPS[7], STOPS[-1])
 
 
 class Stopped(BaseException):
@@ -91,7 +92,7 @@ def assert_same_end(folder: Path, whole: Path) -> None:
     assert numbers(folder) == numbers(whole)
 
 
-@each_stop
+@pytest.mark.parametrize(("phase", "count"), FEW, ids=str)
 def test_stopped_run_ends_as_one_that_was_not_stopped(phase: str, count: int, whole: Path, tmp_path: Path) -> None:
     folder = stopped_run(tmp_path / "run", phase, count)
     run(folder, resume=True)
@@ -99,7 +100,7 @@ def test_stopped_run_ends_as_one_that_was_not_stopped(phase: str, count: int, wh
 
 
 @pytest.mark.slow
-@each_stop
+@pytest.mark.parametrize(("phase", "count"), STOPS, ids=str)
 def test_killed_run_ends_as_one_that_was_not_killed(phase: str, count: int, whole: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     command = [sys.executable, "-m", "tests.short_run", str(folder)]

@@ -104,6 +104,20 @@ def test_model_is_fitted_to_all_experience_before_each_search() -> None:
     assert sizes == [HORIZON, 2 * HORIZON]
 
 
+def test_hooks_of_a_user_are_called() -> None:
+    trainer, _ = make(trials=2)
+    calls: list[str] = []
+    for destination in ("batch_process", "process_optim_batch", "pre_steps_log", "post_steps_log", "post_optim_log"):
+        trainer.register_op(destination, lambda batch, name=destination: calls.append(name))
+    for destination in ("setup", "pre_optim_steps", "post_optim", "post_steps", "shutdown"):
+        trainer.register_op(destination, lambda name=destination: calls.append(name))
+    trainer.train()
+    of_a_batch, of_a_search = ("batch_process", "pre_steps_log", "post_steps", "post_steps_log"), ("pre_optim_steps", "post_optim")
+    assert [calls.count(name) for name in of_a_batch] == [3] * 4
+    assert [calls.count(name) for name in (*of_a_search, "process_optim_batch", "post_optim_log")] == [2] * 4
+    assert (calls[0], calls[-1], calls.count("setup"), calls.count("shutdown")) == ("setup", "shutdown", 1, 1)
+
+
 def test_rate_is_that_of_the_fresh_starts_and_decides_nothing() -> None:
     trainer, told = make(trials=2, error=own_errors(9.0, 9.0), tolerance=0.5)
     trainer.train()

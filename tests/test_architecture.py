@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "torch_pmil"
 FLOORS = (  # bottom first; modules of one floor may import each other
     {"envs", "files"},  # know nothing of the mathematics, see below
     {"functions", "gaussian", "lbfgs"},
-    {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "marginal_likelihood"},
+    {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "saturating_cost", "marginal_likelihood"},
     {"gaussian_integrals"},
     {"moment_matching"},
     {"linearised_moments"},
@@ -22,6 +22,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"dynamics", "hyperparameters", "experience", "policy"},
     {"linearised_step"},
     {"rollout"},
+    {"trajectory_loss"},
     {"objective"},
     {"policy_search"},
     {"search_stepper"},
@@ -32,7 +33,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}
-OF_TORCHRL = {"envs", "search_stepper", "experience", "objective", "trainer", "evaluation", "run", "torchrl_interop"}
+OF_TORCHRL = {"envs", "search_stepper", "experience", "trajectory_loss", "objective", "trainer", "evaluation", "run", "torchrl_interop"}
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 

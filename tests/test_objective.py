@@ -15,6 +15,7 @@ from torch_pmil.kl import gaussian_kl, trajectory_kl
 from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.policy_search import SearchSettings, search_policy
 from torch_pmil.rollout import predict_mean_trajectory, predict_trajectory
+from torch_pmil.state_space import MatchSpace, StateSpace
 
 
 @pytest.fixture
@@ -113,6 +114,17 @@ def test_prediction_of_the_cost_holds_no_observation_noise(cost: ExpectedSaturat
 def test_mean_cost_is_that_of_the_mean_trajectory(cost: ExpectedSaturatingCost, initial: Gaussian) -> None:
     states = predict_mean_trajectory(initial.mean, cost.actor_network, cost.dynamics, SPACE, HORIZON)
     torch.testing.assert_close(cost.mean_per_step(initial), weighted_cost(cost, TIP(states)), rtol=1e-12, atol=1e-14)
+
+
+def test_weight_may_turn_the_axes(draws: Draws) -> None:
+    """Of three entries: the eigenvectors of two are symmetric, and could be transposed unseen."""
+    rows = torch.cat([torch.tensor([[1.0, 0.0, 0.0, 0.0]]), TIP.weights])
+    space = StateSpace(SPACE.names, SPACE.units, SPACE.angles, MatchSpace(("q", "x", "y"), ("rad", "m", "m"), TIP.angles, rows))
+    weight, target, states = draws.cov(3, scale=1.0), draws.normal(3), draws.normal(5, 2)
+    cost = ExpectedSaturatingCost(*make_parts(draws), space, target, width=2.0, horizon=5, weight=weight, reduction="none")
+    certain = cost.rollout_loss(states, torch.zeros(5, 2, 2, dtype=torch.float64))
+    delta = space.match(states) - target
+    torch.testing.assert_close(certain, 1 - torch.exp(-torch.einsum("ti,ij,tj->t", delta, weight, delta) / 8), rtol=1e-12, atol=1e-15)
 
 
 def test_cost_is_that_of_torchrl_up_to_its_jitter(initial: Gaussian) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
 from tensordict import TensorDict, assert_close
 from torch import Tensor
 from torchrl.objectives import LossModule
+from torchrl.trainers import Trainer
 
 from tests.draws import Draws
 from tests.losses import HORIZON, SPACE, make_cost, make_kl, start
@@ -165,6 +167,13 @@ def test_batch_of_any_shape_is_taken(loss: TrajectoryLoss, key: str, draws: Draw
     assert loss(start(initial))[key].shape == (2, 3, HORIZON)
 
 
+def test_beliefs_of_single_precision_are_computed_in_double(loss: TrajectoryLoss, key: str, batch: Gaussian, rollout: TensorDict) -> None:
+    for method, read in ((loss, start(batch)), (loss.rollout_loss, rollout.detach())):
+        single = method(read.float())[key]
+        assert single.dtype == torch.float64
+        torch.testing.assert_close(single, method(read)[key], rtol=1e-4, atol=0)
+
+
 STEPS_MASK = torch.tensor([[True, True, False, True], [False] * HORIZON, [True] * HORIZON])
 BELIEF_MASK = torch.tensor([True, False, True])
 masks = pytest.mark.parametrize(
@@ -254,6 +263,11 @@ def test_rollout_is_scored_whatever_its_start(loss: TrajectoryLoss, key: str, ba
         torch.cat([batch.cov[:, None], states.cov[:, :-1]], 1),
     )
     assert torch.equal(loss.rollout_loss(rollout.update(start(before)))[key], expected)
+
+
+def test_trainer_of_torchrl_reaches_the_loss_of_rollouts(loss: TrajectoryLoss, key: str, rollout: TensorDict) -> None:
+    trainer = SimpleNamespace(loss_module=loss)
+    assert torch.equal(Trainer.compute_loss(trainer, rollout, "rollout_loss")[key], loss.rollout_loss(rollout)[key])
 
 
 @pytest.mark.parametrize("steps", [1, 3])

@@ -24,7 +24,7 @@ def saturating_cost(residual: Tensor) -> Tensor:
         >>> saturating_cost(torch.tensor([[0.0, 0.0], [3.0, 4.0]]))
         tensor([0.0000, 1.0000])
     """
-    return -torch.expm1(-residual.square().sum(-1) / 2)
+    return 1 - torch.exp(-residual.square().sum(-1) / 2)
 
 
 def expected_saturating_cost(residual: Gaussian) -> Tensor:
@@ -53,4 +53,4 @@ def expected_saturating_cost(residual: Gaussian) -> Tensor:
     L = cholesky(residual.cov + torch.eye(residual.dim).to(residual.cov), "identity plus covariance of the residual")
     white = torch.linalg.solve_triangular(L, residual.mean[..., None], upper=False)
     half_log_det = L.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-    return -torch.expm1(-white.square().sum((-2, -1)) / 2 - half_log_det)
+    return 1 - torch.exp(-white.square().sum((-2, -1)) / 2 - half_log_det)

@@ -32,7 +32,7 @@ class TrajectoryLoss(LossModule):
 
     ``set_keys(mean=..., var=...)`` sets other keys. ``loss_mask_key`` is TorchRL's: the entry, (\*batch) or (\*batch, T), that is
     False where a belief or a step does not count; by default ``("collector", "mask")`` and ``"shifted_valid"`` are looked for.
-    What does not count may hold anything.
+    What does not count may hold anything. Beliefs of another dtype are computed in that of the policy.
 
     The policy is trained, the model constant: ``parameters()`` gives the policy's alone, while ``state_dict()`` holds all.
 
@@ -162,7 +162,7 @@ class TrajectoryLoss(LossModule):
         for key in keys:
             if key not in present:
                 raise KeyError(f"{type(self).__name__} reads {key!r}, got a tensordict with {sorted(present, key=str)}")
-        belief = Gaussian(*(tensordict.get(key) for key in keys))
+        belief = Gaussian(*(tensordict.get(key).to(self.actor_network.centres.dtype) for key in keys))
         if belief.dim != self.space.dim:
             raise ValueError(f"{keys[0]!r} must hold the {self.space.dim} entries {self.space.names}, got {belief.dim}")
         return belief

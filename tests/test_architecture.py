@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "torch_pmil"
 FLOORS = (  # bottom first; modules of one floor may import each other
     {"envs", "files"},  # know nothing of the mathematics, see below
     {"functions", "gaussian", "lbfgs"},
-    {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "marginal_likelihood"},
+    {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "saturating_cost", "marginal_likelihood"},
     {"gaussian_integrals"},
     {"moment_matching"},
     {"linearised_moments"},
@@ -22,6 +22,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"dynamics", "hyperparameters", "experience", "policy"},
     {"linearised_step"},
     {"rollout"},
+    {"trajectory_loss"},
     {"objective"},
     {"policy_search"},
     {"search_stepper", "lbfgs_stepper", "collection", "checkpoints"},
@@ -32,14 +33,8 @@ FLOORS = (  # bottom first; modules of one floor may import each other
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}
-OF_TORCHRL = {"envs", "experience", "objective", "search_stepper", "lbfgs_stepper", "collection", "checkpoints"} | {
-    "trainer",
-    "torchrl_interop",
-    "evaluation",
-    "run",
-    "experiments",
-    "configs",
-}
+ABOVE_SEARCH = {room for room in LEVEL if LEVEL[room] > LEVEL["policy_search"]}
+OF_TORCHRL = {"envs", "experience", "trajectory_loss", "objective"} | ABOVE_SEARCH - {"baselines", "plotting", "video"}
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from tests.draws import Draws
-from torch_pmil import GPDynamics, RBFPolicy, TrajectoryKLLoss
+from torch_pmil import ExpectedSaturatingCost, GPDynamics, RBFPolicy, TrajectoryKLLoss
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.rollout import sample_trajectories
 from torch_pmil.state_space import StateSpace, joint_match
@@ -17,7 +17,7 @@ DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.i
 
 
 def results(device: str) -> list[Tensor]:
-    """Likelihood of a fit, KL and mean KL with their policy gradients, and samples; computed on a device."""
+    """Likelihood of a fit, both losses and those of the mean with their policy gradients, and samples; computed on a device."""
     draws = Draws(seed=0)
     states, actions = draws.uniform(-1.5, 1.5, 60, 2), draws.uniform(-2, 2, 60, 1)
     inputs = torch.cat([SPACE.features(states), actions], -1)
@@ -28,9 +28,11 @@ def results(device: str) -> list[Tensor]:
     initial = Gaussian(draws.normal(2).to(device), draws.cov(2, scale=0.02).to(device))
     dynamics = GPDynamics(4, 2).to(device)
     likelihood = dynamics.fit(inputs.to(device), change.to(device)).negative_log_likelihood
-    loss = TrajectoryKLLoss(policy, dynamics, SPACE, expert, noise_std=0.1).to(device)
-    values = [likelihood]
-    for per_step in (loss.per_step, loss.mean_per_step):
+    kl = TrajectoryKLLoss(policy, dynamics, SPACE, expert, noise_std=0.1).to(device)
+    cost = ExpectedSaturatingCost(policy, dynamics, SPACE, expert.mean[-1], width=2.0, horizon=8).to(device)
+    belief = {"observation_mean": initial.mean, "observation_var": initial.cov}
+    values = [likelihood, kl(**belief).detach(), cost(**belief).detach()]
+    for per_step in (kl.per_step, kl.mean_per_step, cost.per_step, cost.mean_per_step):
         value = per_step(initial)
         values += [value.detach(), *torch.autograd.grad(value.sum(), list(policy.parameters()))]
     samples = sample_trajectories(initial, policy, dynamics, SPACE, 3, 4, torch.Generator().manual_seed(0))

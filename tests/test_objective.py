@@ -1,45 +1,26 @@
-"""The imitation objective, against the KL of its prediction and as a TorchRL loss."""
+"""The objectives, against the KL and the cost of their prediction."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.objectives import LossModule
+from torch import Tensor
+from torchrl.objectives.pilco import ExponentialQuadraticCost
 
 from tests.draws import Draws
-from torch_pmil.dynamics import GPDynamics
+from tests.losses import HORIZON, NOISE_STD, SPACE, TIP, WIDTH, make_cost, make_kl, make_parts, start
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.kl import gaussian_kl, trajectory_kl
-from torch_pmil.objective import TrajectoryKLLoss
-from torch_pmil.policy import RBFPolicy
-from torch_pmil.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
+from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
+from torch_pmil.policy_search import SearchSettings, search_policy
+from torch_pmil.rollout import predict_mean_trajectory, predict_trajectory
 from torch_pmil.state_space import MatchSpace, StateSpace
-
-HORIZON, NOISE_STD = 4, 0.1
-TIP = MatchSpace(("x", "y"), ("m", "m"), torch.tensor([[1.0, 0.0]]), torch.tensor([[0.0, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.5]]))
-SPACE = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), TIP)
-
-
-def make_loss(seed: int) -> TrajectoryKLLoss:
-    """A pendulum that shows its tip, a random policy and a random expert."""
-    draws = Draws(seed)
-    inputs = torch.cat([SPACE.features(draws.uniform(-1.5, 1.5, 25, 2)), draws.uniform(-2, 2, 25, 1)], -1)
-    dynamics = GPDynamics(4, 2)
-    dynamics.set_data(inputs, 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1))
-    dynamics.gp.covar_module.base_kernel.lengthscale = torch.tensor([[3.0, 1.5, 1.5, 4.0]])
-    dynamics.gp.likelihood.noise = torch.full((2, 1), 1e-3)
-    policy = RBFPolicy(draws.normal(5, 3), torch.tensor([2.0]), torch.ones(3))
-    policy.weights.data.copy_(0.5 * draws.normal(5, 1))
-    expert = draws.belief(HORIZON, 2, scale=0.05)
-    return TrajectoryKLLoss(policy, dynamics, SPACE, expert, NOISE_STD)
 
 
 @pytest.fixture
 def loss() -> TrajectoryKLLoss:
-    return make_loss(seed=0)
+    return make_kl(seed=0)
 
 
 @pytest.fixture
@@ -49,10 +30,6 @@ def initial(draws: Draws) -> Gaussian:
 
 def expert_of(loss: TrajectoryKLLoss) -> Gaussian:
     return Gaussian(loss.expert_mean, loss.expert_cov)
-
-
-def start(initial: Gaussian) -> TensorDict:
-    return TensorDict({"observation": {"mean": initial.mean, "var": initial.cov}})
 
 
 def test_loss_is_the_kl_of_the_predicted_trajectory(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
@@ -93,75 +70,10 @@ def test_mean_objective_is_the_kl_of_a_prediction_as_wide_as_the_expert(loss: Tr
     torch.testing.assert_close(loss.mean_per_step(initial), gaussian_kl(expert_of(loss), as_wide))
 
 
-def test_batch_of_starts_is_averaged(loss: TrajectoryKLLoss, draws: Draws) -> None:
-    initial = draws.belief(3, 2, scale=0.02)
-    alone = torch.stack([loss(start(initial[i]))["loss_kl"] for i in range(3)])
-    torch.testing.assert_close(loss(start(initial))["loss_kl"], alone.mean())
-
-
 def test_expert_that_is_the_prediction_costs_nothing(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
     predicted = loss.predict(initial).detach()
     perfect = TrajectoryKLLoss(loss.actor_network, loss.dynamics, SPACE, predicted, NOISE_STD)
     torch.testing.assert_close(perfect(start(initial))["loss_kl"], torch.zeros((), dtype=torch.float64), rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("objective", ["per_step", "mean_per_step"])
-@pytest.mark.parametrize("name", ["centres", "weights", "log_widths"])
-def test_gradient_is_the_difference_quotient(loss: TrajectoryKLLoss, initial: Gaussian, draws: Draws, objective: str, name: str) -> None:
-    parameter, per_step = loss.actor_network.get_parameter(name), getattr(loss, objective)
-    (gradient,) = torch.autograd.grad(per_step(initial).sum(), parameter)
-    direction, step, values = draws.normal(*parameter.shape), 1e-4, []
-    for move in (step, -2 * step):
-        parameter.data.add_(direction, alpha=move)
-        values.append(per_step(initial).sum().item())
-    assert (gradient * direction).sum().item() == pytest.approx((values[0] - values[1]) / (2 * step), rel=1e-5)
-
-
-def test_gradient_reaches_the_policy_and_leaves_the_model_alone(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
-    loss(start(initial))["loss_kl"].backward()
-    assert all((parameter.grad != 0).all() for parameter in loss.actor_network.parameters())
-    assert all(parameter.grad is None for parameter in loss.dynamics.parameters())
-
-
-def test_loss_follows_the_conventions_of_torchrl(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
-    assert isinstance(loss, LossModule)
-    assert loss.in_keys == [("observation", "mean"), ("observation", "var")]
-    assert loss.out_keys == ["loss_kl"]
-    result = loss(start(initial))
-    assert list(result.keys()) == loss.out_keys
-    assert result["loss_kl"].shape == ()
-
-
-def test_loss_takes_tensors_in_place_of_a_tensordict(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
-    expected = loss(start(initial))["loss_kl"]
-    assert torch.equal(loss(observation_mean=initial.mean, observation_var=initial.cov), expected)
-    assert torch.equal(loss(initial.mean, initial.cov), expected)
-
-
-def test_other_keys_can_be_set_for_one_loss(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
-    expected, other = loss(start(initial))["loss_kl"], make_loss(seed=0)
-    loss.set_keys(mean="mu", var=("start", "Sigma"))
-    assert loss.in_keys == ["mu", ("start", "Sigma")]
-    renamed = TensorDict({"mu": initial.mean, "start": {"Sigma": initial.cov}})
-    assert torch.equal(loss(renamed)["loss_kl"], expected)
-    assert torch.equal(loss(mu=initial.mean, start_Sigma=initial.cov), expected)
-    assert torch.equal(other(start(initial))["loss_kl"], expected)
-
-
-def test_unknown_key_is_an_error(loss: TrajectoryKLLoss) -> None:
-    with pytest.raises(ValueError, match="reward is not an accepted tensordict key"):
-        loss.set_keys(reward="r")
-
-
-def test_fresh_loss_with_the_state_of_another_is_the_same(loss: TrajectoryKLLoss, initial: Gaussian, tmp_path: Path) -> None:
-    """Policy, model with its data, and expert: all are in the state."""
-    other = make_loss(seed=1)
-    expected = loss(start(initial))["loss_kl"]
-    assert not torch.allclose(other(start(initial))["loss_kl"], expected)
-    torch.save(loss.state_dict(), tmp_path / "loss.pt")
-    other.load_state_dict(torch.load(tmp_path / "loss.pt", weights_only=True))
-    assert torch.equal(other(start(initial))["loss_kl"], expected)
-    assert {name.split(".")[0] for name in loss.state_dict()} == {"actor_network", "dynamics", "expert_mean", "expert_cov"}
 
 
 def test_expert_of_another_dimension_is_an_error(loss: TrajectoryKLLoss, draws: Draws) -> None:
@@ -169,8 +81,96 @@ def test_expert_of_another_dimension_is_an_error(loss: TrajectoryKLLoss, draws: 
         TrajectoryKLLoss(loss.actor_network, loss.dynamics, SPACE, draws.belief(HORIZON, 3), NOISE_STD)
 
 
-def test_failed_prediction_is_an_error_that_names_its_step(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
-    negative = Gaussian(initial.mean, -100 * torch.eye(2, dtype=torch.float64))
-    with pytest.raises(PredictionError, match=rf"prediction of step 1 of {HORIZON} failed") as error:
-        loss(start(negative))
-    assert error.value.step == 1
+@pytest.fixture
+def cost() -> ExpectedSaturatingCost:
+    return make_cost(seed=0)
+
+
+def weighted_cost(cost: ExpectedSaturatingCost, z: Tensor) -> Tensor:
+    """1 - exp(-d(z)² / (2 width²)) with the weight that the loss was given."""
+    again = Draws(0)
+    make_parts(again)
+    target, weight = TIP(again.normal(2)), again.cov(2, scale=1.0)
+    assert torch.equal(cost.target, target)
+    return 1 - torch.exp(-torch.einsum("...i,ij,...j->...", z - target, weight, z - target) / (2 * WIDTH**2))
+
+
+def test_cost_is_that_of_samples_of_the_prediction(cost: ExpectedSaturatingCost, initial: Gaussian, draws: Draws) -> None:
+    samples = weighted_cost(cost, cost.predict(initial).detach().sample(100_000, draws.generator))
+    standard_error = samples.std(0) / len(samples) ** 0.5
+    assert ((samples.mean(0) - cost.per_step(initial)).abs() < 4 * standard_error).all()
+
+
+def test_cost_is_summed_over_the_horizon(cost: ExpectedSaturatingCost, initial: Gaussian) -> None:
+    assert cost.horizon == HORIZON
+    torch.testing.assert_close(cost(start(initial))["loss_cost"], cost.per_step(initial).sum(), rtol=1e-14, atol=0)
+
+
+def test_prediction_of_the_cost_holds_no_observation_noise(cost: ExpectedSaturatingCost, initial: Gaussian) -> None:
+    states = predict_trajectory(initial, cost.actor_network, cost.dynamics, SPACE, HORIZON)
+    torch.testing.assert_close(cost.predict(initial).cov, TIP.belief(states).cov, rtol=0, atol=0)
+
+
+def test_mean_cost_is_that_of_the_mean_trajectory(cost: ExpectedSaturatingCost, initial: Gaussian) -> None:
+    states = predict_mean_trajectory(initial.mean, cost.actor_network, cost.dynamics, SPACE, HORIZON)
+    torch.testing.assert_close(cost.mean_per_step(initial), weighted_cost(cost, TIP(states)), rtol=1e-12, atol=1e-14)
+
+
+def test_weight_may_turn_the_axes(draws: Draws) -> None:
+    """Of three entries: the eigenvectors of two are symmetric, and could be transposed unseen."""
+    rows = torch.cat([torch.tensor([[1.0, 0.0, 0.0, 0.0]]), TIP.weights])
+    space = StateSpace(SPACE.names, SPACE.units, SPACE.angles, MatchSpace(("q", "x", "y"), ("rad", "m", "m"), TIP.angles, rows))
+    weight, target, states = draws.cov(3, scale=1.0), draws.normal(3), draws.normal(5, 2)
+    cost = ExpectedSaturatingCost(*make_parts(draws), space, target, width=2.0, horizon=5, weight=weight, reduction="none")
+    certain = cost.rollout_loss(states, torch.zeros(5, 2, 2, dtype=torch.float64))
+    delta = space.match(states) - target
+    torch.testing.assert_close(certain, 1 - torch.exp(-torch.einsum("ti,ij,tj->t", delta, weight, delta) / 8), rtol=1e-12, atol=1e-15)
+
+
+def test_cost_is_that_of_torchrl_up_to_its_jitter(initial: Gaussian) -> None:
+    """TorchRL adds 1e-5 to the eigenvalues of I + S."""
+    weight = torch.tensor([[2.0, 0.5], [0.5, 1.0]], dtype=torch.float64)
+    cost = make_cost(seed=1, weight=weight)
+    predicted = cost.predict(initial)
+    theirs = ExponentialQuadraticCost(cost.target, weight / WIDTH**2, reduction="none")
+    expected = theirs(TensorDict({"observation": {"mean": predicted.mean, "var": predicted.cov}}))["loss_cost"]
+    torch.testing.assert_close(cost.per_step(initial), expected, rtol=0, atol=2e-5)
+
+
+def test_weight_is_the_identity_unless_given(initial: Gaussian) -> None:
+    plain, given = make_cost(seed=0, weight=None), make_cost(seed=0, weight=torch.eye(2))
+    assert torch.equal(plain.per_step(initial), given.per_step(initial))
+
+
+def test_entry_without_weight_is_ignored(initial: Gaussian) -> None:
+    weight, target = torch.diag(torch.tensor([1.0, 0.0])), torch.tensor([0.2, 0.3])
+    here = make_cost(seed=0, weight=weight, target=target).per_step(initial)
+    there = make_cost(seed=0, weight=weight, target=target + torch.tensor([0.0, 5.0])).per_step(initial)
+    assert torch.equal(here, there)
+
+
+@pytest.mark.parametrize("key", ["loss_kl", "loss_cost"])
+def test_search_lowers_the_loss(key: str, initial: Gaussian) -> None:
+    """Every loss of a trajectory can be searched."""
+    loss = {"loss_kl": make_kl, "loss_cost": make_cost}[key](seed=0)
+    before = loss(start(initial))[key].item()
+    result = search_policy(loss, initial, SearchSettings(mean_iterations=3, stage_iterations=3, final_iterations=5))
+    assert result.kl < before
+    assert loss(start(initial))[key].item() == pytest.approx(result.kl, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"target": torch.zeros(3)}, r"target must have shape \(2,\), the entries \('x', 'y'\), got \(3,\)"),
+        ({"width": 0.0}, "width must be positive and horizon at least 1, got 0.0 and 4"),
+        ({"width": float("nan")}, "width must be positive and horizon at least 1, got nan and 4"),
+        ({"horizon": 0}, "width must be positive and horizon at least 1, got 0.4 and 0"),
+        ({"weight": torch.eye(3)}, r"weight must have shape \(2, 2\), got \(3, 3\)"),
+        ({"weight": -torch.eye(2)}, "weight must be symmetric and positive semi-definite"),
+        ({"weight": torch.tensor([[1.0, 1.0], [0.0, 1.0]])}, "weight must be symmetric and positive semi-definite"),
+    ],
+)
+def test_cost_that_makes_no_sense_is_an_error(wrong: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_cost(seed=0, **wrong)

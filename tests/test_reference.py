@@ -18,6 +18,7 @@ from torch_pmil.kernel_expansion import KernelExpansion
 from torch_pmil.moment_matching import moment_match
 from torch_pmil.policy import Controller
 from torch_pmil.rollout import predict_step
+from torch_pmil.saturating_cost import expected_saturating_cost
 from torch_pmil.state_space import StateSpace, joint_match
 from torch_pmil.trigonometry import augment, squash
 
@@ -305,9 +306,20 @@ def quadratic_cost(state: Gaussian, W: Tensor, z: Tensor) -> Tensor:
 
 
 def saturating_cost(state: Gaussian, W: Tensor, z: Tensor) -> Tensor:
-    delta, widened = state.mean - z, torch.eye(len(z), dtype=torch.float64) + state.cov @ W
-    exponent = (delta[..., None, :] @ torch.linalg.solve(widened.mT, W).mT @ delta[..., None])[..., 0, 0]
-    return 1 - torch.linalg.det(widened).rsqrt() * torch.exp(-exponent / 2)
+    root = torch.linalg.cholesky(W).mT
+    return expected_saturating_cost(Gaussian(state.mean - z, state.cov).affine(root))
+
+
+@policy_files
+@covariances
+def test_saturating_cost_agrees_with_its_derivatives(name: str, k: int) -> None:
+    data = load(name)
+    mean, cov = data["m"][k].clone().requires_grad_(), data["s"][k].clone().requires_grad_()
+    cost = saturating_cost(Gaussian(mean, cov), data["loss_W"], data["loss_z"])
+    d_mean, d_cov = torch.autograd.grad(cost, (mean, cov))
+    assert_agrees(cost.detach(), data["sat_L"][k])
+    assert_agrees(d_mean, data["sat_dLdm"][k])
+    assert_agrees(symmetrised(d_cov), data["sat_dLds"][k])
 
 
 @rollout_files

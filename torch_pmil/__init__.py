@@ -14,10 +14,11 @@ from torch_pmil.kernel_expansion import KernelExpansion
 from torch_pmil.kl import gaussian_kl, trajectory_kl
 from torch_pmil.lbfgs_stepper import LBFGSStepper
 from torch_pmil.moment_matching import Moments, moment_match
-from torch_pmil.objective import TrajectoryKLLoss
+from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.rollout import PredictionError, predict_trajectory, sample_trajectories
+from torch_pmil.saturating_cost import expected_saturating_cost
 from torch_pmil.state_space import MatchSpace, StateSpace, joint_match
 from torch_pmil.trainer import PMILTrainer, Trial
 
@@ -26,6 +27,7 @@ __version__ = "0.1.0"
 __all__ = [
     "DemonstrationError",
     "Demonstrations",
+    "ExpectedSaturatingCost",
     "GPDynamics",
     "Gaussian",
     "KernelExpansion",
@@ -41,6 +43,7 @@ __all__ = [
     "StateSpace",
     "TrajectoryKLLoss",
     "Trial",
+    "expected_saturating_cost",
     "expert_distribution",
     "gaussian_kl",
     "joint_match",

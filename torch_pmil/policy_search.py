@@ -12,9 +12,9 @@ from torch import Tensor
 
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.lbfgs import MinimiseResult, NotFiniteError, minimise, restore
-from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import PredictionError, predict_trajectory
+from torch_pmil.trajectory_loss import TrajectoryLoss
 
 RENEWAL_SAMPLES = 20  # states a time step
 
@@ -64,7 +64,7 @@ class SearchResult:
 
 
 def search_policy(
-    loss: TrajectoryKLLoss,
+    loss: TrajectoryLoss,
     initial: Gaussian,
     settings: SearchSettings = SearchSettings(),
     report: Callable[[str, float], None] = lambda stage, kl: None,
@@ -104,7 +104,7 @@ def search_policy(
 class _Search:
     """The runs of L-BFGS of one policy search."""
 
-    def __init__(self, loss: TrajectoryKLLoss, initial: Gaussian, settings: SearchSettings, report: Callable[[str, float], None]) -> None:
+    def __init__(self, loss: TrajectoryLoss, initial: Gaussian, settings: SearchSettings, report: Callable[[str, float], None]) -> None:
         self.loss, self.initial, self.settings, self.report = loss, initial, settings, report
         self.parameters = list(loss.actor_network.parameters())
         self.runs: list[MinimiseResult] = []
@@ -143,7 +143,7 @@ class _Search:
 
 
 @torch.no_grad()
-def renew_policy(loss: TrajectoryKLLoss, initial: Gaussian, new: RBFPolicy, settings: SearchSettings, generator: torch.Generator) -> None:
+def renew_policy(loss: TrajectoryLoss, initial: Gaussian, new: RBFPolicy, settings: SearchSettings, generator: torch.Generator) -> None:
     """Give the policy of ``loss`` the new policy's centres and widths, and weights that act as it did where it is trusted.
 
     Searches on early, poor models drive widths and centres to extremes from which no later search returns. A new network
@@ -167,7 +167,7 @@ def renew_policy(loss: TrajectoryKLLoss, initial: Gaussian, new: RBFPolicy, sett
 
 
 @torch.no_grad()
-def _evaluate(loss: TrajectoryKLLoss, initial: Gaussian) -> Tensor:
+def _evaluate(loss: TrajectoryLoss, initial: Gaussian) -> Tensor:
     """KL of each step, (T,); infinite from the step on at which the prediction fails."""
     try:
         return loss.per_step(initial)

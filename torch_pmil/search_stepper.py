@@ -12,9 +12,9 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, renew_policy, search_policy
+from torch_pmil.trajectory_loss import TrajectoryLoss
 
 STATE = ("_longest", "_least", "_stalled", "_renewing")
 PATIENCE = 2  # searches in a row without progress, before one from a random policy
@@ -60,7 +60,7 @@ class PolicySearchStepper(OptimizationStepper):
             self._stalled = 0
         self._longest, self._least = max(self._longest, self.result.horizon), min(self._least, self.result.kl)
         self._renewing = not self.result.complete
-        return TensorDict({"loss_kl": torch.tensor(self.result.kl, dtype=torch.float64)})
+        return TensorDict({loss.out_keys[0]: torch.tensor(self.result.kl, dtype=torch.float64)})
 
     def state_dict(self) -> dict[str, object]:
         """What the next search depends on, besides policy and model."""
@@ -71,7 +71,7 @@ class PolicySearchStepper(OptimizationStepper):
         for name in STATE:
             setattr(self, name, state_dict[name])
 
-    def _search_anew(self, loss: TrajectoryKLLoss, initial: Gaussian) -> None:
+    def _search_anew(self, loss: TrajectoryLoss, initial: Gaussian) -> None:
         first = copy.deepcopy(loss.actor_network.state_dict())
         loss.actor_network.load_state_dict(self.make_policy().state_dict())
         second = search_policy(loss, initial, self.settings, self.report)

@@ -24,11 +24,11 @@ from torch_pmil.collection import RobotActor, RolloutCollector, states_of
 from torch_pmil.dynamics import FitResult
 from torch_pmil.experience import Experience
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchSettings
 from torch_pmil.rollout import PredictionError
 from torch_pmil.search_stepper import PolicySearchStepper
+from torch_pmil.trajectory_loss import TrajectoryLoss
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class PMILTrainer(Trainer):
         *,
         env: EnvBase,
         evaluation_env: EnvBase,
-        loss_module: TrajectoryKLLoss,
+        loss_module: TrajectoryLoss,
         initial: Gaussian,
         limits: Tensor,
         error: Callable[[Tensor], Tensor],

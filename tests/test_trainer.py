@@ -169,23 +169,6 @@ def test_other_seed_gives_another_run(trained: PMILTrainer) -> None:
     assert not torch.equal(ours["action"], theirs["action"])
 
 
-def test_hooks_of_a_user_are_called() -> None:
-    trainer, _ = make(trials=2)
-    calls = dict.fromkeys(("batch_process", "pre_optim_steps", "post_optim", "post_steps"), 0)
-
-    def count(name: str) -> Callable[..., object]:
-        def hook(*batch: TensorDict) -> object:
-            calls[name] += 1
-            return batch[0] if batch else None
-
-        return hook
-
-    for name in calls:
-        trainer.register_op(name, count(name))
-    trainer.train()
-    assert calls == {"batch_process": 3, "pre_optim_steps": 2, "post_optim": 2, "post_steps": 3}
-
-
 def test_no_trials_are_an_error() -> None:
     with pytest.raises(ValueError, match="trials must be at least 1, got 0"):
         make(trials=0)

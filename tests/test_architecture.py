@@ -20,7 +20,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"state_space"},
     {"demonstrations", "alignment", "expert"},
     {"dynamics", "hyperparameters", "experience", "policy"},
-    {"linearised_step"},
+    {"linearised_step", "state_policy", "saved_policy"},
     {"rollout"},
     {"objective"},
     {"policy_search"},
@@ -32,7 +32,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}
-OF_TORCHRL = {"envs", "search_stepper", "experience", "objective", "trainer", "evaluation", "run", "torchrl_interop"}
+OF_TORCHRL = {"envs", "search_stepper", "experience", "objective", "trainer", "evaluation", "run", "state_policy", "torchrl_interop"}
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 

@@ -17,6 +17,8 @@ from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.rollout import PredictionError, predict_trajectory, sample_trajectories
+from torch_pmil.saved_policy import PolicyFileError, load_policy, save_policy
+from torch_pmil.state_policy import StatePolicy
 from torch_pmil.state_space import MatchSpace, StateSpace, joint_match
 
 __version__ = "0.1.0"
@@ -30,19 +32,23 @@ __all__ = [
     "MatchSpace",
     "Moments",
     "NotPositiveDefiniteError",
+    "PolicyFileError",
     "PredictionError",
     "RBFPolicy",
     "SearchResult",
     "SearchSettings",
+    "StatePolicy",
     "StateSpace",
     "TrajectoryKLLoss",
     "expert_distribution",
     "gaussian_kl",
     "joint_match",
     "load_demonstrations",
+    "load_policy",
     "moment_match",
     "predict_trajectory",
     "sample_trajectories",
+    "save_policy",
     "search_policy",
     "shipped_demonstrations",
     "trajectory_kl",

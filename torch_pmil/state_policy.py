@@ -73,8 +73,8 @@ class StatePolicy(nn.Module):
     def export(self, path: Path | str, batch: bool = False) -> None:
         """Write a program that ``torch.export.load`` reads where there is nothing but PyTorch.
 
-        Its input, a float64 tensor on the CPU, has the rank it was exported for. It raises AssertionError at another shape and
-        RuntimeError at another dtype or a number that is not finite.
+        Its input, a float64 tensor on the CPU, has the number of dimensions that it was exported for. The program raises an error at
+        another shape or dtype, and at a number that is not finite.
 
         Args:
             path: of the file, ending in .pt2.
@@ -131,6 +131,6 @@ class _Program(nn.Module):
         self.policy, self.space = policy, space
 
     def forward(self, state: Tensor) -> Tensor:
-        state = state.double()  # leaves a check of the dtype in the graph
+        state = state.double().view(state.shape)  # leaves checks of the dtype and of the number of dimensions in the graph
         torch._assert_async(state.isfinite().all(), "state must be finite")
         return self.policy(self.space.features(state))

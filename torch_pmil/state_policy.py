@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from pathlib import Path
 from typing import TypeVar
@@ -89,7 +90,7 @@ class StatePolicy(nn.Module):
         path = Path(path)
         if path.suffix != ".pt2":
             raise ValueError(f"an exported policy must be a .pt2 file, got {path}")
-        program = _Program(self.policy, self.space).cpu()
+        program = _Program(copy.deepcopy(self.policy).cpu().requires_grad_(False), self.space)
         example = torch.zeros((2, self.space.dim) if batch else self.space.dim, dtype=torch.float64)
         program(example)  # what the state space keeps from its first call must not come from the tracer
         exported = torch.export.export(program, (example,), dynamic_shapes=({0: torch.export.Dim("N", min=0)},) if batch else None)

@@ -1,7 +1,7 @@
 """Time of one step of the double pendulum's policy, from a state to a torque: NumPy, PyTorch and exported; one thread.
 
-Wall time of each single call on the CPU, in microseconds, after some that are not counted. The three forms take turns, so that what else
-the machine does meets all of them.
+CPU and wall time of each single call, in microseconds, after some that are not counted. The three forms take turns, so that what else
+the machine does meets all of them; where it does much, the wall time says how long the step had to wait.
 
 Example:
     python -m benchmarks.policy_step --steps 10000
@@ -45,19 +45,28 @@ def main() -> None:
 
 
 def measure(steps: int) -> list[dict[str, object]]:
-    """A row for each form: the least, the median, the 99th percentile and the most, in microseconds."""
+    """A row for each form: least and median CPU time, median and 99th percentile of the wall time, in microseconds."""
     forms = make_forms()
-    times: dict[str, list[float]] = {name: [] for name in forms}
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in forms}
     for _ in range(WARM_UP + steps):
         for name, step in forms.items():
-            start = time.perf_counter()
-            step()
-            times[name].append(time.perf_counter() - start)
-    points = {"us_min": 0, "us_median": 50, "us_99_percent": 99, "us_max": 100}
-    return [
-        {"form": name, **{point: round(1e6 * np.percentile(values[WARM_UP:], q), 1) for point, q in points.items()}}
-        for name, values in times.items()
-    ]
+            times[name].append(timed(step))
+    return [{"form": name, **statistics_of(1e6 * np.array(values[WARM_UP:]))} for name, values in times.items()]
+
+
+def timed(step: Callable[[], object]) -> tuple[float, float]:
+    """CPU and wall seconds of a step."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    step()
+    return time.process_time() - cpu, time.perf_counter() - wall
+
+
+def statistics_of(microseconds: np.ndarray) -> dict[str, float]:
+    """What a row says of the CPU and wall times (steps, 2)."""
+    cpu, wall = microseconds.T
+    values = {"cpu_us_min": cpu.min(), "cpu_us_median": np.median(cpu)}
+    values |= {"wall_us_median": np.median(wall), "wall_us_99_percent": np.percentile(wall, 99)}
+    return {name: round(float(value), 1) for name, value in values.items()}
 
 
 def make_forms() -> dict[str, Callable[[], object]]:
@@ -76,9 +85,12 @@ def make_forms() -> dict[str, Callable[[], object]]:
 
 def table(rows: list[dict[str, object]]) -> list[str]:
     """Lines for the eye."""
-    lines = [f"{'form':<9} {'least':>8} {'median':>8} {'99 %':>8} {'most':>8}  (microseconds)"]
+    lines = [f"{'form':<9} {'CPU least':>10} {'median':>10} {'wall median':>12} {'99 %':>10}  (microseconds)"]
     for row in rows:
-        lines.append(f"{row['form']:<9} " + " ".join(f"{value:>8.1f}" for value in list(row.values())[1:]))
+        lines.append(
+            f"{row['form']:<9} {row['cpu_us_min']:>10.1f} {row['cpu_us_median']:>10.1f} "
+            f"{row['wall_us_median']:>12.1f} {row['wall_us_99_percent']:>10.1f}"
+        )
     return lines
 
 

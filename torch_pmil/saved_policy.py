@@ -114,7 +114,7 @@ def _unpickled(data: bytes) -> object:
 
 def _check_entries(content: object) -> None:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        found = f"entries {', '.join(map(str, content))}" if isinstance(content, dict) else f"a {type(content).__name__}"
+        found = f"entries {', '.join(map(str, list(content)[:5]))}" if isinstance(content, dict) else f"a {type(content).__name__}"
         raise PolicyFileError(f"must be a file of save_policy, with the entry format = {FORMAT!r}, got {found}")
     if content.get("version") != FORMAT_VERSION:
         writer = f"torch_pmil {content.get('torch_pmil')}"

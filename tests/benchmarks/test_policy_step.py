@@ -20,7 +20,8 @@ def test_every_form_has_its_times(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     assert report["command"].startswith("python -m benchmarks.policy_step --steps 5")
     assert [row["form"] for row in report["rows"]] == ["numpy", "torch", "exported"]
     for row in report["rows"]:
-        assert 0 < row["us_min"] <= row["us_median"] <= row["us_99_percent"] <= row["us_max"]
+        assert 0 < row["cpu_us_min"] <= row["cpu_us_median"]
+        assert 0 < row["wall_us_median"] <= row["wall_us_99_percent"]
     assert len(capsys.readouterr().out.splitlines()) == 4
 
 

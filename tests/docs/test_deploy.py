@@ -70,7 +70,7 @@ def test_loaded_policy_acts_on_arrays(namespace: dict) -> None:
 def test_loop_sends_the_torque_of_the_state_once_a_control_period(namespace: dict, robot: Robot) -> None:
     assert len(robot.torques) == 25
     assert all((torque == namespace["policy"](robot.start)).all() for torque in robot.torques)
-    assert 24 * 0.02 <= robot.times[-1] - robot.times[0] + 0.02  # the first may come late
+    assert robot.times[-1] - robot.times[0] > 23 * 0.02  # the first may come late
 
 
 def test_environment_executes_the_policy(namespace: dict) -> None:
@@ -87,5 +87,6 @@ def test_exported_program_gives_the_torque_of_the_policy(namespace: dict) -> Non
 def test_table_holds_the_numbers_of_the_benchmark_and_none_reaches_a_millisecond_in_the_median() -> None:
     rows = json.loads((ROOT / "results" / "policy_step" / "summary.json").read_text())["rows"]
     for row in rows:
-        assert f"| {row['form']} | {row['us_min']:.0f} | {row['us_median']:.0f} | {row['us_99_percent']:.0f} |" in PAGE
-        assert row["us_median"] < 1000
+        numbers = [row[name] for name in ("cpu_us_min", "cpu_us_median", "wall_us_median", "wall_us_99_percent")]
+        assert f"| {row['form']} | {' | '.join(f'{number:.0f}' for number in numbers)} |" in PAGE
+        assert row["cpu_us_median"] < 1000 and row["wall_us_median"] < 1000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from pathlib import Path
 from typing import TypeVar
@@ -13,7 +12,8 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
 from torch_pmil.files import replacing
-from torch_pmil.policy import RBFPolicy
+from torch_pmil.kernel_expansion import KernelExpansion
+from torch_pmil.policy import Controller, RBFPolicy
 from torch_pmil.state_space import StateSpace
 
 State = TypeVar("State", np.ndarray, Tensor)
@@ -90,9 +90,9 @@ class StatePolicy(nn.Module):
         path = Path(path)
         if path.suffix != ".pt2":
             raise ValueError(f"an exported policy must be a .pt2 file, got {path}")
-        program = _Program(copy.deepcopy(self.policy).cpu().requires_grad_(False), self.space)
+        program = _Program(_constant(self.policy.controller), self.space)
         example = torch.zeros((2, self.space.dim) if batch else self.space.dim, dtype=torch.float64)
-        program(example)  # what the state space keeps from its first call must not come from the tracer
+        program(example)  # what space and network keep from their first call must not come from the tracer
         exported = torch.export.export(program, (example,), dynamic_shapes=({0: torch.export.Dim("N", min=0)},) if batch else None)
         with replacing(path) as temporary, temporary.open("wb") as file:
             torch.export.save(exported, file)
@@ -124,14 +124,22 @@ def _is_real(state: np.ndarray | Tensor) -> bool:
     return not (state.is_complex() or state.dtype == torch.bool)
 
 
+def _constant(controller: Controller) -> Controller:
+    """The same of tensors on the CPU that are neither parameters nor views."""
+    network = controller.network
+    tensors = network.inputs, network.weights, network.lengthscales, network.signal_variance, controller.u_max
+    *of_network, u_max = (tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for tensor in tensors)
+    return Controller(KernelExpansion(*of_network), u_max)
+
+
 class _Program(nn.Module):
     """What is exported: no Python decides, so the checks are operations of the graph."""
 
-    def __init__(self, policy: RBFPolicy, space: StateSpace) -> None:
+    def __init__(self, controller: Controller, space: StateSpace) -> None:
         super().__init__()
-        self.policy, self.space = policy, space
+        self.controller, self.space = controller, space
 
     def forward(self, state: Tensor) -> Tensor:
         state = state.double().view(state.shape)  # leaves checks of the dtype and of the number of dimensions in the graph
         torch._assert_async(state.isfinite().all(), "state must be finite")
-        return self.policy(self.space.features(state))
+        return self.controller(self.space.features(state))

@@ -37,10 +37,11 @@ results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summ
 runs/double_pendulum/seed_%/summary.json: | .venv/.installed
 	@.venv/bin/python scripts/train.py experiment=double_pendulum seed=$* out=$(@D) resume=true
 
-benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's) and of fits, into results
+benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's), of fits and of a policy's step, into results
 	@.venv/bin/python benchmarks/prediction.py $(ARGS)
 	@.venv/bin/python -m benchmarks.breakdown
 	@OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.gp_fit
+	@OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.policy_step
 
 benchmark-steps: .venv/.benchmark  ## time of single steps
 	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest benchmarks/test_single_steps.py $(ARGS)

@@ -20,7 +20,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"state_space"},
     {"demonstrations", "alignment", "expert"},
     {"dynamics", "hyperparameters", "experience", "policy"},
-    {"linearised_step"},
+    {"linearised_step", "state_policy", "saved_policy"},
     {"rollout"},
     {"trajectory_loss"},
     {"objective"},
@@ -34,7 +34,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}
 ABOVE_SEARCH = {room for room in LEVEL if LEVEL[room] > LEVEL["policy_search"]}
-OF_TORCHRL = {"envs", "experience", "trajectory_loss", "objective"} | ABOVE_SEARCH - {"baselines", "plotting", "video"}
+OF_TORCHRL = {"envs", "experience", "state_policy", "trajectory_loss", "objective"} | ABOVE_SEARCH - {"baselines", "plotting", "video"}
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 

@@ -75,7 +75,8 @@ def stopped_run(folder: Path, phase: str, count: int) -> Path:
 
 
 def tensors(path: Path) -> dict[str, Tensor]:
-    return torch.load(path, weights_only=True)
+    content = torch.load(path, weights_only=True)
+    return content.get("parameters", content)
 
 
 def numbers(folder: Path) -> dict:

@@ -22,6 +22,7 @@ from torch_pmil.experiments.training import EVALUATION_STARTS, RunResult, prepar
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import predict_trajectory
+from torch_pmil.saved_policy import load_policy
 from torch_pmil.trainer import Trial
 
 HORIZON, TRIALS, SEED = 4, 2, 3
@@ -119,10 +120,8 @@ def test_metrics_are_written_after_every_trial(result: RunResult, rows_when_told
     assert rows_when_told == [1, 2]
 
 
-def load_policy(folder: Path) -> RBFPolicy:
-    policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
-    policy.load_state_dict(torch.load(folder / "policy.pt", weights_only=True))
-    return policy
+def load_network(folder: Path) -> RBFPolicy:
+    return load_policy(folder / "policy.pt").policy
 
 
 def load_dynamics(folder: Path) -> GPDynamics:
@@ -131,13 +130,14 @@ def load_dynamics(folder: Path) -> GPDynamics:
     return dynamics
 
 
+@torch.no_grad()
 def test_saved_policy_acts_as_the_learned_one(result: RunResult, folder: Path, draws: Draws) -> None:
     features = draws.normal(50, 6)
-    assert torch.equal(load_policy(folder)(features), result.policy(features))
+    assert torch.equal(load_network(folder)(features), result.policy(features))
 
 
 def test_saved_policy_and_model_predict_as_the_run_did(result: RunResult, folder: Path, experiment: Experiment) -> None:
-    predicted = predict_trajectory(experiment.initial, load_policy(folder), load_dynamics(folder), experiment.space, HORIZON)
+    predicted = predict_trajectory(experiment.initial, load_network(folder), load_dynamics(folder), experiment.space, HORIZON)
     assert torch.equal(predicted.mean, result.predicted.mean)
     assert torch.equal(predicted.cov, result.predicted.cov)
 
@@ -148,7 +148,7 @@ def test_saved_model_knows_all_experience(result: RunResult, folder: Path) -> No
 
 def test_executed_rollouts_are_those_of_the_saved_policy(result: RunResult, folder: Path, experiment: Experiment) -> None:
     before, after = result.executed[:, :-1].flatten(0, 1), result.executed[:, 1:].flatten(0, 1)
-    actions = load_policy(folder)(experiment.space.features(before)).detach()
+    actions = load_network(folder)(experiment.space.features(before)).detach()
     torch.testing.assert_close(experiment.make_env(seed=0).simulate(before, actions), after, rtol=0, atol=1e-9)
 
 

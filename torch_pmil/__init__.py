@@ -19,6 +19,8 @@ from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.rollout import PredictionError, predict_trajectory, sample_trajectories
 from torch_pmil.saturating_cost import expected_saturating_cost
+from torch_pmil.saved_policy import PolicyFileError, load_policy, save_policy
+from torch_pmil.state_policy import StatePolicy
 from torch_pmil.state_space import MatchSpace, StateSpace, joint_match
 from torch_pmil.trainer import PMILTrainer, Trial
 
@@ -36,10 +38,12 @@ __all__ = [
     "Moments",
     "NotPositiveDefiniteError",
     "PMILTrainer",
+    "PolicyFileError",
     "PredictionError",
     "RBFPolicy",
     "SearchResult",
     "SearchSettings",
+    "StatePolicy",
     "StateSpace",
     "TrajectoryKLLoss",
     "Trial",
@@ -48,9 +52,11 @@ __all__ = [
     "gaussian_kl",
     "joint_match",
     "load_demonstrations",
+    "load_policy",
     "moment_match",
     "predict_trajectory",
     "sample_trajectories",
+    "save_policy",
     "search_policy",
     "shipped_demonstrations",
     "trajectory_kl",

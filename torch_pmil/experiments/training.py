@@ -29,6 +29,7 @@ from torch_pmil.gaussian import Gaussian
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import predict_trajectory
+from torch_pmil.saved_policy import save_policy
 from torch_pmil.trainer import Candidate, PMILTrainer, Trial
 
 EVALUATION_STARTS = 20
@@ -117,7 +118,7 @@ def train(
     trainer.train()
     best = trainer.best_policy()
     policy, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
-    save_tensors(out / "policy.pt", policy.state_dict())
+    save_policy(out / "policy.pt", policy, experiment.space, trainer.control_period)
     save_tensors(out / "dynamics.pt", dynamics.state_dict())
     predicted, executed = _predict_and_execute(trainer, experiment)
     summary = {

@@ -27,7 +27,7 @@ from torchrl.objectives import ExponentialQuadraticCost
 from tqdm import tqdm
 
 from benchmarks.workloads import rbf_controller, world_model
-from torch_pmil import NotPositiveDefiniteError, RBFPolicy
+from torch_pmil import Gaussian, NotPositiveDefiniteError, RBFPolicy, predict_trajectory
 from torch_pmil.lbfgs import MinimiseResult, minimise
 from torch_pmil.torchrl_interop import BeliefPolicy, GPWorldModel, ImaginedEnv
 from torch_pmil.torchrl_interop.keys import ACTION_BELIEF, STATE_BELIEF
@@ -129,22 +129,38 @@ def imagined_cost(env: EnvBase, policy: TensorDictModule, horizon: int) -> Calla
     return lambda: loss(env.rollout(horizon, policy, tensordict=start))["loss_cost"].sum(-1).mean()
 
 
+def loop_cost(model: GPWorldModel, policy: BeliefPolicy, horizon: int) -> Callable[[], torch.Tensor]:
+    """The same cost by the package's own loop, without an environment."""
+    loss = ExponentialQuadraticCost(reduction="sum")
+    start = Gaussian(torch.zeros(4).double(), START_VARIANCE * torch.eye(4).double())
+
+    def evaluate() -> torch.Tensor:
+        later = predict_trajectory(start, policy.policy, model.dynamics, model.space, horizon - 1)
+        mean, var = torch.cat([start.mean[None], later.mean]), torch.cat([start.cov[None], later.cov])
+        return loss(TensorDict({"observation": {"mean": mean, "var": var}}))["loss_cost"]
+
+    return evaluate
+
+
 def compare(model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, horizon: int, steps: int) -> None:
     """Print the time of a gradient step of ours and of TorchRL's pieces, which are given the same posterior and the same policy."""
     torchrl_policy = TensorDictModule(rbf_controller(policy.policy), in_keys=STATE_BELIEF, out_keys=ACTION_BELIEF)
     torchrl_env = TorchRLImaginedEnv(world_model(model.dynamics), env)
-    pieces = {"torch_pmil": (ImaginedEnv(model, env), policy), "torchrl": (torchrl_env, torchrl_policy)}
-    n = len(model.dynamics.train_inputs)
-    for name, (imagined, actor) in pieces.items():
-        evaluate = imagined_cost(imagined, actor, horizon)
+    ways = {
+        "torch_pmil in TorchRL's form": (imagined_cost(ImaginedEnv(model, env), policy, horizon), policy),
+        "torch_pmil's own loop": (loop_cost(model, policy, horizon), policy),
+        "TorchRL's pieces": (imagined_cost(torchrl_env, torchrl_policy, horizon), torchrl_policy),
+    }
+    print(f"a gradient step with n = {len(model.dynamics.train_inputs)} transitions and {horizon} steps, least of {steps}:")
+    for name, (evaluate, actor) in ways.items():
         seconds = []
-        for _ in tqdm(range(steps), desc=name, leave=False, disable=not sys.stderr.isatty()):
-            start = time.perf_counter()
+        for _ in range(steps):
+            start = time.process_time()
             cost = evaluate()
             gradients = torch.autograd.grad(cost, list(actor.parameters()))
-            seconds.append(time.perf_counter() - start)
+            seconds.append(time.process_time() - start)
         size = torch.cat([gradient.flatten() for gradient in gradients]).norm()
-        print(f"{name}: {min(seconds):.2f} s a gradient step (n = {n}, {horizon} steps), cost {cost:.6f}, |gradient| {size:.5f}")
+        print(f"  {name:<28} {min(seconds):7.2f} CPU s, cost {cost:.5f}, |gradient| {size:.4f}", flush=True)
 
 
 if __name__ == "__main__":

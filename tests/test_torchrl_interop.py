@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import doctest
-import io
 import itertools
+import json
+import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from torchrl.envs import EnvBase, model_based
 from torchrl.envs.utils import RandomPolicy, check_env_specs
 
 from benchmarks.workloads import make_dynamics, rbf_controller, world_model
+from examples import torchrl_pilco
 from tests.draws import Draws
 from torch_pmil import Gaussian, GPDynamics, RBFPolicy, StateSpace, joint_match
 from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
@@ -185,9 +188,7 @@ def successor_given(model: GPWorldModel, belief: TensorDictBase, feature_slope: 
 
 
 def test_single_precision_is_lifted(draws: Draws) -> None:
-    model = GPWorldModel(4, 2)
-    model.fit(transitions(draws).float())
-    assert next_belief(model(joint_belief(draws, 2).float())).cov.dtype == torch.float64
+    assert next_belief(world(draws)(joint_belief(draws, 2).float())).cov.dtype == torch.float64
 
 
 def test_keys_can_be_renamed(draws: Draws) -> None:
@@ -196,7 +197,7 @@ def test_keys_can_be_renamed(draws: Draws) -> None:
     renamed.load_state_dict(model.state_dict())
     belief = joint_belief(draws)
     result = renamed(TensorDict({key: belief[old] for key, old in zip(keys, model.in_keys, strict=True)}))
-    assert torch.equal(result["V1"], next_belief(model(belief)).cov) and "m1" in result.keys()
+    assert torch.equal(result["V1"], next_belief(model(belief)).cov) and "m1" in result
 
 
 @pytest.mark.parametrize("n", [0, 7], ids=["fresh", "of other data"])
@@ -210,11 +211,10 @@ def test_state_dict_loads(draws: Draws, tmp_path: Path, n: int) -> None:
     assert torch.equal(next_belief(model(belief.clone())).cov, next_belief(other(belief.clone())).cov)
 
 
-def test_batches_of_transitions_are_flattened(draws: Draws) -> None:
-    data, flat, stacked = transitions(draws), GPWorldModel(4, 2), GPWorldModel(4, 2)
-    flat.fit(data)
-    stacked.fit(data.reshape(4, 5))
-    assert torch.equal(flat.dynamics.train_inputs, stacked.dynamics.train_inputs)
+def test_transitions_of_any_batch_and_precision_are_learned_from(draws: Draws) -> None:
+    data, model = transitions(draws).float(), GPWorldModel(4, 2)
+    model.fit(data.reshape(4, 5))
+    assert torch.equal(model.dynamics.train_inputs, torch.cat([data["observation"], data["action"]], -1).double())
 
 
 def drop(key: str) -> Callable[[TensorDictBase], TensorDictBase]:
@@ -290,7 +290,7 @@ def test_policy_covaries_with_the_state_as_samples_do(draws: Draws, space: State
 
 
 def test_policy_asks_for_an_observation(draws: Draws) -> None:
-    with pytest.raises(KeyError, match="expected .* or 'observation', got the keys"):
+    with pytest.raises(KeyError, match=r"expected .* or 'observation', got the keys"):
         rbf_policy(draws)(TensorDict({"pixels": torch.zeros(4)}))
 
 
@@ -440,3 +440,46 @@ def test_several_actions_and_batches_with_torchrls_pieces(draws: Draws, our_mode
     predicted = ImaginedEnv(model, robot(3)).rollout(HORIZON, actor, tensordict=as_observation(start))["next", "observation"]
     reference = plain_loop(start, policy, ours, HORIZON)
     assert close(predicted["mean"], reference.mean, JITTER) and close(predicted["var"], reference.cov, JITTER)
+
+
+# the page and the commands
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_code_of_the_page_runs() -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs/torchrl.md").read_text(), re.DOTALL)
+    assert len(blocks) == 5
+    exec(compile("\n".join(blocks), "docs/torchrl.md", "exec"), {})
+
+
+def run(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.slow
+def test_torchrls_model_misses_its_own_posterior_and_ours_does_not(tmp_path: Path) -> None:
+    pytest.importorskip("botorch")
+    assert run("benchmarks.torchrl_model", "--n", "50", "--json", str(tmp_path / "summary.json")).returncode == 0
+    rows = {row["model"]: row for row in json.loads((tmp_path / "summary.json").read_text())["rows"]}
+    ours, theirs = rows["torch_pmil"], rows["torchrl"]
+    assert abs(ours["variance_ratio_max"] - 1) < 1e-2 and ours["mean_error_std"] < 1e-6
+    assert ours["state_dict"] == "loads" and ours["gradients"]
+    assert theirs["variance_ratio_max"] > 2
+    assert theirs["state_dict"] != "loads" and not theirs["gradients"]
+
+
+@pytest.mark.slow
+def test_the_example_balances_the_pole() -> None:
+    pytest.importorskip("gymnasium")
+    result = run("examples.torchrl_pilco", "--epochs", "1", "--random-steps", "100", "--episodes", "3")
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert result.stdout.endswith("[1000, 1000, 1000] of 1000 steps; learned\n")
+
+
+def test_the_example_says_what_is_missing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(torchrl_pilco, "find_spec", lambda name: None)
+    monkeypatch.setattr(sys, "argv", ["torchrl_pilco"])
+    with pytest.raises(SystemExit):
+        torchrl_pilco.parse()
+    assert "needs gymnasium: pip install 'torch_pmil[gym]'" in capsys.readouterr().err

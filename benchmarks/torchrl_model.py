@@ -21,7 +21,9 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+import textwrap
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import torch
@@ -60,7 +62,8 @@ def main() -> None:
     source = provenance(shlex.join(["python", "-m", "benchmarks.torchrl_model", *sys.argv[1:]]))
     rows = measure(arguments.n, arguments.seed)
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    write_json(arguments.json, {**source, "n": arguments.n, "seed": arguments.seed, "points": POINTS, "rows": rows})
+    settings = {"botorch": version("botorch"), "n": arguments.n, "seed": arguments.seed, "points": POINTS}
+    write_json(arguments.json, {**source, **settings, "rows": rows})
     print(table(rows))
 
 
@@ -135,7 +138,7 @@ def habits(model: nn.Module, points: TensorDictBase) -> dict[str, object]:
         type(model)(obs_dim=4, action_dim=2).load_state_dict(model.state_dict())
         loading = "loads"
     except RuntimeError as error:
-        loading = str(error).splitlines()[1].strip()[:100]
+        loading = textwrap.shorten(str(error).splitlines()[1], 60, placeholder=" ...")
     states = points["observation"].clone().requires_grad_()
     mean = model(beliefs(states, points["action"]))["next", "observation", "mean"]
     (gradient,) = torch.autograd.grad((mean - states).sum(), states, allow_unused=True, materialize_grads=True)

@@ -55,7 +55,7 @@ def main() -> int:
         episode = act(env, policy, arguments.rollout_steps)
         print(
             f"epoch {epoch + 1}: fit to {len(data)} transitions in {fit.seconds:.1f} s, "
-            f"cost {search.initial_loss:.3f} to {search.loss:.3f} in {search.evaluations} gradient steps of {seconds:.2f} s, "
+            f"cost {search.initial_loss:.3f} to {search.loss:.3f} in {search.evaluations} gradient steps of {seconds:.2f} CPU s, "
             f"then up for {len(episode)} of {arguments.rollout_steps} steps"
         )
         data = tensordict.cat([data, episode])[-arguments.most_data :]
@@ -108,9 +108,9 @@ def act(env: EnvBase, policy: BeliefPolicy, steps: int) -> TensorDictBase:
 
 
 def improve(model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, arguments: argparse.Namespace) -> tuple[MinimiseResult, float]:
-    """Minimise the expected cost of imagined rollouts; also says the mean seconds of a gradient step."""
+    """Minimise the expected cost of imagined rollouts; also says the mean CPU seconds of a gradient step."""
     evaluate = imagined_cost(ImaginedEnv(model, env), policy, arguments.horizon)
-    start = time.perf_counter()
+    start = time.process_time()
     with tqdm(desc="gradient steps", leave=False, disable=not sys.stderr.isatty()) as bar:
 
         def cost() -> torch.Tensor:
@@ -118,7 +118,7 @@ def improve(model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, arguments: 
             return evaluate()
 
         result = minimise(policy.parameters(), cost, arguments.iterations, survives=(NotPositiveDefiniteError,))
-    return result, (time.perf_counter() - start) / result.evaluations
+    return result, (time.process_time() - start) / result.evaluations
 
 
 def imagined_cost(env: EnvBase, policy: TensorDictModule, horizon: int) -> Callable[[], torch.Tensor]:

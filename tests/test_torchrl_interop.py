@@ -372,11 +372,11 @@ def test_rollout_starts_where_it_is_told(draws: Draws) -> None:
 
 
 def test_partial_reset_leaves_the_others_where_they_are(draws: Draws) -> None:
-    env, before, after = ImaginedEnv(world(draws), robot(), (2,)), draws.belief(2, 4), draws.belief(2, 4)
-    given = env.reset(as_observation(before)).set("_reset", torch.tensor([[True], [False]]))
-    given["observation"] = as_observation(after)["observation"]
-    mean = env.reset(given)["observation", "mean"]
-    assert torch.equal(mean[0], after.mean[0])
+    env, belief = ImaginedEnv(world(draws), robot(), (2,)), draws.belief(2, 4)
+    now = env.reset(as_observation(belief)).set("_reset", torch.tensor([[True], [False]]))
+    then = env.reset(now, select_reset_only=True)["observation"]
+    assert torch.equal(then["mean"][1], belief.mean[1]) and torch.equal(then["var"][1], belief.cov[1])
+    assert not torch.equal(then["mean"][0], belief.mean[0]) and not then["var"][0].any()
 
 
 def test_rewards_are_zero_and_nothing_ends(draws: Draws) -> None:

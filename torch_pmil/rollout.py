@@ -58,9 +58,20 @@ def _propagate(
     features, slope = space.belief(state)
     action, policy_slope = act(features)
     moments = respond(joint(features, action, features.cov @ policy_slope))
+    return successor_belief(state, torch.cat([slope, slope @ policy_slope], -1), moments, targets)
+
+
+def successor_belief(state: Gaussian, input_slope: Tensor, moments: Moments, targets: Targets) -> Gaussian:
+    r"""p(x_{t+1}) from p(x_t) and the model's moments: for differences, :math:`\Sigma_{t+1} = \Sigma_t + S + C + C^\top`.
+
+    Args:
+        state: p(x_t), D entries.
+        input_slope: Sigma_x^-1 cov(x, inputs of the model), (*batch, D, D' + F).
+        moments: of the model at its inputs.
+        targets: what the model predicts.
+    """
     if targets == "successor":
         return Gaussian(moments.mean, symmetric(moments.cov))
-    input_slope = torch.cat([slope, slope @ policy_slope], -1)  # Sigma_x^-1 cov(x, inputs)
     C = state.cov @ (input_slope @ moments.inv_cov_cross_cov)
     return Gaussian(state.mean + moments.mean, symmetric(torch.add(state.cov + moments.cov, C, alpha=2)))
 

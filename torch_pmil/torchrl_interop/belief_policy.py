@@ -1,0 +1,80 @@
+"""The RBF policy as a TensorDict module: the counterpart of TorchRL's ``RBFController`` with its keys."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.state_space import StateSpace
+from torch_pmil.torchrl_interop.keys import (
+    ACTION,
+    ACTION_BELIEF,
+    FEATURE_CROSS_COVARIANCE,
+    OBSERVATION,
+    STATE_BELIEF,
+    lookup,
+    lookup_belief,
+    raw_space,
+)
+
+
+class BeliefPolicy(TensorDictModuleBase):
+    r"""An :class:`RBFPolicy` on beliefs (Eqs. 25-27), exact moments included, and on plain observations where there is no belief.
+
+    From ``("observation", "mean")`` (*batch, D) and ``("observation", "var")`` (*batch, D, D) it writes ``("action", "mean")``
+    (*batch, F), ``("action", "var")`` (*batch, F, F) and ``("action", "cross_covariance")``, which is
+    :math:`\Sigma_x^{-1} \operatorname{cov}(x, u)` (*batch, D, F). From a plain ``"observation"`` it writes a plain ``"action"``. So
+    the same module acts in an imagined and in the real environment.
+
+    Args:
+        policy: its inputs are the features of the state.
+        space: what the policy sees of the state; the state itself if None. With angles, the module also writes
+            ``("action", "feature_cross_covariance")``, :math:`\Sigma_f^{-1} \operatorname{cov}(f, u)` (*batch, D', F) for features f.
+
+    Raises:
+        ValueError: the policy's inputs are not the features of the space.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> policy = BeliefPolicy(RBFPolicy(torch.zeros(10, 4), u_max=torch.tensor([3.0]), scale=torch.ones(4)))
+        >>> belief = TensorDict({"observation": {"mean": torch.zeros(4), "var": torch.eye(4)}})
+        >>> policy(belief)["action", "cross_covariance"].shape
+        torch.Size([4, 1])
+        >>> policy(TensorDict({"observation": torch.zeros(4)}))["action"].shape
+        torch.Size([1])
+    """
+
+    def __init__(self, policy: RBFPolicy, space: StateSpace | None = None) -> None:
+        super().__init__()
+        inputs = policy.centres.shape[-1]
+        self.policy, self.space = policy, raw_space(inputs) if space is None else space
+        if len(self.space.feature_names) != inputs:
+            raise ValueError(f"the policy must have the inputs {self.space.feature_names}, got {inputs} inputs")
+        self.in_keys = list(STATE_BELIEF)
+        self.out_keys = [*ACTION_BELIEF, *([FEATURE_CROSS_COVARIANCE] if self.space.angles else [])]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action, or its belief, into ``tensordict`` and return it.
+
+        Raises:
+            KeyError: there is neither a belief nor an observation.
+            ValueError: an entry has another shape.
+        """
+        state = lookup_belief(tensordict, *STATE_BELIEF, self.space.dim)
+        if state is None:
+            return self._act_on_observation(tensordict)
+        features, feature_slope = self.space.belief(state)
+        action, policy_slope = self.policy.controller.on_belief(features)
+        written = action.mean, action.cov, feature_slope @ policy_slope, policy_slope
+        for key, value in zip(self.out_keys, written, strict=False):
+            tensordict.set(key, value)
+        return tensordict
+
+    def _act_on_observation(self, tensordict: TensorDictBase) -> TensorDictBase:
+        observation = lookup(tensordict, OBSERVATION, (self.space.dim,))
+        if observation is None:
+            keys = list(tensordict.keys(include_nested=True, leaves_only=True))
+            raise KeyError(f"expected {STATE_BELIEF} or {OBSERVATION!r}, got the keys {keys}")
+        return tensordict.set(ACTION, self.policy(self.space.features(observation)))

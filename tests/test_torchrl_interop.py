@@ -449,7 +449,7 @@ ROOT = Path(__file__).parents[1]
 
 def test_the_code_of_the_page_runs() -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs/torchrl.md").read_text(), re.DOTALL)
-    assert len(blocks) == 5
+    assert blocks
     exec(compile("\n".join(blocks), "docs/torchrl.md", "exec"), {})
 
 

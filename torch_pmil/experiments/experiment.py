@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations
+from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.expert import expert_distribution
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
@@ -39,7 +39,7 @@ class Experiment:
     """
 
     name: str
-    make_env: Callable[..., MujocoRobotEnv]
+    make_env: Callable[..., MujocoRobotEnv | AdaptedEnv]
     space: StateSpace
     demonstrations: Demonstrations
     noise_std: float
@@ -80,3 +80,11 @@ class Experiment:
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
         policy.weights.data.copy_(self.initial_weight_std * white)
         return policy
+
+
+def check_demonstrations(demonstrations: Demonstrations, space: StateSpace, env: MujocoRobotEnv | AdaptedEnv) -> None:
+    """Raise DemonstrationError unless the demonstrations are of the match space, at the robot's control rate."""
+    if demonstrations.names != space.match.names:
+        raise DemonstrationError(f"demonstrations must be of {', '.join(space.match.names)}, got {', '.join(demonstrations.names)}")
+    if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
+        raise DemonstrationError(f"demonstrations must have a time step of {env.control_period} s, got {demonstrations.time_step} s")

@@ -3,5 +3,8 @@
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.registration import register_robots
 
 __all__ = ["AdaptedEnv", "CosSin", "DoublePendulumEnv", "MujocoRobotEnv"]
+
+register_robots()

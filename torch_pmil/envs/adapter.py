@@ -186,7 +186,7 @@ def _vector(specs: Composite, key: NestedKey, role: str, batch_dims: int) -> Ten
 def _box(specs: Composite, key: NestedKey, batch_dims: int) -> TensorSpec:
     spec = _vector(specs, key, "action", batch_dims)
     if not isinstance(spec, Bounded) or not (spec.space.low.isfinite() & spec.space.high.isfinite()).all():
-        raise ValueError(f"the environment's action {key!r} must have finite limits, got {spec.space}")
+        raise ValueError(f"the environment's action {key!r} must have finite limits, got {type(spec).__name__}")
     return spec
 
 

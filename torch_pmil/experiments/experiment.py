@@ -35,6 +35,8 @@ class Experiment:
         tolerance: error up to which a rollout is a success.
         random_torque: of the first rollout, as a fraction of u_max.
         initial_weight_std: of the policy's initial weights.
+        input_scale: width of the policy's initial basis functions, in standard deviations of the demonstrated features; a policy is
+            nothing beyond the reach of its functions, so starts at the rim of what was demonstrated may need more than 1.
         search: budget and horizon of the policy search.
     """
 
@@ -51,6 +53,7 @@ class Experiment:
     tolerance: float
     random_torque: float = 0.4
     initial_weight_std: float = 0.1
+    input_scale: float = 1.0
     search: SearchSettings = field(default_factory=SearchSettings)
 
     @property
@@ -73,10 +76,10 @@ class Experiment:
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near demonstrated states, small random weights."""
         features = self.space.features(self.demonstrated_states)
-        scale = features.std(0)
+        std = features.std(0)
         chosen = torch.randint(len(features), (self.num_centres,), generator=generator)
-        jitter = torch.randn(self.num_centres, len(scale), dtype=torch.float64, generator=generator)
-        policy = RBFPolicy(features[chosen] + 0.1 * scale * jitter, self.u_max, scale)
+        jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)
+        policy = RBFPolicy(features[chosen] + 0.1 * std * jitter, self.u_max, self.input_scale * std)
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
         policy.weights.data.copy_(self.initial_weight_std * white)
         return policy

@@ -74,4 +74,5 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
         error=distance_from_demonstrated,
         tolerance=SUCCESS_DISTANCE,
         random_torque=0.1,
+        input_scale=3.0,
     )

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs import gym_tasks
 from torch_pmil.envs.gym_experts import CART_STEPS, HOLD_FROM, PENDULUM_STEPS, TORQUE_LIMIT, balancing_expert, pendulum_expert
 from torch_pmil.envs.gym_tasks import cart_dynamics, gym_pendulum_env, inverted_pendulum_env, pendulum_dynamics
@@ -97,7 +96,15 @@ def test_shipped_demonstrations_are_successes_and_show_no_more_than_positions(na
     assert (experiment.error(states) <= experiment.tolerance).all()
     torch.testing.assert_close(experiment.space.match(states), experiment.demonstrations.positions, rtol=0, atol=2e-3)
     assert experiment.demonstrations.names == experiment.space.match.names
-    assert experiment.demonstrations is not shipped_demonstrations(name)
+
+
+def test_basis_functions_begin_as_wide_as_said() -> None:
+    experiment = load_experiment("inverted_pendulum")
+    std = experiment.demonstrated_states.std(0)  # the state is its own features
+    policy = experiment.make_policy(torch.Generator().manual_seed(0))
+    torch.testing.assert_close(policy.scale, 3 * std)
+    distances = (policy.centres * policy.scale)[:, None] - experiment.demonstrated_states
+    assert (distances / std).norm(dim=-1).amin(1).max() < 1, "centres lie near demonstrated states whatever the width"
 
 
 @pytest.mark.parametrize("name", ["inverted_pendulum", "gym_pendulum"])

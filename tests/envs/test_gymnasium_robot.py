@@ -77,6 +77,9 @@ def test_pictures_are_those_of_the_robot() -> None:
     assert np.array_equal(picture, DoublePendulumEnv().render(torch.from_numpy(state)))
 
 
-def test_without_gymnasium_nothing_is_registered(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_registering_again_or_without_gymnasium_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = dict(gymnasium.registry)
+    register_robots()
     monkeypatch.setattr(registration, "gymnasium", None)
     register_robots()
+    assert gymnasium.registry == before

@@ -43,8 +43,8 @@ class AdaptedEnv(EnvBase):
     midst of an episode is not in it.
 
     Args:
-        make_env: makes the environment; called with ``from_pixels=True`` if, and only if, pictures are wanted. ``functools.partial(GymEnv,
-            "InvertedPendulum-v5")`` is one.
+        make_env: makes the environment; called with ``from_pixels=True`` if, and only if, pictures are wanted, beside the
+            observation. ``functools.partial(GymEnv, "InvertedPendulum-v5", pixels_only=False)`` is one.
         control_period: seconds between two actions, which an environment does not say.
         num_envs: None for one robot with the batch size of the environment, N for N of them with batch size (N,).
         observation, action: keys of the environment.

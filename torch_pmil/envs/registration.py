@@ -13,13 +13,14 @@ ROBOTS = {"DoublePendulum-v0": (DoublePendulumEnv, 25)}  # the environment, and 
 
 
 def register_robots() -> None:
-    """Make each robot known to ``gymnasium.make`` under ``torch_pmil/NAME``, where gymnasium is installed."""
+    """Make each robot known to ``gymnasium.make`` under ``torch_pmil/NAME``, once, where gymnasium is installed."""
     if gymnasium is None:
         return
     for name, (_, steps) in ROBOTS.items():
-        gymnasium.register(
-            f"torch_pmil/{name}",
-            entry_point="torch_pmil.envs.gymnasium_robot:GymnasiumRobot",
-            kwargs={"name": name},
-            max_episode_steps=steps,
-        )
+        if f"torch_pmil/{name}" not in gymnasium.registry:
+            gymnasium.register(
+                f"torch_pmil/{name}",
+                entry_point="torch_pmil.envs.gymnasium_robot:GymnasiumRobot",
+                kwargs={"name": name},
+                max_episode_steps=steps,
+            )

@@ -5,6 +5,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-user-action=ignore
 ARGS ?=
 SEEDS := 0 1 2 3 4 5 6 7 8 9
+GYM_SEEDS := 0 1 2
+LEARNED := $(patsubst %,results/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=
 
 .DEFAULT_GOAL := help
@@ -29,13 +31,16 @@ lint: .venv/.installed  ## check style and formatting
 demonstrations: .venv/.installed  ## record the shipped demonstrations anew
 	@.venv/bin/python scripts/record_demonstrations.py $(ARGS)
 
-results: results/double_pendulum/summary.json  ## learn with the seeds 0-9, resumable; -j2 for two at a time
+results: $(LEARNED)  ## learn the double pendulum with the seeds 0-9, gymnasium's tasks with 0-2, resumable; -j2 for two at a time
 
 results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summary.json)
+results/gym_pendulum/summary.json: $(GYM_SEEDS:%=runs/gym_pendulum/seed_%/summary.json)
+results/inverted_pendulum/summary.json: $(GYM_SEEDS:%=runs/inverted_pendulum/seed_%/summary.json)
+$(LEARNED):
 	@.venv/bin/python scripts/summarise.py $@ $^
 
-runs/double_pendulum/seed_%/summary.json: | .venv/.installed
-	@.venv/bin/python scripts/train.py experiment=double_pendulum seed=$* out=$(@D) resume=true
+runs/%/summary.json: | .venv/.installed
+	@.venv/bin/python scripts/train.py experiment=$(firstword $(subst /seed_, ,$*)) seed=$(lastword $(subst /seed_, ,$*)) out=$(@D) resume=true
 
 benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's), of fits and of a policy's step, into results
 	@.venv/bin/python benchmarks/prediction.py $(ARGS)

@@ -6,22 +6,35 @@ Example:
 
 from __future__ import annotations
 
+import itertools
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import hydra
 import numpy as np
 import torch
 from omegaconf import DictConfig
+from tensordict import TensorDictBase
 
 import torch_pmil.demonstrations
 from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.envs import AdaptedEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
+from torch_pmil.envs.gym_experts import CART_STEPS, PENDULUM_STEPS, balancing_expert, pendulum_expert
+from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
 from torch_pmil.envs.swing_up import STEPS, array_dynamics, swing_up_expert
 from torch_pmil.envs.trajectory_optimization import Array, roll_out
+from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.double_pendulum import SUCCESS_DISTANCE, distance_from_upright
+from torch_pmil.experiments.gym_pendulum import gym_pendulum_space
+from torch_pmil.experiments.inverted_pendulum import inverted_pendulum_space
+from torch_pmil.state_space import StateSpace
+from torch_pmil.trainer import states_of
 
 DEMONSTRATIONS = 5  # paper
+CART_DEMONSTRATIONS = 10  # of starts that differ in all four entries
+Expert = Callable[[int, Array], Array]
 
 
 def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
@@ -51,7 +64,50 @@ def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
     return Demonstrations(link_positions(torch.from_numpy(states)), env.control_period, ("x1", "y1", "x2", "y2"))
 
 
-EXPERIMENTS = {"double_pendulum": record_double_pendulum}
+def record_inverted_pendulum(seed: int, torque_noise: float) -> Demonstrations:
+    """Ten recoveries of gymnasium's InvertedPendulum-v5, all successful."""
+    env = inverted_pendulum_env(CART_DEMONSTRATIONS, seed=seed)
+    return record_expert("inverted_pendulum", env, inverted_pendulum_space(), balancing_expert(), CART_STEPS, seed, torque_noise)
+
+
+def record_gym_pendulum(seed: int, torque_noise: float) -> Demonstrations:
+    """Five swing-ups of gymnasium's Pendulum-v1, all successful."""
+    env = gym_pendulum_env(DEMONSTRATIONS, seed=seed)
+    return record_expert("gym_pendulum", env, gym_pendulum_space(), pendulum_expert(), PENDULUM_STEPS, seed, torque_noise)
+
+
+def record_expert(
+    name: str, env: AdaptedEnv, space: StateSpace, expert: Expert, steps: int, seed: int, torque_noise: float
+) -> Demonstrations:
+    """What is seen of an expert, one demonstration of each robot of the environment.
+
+    Raises:
+        RuntimeError: a demonstration is none of the experiment's successes.
+    """
+    noise, time = np.random.default_rng(seed).normal(size=(steps, *env.action_spec.shape)), itertools.count()
+
+    def imprecise_expert(tensordict: TensorDictBase) -> TensorDictBase:
+        step = next(time)
+        actions = expert(step, tensordict["observation"].numpy()) + torque_noise * noise[step]
+        return tensordict.set("action", env.action_spec.project(torch.from_numpy(actions)))
+
+    rollout = env.rollout(steps, imprecise_expert)
+    demonstrations = Demonstrations(space.match(states_of(rollout)), env.control_period, space.match.names)
+    experiment = load_experiment(name, demonstrations)
+    errors, peaks = experiment.error(states_of(rollout)), rollout["action"].abs().amax((1, 2))
+    print("demonstration  error  peak action")
+    for number, (error, peak) in enumerate(zip(errors.tolist(), peaks.tolist(), strict=True)):
+        print(f"{number:13d}  {error:5.3f}  {peak:11.3f}")
+    if not (errors <= experiment.tolerance).all():
+        raise RuntimeError(f"a demonstration must have an error of at most {experiment.tolerance}, got {errors.max():.3f}")
+    return demonstrations
+
+
+EXPERIMENTS = {
+    "double_pendulum": record_double_pendulum,
+    "gym_pendulum": record_gym_pendulum,
+    "inverted_pendulum": record_inverted_pendulum,
+}
 
 
 @hydra.main(version_base="1.3", config_path="config", config_name="record")
@@ -65,7 +121,7 @@ def main(config: DictConfig) -> None:
         sys.exit(f"cannot write {out}: there is no folder {out.parent}")
     try:
         EXPERIMENTS[config.experiment](config.seed, config.torque_noise).save(out)
-    except (OSError, RuntimeError) as error:
+    except (ImportError, OSError, RuntimeError) as error:
         sys.exit(f"cannot record {out}: {error}")
     print(f"wrote {out}")
 

@@ -18,15 +18,15 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from torch_pmil.demonstrations import load_demonstrations
-from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.training import RunResult, train
 from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, save_figure
 from torch_pmil.trainer import Trial
-from torch_pmil.video import dense_states, render_rollout, write_video
+from torch_pmil.video import dense_states, film_rollout, render_rollout, write_video
 
 FRAMES_PER_SECOND = 50
-SKETCHES = {"double_pendulum": pendulum_frames}  # pictures without OpenGL, from positions in the match space
+SKETCHES = {"double_pendulum": pendulum_frames}  # pictures without OpenGL, from positions in the match space; these have poses too
 
 
 @hydra.main(version_base="1.3", config_path="config", config_name="train")
@@ -45,7 +45,7 @@ def main(config: DictConfig) -> None:
     except KeyboardInterrupt:
         print(f"\nstopped; go on with: {command.removesuffix(' resume=true')} resume=true", file=sys.stderr)
         sys.exit(130)
-    except (ValueError, OSError, RuntimeError, ImportError) as error:
+    except (ImportError, ValueError, OSError, RuntimeError) as error:
         sys.exit(f"error: {error}")
     draw(experiment, result, out)
     print_summary(result.summary, out)
@@ -74,25 +74,39 @@ def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
             [t.success_rate for t in result.trials],
             [t.kl for t in result.trials],
         ),
-        "poses": plot_poses(executed[0], experiment.demonstrations.time_step),
     }
+    if experiment.name in SKETCHES:
+        figures["poses"] = plot_poses(executed[0], experiment.demonstrations.time_step)
     for name, figure in figures.items():
         save_figure(figure, out / "figures" / f"{name}.png")
-    film(experiment, result, out / "video.mp4")
+    env = experiment.make_env(seed=0)
+    if isinstance(env, MujocoRobotEnv):
+        film(env, experiment, result, out / "video.mp4")
+    else:
+        film_as_shown(experiment, result, out / "video.mp4")
 
 
-def film(experiment: Experiment, result: RunResult, path: Path) -> None:
+def film(env: MujocoRobotEnv, experiment: Experiment, result: RunResult, path: Path) -> None:
     """The first executed rollout, as the simulator draws it; without OpenGL, as lines."""
     states = result.executed[0]
     with torch.no_grad():
         actions = result.policy(experiment.space.features(states[:-1]))
-    env: MujocoRobotEnv = experiment.make_env(seed=0)
     try:
         write_video(path, render_rollout(env, states[0], actions), FRAMES_PER_SECOND)
     except RuntimeError as error:
         print(f"the video is a sketch, because {error}")
         positions = experiment.space.match(dense_states(env, states[0], actions))
         write_video(path, SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND), FRAMES_PER_SECOND)
+
+
+def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None:
+    """The policy from a fresh start, as the environment shows itself, if it does."""
+    try:
+        env = experiment.make_env(from_pixels=True, seed=0)
+        pictures = film_rollout(env, result.policy, experiment.space, experiment.horizon)
+        write_video(path, pictures, 1 / experiment.demonstrations.time_step)
+    except Exception as error:  # every renderer fails with a type of its own
+        print(f"there is no video, because the environment gives no pictures: {str(error).partition(chr(10))[0]}")
 
 
 def print_summary(summary: dict, out: Path) -> None:
@@ -102,7 +116,7 @@ def print_summary(summary: dict, out: Path) -> None:
         f"{summary['saved_n_eval']} fresh starts after {summary['experience_s']:.1f} s of experience and "
         f"{summary['wall_seconds']:.0f} s of computing ({summary['stop_reason']})\n"
         f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations\n"
-        f"see {out}/figures, {out}/video.mp4, {out}/summary.json"
+        f"see {', '.join(str(out / name) for name in ('figures', 'video.mp4', 'summary.json') if (out / name).exists())}"
     )
 
 

@@ -6,6 +6,7 @@ import os
 if "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # headless pictures; MuJoCo reads it when it is first imported
 
+from torch_pmil import envs
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, load_demonstrations, shipped_demonstrations
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.expert import expert_distribution
@@ -47,6 +48,7 @@ __all__ = [
     "StateSpace",
     "TrajectoryKLLoss",
     "Trial",
+    "envs",
     "expected_saturating_cost",
     "expert_distribution",
     "gaussian_kl",

@@ -12,8 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.files import replacing
+from torch_pmil.policy import RBFPolicy
+from torch_pmil.state_space import StateSpace
 
 MP4 = ["-f", "mp4", "-movflags", "+faststart"]  # whatever the file is called; the index comes first, so that a browser plays at once
 
@@ -69,6 +71,23 @@ def dense_states(env: MujocoRobotEnv, start: Tensor, actions: Tensor, states_per
     for action in actions:
         states.append(env.substates(states[-1][-1], action, states_per_step))
     return torch.cat(states)
+
+
+@torch.no_grad()
+def film_rollout(env: AdaptedEnv, policy: RBFPolicy, space: StateSpace, steps: int) -> Iterator[np.ndarray]:
+    """Pictures of a policy's rollout from a fresh start, as the environment itself shows them: one a step.
+
+    Args:
+        env: one robot, made with ``from_pixels=True``.
+        policy: sees the features of the state.
+        space: gives those.
+        steps: of the rollout.
+
+    Returns:
+        ``steps`` + 1 pictures (height, width, 3), uint8, the first one of the start.
+    """
+    rollout = env.rollout(steps, lambda tensordict: tensordict.set("action", policy(space.features(tensordict["observation"]))))
+    return (picture.numpy() for picture in itertools.chain(rollout["pixels"][:1], rollout["next", "pixels"]))
 
 
 def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> None:

@@ -46,7 +46,7 @@ def test_missing_folder_is_reported_before_recording(record, tmp_path):
 def test_unknown_experiment_is_refused(record, tmp_path):
     with pytest.raises(SystemExit) as stop:
         record("experiment=triple", f"out={tmp_path / 'recorded.npz'}")
-    assert stop.value.code == "experiment must be one of ['double_pendulum'], got triple"
+    assert stop.value.code == "experiment must be one of ['double_pendulum', 'gym_pendulum', 'inverted_pendulum'], got triple"
 
 
 @pytest.mark.slow
@@ -55,3 +55,19 @@ def test_path_that_is_a_folder_is_refused_without_leftovers(record, tmp_path):
     with pytest.raises(SystemExit, match="cannot record"):
         record(f"out={tmp_path / 'folder.npz'}")
     assert os.listdir(tmp_path) == ["folder.npz"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["gym_pendulum", "inverted_pendulum"])
+def test_seed_0_records_the_shipped_demonstrations_of_gymnasium(record, tmp_path, capsys, name):
+    record(f"experiment={name}", "seed=0", f"out={tmp_path / 'recorded.npz'}")
+    recorded, shipped = load_demonstrations(tmp_path / "recorded.npz"), shipped_demonstrations(name)
+    torch.testing.assert_close(recorded.positions, shipped.positions, rtol=0, atol=1e-6)
+    assert (recorded.names, recorded.time_step) == (shipped.names, shipped.time_step)
+    assert "peak action" in capsys.readouterr().out
+
+
+def test_expert_that_fails_records_nothing(record, tmp_path):
+    with pytest.raises(SystemExit, match=r"a demonstration must have an error of at most 0.1, got"):
+        record("experiment=inverted_pendulum", "torque_noise=30", f"out={tmp_path / 'recorded.npz'}")
+    assert os.listdir(tmp_path) == []

@@ -18,6 +18,7 @@ from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.experiments import EXPERIMENTS
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "train.py"
+UNKNOWN = "experiment must be one of double_pendulum, gym_pendulum, inverted_pendulum"
 Script = Callable[..., None]
 
 
@@ -96,7 +97,7 @@ def error_of(script: Script, *overrides: str) -> str:
 
 
 def test_unknown_experiment_is_refused_with_those_there_are(script: Script, tmp_path: Path) -> None:
-    assert error_of(script, "experiment=triple", "out=run") == "experiment must be one of double_pendulum, got 'triple'"
+    assert error_of(script, "experiment=triple", "out=run") == f"{UNKNOWN}, got 'triple'"
     assert os.listdir(tmp_path) == []
 
 
@@ -141,5 +142,5 @@ def test_failure_is_one_line_on_stderr_and_an_exit_code(tmp_path: Path) -> None:
     process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert process.returncode == 1
     assert process.stdout == ""
-    assert process.stderr == "error: experiment must be one of double_pendulum, got 'triple'\n"
+    assert process.stderr == f"error: {UNKNOWN}, got 'triple'\n"
     assert os.listdir(tmp_path) == []

@@ -1,6 +1,10 @@
 """Simulated robots as TorchRL environments."""
 
+from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.registration import register_robots
 
-__all__ = ["DoublePendulumEnv", "MujocoRobotEnv"]
+__all__ = ["AdaptedEnv", "CosSin", "DoublePendulumEnv", "MujocoRobotEnv"]
+
+register_robots()

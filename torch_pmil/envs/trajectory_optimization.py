@@ -168,14 +168,29 @@ def tracking_controller(
         numpy.linalg.LinAlgError: the dynamics about the target cannot be stabilised.
     """
     Q, R = np.diag(state_weights), np.diag(action_weights)
-    A, B = (part[0] for part in linearize(dynamics, target[None], np.zeros((1, len(action_weights)))))
-    P = solve_discrete_are(A, B, Q, R)
-    hold_gain = _lqr_gain(A, B, P, R)
+    hold_gain, P = linear_regulator(dynamics, target, state_weights, action_weights)
     gains = []
     for A, B in reversed(list(zip(*linearize(dynamics, plan.states[:-1], plan.actions), strict=True))):
         gains.append(_lqr_gain(A, B, P, R))
         P = Q + A.T @ P @ (A - B @ gains[-1])
     return TrackingController(plan, np.array(gains[::-1]), hold_gain, hold_from, target, action_limit)
+
+
+def linear_regulator(dynamics: Dynamics, target: Array, state_weights: Array, action_weights: Array) -> tuple[Array, Array]:
+    """Infinite-horizon LQR about a target that is an equilibrium without action: the feedback gain (F, D) and the cost to go (D, D).
+
+    Args:
+        dynamics: states (N, D) and actions (N, F) to next states (N, D).
+        target: (D,).
+        state_weights, action_weights: of the deviation, (D,) and (F,).
+
+    Raises:
+        numpy.linalg.LinAlgError: the dynamics about the target cannot be stabilised.
+    """
+    Q, R = np.diag(state_weights), np.diag(action_weights)
+    A, B = (part[0] for part in linearize(dynamics, target[None], np.zeros((1, len(action_weights)))))
+    P = solve_discrete_are(A, B, Q, R)
+    return _lqr_gain(A, B, P, R), P
 
 
 def roll_out(dynamics: Dynamics, starts: Array, controller: Callable[[int, Array], Array], steps: int) -> tuple[Array, Array]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_pmil.demonstrations import DemonstrationError, Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
-from torch_pmil.experiments.experiment import Experiment
+from torch_pmil.experiments.experiment import Experiment, check_demonstrations
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.state_space import MatchSpace, StateSpace
 
@@ -63,7 +63,7 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
     """
     demonstrations = demonstrations or shipped_demonstrations("double_pendulum")
     env = DoublePendulumEnv()
-    _check_demonstrations(demonstrations, env)
+    check_demonstrations(demonstrations, double_pendulum_space(), env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
     return Experiment(
         name="double_pendulum",
@@ -78,11 +78,3 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         error=distance_from_upright,
         tolerance=SUCCESS_DISTANCE,
     )
-
-
-def _check_demonstrations(demonstrations: Demonstrations, env: DoublePendulumEnv) -> None:
-    names = double_pendulum_space().match.names
-    if demonstrations.names != names:
-        raise DemonstrationError(f"demonstrations must be of {', '.join(names)}, got {', '.join(demonstrations.names)}")
-    if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
-        raise DemonstrationError(f"demonstrations must have a time step of {env.control_period} s, got {demonstrations.time_step} s")

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations
+from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.expert import expert_distribution
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
@@ -35,11 +35,13 @@ class Experiment:
         tolerance: error up to which a rollout is a success.
         random_torque: of the first rollout, as a fraction of u_max.
         initial_weight_std: of the policy's initial weights.
+        input_scale: width of the policy's initial basis functions, in standard deviations of the demonstrated features; a policy is
+            nothing beyond the reach of its functions, so starts at the rim of what was demonstrated may need more than 1.
         search: budget and horizon of the policy search.
     """
 
     name: str
-    make_env: Callable[..., MujocoRobotEnv]
+    make_env: Callable[..., MujocoRobotEnv | AdaptedEnv]
     space: StateSpace
     demonstrations: Demonstrations
     noise_std: float
@@ -51,6 +53,7 @@ class Experiment:
     tolerance: float
     random_torque: float = 0.4
     initial_weight_std: float = 0.1
+    input_scale: float = 1.0
     search: SearchSettings = field(default_factory=SearchSettings)
 
     @property
@@ -73,10 +76,18 @@ class Experiment:
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near demonstrated states, small random weights."""
         features = self.space.features(self.demonstrated_states)
-        scale = features.std(0)
+        std = features.std(0)
         chosen = torch.randint(len(features), (self.num_centres,), generator=generator)
-        jitter = torch.randn(self.num_centres, len(scale), dtype=torch.float64, generator=generator)
-        policy = RBFPolicy(features[chosen] + 0.1 * scale * jitter, self.u_max, scale)
+        jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)
+        policy = RBFPolicy(features[chosen] + 0.1 * std * jitter, self.u_max, self.input_scale * std)
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
         policy.weights.data.copy_(self.initial_weight_std * white)
         return policy
+
+
+def check_demonstrations(demonstrations: Demonstrations, space: StateSpace, env: MujocoRobotEnv | AdaptedEnv) -> None:
+    """Raise DemonstrationError unless the demonstrations are of the match space, at the robot's control rate."""
+    if demonstrations.names != space.match.names:
+        raise DemonstrationError(f"demonstrations must be of {', '.join(space.match.names)}, got {', '.join(demonstrations.names)}")
+    if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
+        raise DemonstrationError(f"demonstrations must have a time step of {env.control_period} s, got {demonstrations.time_step} s")

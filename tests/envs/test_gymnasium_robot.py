@@ -1,0 +1,85 @@
+"""Our robots as environments of gymnasium."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from tensordict import TensorDict
+
+from torch_pmil.envs import DoublePendulumEnv, registration
+from torch_pmil.envs.registration import ROBOTS, register_robots
+
+each_robot = pytest.mark.parametrize("name", ROBOTS)
+
+
+@each_robot
+def test_gymnasium_accepts_the_robot(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*(symmetric and normalized space|Box observation space m|no-render).*")  # SI units, any state
+        check_env(gymnasium.make(f"torch_pmil/{name}").unwrapped, skip_render_check=True)
+
+
+@pytest.mark.slow
+@each_robot
+def test_robot_is_known_to_gymnasium_when_the_package_is_imported(name: str) -> None:
+    command = f"import torch_pmil, gymnasium; print(gymnasium.make('torch_pmil/{name}').spec.id)"
+    result = subprocess.run([sys.executable, "-W", "ignore", "-c", command], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == f"torch_pmil/{name}"
+
+
+def test_physics_and_starts_are_those_of_the_torchrl_environment_to_the_bit() -> None:
+    ours, theirs = DoublePendulumEnv(seed=4), gymnasium.make("torch_pmil/DoublePendulum-v0")
+    actions = np.random.default_rng(0).uniform(-4, 4, (2, 25, 2))  # some beyond the limit
+    for episode, torques in enumerate(actions):
+        expected = ours.reset()["observation"]
+        seen, info = theirs.reset(seed=4 if episode == 0 else None)
+        assert np.array_equal(seen, expected.numpy()) and info == {}
+        for step, torque in enumerate(torques, start=1):
+            expected = ours.step(TensorDict({"action": torch.from_numpy(torque)}))["next", "observation"]
+            seen, reward, terminated, truncated, info = theirs.step(torque)
+            assert np.array_equal(seen, expected.numpy()) and seen.dtype == np.float64
+            assert (reward, terminated, truncated, info) == (0.0, False, step == 25, {})
+
+
+def test_settings_reach_the_robot_and_bad_ones_are_refused() -> None:
+    env = gymnasium.make("torch_pmil/DoublePendulum-v0", torque_limit=(1.0, 2.0), initial_std=[0.0] * 4)
+    assert env.action_space.high.tolist() == [1.0, 2.0]
+    assert np.array_equal(env.reset()[0], DoublePendulumEnv().initial_mean.numpy())
+    with pytest.raises(ValueError, match="torque_limit must be one or 2 positive finite numbers"):
+        gymnasium.make("torch_pmil/DoublePendulum-v0", torque_limit=-1.0)
+
+
+def test_observations_are_the_users_to_change() -> None:
+    env = gymnasium.make("torch_pmil/DoublePendulum-v0")
+    env.reset(seed=0)[0][:] = 99.0
+    assert np.abs(env.step(np.zeros(2))[0]).max() < 10
+
+
+def test_closing_twice_is_no_error() -> None:
+    env = gymnasium.make("torch_pmil/DoublePendulum-v0")
+    env.close()
+    env.close()
+
+
+@pytest.mark.slow
+def test_pictures_are_those_of_the_robot() -> None:
+    env = gymnasium.make("torch_pmil/DoublePendulum-v0", render_mode="rgb_array")
+    state, _ = env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape == (480, 480, 3) and picture.dtype == np.uint8
+    assert np.array_equal(picture, DoublePendulumEnv().render(torch.from_numpy(state)))
+
+
+def test_registering_again_or_without_gymnasium_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = dict(gymnasium.registry)
+    register_robots()
+    monkeypatch.setattr(registration, "gymnasium", None)
+    register_robots()
+    assert gymnasium.registry == before

@@ -1,0 +1,198 @@
+"""Any TorchRL environment with continuous actions and a real vector observation, made such as the learning needs it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
+from torchrl.envs import EnvBase, SerialEnv, step_mdp
+
+LARGEST_SEED = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class CosSin:
+    """An angle of which an environment shows the cosine and the sine.
+
+    Args:
+        cos, sin: indices of the two entries of the observation.
+        near: an angle near which episodes start (rad): cosine and sine do not tell a turn from the next.
+    """
+
+    cos: int
+    sin: int
+    near: float = 0.0
+
+
+class AdaptedEnv(EnvBase):
+    """A robot made of a TorchRL environment: float64, torques around zero, episodes that do not end, starts of its own seed.
+
+    Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all float64, and with
+    ``from_pixels`` also ``"pixels"``. The action is the difference to the middle of the environment's range, clipped to that
+    range. The reward is zero and ``"done"`` is never set, whatever the environment says of them: an imitation runs for all its
+    steps, and failing is something to learn from. An environment that resets itself is not such a robot.
+
+    Each ``reset`` seeds the environment with the next number of this class's own generator. So ``state_dict``, which holds that
+    generator, resumes at the start of an episode bit for bit with any environment that heeds ``set_seed``; the state in the
+    midst of an episode is not in it.
+
+    Args:
+        make_env: makes the environment; called with ``from_pixels=True`` if, and only if, pictures are wanted, beside the
+            observation. ``functools.partial(GymEnv, "InvertedPendulum-v5", pixels_only=False)`` is one.
+        control_period: seconds between two actions, which an environment does not say.
+        num_envs: None for one robot with the batch size of the environment, N for N of them with batch size (N,).
+        observation, action: keys of the environment.
+        angles: angles of which the observation holds cosine and sine. The angle takes the place of the cosine, the sine is left out; it
+            goes on beyond a whole turn.
+        from_pixels: whether to have pictures.
+        seed: of the generator of the starts; None takes entropy from the system.
+
+    Raises:
+        ValueError: the environment has no such observation or action, or a setting is out of range; the message says what was
+            expected and what came.
+        RuntimeError: in a step, when the environment shows a number that is not finite.
+
+    Example:
+        >>> from functools import partial
+        >>> from torch_pmil.envs import DoublePendulumEnv
+        >>> env = AdaptedEnv(partial(DoublePendulumEnv, torque_limit=2.0), control_period=0.1, num_envs=3, seed=0)
+        >>> env.rollout(5)["next", "observation"].shape
+        torch.Size([3, 5, 4])
+    """
+
+    def __init__(
+        self,
+        make_env: Callable[..., EnvBase],
+        control_period: float,
+        *,
+        num_envs: int | None = None,
+        observation: NestedKey = "observation",
+        action: NestedKey = "action",
+        angles: Sequence[CosSin] = (),
+        from_pixels: bool = False,
+        seed: int | None = None,
+    ) -> None:
+        if not (math.isfinite(control_period) and control_period > 0):
+            raise ValueError(f"control_period must be positive and finite, in seconds, got {control_period}")
+        if num_envs is not None and num_envs < 1:
+            raise ValueError(f"num_envs must be None or at least 1, got {num_envs}")
+        pictures = {"from_pixels": True} if from_pixels else {}
+        env = make_env(**pictures) if num_envs is None else SerialEnv(num_envs, lambda: make_env(**pictures))
+        super().__init__(device="cpu", batch_size=env.batch_size)
+        self.__dict__["base_env"] = env  # no submodule: its state is not ours to save
+        self.control_period, self.angles, self.from_pixels = float(control_period), tuple(angles), from_pixels
+        self._observation, self._action = observation, action
+        self._generator = torch.Generator()
+        self._set_seed(seed)
+        self._make_specs()
+
+    def get_extra_state(self) -> Tensor:
+        """State of the generator of the starts, kept in ``state_dict``."""
+        return self._generator.get_state()
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Restore what ``get_extra_state`` returned."""
+        self._generator.set_state(state)
+
+    def close(self, **kwargs) -> None:
+        """Close the environment."""
+        self.base_env.close(**kwargs)
+        super().close(**kwargs)
+
+    def _make_specs(self) -> None:
+        batch, shown = self.batch_size, self.base_env.observation_spec
+        dim = _vector(shown, self._observation, "observation", len(batch)).shape[-1]
+        limits = _box(self.base_env.full_action_spec, self._action, len(batch))
+        self._low, self._high = limits.space.low.double(), limits.space.high.double()
+        self._kept = _kept_entries(self.angles, dim)
+        half = (self._high - self._low) / 2
+        observation = {"observation": Unbounded((*batch, len(self._kept)), dtype=torch.float64)}
+        if self.from_pixels:
+            observation["pixels"] = _entry(shown, "pixels", "pictures").clone()
+        self.observation_spec = Composite(observation, shape=batch)
+        self.action_spec = Bounded(-half, half, half.shape, dtype=torch.float64)
+        self.reward_spec = Unbounded((*batch, 1), dtype=torch.float64)
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is None:
+            self._generator.seed()
+        else:
+            self._generator.manual_seed(seed)
+
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        if mask is not None and not mask.all():
+            raise ValueError(f"all robots must be reset together, got a mask with {int(mask.sum())} of {mask.numel()}")
+        self.base_env.set_seed(int(torch.randint(LARGEST_SEED, (), generator=self._generator)))
+        self._last = self.base_env.reset()
+        near = torch.tensor([angle.near for angle in self.angles], dtype=torch.float64)
+        self._turned = near.expand(*self.batch_size, len(self.angles))
+        return self._measure()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        torque = tensordict["action"]
+        if not torque.isfinite().all():
+            raise ValueError(f"action must be finite, got {torque.tolist()}")
+        action = (torque + (self._high + self._low) / 2).clamp(self._low, self._high)
+        dtype = self.base_env.full_action_spec[self._action].dtype
+        self._last = step_mdp(self.base_env.step(self._last.set(self._action, action.to(dtype))))
+        result = self._measure()
+        result["reward"] = torch.zeros(*self.batch_size, 1, dtype=torch.float64)
+        result["done"] = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
+        return result
+
+    def _measure(self) -> TensorDictBase:
+        shown = self._last[self._observation].double()
+        if not shown.isfinite().all():
+            raise RuntimeError(f"the environment's observation must be finite, got {shown.tolist()}")
+        measured = {"observation": self._state(shown)}
+        if self.from_pixels:
+            measured["pixels"] = self._last["pixels"]
+        return TensorDict(measured, batch_size=self.batch_size)
+
+    def _state(self, shown: Tensor) -> Tensor:
+        """Observations with angles, each of them the one nearest to that of the step before."""
+        if not self.angles:
+            return shown
+        cosines, sines = ([getattr(angle, name) for angle in self.angles] for name in ("cos", "sin"))
+        change = torch.atan2(shown[..., sines], shown[..., cosines]) - self._turned
+        self._turned = self._turned + torch.atan2(change.sin(), change.cos())
+        state = shown.clone()
+        state[..., cosines] = self._turned
+        return state[..., self._kept]
+
+
+def _entry(specs: Composite, key: NestedKey, role: str) -> TensorSpec:
+    names = sorted(str(name) for name in specs.keys(True, True))
+    if str(key) not in names:
+        raise ValueError(f"the environment must have {role} under {key!r}, got {', '.join(names) or 'nothing'}")
+    return specs[key]
+
+
+def _vector(specs: Composite, key: NestedKey, role: str, batch_dims: int) -> TensorSpec:
+    spec = _entry(specs, key, role)
+    if not spec.dtype.is_floating_point or len(spec.shape) != batch_dims + 1:
+        kind = f"{type(spec).__name__} of {spec.dtype} with shape {tuple(spec.shape[batch_dims:])}"
+        raise ValueError(f"the environment's {role} {key!r} must be a vector of real numbers, got {kind}")
+    return spec
+
+
+def _box(specs: Composite, key: NestedKey, batch_dims: int) -> TensorSpec:
+    spec = _vector(specs, key, "action", batch_dims)
+    if not isinstance(spec, Bounded) or not (spec.space.low.isfinite() & spec.space.high.isfinite()).all():
+        raise ValueError(f"the environment's action {key!r} must have finite limits, got {type(spec).__name__}")
+    return spec
+
+
+def _kept_entries(angles: Sequence[CosSin], dim: int) -> list[int]:
+    """Indices of an observation that stay when angles replace cosines."""
+    used = [index for angle in angles for index in (angle.cos, angle.sin)]
+    if len(set(used)) < len(used) or not set(used) <= set(range(dim)):
+        raise ValueError(f"angles must be of different entries of the {dim} observed, got {', '.join(map(str, angles))}")
+    return [index for index in range(dim) if index not in {angle.sin for angle in angles}]

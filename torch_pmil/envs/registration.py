@@ -1,0 +1,26 @@
+"""The robots by their names in gymnasium; a further one is a line in ``ROBOTS``."""
+
+from __future__ import annotations
+
+from torch_pmil.envs.double_pendulum import DoublePendulumEnv
+
+try:
+    import gymnasium
+except ModuleNotFoundError:  # an optional extra
+    gymnasium = None
+
+ROBOTS = {"DoublePendulum-v0": (DoublePendulumEnv, 25)}  # the environment, and the number of steps of an episode
+
+
+def register_robots() -> None:
+    """Make each robot known to ``gymnasium.make`` under ``torch_pmil/NAME``, once, where gymnasium is installed."""
+    if gymnasium is None:
+        return
+    for name, (_, steps) in ROBOTS.items():
+        if f"torch_pmil/{name}" not in gymnasium.registry:
+            gymnasium.register(
+                f"torch_pmil/{name}",
+                entry_point="torch_pmil.envs.gymnasium_robot:GymnasiumRobot",
+                kwargs={"name": name},
+                max_episode_steps=steps,
+            )

@@ -32,7 +32,7 @@ demonstrations: .venv/.installed  ## record the shipped demonstrations anew
 results: results/double_pendulum/summary.json  ## learn with the seeds 0-9, resumable; -j2 for two at a time
 
 results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summary.json)
-	@.venv/bin/python scripts/summarise.py $@ $^
+	@.venv/bin/python scripts/summarize.py $(^D) --out $(@D)
 
 runs/double_pendulum/seed_%/summary.json: | .venv/.installed
 	@.venv/bin/python scripts/train.py experiment=double_pendulum seed=$* out=$(@D)

@@ -2,16 +2,23 @@
 
 Example:
     python scripts/train.py experiment=double_pendulum seed=0 trials=12 out=runs/double_pendulum/seed_0
+    python scripts/train.py -m seed=range(10)
 """
 
 from __future__ import annotations
 
 import logging
+import os
 import sys
+from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 import hydra
 import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig
 from tqdm import tqdm
 
@@ -33,23 +40,42 @@ def main(config: DictConfig) -> None:
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     out = Path(config.out)
+    job = HydraConfig.get()
+    alone = job.mode == RunMode.RUN
+    label = "" if alone else f"{out}: "
     try:
+        os.chdir(job.runtime.cwd)  # where the sweep was started: a cluster's worker may be elsewhere
         demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
         experiment = load_experiment(config.experiment, demonstrations)
-        command = "python scripts/train.py " + " ".join(sys.argv[1:] or [f"experiment={experiment.name}"])
-        result = train(experiment, config.seed, config.trials, out, command, on_trial=print_trial)
+        command = "python scripts/train.py " + " ".join(job.overrides.task or [f"experiment={experiment.name}"])
+        result = train(experiment, config.seed, config.trials, out, command, alone, partial(print_trial, label))
     except (ValueError, OSError, RuntimeError) as error:
-        sys.exit(f"error: {error}")
+        fail(f"{label}error: {error}", alone)
     draw(experiment, result, out)
-    print_summary(result.summary, out)
+    print_summary(label, result.summary, out)
 
 
-def print_trial(trial: Trial) -> None:
-    """One line for each trial, above the progress bar."""
-    tqdm.write(
+def fail(message: str, alone: bool) -> NoReturn:
+    """End the run; the other runs of a sweep go on, and Hydra ends it with an error when all are done."""
+    if alone:
+        sys.exit(message)
+    print(message, file=sys.stderr, flush=True)
+    raise CompactHydraException(message)
+
+
+def say(label: str, text: str) -> None:
+    """Print lines above the progress bar, each with the label: the runs of a sweep print to one terminal."""
+    tqdm.write("\n".join(label + line for line in text.splitlines()))
+    sys.stdout.flush()
+
+
+def print_trial(label: str, trial: Trial) -> None:
+    """One line for each trial."""
+    say(
+        label,
         f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, KL {trial.kl:6.1f} nats, "
         f"own rollout {'succeeded' if trial.own_success else 'failed'}, "
-        f"success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s"
+        f"success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s",
     )
 
 
@@ -83,19 +109,20 @@ def film(experiment: Experiment, result: RunResult, path: Path) -> None:
     try:
         write_video(path, render_rollout(env, states[0], actions), FRAMES_PER_SECOND)
     except RuntimeError as error:
-        print(f"the video is a sketch, because {error}")
+        print(f"{path} is a sketch, because {error}")
         positions = experiment.space.match(dense_states(env, states[0], actions))
         write_video(path, SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND), FRAMES_PER_SECOND)
 
 
-def print_summary(summary: dict, out: Path) -> None:
+def print_summary(label: str, summary: dict, out: Path) -> None:
     """What the run came to, and where it is."""
-    print(
+    say(
+        label,
         f"policy of trial {summary['saved_trial']}: success rate {summary['saved_success_rate']:.0%} of "
         f"{summary['saved_n_eval']} fresh starts after {summary['experience_s']:.1f} s of experience and "
         f"{summary['wall_seconds']:.0f} s of computing ({summary['stop_reason']})\n"
         f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations\n"
-        f"see {out}/figures, {out}/video.mp4, {out}/summary.json"
+        f"see {out}/figures, {out}/video.mp4, {out}/summary.json",
     )
 
 

@@ -25,6 +25,7 @@ from tqdm import tqdm
 from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.experiments.sweep import register_launchers
 from torch_pmil.experiments.training import RunResult, train
 from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, save_figure
 from torch_pmil.trainer import Trial
@@ -127,4 +128,5 @@ def print_summary(label: str, summary: dict, out: Path) -> None:
 
 
 if __name__ == "__main__":
+    register_launchers(Path(__file__).parent / "config" / "launcher")
     main()

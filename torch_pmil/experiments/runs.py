@@ -13,6 +13,8 @@ import numpy as np
 from scipy.stats import norm
 
 CONFIDENCE = 0.95
+NUMBERS = ("seed", "wall_seconds", "two_sigma_coverage", "saved_trial")
+TEXTS = ("experiment", "stop_reason")
 
 
 class RunError(ValueError):
@@ -65,16 +67,11 @@ def read_summary(folder: Path) -> dict:
     """``summary.json`` of a finished run.
 
     Raises:
-        RunError: it cannot be read, is no JSON object, or lacks a number.
+        RunError: it cannot be read, or lacks something, or has it wrong.
     """
-    path = folder / "summary.json"
     try:
-        summary = json.loads(path.read_text())
-        numbers = [summary[key] for key in ("seed", "experience_s", "saved_success_rate", "wall_seconds", "two_sigma_coverage")]
-        numbers += [trial[key] for trial in summary["trials"] for key in ("experience_s", "success_rate")]
-        if not summary["trials"] or not all(isinstance(number, int | float) and math.isfinite(number) for number in numbers):
-            raise ValueError("a number is missing")
-        str(summary["experiment"]), summary["saved_trial"], summary["stop_reason"]
+        summary = json.loads((folder / "summary.json").read_text())
+        _check_summary(summary)
     except OSError as error:
         raise RunError(f"{folder}: cannot read summary.json: {error.strerror}") from error
     except KeyError as error:
@@ -82,6 +79,26 @@ def read_summary(folder: Path) -> dict:
     except (ValueError, TypeError) as error:
         raise RunError(f"{folder}: summary.json is damaged: {error}") from error
     return summary
+
+
+def _check_summary(summary: dict) -> None:
+    """Raises KeyError, ValueError or TypeError unless all is there that tables and curves are made of."""
+    if not summary["trials"]:
+        raise ValueError("it has no trial")
+    measured = [summary | {"success_rate": summary["saved_success_rate"]}, *summary["trials"]]
+    _check_numbers("success_rate", [measurement["success_rate"] for measurement in measured], largest=1)
+    _check_numbers("experience_s", [measurement["experience_s"] for measurement in measured])
+    for key in NUMBERS:
+        _check_numbers(key, [summary[key]])
+    for key in TEXTS:
+        if not isinstance(summary[key], str):
+            raise ValueError(f"{key} must be text, got {summary[key]!r}")
+
+
+def _check_numbers(name: str, values: list, largest: float = math.inf) -> None:
+    for value in values:
+        if not (isinstance(value, int | float) and math.isfinite(value) and 0 <= value <= largest):
+            raise ValueError(f"{name} must be a number from 0{f' to {largest}' if largest < math.inf else ''}, got {value!r}")
 
 
 def count_trials(folder: Path) -> int:
@@ -138,8 +155,8 @@ def wilson_interval(mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
     .. math:: \frac{\hat p + z^2/2n}{1 + z^2/n} \pm \frac{z}{1 + z^2/n} \sqrt{\frac{\hat p (1 - \hat p)}{n} + \frac{z^2}{4 n^2}}
 
     The draws are the success rates of the runs. Rollouts of one run share its policy, so to pool them as if they were independent
-    would give too narrow an interval. No draw from [0, 1] with mean p has a variance above p (1 - p), so the interval is, if
-    anything, too wide. Unlike a bootstrap over the runs it does not shrink to nothing where all runs agree, and needs no seed.
+    would give too narrow an interval. No draw from [0, 1] with mean p has a variance above p (1 - p), that of draws of 0 and 1,
+    for which the interval was made. Unlike a bootstrap over the runs it does not shrink to nothing where all runs agree, and needs no seed.
 
     Args:
         mean: of the draws, from 0 to 1, any shape.
@@ -156,4 +173,4 @@ def wilson_interval(mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
     shrink = 1 + z**2 / count
     centre = (mean + z**2 / (2 * count)) / shrink
     half = z / shrink * np.sqrt(mean * (1 - mean) / count + z**2 / (4 * count**2))
-    return np.clip(centre - half, 0, 1), np.clip(centre + half, 0, 1)
+    return np.clip(centre - half, 0, mean), np.clip(centre + half, mean, 1)

@@ -1,18 +1,34 @@
-"""What a sweep over runs (``python scripts/train.py -m seed=range(10)``) must fulfil before its first run starts."""
+"""Sweeps over runs, ``python scripts/train.py -m seed=range(10)``: their launchers, and a check before the first run."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.util import find_spec
 from itertools import product
+from pathlib import Path
 
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.plugins import Plugins
+from hydra.errors import CompactHydraException
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 EXTRAS = {"hydra_ray_launcher": "ray", "hydra_submitit_launcher": "slurm"}  # of setup.cfg, by the launcher's module
+
+
+def register_launchers(folder: Path) -> None:
+    """Make each YAML file of a folder a choice of ``hydra/launcher``, in place of what the launcher's package has under that name.
+
+    In Hydra's search path such a file would be taken for values of the package's own schema, which Hydra warns of. So it can be
+    chosen, too, where the package is not installed, and :class:`SweepCheck` says what to install.
+    """
+    Plugins.instance()  # loads the launchers' packages, which register their own
+    for path in sorted(folder.glob("*.yaml")):
+        ConfigStore.instance().store(group="hydra/launcher", name=path.stem, node=OmegaConf.load(path), provider=str(path))
 
 
 class SweepCheck(Callback):
@@ -23,9 +39,11 @@ class SweepCheck(Callback):
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
         """Check before anything is launched."""
-        for complaint in (missing_launcher(config), shared_folder(config)):
-            if complaint:
-                sys.exit(f"error: {complaint}")
+        complaint = missing_launcher(config)
+        with suppress(CompactHydraException):  # overrides that make no config: the sweeper itself says so, after this
+            complaint = complaint or shared_folder(config)
+        if complaint:
+            sys.exit(f"error: {complaint}")
 
 
 def missing_launcher(config: DictConfig) -> str | None:
@@ -52,10 +70,11 @@ def shared_folder(config: DictConfig) -> str | None:
 def runs_of(config: DictConfig) -> Iterator[list[str]]:
     """Overrides of each run, as Hydra's own sweeper makes them."""
     parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
+    given = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
     choices = [
         [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
         if override.is_sweep_override()
         else [override.input_line]
-        for override in parser.parse_overrides(list(config.hydra.overrides.task))
+        for override in parser.parse_overrides(given)
     ]
     return (list(run) for run in product(*choices))

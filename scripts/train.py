@@ -2,7 +2,7 @@
 
 Example:
     python scripts/train.py experiment=double_pendulum seed=0 trials=12 out=runs/double_pendulum/seed_0
-    python scripts/train.py -m seed=range(10)
+    python scripts/train.py -m "seed=range(10)"
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Sweeps over runs, ``python scripts/train.py -m seed=range(10)``: their launchers, and a check before the first run."""
+"""Sweeps over runs, ``python scripts/train.py -m "seed=range(10)"``: their launchers, and a check before the first run."""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
@@ -26,6 +27,7 @@ def register_launchers(folder: Path) -> None:
     In Hydra's search path such a file would be taken for values of the package's own schema, which Hydra warns of. So it can be
     chosen, too, where the package is not installed, and :class:`SweepCheck` says what to install.
     """
+    os.environ.setdefault("RAY_DEDUP_LOGS", "0")  # Ray, when imported: lines that differ in numbers alone are not the same
     Plugins.instance()  # loads the launchers' packages, which register their own
     for path in sorted(folder.glob("*.yaml")):
         ConfigStore.instance().store(group="hydra/launcher", name=path.stem, node=OmegaConf.load(path), provider=str(path))

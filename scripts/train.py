@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shlex
 import sys
 from functools import partial
 from pathlib import Path
@@ -48,8 +49,9 @@ def main(config: DictConfig) -> None:
         os.chdir(job.runtime.cwd)  # where the sweep was started: a cluster's worker may be elsewhere
         demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
         experiment = load_experiment(config.experiment, demonstrations)
-        command = "python scripts/train.py " + " ".join(job.overrides.task or [f"experiment={experiment.name}"])
-        result = train(experiment, config.seed, config.trials, out, command, alone, partial(print_trial, label))
+        given = sys.argv[1:] if alone else [override.replace("\\", "") for override in job.overrides.task]  # Hydra escapes braces
+        command = ["python", "scripts/train.py", *(given or [f"experiment={experiment.name}"])]
+        result = train(experiment, config.seed, config.trials, out, shlex.join(command), alone, partial(print_trial, label))
     except (ValueError, OSError, RuntimeError) as error:
         fail(f"{label}error: {error}", alone)
     draw(experiment, result, out)

@@ -75,7 +75,7 @@ def test_each_run_of_a_sweep_is_whole_and_tells_its_progress_by_name(folder: Pat
         assert set(os.listdir(folder / run)) == files
         assert sum(line.startswith(f"{run}: trial  1:   0.5 s of experience") for line in told) == 1
         command = json.loads((folder / run / "summary.json").read_text())["command"]
-        assert command == f"python scripts/train.py seed={seed} demonstrations=short.npz trials=1 out={run}"
+        assert command == f"python scripts/train.py seed={seed} demonstrations=short.npz trials=1 'out=joblib/seed_${{seed}}'"
     assert {line.partition(":")[0] for line in told if "is a sketch" not in line} == {f"joblib/seed_{seed}" for seed in SEEDS}
 
 

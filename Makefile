@@ -37,7 +37,7 @@ results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summ
 results/gym_pendulum/summary.json: $(GYM_SEEDS:%=runs/gym_pendulum/seed_%/summary.json)
 results/inverted_pendulum/summary.json: $(GYM_SEEDS:%=runs/inverted_pendulum/seed_%/summary.json)
 $(LEARNED):
-	@.venv/bin/python scripts/summarise.py $@ $^
+	@.venv/bin/python scripts/summarize.py $(^D) --out $(@D)
 
 runs/%/summary.json: | .venv/.installed
 	@.venv/bin/python scripts/train.py experiment=$(firstword $(subst /seed_, ,$*)) seed=$(lastword $(subst /seed_, ,$*)) out=$(@D) resume=true

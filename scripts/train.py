@@ -2,6 +2,7 @@
 
 Example:
     python scripts/train.py experiment=double_pendulum seed=0 trials=12 out=runs/double_pendulum/seed_0
+    python scripts/train.py -m "seed=range(10)"
 
 A run that was stopped goes on with the same command and resume=true.
 """
@@ -9,17 +10,25 @@ A run that was stopped goes on with the same command and resume=true.
 from __future__ import annotations
 
 import logging
+import os
+import shlex
 import sys
+from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 import hydra
 import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig
 from tqdm import tqdm
 
 from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.experiments.sweep import register_launchers
 from torch_pmil.experiments.training import RunResult, train
 from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, save_figure
 from torch_pmil.trainer import Trial
@@ -35,28 +44,47 @@ def main(config: DictConfig) -> None:
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     out = Path(config.out)
-    command = "python scripts/train.py " + " ".join(sys.argv[1:] or [f"experiment={config.experiment}"])
+    job = HydraConfig.get()
+    alone = job.mode == RunMode.RUN
+    label = "" if alone else f"{out}: "
+    given = sys.argv[1:] if alone else [override.replace("\\", "") for override in job.overrides.task]  # Hydra escapes braces
+    command = shlex.join(["python", "scripts/train.py", *(given or [f"experiment={config.experiment}"])])
     try:
+        os.chdir(job.runtime.cwd)  # where the sweep was started: a cluster's worker may be elsewhere
         demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
         experiment = load_experiment(config.experiment, demonstrations)
-        result = train(
-            experiment, config.seed, config.trials, out, command, on_trial=print_trial, resume=config.resume, logger=config.logger
-        )
+        told = partial(print_trial, label)
+        result = train(experiment, config.seed, config.trials, out, command, alone, told, config.resume, config.logger)
     except KeyboardInterrupt:
-        print(f"\nstopped; go on with: {command.removesuffix(' resume=true')} resume=true", file=sys.stderr)
+        print(f"\n{label}stopped; go on with: {command.removesuffix(' resume=true')} resume=true", file=sys.stderr)
         sys.exit(130)
     except (ImportError, ValueError, OSError, RuntimeError) as error:
-        sys.exit(f"error: {error}")
+        fail(f"{label}error: {error}", alone)
     draw(experiment, result, out)
-    print_summary(result.summary, out)
+    print_summary(label, result.summary, out)
 
 
-def print_trial(trial: Trial) -> None:
-    """One line for each trial, above the progress bar."""
-    tqdm.write(
+def fail(message: str, alone: bool) -> NoReturn:
+    """End the run; the other runs of a sweep go on, and Hydra ends it with an error when all are done."""
+    if alone:
+        sys.exit(message)
+    print(message, file=sys.stderr, flush=True)
+    raise CompactHydraException(message)
+
+
+def say(label: str, text: str) -> None:
+    """Print lines above the progress bar, each with the label: the runs of a sweep print to one terminal."""
+    tqdm.write("\n".join(label + line for line in text.splitlines()))
+    sys.stdout.flush()
+
+
+def print_trial(label: str, trial: Trial) -> None:
+    """One line for each trial."""
+    say(
+        label,
         f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, KL {trial.kl:6.1f} nats, "
         f"own rollout {'succeeded' if trial.own_success else 'failed'}, "
-        f"success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s"
+        f"success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s",
     )
 
 
@@ -94,7 +122,7 @@ def film(env: MujocoRobotEnv, experiment: Experiment, result: RunResult, path: P
     try:
         write_video(path, render_rollout(env, states[0], actions), FRAMES_PER_SECOND)
     except RuntimeError as error:
-        print(f"the video is a sketch, because {error}")
+        print(f"{path} is a sketch, because {error}")
         positions = experiment.space.match(dense_states(env, states[0], actions))
         write_video(path, SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND), FRAMES_PER_SECOND)
 
@@ -109,16 +137,18 @@ def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None
         print(f"there is no video, because the environment gives no pictures: {str(error).partition(chr(10))[0]}")
 
 
-def print_summary(summary: dict, out: Path) -> None:
+def print_summary(label: str, summary: dict, out: Path) -> None:
     """What the run came to, and where it is."""
-    print(
+    say(
+        label,
         f"policy of trial {summary['saved_trial']}: success rate {summary['saved_success_rate']:.0%} of "
         f"{summary['saved_n_eval']} fresh starts after {summary['experience_s']:.1f} s of experience and "
         f"{summary['wall_seconds']:.0f} s of computing ({summary['stop_reason']})\n"
         f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations\n"
-        f"see {', '.join(str(out / name) for name in ('figures', 'video.mp4', 'summary.json') if (out / name).exists())}"
+        f"see {', '.join(str(out / name) for name in ('figures', 'video.mp4', 'summary.json') if (out / name).exists())}",
     )
 
 
 if __name__ == "__main__":
+    register_launchers(Path(__file__).parent / "config" / "launcher")
     main()

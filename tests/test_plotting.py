@@ -14,7 +14,14 @@ from torch import Tensor
 
 from tests.draws import Draws
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, save_figure
+from torch_pmil.plotting import (
+    pendulum_frames,
+    plot_distributions,
+    plot_learning_curve,
+    plot_poses,
+    plot_success_over_experience,
+    save_figure,
+)
 
 TIME_STEP = 0.1
 NAMES, UNITS = ("x1", "y1", "q", "dq"), ("m", "m", "rad", "rad/s")
@@ -175,3 +182,23 @@ def test_figure_that_cannot_be_drawn_leaves_the_old_file(tmp_path: Path) -> None
         save_figure(figure, path)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_success_over_experience_is_the_mean_of_the_runs_with_its_interval_in_percent() -> None:
+    experience, rates = np.array([2.5, 5.0, 7.5]), np.array([[0.0, 1.0, 1.0], [0.0, 0.0, 0.5]])
+    lower, upper = np.array([0.0, 0.2, 0.4]), np.array([0.3, 0.8, 0.9])
+    panel = plot_success_over_experience(experience, rates, lower, upper).axes[0]
+    (mean,) = [line for line in panel.lines if line.get_marker() == "o"]
+    np.testing.assert_array_equal(mean.get_xydata(), [[2.5, 0], [5, 50], [7.5, 75]])
+    single = [line.get_ydata() for line in panel.lines if line.get_linewidth() == 0.7]
+    np.testing.assert_array_equal(single, 100 * rates)
+    corners = panel.collections[0].get_paths()[0].vertices
+    for edge in (lower, upper):
+        distances = np.abs(corners[None] - np.stack([experience, 100 * edge], -1)[:, None]).max(-1)
+        np.testing.assert_allclose(distances.min(1), 0, atol=1e-12)
+    assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_ylim()) == ("experience (s)", "success rate (%)", (0, 100))
+
+
+def test_success_over_experience_of_different_shapes_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"must be \(K,\) for rates \(runs, K\), got \(2,\), \(3,\), \(3,\) for \(1, 3\)"):
+        plot_success_over_experience(np.zeros(2), np.zeros((1, 3)), np.zeros(3), np.zeros(3))

@@ -101,16 +101,51 @@ def plot_learning_curve(experience_s: Sequence[float], success_rate: Sequence[fl
     divergence = np.asarray(kl, dtype=float)
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
-    upper.axhline(95, color=GREY, linewidth=0.8, linestyle=":")
-    upper.text(1.01, 95, "95 %", transform=upper.get_yaxis_transform(), fontsize=8, color=GREY, va="center")
+    _success_axis(upper)
     upper.plot(experience_s, percent, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3)
-    upper.set(ylim=(0, 100), ylabel="success rate (%)")
-    upper.set_yticks([0, 25, 50, 75, 100])
     lower.plot(experience_s, np.where(divergence > 0, divergence, np.nan), color=VERMILLION, marker="s", markersize=4, zorder=3)
     lower.set(yscale="log", xlabel="experience (s)", ylabel="predicted KL (nats)")
     lower.set_xlim(left=0)
     for panel in (upper, lower):
         style(panel)
+    return figure
+
+
+def plot_success_over_experience(experience_s: np.ndarray, rates: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Figure:
+    """Mean success rate over runs with its 95 % interval, and each run's own as a thin line (Figure 7).
+
+    Args:
+        experience_s: seconds of motion the robot had learned from, (K,).
+        rates: fractions from 0 to 1, (runs, K); drawn in percent, with the paper's 95 % as a dotted line.
+        lower: end of the interval of the mean, a fraction, (K,).
+        upper: the other end.
+
+    Raises:
+        ValueError: the shapes do not fit each other.
+
+    Example:
+        >>> figure = plot_success_over_experience(np.array([2.5, 5.0]), np.array([[0.0, 1.0]]), np.zeros(2), np.ones(2))
+        >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
+        ('experience (s)', 'success rate (%)')
+    """
+    if not experience_s.shape == lower.shape == upper.shape == rates.shape[1:]:
+        raise ValueError(
+            f"experience_s, lower and upper must be (K,) for rates (runs, K), got {experience_s.shape}, {lower.shape}, {upper.shape} "
+            f"for {rates.shape}"
+        )
+    figure = Figure(figsize=(6.0, 3.6), layout="constrained")
+    panel = figure.subplots()
+    _success_axis(panel)
+    runs = panel.plot(experience_s, 100 * rates.T, color=GREY, linewidth=0.7, alpha=0.5, clip_on=False)
+    runs[0].set_label("single runs")
+    band = {"facecolor": (BLUE, 0.2), "edgecolor": (BLUE, 0.6), "linewidth": 0.8}
+    panel.fill_between(experience_s, 100 * lower, 100 * upper, label="95 % interval of the mean", **band)
+    mean = 100 * rates.mean(0)
+    panel.plot(experience_s, mean, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3, label=f"mean of {len(rates)} runs")
+    panel.set(xlabel="experience (s)")
+    panel.set_xlim(left=0)
+    style(panel)
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 
@@ -221,6 +256,14 @@ def style(panel: Axes) -> None:
     panel.spines[["top", "right"]].set_visible(False)
     panel.grid(color="0.92", linewidth=0.6)
     panel.set_axisbelow(True)
+
+
+def _success_axis(panel: Axes) -> None:
+    """An axis of success rates, with the paper's 95 %."""
+    panel.axhline(95, color=GREY, linewidth=0.8, linestyle=":")
+    panel.text(1.01, 95, "95 %", transform=panel.get_yaxis_transform(), fontsize=8, color=GREY, va="center")
+    panel.set(ylim=(0, 100), ylabel="success rate (%)")
+    panel.set_yticks([0, 25, 50, 75, 100])
 
 
 def _band(belief: Gaussian, entry: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,176 @@
+"""Several runs of one experiment: what their folders hold, and their mean success rate over experience."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import norm
+
+CONFIDENCE = 0.95
+NUMBERS = ("seed", "wall_seconds", "two_sigma_coverage", "saved_trial")
+TEXTS = ("experiment", "stop_reason")
+
+
+class RunError(ValueError):
+    """A run's folder does not hold what a run leaves; the message names it."""
+
+
+@dataclass(frozen=True)
+class SuccessCurve:
+    """Mean success rate over runs.
+
+    Args:
+        experience_s: seconds of experience, (K,).
+        rates: success rate of each run, (runs, K).
+        mean: over runs, (K,).
+        lower, upper: ends of the 95 % interval of the mean, (K,).
+    """
+
+    experience_s: np.ndarray
+    rates: np.ndarray
+    mean: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def find_runs(folders: Sequence[Path]) -> list[Path]:
+    """Folders of runs: those given, and the runs directly below those given.
+
+    A run has ``metrics.csv`` from its first second on.
+
+    Raises:
+        RunError: a folder is missing, or neither is a run nor holds one.
+    """
+    found: list[Path] = []
+    for folder in folders:
+        if not folder.is_dir():
+            raise RunError(f"{folder} is not a folder")
+        runs = [path for path in (folder, *sorted(folder.iterdir())) if (path / "metrics.csv").is_file()]
+        if not runs:
+            raise RunError(f"{folder} holds no run: neither metrics.csv nor folders with it")
+        found += runs
+    return list(dict.fromkeys(found))
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether the run came to its end: it wrote its summary."""
+    return (folder / "summary.json").is_file()
+
+
+def read_summary(folder: Path) -> dict:
+    """``summary.json`` of a finished run.
+
+    Raises:
+        RunError: it cannot be read, or lacks something, or has it wrong.
+    """
+    try:
+        summary = json.loads((folder / "summary.json").read_text())
+        _check_summary(summary)
+    except OSError as error:
+        raise RunError(f"{folder}: cannot read summary.json: {error.strerror}") from error
+    except KeyError as error:
+        raise RunError(f"{folder}: summary.json has no {error.args[0]!r}") from error
+    except (ValueError, TypeError) as error:
+        raise RunError(f"{folder}: summary.json is damaged: {error}") from error
+    return summary
+
+
+def _check_summary(summary: dict) -> None:
+    """Raises KeyError, ValueError or TypeError unless all is there that tables and curves are made of."""
+    if not summary["trials"]:
+        raise ValueError("it has no trial")
+    measured = [summary | {"success_rate": summary["saved_success_rate"]}, *summary["trials"]]
+    _check_numbers("success_rate", [measurement["success_rate"] for measurement in measured], largest=1)
+    _check_numbers("experience_s", [measurement["experience_s"] for measurement in measured])
+    for key in NUMBERS:
+        _check_numbers(key, [summary[key]])
+    for key in TEXTS:
+        if not isinstance(summary[key], str):
+            raise ValueError(f"{key} must be text, got {summary[key]!r}")
+
+
+def _check_numbers(name: str, values: list, largest: float = math.inf) -> None:
+    for value in values:
+        if not (isinstance(value, int | float) and math.isfinite(value) and 0 <= value <= largest):
+            raise ValueError(f"{name} must be a number from 0{f' to {largest}' if largest < math.inf else ''}, got {value!r}")
+
+
+def count_trials(folder: Path) -> int:
+    """Trials in ``metrics.csv``, of a run that may still go on.
+
+    Raises:
+        RunError: it cannot be read.
+    """
+    try:
+        with (folder / "metrics.csv").open(newline="") as file:
+            return sum(1 for _ in csv.DictReader(file))
+    except (OSError, ValueError, csv.Error) as error:
+        raise RunError(f"{folder}: metrics.csv is damaged: {error}") from error
+
+
+def success_over_experience(runs: Sequence[dict]) -> SuccessCurve:
+    """Mean success rate of what the runs had learned, at each second of experience at which one of them was measured.
+
+    Between two measurements a run counts with its last one. A run that ended early is carried forward with its saved policy's
+    rate, which was measured anew from starts that no trial saw; so is every run at the end of its experience.
+
+    Args:
+        runs: summaries, see :func:`read_summary`.
+
+    Example:
+        >>> def run(experience_s, *rates, saved):
+        ...     trials = [{"experience_s": 2.5 * n, "success_rate": rate} for n, rate in enumerate(rates, start=1)]
+        ...     return {"experience_s": experience_s, "saved_success_rate": saved, "trials": trials}
+        >>> curve = success_over_experience([run(5.0, 1.0, saved=0.9), run(7.5, 0.0, 0.5, saved=0.5)])
+        >>> curve.experience_s.tolist(), curve.rates.tolist()
+        ([2.5, 5.0, 7.5], [[1.0, 0.9, 0.9], [0.0, 0.5, 0.5]])
+    """
+    measured = [_measurements(run) for run in runs]
+    first = max(times[0] for times, _ in measured)
+    grid = np.unique(np.concatenate([times for times, _ in measured]))
+    grid = grid[grid >= first]
+    rates = np.stack([values[np.searchsorted(times, grid, side="right") - 1] for times, values in measured])
+    mean = rates.mean(0)
+    lower, upper = wilson_interval(mean, len(runs))
+    return SuccessCurve(grid, rates, mean, lower, upper)
+
+
+def _measurements(run: dict) -> tuple[np.ndarray, np.ndarray]:
+    """When a run was measured, in seconds of experience, and its success rates; the saved policy's is the last one."""
+    measured = {round(trial["experience_s"], 6): trial["success_rate"] for trial in run["trials"]}
+    measured[round(run["experience_s"], 6)] = run["saved_success_rate"]
+    times = sorted(measured)
+    return np.array(times), np.array([measured[time] for time in times])
+
+
+def wilson_interval(mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    r"""Wilson's 95 % score interval for the mean of ``count`` draws from [0, 1].
+
+    .. math:: \frac{\hat p + z^2/2n}{1 + z^2/n} \pm \frac{z}{1 + z^2/n} \sqrt{\frac{\hat p (1 - \hat p)}{n} + \frac{z^2}{4 n^2}}
+
+    The draws are the success rates of the runs. Rollouts of one run share its policy, so to pool them as if they were independent
+    would give too narrow an interval. No draw from [0, 1] with mean p has a variance above p (1 - p), that of draws of 0 and 1,
+    for which the interval was made. Unlike a bootstrap over the runs it does not shrink to nothing where all runs agree, and needs no seed.
+
+    Args:
+        mean: of the draws, from 0 to 1, any shape.
+        count: n, number of draws.
+
+    Source: E. B. Wilson (1927), Probable inference, the law of succession, and statistical inference, JASA 22.
+
+    Example:
+        >>> lower, upper = wilson_interval(np.array(1.0), 10)
+        >>> f"{lower:.3f} {upper:.3f}"
+        '0.722 1.000'
+    """
+    z = norm.ppf((1 + CONFIDENCE) / 2)
+    shrink = 1 + z**2 / count
+    centre = (mean + z**2 / (2 * count)) / shrink
+    half = z / shrink * np.sqrt(mean * (1 - mean) / count + z**2 / (4 * count**2))
+    return np.clip(centre - half, 0, mean), np.clip(centre + half, mean, 1)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hydra.core.config_store import ConfigStore
 
 from tests.short_run import short_experiment
 from torch_pmil import policy_search, search_stepper
@@ -26,6 +27,7 @@ Script = Callable[..., None]
 def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     """The script, run with command-line overrides in an empty folder."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(ConfigStore.instance().repo, "logger", raising=False)  # other tests may have imported TorchRL's configurations
 
     def run(*overrides: str) -> None:
         monkeypatch.setattr(sys, "argv", [str(SCRIPT), *overrides])

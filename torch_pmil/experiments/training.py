@@ -271,6 +271,7 @@ def _settings(experiment: Experiment) -> dict[str, object]:
         "noise_std": experiment.noise_std,
         "random_torque": experiment.random_torque,
         "initial_weight_std": experiment.initial_weight_std,
+        "input_scale": experiment.input_scale,
         "tolerance": experiment.tolerance,
         "search": asdict(experiment.search),
     }

@@ -5,8 +5,6 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-user-action=ignore
 ARGS ?=
 SEEDS := 0 1 2 3 4 5 6 7 8 9
-GYM_SEEDS := 0 1 2
-CART_SEEDS := 0 1 2 3 4
 LEARNED := $(patsubst %,results/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=
 
@@ -32,11 +30,11 @@ lint: .venv/.installed  ## check style and formatting
 demonstrations: .venv/.installed  ## record the shipped demonstrations anew
 	@.venv/bin/python scripts/record_demonstrations.py $(ARGS)
 
-results: $(LEARNED)  ## learn the double pendulum with the seeds 0-9, gymnasium's tasks with fewer, resumable; -j2 for two at a time
+results: $(LEARNED)  ## learn all tasks with the seeds 0-9, resumable; -j2 for two at a time
 
 results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summary.json)
-results/gym_pendulum/summary.json: $(GYM_SEEDS:%=runs/gym_pendulum/seed_%/summary.json)
-results/inverted_pendulum/summary.json: $(CART_SEEDS:%=runs/inverted_pendulum/seed_%/summary.json)
+results/gym_pendulum/summary.json: $(SEEDS:%=runs/gym_pendulum/seed_%/summary.json)
+results/inverted_pendulum/summary.json: $(SEEDS:%=runs/inverted_pendulum/seed_%/summary.json)
 $(LEARNED):
 	@.venv/bin/python scripts/summarize.py $(^D) --out $(@D)
 

@@ -8,6 +8,7 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -146,3 +147,10 @@ def test_failure_is_one_line_on_stderr_and_an_exit_code(tmp_path: Path) -> None:
     assert process.stdout == ""
     assert process.stderr == f"error: {UNKNOWN}, got 'triple'\n"
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("kind", ["tensorboard", "wandb", "mlflow"])
+def test_missing_library_of_a_logger_is_named(script: Script, kind: str) -> None:
+    if find_spec(kind):
+        pytest.skip(f"{kind} is installed")
+    assert error_of(script, f"logger={kind}", "out=run") == f"logger={kind} needs another library: pip install {kind}"

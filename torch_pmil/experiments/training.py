@@ -6,6 +6,7 @@ import csv
 import hashlib
 import json
 import math
+import os
 import platform
 import shutil
 import subprocess
@@ -19,6 +20,7 @@ import torch
 from torch import Tensor
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.record.loggers import Logger, get_logger
+from torchrl.record.loggers.mlflow import MLFlowLogger
 
 from torch_pmil.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.collection import states_of
@@ -111,7 +113,8 @@ def train(
         write_metrics(out / "metrics.csv", trainer.trials)
         on_trial(trial)
 
-    trainer = make_trainer(experiment, seed, trials, progress_bar, record, open_logger(logger, out, experiment.name, seed), rotation)
+    opened = None if logger is None else open_logger(logger, out, experiment.name, seed)
+    trainer = make_trainer(experiment, seed, trials, progress_bar, record, opened, rotation)
     if resume:
         trainer.resume()
     write_metrics(out / "metrics.csv", trainer.trials)
@@ -153,9 +156,19 @@ def clear_folder(out: Path) -> None:
     (out / "summary.json").unlink(missing_ok=True)
 
 
-def open_logger(kind: str | None, out: Path, experiment: str, seed: int) -> Logger | None:
-    """TorchRL's logger of that kind for a run. Raises ImportError where its library is missing."""
-    return None if kind is None else get_logger(kind, str(out / "logs"), f"{experiment}_seed_{seed}")
+def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
+    """TorchRL's logger of that kind for a run. Raises ImportError where its library is missing.
+
+    MLflow's server is that of ``MLFLOW_TRACKING_URI``, or else a database in ``logs/``: it refuses the folder that TorchRL suggests.
+    """
+    name, folder = f"{experiment}_seed_{seed}", (out / "logs").absolute()
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        if kind == "mlflow":
+            return MLFlowLogger(name, tracking_uri=os.environ.get("MLFLOW_TRACKING_URI", f"sqlite:///{folder / 'mlflow.db'}"))
+        return get_logger(kind, str(folder), name)
+    except ImportError as error:
+        raise ImportError(f"logger={kind} needs another library: pip install {kind}") from error
 
 
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:

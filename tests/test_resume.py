@@ -166,6 +166,15 @@ def test_stopped_run_is_not_overwritten(stopped: Path) -> None:
     assert saved_checkpoints(rotation_in(stopped / "checkpoints"))
 
 
+def test_finished_run_that_was_stopped_as_it_went_on_is_not_overwritten(tmp_path: Path) -> None:
+    run(tmp_path, trials=TRIALS - 1)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
+        stop_in(patch, "search", 1, stop)
+        run(tmp_path, resume=True)
+    with pytest.raises(UnfinishedRunError):
+        run(tmp_path)
+
+
 def test_finished_run_may_be_run_anew(whole: Path, tmp_path: Path) -> None:
     run(tmp_path / "run", seed=SEED + 1)
     run(tmp_path / "run")

@@ -107,6 +107,7 @@ def train(
         _check_same_run(rotation, _identity(experiment, seed))
     else:
         clear_folder(out)
+    (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
     prepare_folder(out)
 
     def record(trial: Trial) -> None:
@@ -153,7 +154,6 @@ def clear_folder(out: Path) -> None:
     for leftover in (out / "checkpoints", out / "logs"):
         if leftover.exists():
             shutil.rmtree(leftover)
-    (out / "summary.json").unlink(missing_ok=True)
 
 
 def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:

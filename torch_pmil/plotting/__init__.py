@@ -1,5 +1,7 @@
 """Figures of the results. The only part of the package that imports matplotlib; it draws numbers and knows no experiment."""
 
+from matplotlib.figure import Figure
+
 from torch_pmil.plotting.gaussian_process import plot_gp, plot_moment_matching
 from torch_pmil.plotting.pendulum import pendulum_frames, plot_poses
 from torch_pmil.plotting.style import BLUE, GREY, VERMILLION, save_figure, style
@@ -10,6 +12,7 @@ __all__ = [
     "BLUE",
     "GREY",
     "VERMILLION",
+    "Figure",
     "pendulum_frames",
     "plot_demonstrations",
     "plot_distributions",

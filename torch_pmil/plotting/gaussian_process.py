@@ -70,12 +70,13 @@ def plot_moment_matching(grid: Tensor, posterior: Gaussian, belief: Gaussian, sa
             f"belief and matched must be of one entry and samples (S,), "
             f"got {tuple(belief.mean.shape)}, {tuple(matched.mean.shape)} and {tuple(samples.shape)}"
         )
-    figure = Figure(figsize=(7.0, 4.8), layout="constrained")
+    figure = Figure(figsize=(7.0, 5.0), layout="constrained")
     panels = figure.subplots(2, 2, sharex="col", sharey="row", width_ratios=(2, 1), height_ratios=(2, 1))
     (function, output), (source, empty) = panels
     empty.set_axis_off()
     _draw_posterior(function, grid, posterior)
-    heights = np.linspace(*function.get_ylim(), 400)
+    mean, reach = matched.mean.item(), 3 * matched.std.item()
+    heights = np.linspace(mean - reach, mean + reach, 400)
     output.hist(samples.numpy(), BINS, density=True, orientation="horizontal", color=VERMILLION, alpha=0.35, label="exact, by sampling")
     output.plot(_density(matched, heights), heights, color=BLUE, linewidth=1.8, label="moment matching")
     points = grid.numpy()
@@ -88,7 +89,7 @@ def plot_moment_matching(grid: Tensor, posterior: Gaussian, belief: Gaussian, sa
     source.set_ylim(bottom=0)
     for panel in (output, source):
         style(panel)
-    figure.legend(loc="outside upper center", ncols=5, frameon=False)
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 

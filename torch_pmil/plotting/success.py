@@ -118,9 +118,10 @@ def plot_success_over_mass(
     lower.axhline(limit, color=VERMILLION, linewidth=0.8, linestyle="--", label="limit of the motors")
     lower.set(xlabel="mass of the second link (kg)", ylabel="peak torque (N·m)", ylim=(0, None))
     for panel in (upper, lower):
-        panel.axvline(demonstrated, color=GREY, linewidth=0.8, linestyle=":")
+        line = panel.axvline(demonstrated, color=GREY, linewidth=0.8, linestyle=":")
         style(panel)
-        panel.legend(frameon=False)
+    line.set_label("mass of the demonstrator")
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
     return figure
 
 
@@ -128,7 +129,9 @@ def _draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str
     """Mean of values (runs, K), with the range over the runs as error bars."""
     mean = values.mean(0)
     bars = np.stack([mean - values.min(0), values.max(0) - mean])
-    panel.errorbar(x, mean, bars, color=colour, marker=marker, markersize=4, linewidth=1.4, elinewidth=0.8, capsize=2, label=label)
+    drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, markersize=4, linewidth=1.4, elinewidth=0.8, capsize=2, label=label)
+    for artist in drawn.get_children():
+        artist.set_clip_on(False)
 
 
 def _success_axis(panel: Axes) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torch_pmil.plotting.style import BLUE, GREEN, GREY, ORANGE, VERMILLION, style
+from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLION, style
 
 SERIES = ((BLUE, "o"), (VERMILLION, "s"), (GREEN, "^"), (ORANGE, "D"))  # colours and markers of several methods
 
@@ -115,7 +115,7 @@ def plot_success_over_mass(
     for (name, values), (colour, marker) in zip(rates.items(), cycle(SERIES), strict=False):
         _draw_range(upper, masses, 100 * values, colour, marker, name)
     _draw_range(lower, masses, torques, GREY, "o", "exact tracking")
-    lower.axhline(limit, color=VERMILLION, linewidth=0.8, linestyle="--", label="limit of the motors")
+    lower.axhline(limit, color=DARK, linewidth=0.8, linestyle="--", label="limit of the motors")
     lower.set(xlabel="mass of the second link (kg)", ylabel="peak torque (N·m)", ylim=(0, None))
     for panel in (upper, lower):
         line = panel.axvline(demonstrated, color=GREY, linewidth=0.8, linestyle=":")

@@ -11,6 +11,7 @@ from tests.draws import Draws
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.paper import cloning
 from torch_pmil.experiments.paper.cloning import (
     MASSES,
     clone_double_pendulum,
@@ -32,6 +33,20 @@ def motionless_policy() -> StatePolicy:
 
 def test_a_policy_that_does_nothing_never_succeeds() -> None:
     assert success_over_mass(motionless_policy(), (0.3, 1.0), starts=2, seed=0) == [0.0, 0.0]
+
+
+def test_success_is_measured_on_robots_of_those_masses_from_the_same_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    robots: list[DoublePendulumEnv] = []
+
+    def make_env(*settings: object, **keywords: object) -> DoublePendulumEnv:
+        robots.append(DoublePendulumEnv(*settings, **keywords))
+        return robots[-1]
+
+    monkeypatch.setattr(cloning, "DoublePendulumEnv", make_env)
+    success_over_mass(motionless_policy(), (0.3, 1.0), starts=2, seed=7)
+    assert [tuple(robot.model.body(link).mass.item() for link in ("link1", "link2")) for robot in robots] == [(0.5, 0.3), (0.5, 1.0)]
+    assert {tuple(robot.batch_size) for robot in robots} == {(2,)}
+    assert torch.equal(robots[0].reset()["observation"], robots[1].reset()["observation"])
 
 
 def test_at_the_demonstrators_mass_the_peak_is_that_of_the_applied_torques_and_it_grows_with_the_mass(draws: Draws) -> None:

@@ -102,6 +102,14 @@ def test_disagreement_is_told_in_standard_errors_and_as_a_ratio(draws: Draws) ->
     assert told["moment_matching_std_ratio"] == pytest.approx(2)
 
 
+def test_samples_at_a_certain_input_have_the_posterior_of_the_gp() -> None:
+    gp, point = one_dimension.fitted_gp(), torch.tensor([one_dimension.TEST_INPUT]).double()
+    certain, posterior = Gaussian(point, torch.zeros(1, 1).double()), one_dimension.posterior(gp, point)
+    samples = one_dimension.sample_output(gp, certain, 10_000, torch.Generator().manual_seed(1))
+    assert abs(samples.mean() - posterior.mean.item()) < 4 * posterior.std.item() / 100
+    assert abs(samples.std() / posterior.std.item() - 1) < 4 / 20_000**0.5
+
+
 def test_the_gp_is_certain_near_its_data_and_falls_back_to_its_prior_far_away() -> None:
     gp = one_dimension.fitted_gp()
     near = one_dimension.posterior(gp, gp.train_inputs[:, 0])

@@ -11,7 +11,6 @@ results of its own, in runs/quick and results/quick.
 from __future__ import annotations
 
 import argparse
-import logging
 import shlex
 import sys
 
@@ -28,7 +27,6 @@ def main() -> None:
     parser.add_argument("name", metavar="NAME", choices=PAPER, help=", ".join(PAPER))
     parser.add_argument("--quick", action="store_true", help="in minutes: fewer trials and fewer samples")
     arguments = parser.parse_args()
-    logging.getLogger("torchrl").setLevel(logging.WARNING)
     command = shlex.join(["python", "scripts/reproduce.py", *sys.argv[1:]])
     try:
         out, report = reproduce(PAPER[arguments.name], arguments.quick, command)

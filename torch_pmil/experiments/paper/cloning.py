@@ -30,7 +30,7 @@ START_SEED = 5_000_000
 
 
 def record_pairs(seeds: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
-    """Swing-ups with each seed: states (N, T + 1, 4) and the torques that the expert applied, (N, T, 2), in N·m."""
+    """Five swing-ups with each seed: states (5, T + 1, 4) and the torques that the expert applied, (5, T, 2), in N·m."""
     expert = swing_up_expert((FIRST_LINK, DEMONSTRATED))
     for seed in seeds:
         env = DoublePendulumEnv((FIRST_LINK, DEMONSTRATED), num_envs=DEMONSTRATIONS, seed=seed)
@@ -47,7 +47,17 @@ def clone_double_pendulum(states: Tensor, torques: Tensor) -> StatePolicy:
 
 @torch.no_grad()
 def success_over_mass(policy: StatePolicy, masses: Sequence[float], starts: int, seed: int) -> list[float]:
-    """Success rate of a policy on the double pendulum with each mass of the second link, from the same random starts."""
+    """Success rate of a policy on the double pendulum with each mass of the second link.
+
+    Args:
+        policy: of the double pendulum's states.
+        masses: of the second link, kg.
+        starts: number of rollouts on each robot.
+        seed: of the starts, which are the same for all robots.
+
+    Returns:
+        Fractions from 0 to 1, one for each mass.
+    """
     experiment = load_experiment("double_pendulum")
     rates = []
     for mass in masses:
@@ -58,7 +68,16 @@ def success_over_mass(policy: StatePolicy, masses: Sequence[float], starts: int,
 
 
 def peak_tracking_torques(states: Tensor, torques: Tensor, masses: Sequence[float]) -> Tensor:
-    """Largest absolute torque, N·m, with which each robot would move exactly as each demonstration, (N, masses)."""
+    """Largest absolute torque with which robots would move exactly as in the demonstrations.
+
+    Args:
+        states: of N demonstrations, (N, T + 1, 4).
+        torques: that the demonstrator applied, N·m, (N, T, 2).
+        masses: K second links, kg.
+
+    Returns:
+        N·m, (N, K).
+    """
     env = DoublePendulumEnv((FIRST_LINK, DEMONSTRATED), seed=0)
     motions = [motion_of(env, *rollout)[:2] for rollout in zip(states, torques, strict=True)]
     models = [double_pendulum_model((FIRST_LINK, mass)) for mass in masses]

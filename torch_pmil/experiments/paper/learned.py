@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from torch_pmil.collection import states_of
 from torch_pmil.dynamics import GPDynamics
@@ -38,7 +39,7 @@ class Learned:
         return predict_trajectory(experiment.initial, self.policy.policy, self.dynamics, experiment.space, experiment.horizon)
 
     @torch.no_grad()
-    def executed(self, experiment: Experiment, starts: int, seed: int) -> torch.Tensor:
+    def executed(self, experiment: Experiment, starts: int, seed: int) -> Tensor:
         """Rollouts of the robot from fresh starts, states x_0..x_T (starts, T + 1, D)."""
         env = experiment.make_env(num_envs=starts, seed=seed)
         return states_of(env.rollout(experiment.horizon, self.policy.as_tensordict_module()))
@@ -46,6 +47,10 @@ class Learned:
 
 def load_learned(folder: Path, experiment: Experiment) -> Learned:
     """Policy and model of a finished run. Nothing that the files carry is executed.
+
+    Args:
+        folder: of the run.
+        experiment: what it learned.
 
     Raises:
         RunError: the run is of another experiment, or its model is damaged.

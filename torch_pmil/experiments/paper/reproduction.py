@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -59,6 +60,15 @@ class PaperExperiment:
         shows: what, in one line.
         runs: what must be learned, below a folder of runs; smaller ones if quick.
         report: numbers and figures from the folders of those runs, in that order; from fewer samples if quick.
+
+    Example:
+        >>> def runs(root: Path, quick: bool) -> list[Run]:
+        ...     return [learning_run(root, "double_pendulum", seed, trials=3 if quick else 12) for seed in range(2)]
+        >>> def report(folders: Sequence[Path], quick: bool) -> Report:
+        ...     rates = [read_summary(folder)["saved_success_rate"] for folder in folders]
+        ...     return Report({"mean_success_rate": sum(rates) / len(rates)}, figures={})
+        >>> PaperExperiment("two_seeds", "success of two runs", runs, report).name
+        'two_seeds'
     """
 
     name: str
@@ -68,7 +78,18 @@ class PaperExperiment:
 
 
 def learning_run(root: Path, experiment: str, seed: int, trials: int = 12) -> Run:
-    """A run of our method, in the folder in which ``scripts/train.py`` would leave it if ``root`` is ``runs``."""
+    """A run of our method, in the folder in which ``scripts/train.py`` would leave it if ``root`` is ``runs``.
+
+    Args:
+        root: folder of runs.
+        experiment: as in ``load_experiment``.
+        seed: of the run.
+        trials: largest number of trials.
+
+    Example:
+        >>> str(learning_run(Path("runs"), "double_pendulum", seed=3).out)
+        'runs/double_pendulum/seed_3'
+    """
     return Run(root / experiment / f"seed_{seed}", partial(_learn, experiment=experiment, seed=seed, trials=trials))
 
 
@@ -89,7 +110,7 @@ def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[P
         RunError: runs failed, or left something else than a run leaves.
         OSError: the results cannot be written.
     """
-    aside = ("quick",) if quick else ()
+    source, aside = provenance(command), ("quick",) if quick else ()
     runs = experiment.runs(Path("runs", *aside), quick)
     finish(runs, command)
     report = experiment.report([run.out for run in runs], quick)
@@ -97,13 +118,17 @@ def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[P
     out.mkdir(parents=True, exist_ok=True)
     for name, figure in report.figures.items():
         save_figure(figure, out / f"{name}.png")
-    summary = {"experiment": experiment.name, **provenance(command), "quick": quick, "headline": report.headline, **report.details}
+    summary = {"experiment": experiment.name, **source, "quick": quick, "headline": report.headline, **report.details}
     write_json(out / "summary.json", {**summary, "runs": [_origin(run.out) for run in runs]})
     return out, report
 
 
 def finish(runs: Sequence[Run], command: str) -> None:
     """Learn those runs that are not finished, as many at once as there are cores; each goes on from where it was stopped.
+
+    Args:
+        runs: some may be finished.
+        command: said in their summaries.
 
     Raises:
         RunError: some failed, after the others were given their time; the message has a line for each.
@@ -120,6 +145,7 @@ def finish(runs: Sequence[Run], command: str) -> None:
 
 def _attempt(run: Run, command: str) -> str | None:
     """Learn a run; what went wrong, if anything."""
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     try:
         run.learn(run.out, command)

@@ -9,7 +9,7 @@ LEARNED := $(patsubst %,results/%/summary.json,double_pendulum gym_pendulum inve
 TORCH_ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-all lint demonstrations results benchmark benchmark-steps clean
+.PHONY: help train test test-all lint demonstrations results reproduce benchmark benchmark-steps clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -40,6 +40,9 @@ $(LEARNED):
 
 runs/%/summary.json: | .venv/.installed
 	@.venv/bin/python scripts/train.py experiment=$(firstword $(subst /seed_, ,$*)) seed=$(lastword $(subst /seed_, ,$*)) out=$(@D) resume=true
+
+reproduce: .venv/.installed  ## reproduce an experiment of the paper, as ARGS="figure6" or ARGS="figure6 --quick"
+	@.venv/bin/python scripts/reproduce.py $(ARGS)
 
 benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's), of fits and of a policy's step, into results
 	@.venv/bin/python benchmarks/prediction.py $(ARGS)

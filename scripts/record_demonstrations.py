@@ -23,8 +23,8 @@ from torch_pmil.envs import AdaptedEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_experts import CART_STEPS, PENDULUM_STEPS, balancing_expert, pendulum_expert
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
-from torch_pmil.envs.swing_up import STEPS, array_dynamics, swing_up_expert
-from torch_pmil.envs.trajectory_optimization import Array, roll_out
+from torch_pmil.envs.swing_up import demonstrate_swing_up, swing_up_expert
+from torch_pmil.envs.trajectory_optimization import Array
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.double_pendulum import SUCCESS_DISTANCE, distance_from_upright
 from torch_pmil.experiments.gym_pendulum import gym_pendulum_space
@@ -48,20 +48,14 @@ def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
         RuntimeError: a demonstration did not stay upright.
     """
     env = DoublePendulumEnv(num_envs=DEMONSTRATIONS, seed=seed)
-    starts = env.reset()["observation"].numpy()
-    expert, noise = swing_up_expert(), np.random.default_rng(seed).normal(size=(STEPS, DEMONSTRATIONS, 2))
-
-    def imprecise_expert(step: int, states: Array) -> Array:
-        return (expert(step, states) + torque_noise * noise[step]).clip(-expert.action_limit, expert.action_limit)
-
-    states, torques = roll_out(array_dynamics(env), starts, imprecise_expert, STEPS)
-    distances = distance_from_upright(torch.from_numpy(states))
+    states, torques = demonstrate_swing_up(env, swing_up_expert(), seed, torque_noise)
+    distances = distance_from_upright(states)
     print("demonstration  largest distance from upright in the last 0.5 s (m)  peak torque (N·m)")
-    for number, (distance, peak) in enumerate(zip(distances.tolist(), np.abs(torques).max((1, 2)), strict=True)):
+    for number, (distance, peak) in enumerate(zip(distances.tolist(), torques.abs().amax((1, 2)).tolist(), strict=True)):
         print(f"{number:13d}  {distance:53.4f}  {peak:17.3f}")
     if not (distances < SUCCESS_DISTANCE).all():
         raise RuntimeError(f"a demonstration must stay within {SUCCESS_DISTANCE} m, got {distances.max():.3f} m")
-    return Demonstrations(link_positions(torch.from_numpy(states)), env.control_period, ("x1", "y1", "x2", "y2"))
+    return Demonstrations(link_positions(states), env.control_period, ("x1", "y1", "x2", "y2"))
 
 
 def record_inverted_pendulum(seed: int, torque_noise: float) -> Demonstrations:

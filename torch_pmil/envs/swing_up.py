@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from torch_pmil.envs.double_pendulum import double_pendulum_model
+from torch_pmil.envs.double_pendulum import DoublePendulumEnv, double_pendulum_model
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.envs.trajectory_optimization import (
     Array,
@@ -16,6 +16,7 @@ from torch_pmil.envs.trajectory_optimization import (
     QuadraticCost,
     TrackingController,
     plan_trajectory,
+    roll_out,
     tracking_controller,
 )
 
@@ -25,6 +26,7 @@ HOLD_FROM = 20  # the last 0.5 s balance
 HANGING = np.array([math.pi, 0.0, 0.0, 0.0])
 UPRIGHT = np.zeros(4)  # q1 and q2 end where no link has wound up
 PLANNED_TORQUE = 3.0  # N·m; the rest up to the limit is for feedback
+TORQUE_NOISE = 0.1  # N·m, standard deviation of the demonstrator's imprecision at each step
 PLANNING_TIMESTEP = 0.01  # s; five times the simulation's, exact enough to plan with
 
 
@@ -59,6 +61,29 @@ def swing_up_expert(link_masses: Sequence[float] = (0.5, 0.5), torque_limit: flo
         action_weights=np.ones(2),
         action_limit=np.full(2, torque_limit),
     )
+
+
+def demonstrate_swing_up(
+    env: DoublePendulumEnv, expert: TrackingController, seed: int, torque_noise: float = TORQUE_NOISE
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Let an expert swing up N double pendulums at once, each time a little beside the torques that it means.
+
+    Args:
+        env: the N robots, which draw the starts.
+        expert: see :func:`swing_up_expert`.
+        seed: of the noise.
+        torque_noise: standard deviation of what is added to the torques, drawn anew at each step, in N·m.
+
+    Returns:
+        States x_0..x_T, (N, T + 1, 4), and the torques that were applied, (N, T, 2), in N·m.
+    """
+    noise = np.random.default_rng(seed).normal(size=(STEPS, *env.batch_size, 2))
+
+    def imprecise_expert(step: int, states: Array) -> Array:
+        return (expert(step, states) + torque_noise * noise[step]).clip(-expert.action_limit, expert.action_limit)
+
+    states, torques = roll_out(array_dynamics(env), env.reset()["observation"].numpy(), imprecise_expert, STEPS)
+    return torch.from_numpy(states), torch.from_numpy(torques)
 
 
 def planning_dynamics(link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5) -> Dynamics:

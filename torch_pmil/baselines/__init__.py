@@ -1,0 +1,1 @@
+"""Other ways to imitate, which the paper compares with."""

@@ -1,0 +1,68 @@
+"""The torques with which a robot would move exactly as another one did, by MuJoCo's inverse dynamics."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+
+
+def motion_of(env: MujocoRobotEnv, states: Tensor, torques: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """A recorded rollout at every time step of the simulation.
+
+    Args:
+        env: the robot that moved.
+        states: x_0..x_T at the control rate, (T + 1, D).
+        torques: held from each of them on, N·m, (T, F).
+
+    Returns:
+        States (S, D), accelerations (S, D/2) and applied torques (S, F) at the S = T * substeps time steps.
+
+    Example:
+        >>> from torch_pmil.envs import DoublePendulumEnv
+        >>> _, accelerations, _ = motion_of(DoublePendulumEnv(seed=0), torch.zeros(2, 4), torch.zeros(1, 2))
+        >>> accelerations.shape, bool((accelerations == 0).all())
+        (torch.Size([50, 2]), True)
+    """
+    fine = [
+        torch.cat([state[None], env.substates(state, torque, env.substeps)[:-1]])
+        for state, torque in zip(states[:-1], torques, strict=True)
+    ]
+    held = torques.repeat_interleave(env.substeps, 0)
+    motion = torch.cat(fine)
+    return motion, accelerations_of(env.model, motion, held), held
+
+
+def accelerations_of(model: mujoco.MjModel, states: Tensor, torques: Tensor) -> Tensor:
+    """Joint accelerations (S, D/2) in states (S, D) under torques (S, F); every joint has its motor and is in the state."""
+    data, result = mujoco.MjData(model), np.empty((len(states), model.nv))
+    for row, (state, torque) in enumerate(zip(states.numpy(), torques.numpy(), strict=True)):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = state[::2], state[1::2], torque
+        mujoco.mj_forward(model, data)
+        result[row] = data.qacc
+    return torch.from_numpy(result)
+
+
+def tracking_torques(model: mujoco.MjModel, states: Tensor, accelerations: Tensor) -> Tensor:
+    """Torques (S, F), N·m, with which a robot has given accelerations, limits or not.
+
+    Args:
+        model: of the robot, each joint with its motor.
+        states: [q1, dq1, q2, dq2, ...], rad and rad/s, (S, D).
+        accelerations: of the joints, rad/s², (S, D/2).
+
+    Example:
+        >>> from torch_pmil.envs.double_pendulum import double_pendulum_model
+        >>> stretched = torch.tensor([[torch.pi / 2, 0.0, 0.0, 0.0]], dtype=torch.float64)  # both links lie to the right
+        >>> tracking_torques(double_pendulum_model((0.5, 0.5)), stretched, torch.zeros(1, 2)).round(decimals=3)
+        tensor([[-4.9050, -1.2260]], dtype=torch.float64)
+    """
+    data, result = mujoco.MjData(model), np.empty((len(states), model.nv))
+    for row, (state, acceleration) in enumerate(zip(states.numpy(), accelerations.numpy(), strict=True)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = state[::2], state[1::2], acceleration
+        mujoco.mj_inverse(model, data)
+        result[row] = data.qfrc_inverse
+    return torch.from_numpy(result)

@@ -1,0 +1,69 @@
+"""What a run learned, from its folder."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torch_pmil.collection import states_of
+from torch_pmil.dynamics import GPDynamics
+from torch_pmil.experiments.experiment import Experiment
+from torch_pmil.experiments.runs import RunError, read_summary
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.rollout import predict_trajectory
+from torch_pmil.saved_policy import load_policy
+from torch_pmil.state_policy import StatePolicy
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A policy with the model that it was searched on.
+
+    Args:
+        summary: of the run.
+        policy: the saved one.
+        dynamics: the model of all its experience.
+    """
+
+    summary: dict
+    policy: StatePolicy
+    dynamics: GPDynamics
+
+    @torch.no_grad()
+    def predicted(self, experiment: Experiment) -> Gaussian:
+        """p(x_1..T) of the policy under its model, mean (T, D)."""
+        return predict_trajectory(experiment.initial, self.policy.policy, self.dynamics, experiment.space, experiment.horizon)
+
+    @torch.no_grad()
+    def executed(self, experiment: Experiment, starts: int, seed: int) -> Tensor:
+        """Rollouts of the robot from fresh starts, states x_0..x_T (starts, T + 1, D)."""
+        env = experiment.make_env(num_envs=starts, seed=seed)
+        return states_of(env.rollout(experiment.horizon, self.policy.as_tensordict_module()))
+
+
+def load_learned(folder: Path, experiment: Experiment) -> Learned:
+    """Policy and model of a finished run. Nothing that the files carry is executed.
+
+    Args:
+        folder: of the run.
+        experiment: what it learned.
+
+    Raises:
+        RunError: the run is of another experiment, or its model is damaged.
+        PolicyFileError: its policy is damaged.
+        OSError: a file cannot be read.
+    """
+    summary = read_summary(folder)
+    if summary["experiment"] != experiment.name:
+        raise RunError(f"{folder} must be a run of {experiment.name}, got one of {summary['experiment']}")
+    dynamics = GPDynamics(len(experiment.space.feature_names) + len(experiment.u_max), experiment.space.dim)
+    try:
+        dynamics.load_state_dict(torch.load(folder / "dynamics.pt", weights_only=True, map_location="cpu"))
+    except (RuntimeError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        reason = " ".join(str(error).split())
+        raise RunError(f"{folder}: dynamics.pt is damaged, or of another version: {reason}") from error
+    return Learned(summary, load_policy(folder / "policy.pt"), dynamics)

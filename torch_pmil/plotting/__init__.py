@@ -1,0 +1,27 @@
+"""Figures of the results. The only part of the package that imports matplotlib; it draws numbers and knows no experiment."""
+
+from matplotlib.figure import Figure
+
+from torch_pmil.plotting.gaussian_process import plot_gp, plot_moment_matching
+from torch_pmil.plotting.pendulum import pendulum_frames, plot_poses
+from torch_pmil.plotting.style import BLUE, GREY, VERMILLION, save_figure, style
+from torch_pmil.plotting.success import plot_learning_curve, plot_success_over_experience, plot_success_over_mass
+from torch_pmil.plotting.trajectories import plot_demonstrations, plot_distributions
+
+__all__ = [
+    "BLUE",
+    "GREY",
+    "VERMILLION",
+    "Figure",
+    "pendulum_frames",
+    "plot_demonstrations",
+    "plot_distributions",
+    "plot_gp",
+    "plot_learning_curve",
+    "plot_moment_matching",
+    "plot_poses",
+    "plot_success_over_experience",
+    "plot_success_over_mass",
+    "save_figure",
+    "style",
+]

@@ -1,0 +1,112 @@
+"""Pictures of a double pendulum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from torch import Tensor
+
+from torch_pmil.plotting.style import BLUE, DARK, GREY, ORANGE, style
+
+LATE_IS_DARK = ListedColormap(mpl.colormaps["viridis_r"](np.linspace(0.12, 1, 256)))  # without the faintest yellow
+ROOM = 1.15  # half the side of a picture of the pendulum, in lengths of the stretched pendulum
+TRAIL = 25  # frames of the tip's past that an animation shows
+
+
+def plot_poses(positions: Tensor, time_step: float) -> Figure:
+    """The poses of a double pendulum during one rollout, coloured by time (Figure 5).
+
+    Args:
+        positions: link ends [x1, y1, x2, y2] in m, (T + 1, 4), from t = 0; the base is at the origin.
+        time_step: seconds between two poses.
+
+    Raises:
+        ValueError: the positions have another shape.
+
+    Example:
+        >>> import torch
+        >>> plot_poses(torch.tensor([[0.0, -0.5, 0.0, -1.0], [0.0, 0.5, 0.0, 1.0]]), 0.1).axes[0].get_xlabel()
+        'x (m)'
+    """
+    joints = _joints(positions)
+    reach = _reach(joints)
+    colours = ScalarMappable(Normalize(0, time_step * (len(joints) - 1)), LATE_IS_DARK)
+    figure = Figure(figsize=(5.4, 4.6), layout="constrained")
+    panel = figure.subplots()
+    for step, pose in enumerate(joints):
+        panel.plot(*pose.T, color=colours.to_rgba(time_step * step), linewidth=2.2, solid_capstyle="round", marker="o", markersize=3.5)
+    panel.plot(0, 0, color=DARK, marker="o", markersize=8)
+    panel.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    style(panel)
+    figure.colorbar(colours, ax=panel, label="time (s)")
+    return figure
+
+
+def pendulum_frames(positions: Tensor, time_step: float, size: int = 480) -> Iterator[np.ndarray]:
+    """Pictures of a moving double pendulum, drawn without OpenGL.
+
+    Args:
+        positions: link ends [x1, y1, x2, y2] in m, (N, 4), one row a picture; the base is at the origin.
+        time_step: seconds between two pictures, for the clock in the corner.
+        size: height and width of a picture.
+
+    Yields:
+        N pictures (size, size, 3), uint8.
+
+    Raises:
+        ValueError: the positions have another shape.
+
+    Example:
+        >>> import torch
+        >>> frame = next(pendulum_frames(torch.tensor([[0.0, -0.5, 0.0, -1.0]]), 0.02, size=64))
+        >>> frame.shape
+        (64, 64, 3)
+    """
+    joints = _joints(positions)
+    canvas, panel = _stage(size, _reach(joints))
+    trail = panel.plot([], [], color=ORANGE, linewidth=0.9, alpha=0.5)[0]
+    links = [panel.plot([], [], color=colour, linewidth=2.4, solid_capstyle="round")[0] for colour in (BLUE, ORANGE)]
+    hubs = panel.plot([], [], color=DARK, linestyle="", marker="o", markersize=2.2, markeredgewidth=0)[0]
+    clock = panel.text(0.04, 0.95, "", transform=panel.transAxes, fontsize=3.2, color=GREY, va="top")
+    for number, pose in enumerate(joints):
+        trail.set_data(*joints[max(0, number - TRAIL) : number + 1, 2].T)
+        for link, ends in zip(links, (pose[:2], pose[1:]), strict=True):
+            link.set_data(*ends.T)
+        hubs.set_data(*pose[:2].T)
+        clock.set_text(f"{number * time_step:.1f} s")
+        canvas.draw()
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _joints(positions: Tensor) -> np.ndarray:
+    """Base, elbow and tip (N, 3, 2) of link ends (N, 4)."""
+    if positions.ndim != 2 or positions.shape[1] != 4:
+        raise ValueError(f"positions must have shape (N, 4), got {tuple(positions.shape)}")
+    ends = positions.detach().numpy().reshape(-1, 2, 2)
+    return np.concatenate([np.zeros_like(ends[:, :1]), ends], axis=1)
+
+
+def _reach(joints: np.ndarray) -> float:
+    """Half the side of a square in which every pose lies."""
+    return ROOM * np.linalg.norm(joints, axis=-1).max()
+
+
+def _stage(size: int, reach: float) -> tuple[FigureCanvasAgg, Axes]:
+    """A canvas of size x size pixels with the circle that the tip can reach.
+
+    The figure is one inch wide, so that line widths, in points, are seventy-seconds of the picture whatever its size.
+    """
+    figure = Figure(figsize=(1, 1), dpi=size, facecolor="#F4F7FA")
+    canvas = FigureCanvasAgg(figure)
+    panel = figure.add_axes((0, 0, 1, 1), xlim=(-reach, reach), ylim=(-reach, reach))
+    panel.set_axis_off()
+    panel.add_patch(Circle((0, 0), reach / ROOM, facecolor="white", edgecolor="#D5DCE3", linewidth=0.2))
+    return canvas, panel

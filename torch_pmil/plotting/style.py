@@ -1,0 +1,74 @@
+"""What all figures have in common: colours, axes, bands, and how they are saved."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from torch_pmil.files import replacing
+from torch_pmil.gaussian import Gaussian
+
+# Okabe and Ito's colours, which colour-blind readers can tell apart
+BLUE, VERMILLION, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#E69F00", "#009E73", "#555555"
+DARK = "#1A1A1A"
+BAND = 2  # standard deviations on either side of the mean
+
+
+def save_figure(figure: Figure, path: Path | str) -> None:
+    """Write a figure as a PNG file with 150 dots per inch, wholly or not at all.
+
+    Args:
+        figure: what a function of this module returned.
+        path: of the file; one that is there is replaced.
+
+    Raises:
+        OSError: the folder is missing or not writable.
+
+    Example:
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "empty.png"
+        >>> save_figure(Figure(), path)
+        >>> path.read_bytes()[:4]
+        b'\\x89PNG'
+    """
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=150)
+
+
+def style(panel: Axes) -> None:
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.grid(color="0.92", linewidth=0.6)
+    panel.set_axisbelow(True)
+
+
+def panels_of(count: int, xlabel: str) -> tuple[Figure, list[Axes]]:
+    """A nearly square grid of ``count`` panels with one time axis; the lowest in each column is labelled."""
+    columns = math.ceil(math.sqrt(count))
+    rows = math.ceil(count / columns)
+    figure = Figure(figsize=(1.2 + 3.4 * columns, 0.8 + 2.2 * rows), layout="constrained")
+    panels = [figure.add_subplot(rows, columns, index + 1) for index in range(count)]
+    for index, panel in enumerate(panels):
+        style(panel)
+        panel.margins(x=0)
+        if index + columns < count:
+            panel.tick_params(labelbottom=False)
+        else:
+            panel.set_xlabel(xlabel)
+    figure.align_ylabels(panels)
+    return figure, panels
+
+
+def band_of(belief: Gaussian, entry: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower edge, mean and upper edge of one entry, (T,) each."""
+    mean, std = (moment[:, entry].detach().numpy() for moment in (belief.mean, belief.std))
+    return mean - BAND * std, mean, mean + BAND * std
+
+
+def draw_band(panel: Axes, time: np.ndarray, band: tuple[np.ndarray, np.ndarray, np.ndarray], colour: str, label: str) -> None:
+    lower, mean, upper = band
+    panel.fill_between(time, lower, upper, facecolor=(colour, 0.25), edgecolor=(colour, 0.8), linewidth=0.8, label=label)
+    panel.plot(time, mean, color=colour, linewidth=1.4)

@@ -1,0 +1,142 @@
+"""Success rates: over experience, and beside the loss."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import cycle
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLION, style
+
+SERIES = ((BLUE, "o"), (VERMILLION, "s"), (GREEN, "^"), (ORANGE, "D"))  # colours and markers of several methods
+
+
+def plot_learning_curve(experience_s: Sequence[float], success_rate: Sequence[float], kl: Sequence[float]) -> Figure:
+    """Success rate (Figure 7) and predicted KL divergence after each trial, over the robot's experience.
+
+    Args:
+        experience_s: seconds of motion the robot had learned from, (N,).
+        success_rate: fractions from 0 to 1, (N,); drawn in percent, with the paper's 95 % as a dotted line.
+        kl: trajectory KL in nats, (N,), on a logarithmic axis; a value that is NaN, or not positive, is left out.
+
+    Raises:
+        ValueError: the lengths differ, or a success rate is outside 0 to 1.
+
+    Example:
+        >>> figure = plot_learning_curve([2.5, 5.0], [0.0, 0.9], [4e3, 20.0])
+        >>> figure.axes[1].get_xlabel(), figure.axes[1].get_ylabel()
+        ('experience (s)', 'predicted KL (nats)')
+    """
+    if not len(experience_s) == len(success_rate) == len(kl):
+        raise ValueError(f"experience_s, success_rate and kl must be equally long, got {len(experience_s)}, {len(success_rate)}, {len(kl)}")
+    percent = 100 * np.asarray(success_rate, dtype=float)
+    if not ((percent >= 0) & (percent <= 100)).all():
+        raise ValueError(f"success_rate must be between 0 and 1, got {list(success_rate)}")
+    divergence = np.asarray(kl, dtype=float)
+    figure = Figure(figsize=(6.0, 4.6), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    _success_axis(upper)
+    upper.plot(experience_s, percent, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3)
+    lower.plot(experience_s, np.where(divergence > 0, divergence, np.nan), color=VERMILLION, marker="s", markersize=4, zorder=3)
+    lower.set(yscale="log", xlabel="experience (s)", ylabel="predicted KL (nats)")
+    lower.set_xlim(left=0)
+    for panel in (upper, lower):
+        style(panel)
+    return figure
+
+
+def plot_success_over_experience(experience_s: np.ndarray, rates: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Figure:
+    """Mean success rate over runs with its 95 % interval, and each run's own as a thin line (Figure 7).
+
+    Args:
+        experience_s: seconds of motion the robot had learned from, (K,).
+        rates: fractions from 0 to 1, (runs, K); drawn in percent, with the paper's 95 % as a dotted line.
+        lower: end of the interval of the mean, a fraction, (K,).
+        upper: the other end.
+
+    Raises:
+        ValueError: the shapes do not fit each other.
+
+    Example:
+        >>> figure = plot_success_over_experience(np.array([2.5, 5.0]), np.array([[0.0, 1.0]]), np.zeros(2), np.ones(2))
+        >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
+        ('experience (s)', 'success rate (%)')
+    """
+    if not experience_s.shape == lower.shape == upper.shape == rates.shape[1:]:
+        raise ValueError(
+            f"experience_s, lower and upper must be (K,) for rates (runs, K), got {experience_s.shape}, {lower.shape}, {upper.shape} "
+            f"for {rates.shape}"
+        )
+    figure = Figure(figsize=(6.0, 3.6), layout="constrained")
+    panel = figure.subplots()
+    _success_axis(panel)
+    runs = panel.plot(experience_s, 100 * rates.T, color=GREY, linewidth=0.7, alpha=0.5, clip_on=False)
+    runs[0].set_label("single runs")
+    band = {"facecolor": (BLUE, 0.2), "edgecolor": (BLUE, 0.6), "linewidth": 0.8}
+    panel.fill_between(experience_s, 100 * lower, 100 * upper, label="95 % interval of the mean", **band)
+    mean = 100 * rates.mean(0)
+    panel.plot(experience_s, mean, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3, label=f"mean of {len(rates)} runs")
+    panel.set(xlabel="experience (s)")
+    panel.set_xlim(left=0)
+    style(panel)
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
+def plot_success_over_mass(
+    masses: Sequence[float], rates: Mapping[str, np.ndarray], torques: np.ndarray, limit: float, demonstrated: float
+) -> Figure:
+    """Success rate of some methods over the mass of the second link, and the peak torque of exact tracking (Section 5.1.2).
+
+    Args:
+        masses: kg, (K,).
+        rates: of each method, fractions from 0 to 1, (runs, K); drawn in percent, their mean with the range over the runs.
+        torques: largest absolute torque that each demonstration needs, N·m, (N, K).
+        limit: of the motors, N·m.
+        demonstrated: mass of the demonstrator, kg.
+
+    Raises:
+        ValueError: shapes do not fit each other.
+
+    Example:
+        >>> figure = plot_success_over_mass([0.3, 0.5], {"a": np.ones((1, 2))}, np.ones((5, 2)), limit=3.5, demonstrated=0.5)
+        >>> [panel.get_ylabel() for panel in figure.axes]
+        ['success rate (%)', 'peak torque (N·m)']
+    """
+    if any(values.shape[1:] != (len(masses),) for values in (*rates.values(), torques)):
+        shapes = {name: values.shape for name, values in {**rates, "torques": torques}.items()}
+        raise ValueError(f"rates and torques must be (runs, {len(masses)}) for {len(masses)} masses, got {shapes}")
+    figure = Figure(figsize=(6.0, 4.6), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    _success_axis(upper)
+    for (name, values), (colour, marker) in zip(rates.items(), cycle(SERIES), strict=False):
+        _draw_range(upper, masses, 100 * values, colour, marker, name)
+    _draw_range(lower, masses, torques, GREY, "o", "exact tracking")
+    lower.axhline(limit, color=DARK, linewidth=0.8, linestyle="--", label="limit of the motors")
+    lower.set(xlabel="mass of the second link (kg)", ylabel="peak torque (N·m)", ylim=(0, None))
+    for panel in (upper, lower):
+        line = panel.axvline(demonstrated, color=GREY, linewidth=0.8, linestyle=":")
+        style(panel)
+    line.set_label("mass of the demonstrator")
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
+def _draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str, marker: str, label: str) -> None:
+    """Mean of values (runs, K), with the range over the runs as error bars."""
+    mean = values.mean(0)
+    bars = np.stack([mean - values.min(0), values.max(0) - mean])
+    drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, markersize=4, linewidth=1.4, elinewidth=0.8, capsize=2, label=label)
+    for artist in drawn.get_children():
+        artist.set_clip_on(False)
+
+
+def _success_axis(panel: Axes) -> None:
+    """An axis of success rates, with the paper's 95 %."""
+    panel.axhline(95, color=GREY, linewidth=0.8, linestyle=":")
+    panel.text(1.01, 95, "95 %", transform=panel.get_yaxis_transform(), fontsize=8, color=GREY, va="center")
+    panel.set(ylim=(0, 100), ylabel="success rate (%)")
+    panel.set_yticks([0, 25, 50, 75, 100])

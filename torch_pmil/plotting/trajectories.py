@@ -1,0 +1,107 @@
+"""Trajectory distributions over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.plotting.style import BAND, BLUE, DARK, VERMILLION, band_of, draw_band, panels_of
+
+OVERSHOOT = 0.75  # how far a prediction may stretch a panel, in heights of the demonstrated and executed motion
+
+
+def plot_distributions(
+    names: Sequence[str], units: Sequence[str], time_step: float, expert: Gaussian, predicted: Gaussian, executed: Tensor
+) -> Figure:
+    """Demonstrated and predicted trajectory distribution with executed rollouts, one panel an entry (Figure 6).
+
+    Bands are two standard deviations on either side of the mean. A predicted band that goes far beyond the
+    demonstrated and executed motion leaves the panel, so that the motion stays readable.
+
+    Args:
+        names: of the M entries of the match space.
+        units: of those entries.
+        time_step: seconds between two samples; the first one shown is t = 1.
+        expert: demonstrated marginals at t = 1..T, mean (T, M) and cov (T, M, M).
+        predicted: predicted marginals of the same shape.
+        executed: rollouts of the robot at t = 1..T, (B, T, M).
+
+    Raises:
+        ValueError: shapes do not fit each other.
+
+    Example:
+        >>> import torch
+        >>> belief = Gaussian(torch.zeros(5, 2), torch.eye(2).expand(5, 2, 2))
+        >>> figure = plot_distributions(("q", "dq"), ("rad", "rad/s"), 0.1, belief, belief, torch.zeros(3, 5, 2))
+        >>> [panel.get_ylabel() for panel in figure.axes]
+        ['q (rad)', 'dq (rad/s)']
+    """
+    shape = expert.mean.shape
+    if not (len(names) == len(units) == shape[-1] and predicted.mean.shape == shape == executed.shape[1:]):
+        raise ValueError(
+            f"predicted and executed must be (T, M) and (B, T, M) for an expert {tuple(shape)} and {len(names)} names with "
+            f"{len(units)} units, got {tuple(predicted.mean.shape)} and {tuple(executed.shape)}"
+        )
+    time = time_step * np.arange(1, shape[0] + 1)
+    figure, panels = panels_of(len(names), "time (s)")
+    for entry, panel in enumerate(panels):
+        rollouts = executed[..., entry].detach().numpy()
+        demonstrated, prediction = band_of(expert, entry), band_of(predicted, entry)
+        draw_band(panel, time, demonstrated, BLUE, f"demonstrated ± {BAND} std")
+        draw_band(panel, time, prediction, VERMILLION, f"predicted ± {BAND} std")
+        lines = panel.plot(time, rollouts.T, color=DARK, linewidth=0.7, linestyle=(0, (4, 2)), alpha=0.8)
+        if lines:
+            lines[0].set_label("executed")
+        panel.set_ylim(*_limits(np.concatenate([*demonstrated, *rollouts]), np.concatenate(prediction)))
+        panel.set_ylabel(f"{names[entry]} ({units[entry]})")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
+def plot_demonstrations(names: Sequence[str], units: Sequence[str], time_step: float, demonstrated: Tensor, expert: Gaussian) -> Figure:
+    """Demonstrations and the Gaussian trajectory distribution that is estimated from them, one panel an entry (Figure 3).
+
+    Args:
+        names: of the M entries of the match space.
+        units: of those entries.
+        time_step: seconds between two samples.
+        demonstrated: N demonstrations at t = 0..T, (N, T + 1, M).
+        expert: marginals at t = 1..T, mean (T, M) and cov (T, M, M).
+
+    Raises:
+        ValueError: shapes do not fit each other.
+
+    Example:
+        >>> import torch
+        >>> expert = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
+        >>> plot_demonstrations(("x",), ("m",), 0.1, torch.zeros(3, 6, 1), expert).axes[0].get_ylabel()
+        'x (m)'
+    """
+    steps, entries = expert.mean.shape
+    if demonstrated.shape[1:] != (steps + 1, entries) or not len(names) == len(units) == entries:
+        raise ValueError(
+            f"demonstrated must be (N, {steps + 1}, {entries}) for an expert {(steps, entries)}, with a name and a unit for each entry, "
+            f"got {tuple(demonstrated.shape)}, {len(names)} names and {len(units)} units"
+        )
+    time = time_step * np.arange(steps + 1)
+    figure, panels = panels_of(entries, "time (s)")
+    for entry, panel in enumerate(panels):
+        draw_band(panel, time[1:], band_of(expert, entry), VERMILLION, f"estimated ± {BAND} std")
+        lines = panel.plot(time, demonstrated[..., entry].numpy().T, color=BLUE, linewidth=1.0, linestyle=(0, (4, 2)))
+        lines[0].set_label("demonstrations")
+        panel.set_ylabel(f"{names[entry]} ({units[entry]})")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
+def _limits(shown: np.ndarray, prediction: np.ndarray) -> tuple[float, float]:
+    """Ends of an axis on which all of ``shown`` is seen, and the prediction as far as OVERSHOOT allows."""
+    low, high = shown.min(), shown.max()
+    overshoot, margin = OVERSHOOT * (high - low), 0.05 * (high - low)
+    lowest = np.clip(prediction.min(), low - overshoot, low)
+    highest = np.clip(prediction.max(), high, high + overshoot)
+    return lowest - margin, highest + margin

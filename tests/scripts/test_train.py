@@ -20,7 +20,7 @@ from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.experiments import EXPERIMENTS
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "train.py"
-UNKNOWN = "experiment must be one of double_pendulum, gym_pendulum, inverted_pendulum"
+UNKNOWN = "experiment must be one of double_pendulum, double_pendulum_pilco, gym_pendulum, inverted_pendulum"
 Script = Callable[..., None]
 
 

@@ -308,7 +308,7 @@ class PMILTrainer(Trainer):
 
     def _report(self, stage: str, loss: float) -> None:
         if self.progress_bar:
-            self._pbar.set_postfix_str(f"search: {stage} = {loss:.1f} {self.loss_module.unit}")
+            self._pbar.set_postfix_str(f"search: {stage} = {loss:.1f} {self.loss_module.unit}".rstrip())
 
 
 class _Progress:

@@ -136,7 +136,7 @@ def test_horizon_stops_where_the_last_steps_are_not_trusted(hopeless: Trajectory
     assert result.per_step[2:4].mean() > SETTINGS.trusted
 
 
-@pytest.mark.parametrize(("trusted", "horizon"), [(1e-9, 2), (0.5, HORIZON)])
+@pytest.mark.parametrize(("trusted", "horizon"), [(1e-9, 2), (0.0018, HORIZON), (0.5, HORIZON)])
 def test_costly_prediction_is_followed_as_far_as_it_is_sure(dynamics: GPDynamics, draws: Draws, trusted: float, horizon: int) -> None:
     """The target is out of reach: every step costs more than may be doubted."""
     cost = ExpectedSaturatingCost(make_policy(draws), dynamics, SPACE, torch.tensor([5.0]), width=1.5, horizon=HORIZON)

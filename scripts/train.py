@@ -32,10 +32,12 @@ from torch_pmil.experiments.sweep import register_launchers
 from torch_pmil.experiments.training import RunResult, train
 from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, save_figure
 from torch_pmil.trainer import Trial
+from torch_pmil.trajectory_loss import TrajectoryLoss
 from torch_pmil.video import dense_states, film_rollout, render_rollout, write_video
 
 FRAMES_PER_SECOND = 50
-SKETCHES = {"double_pendulum": pendulum_frames}  # pictures without OpenGL, from positions in the match space; these have poses too
+# pictures without OpenGL, from positions in the match space; these have poses too
+SKETCHES = dict.fromkeys(("double_pendulum", "double_pendulum_pilco"), pendulum_frames)
 
 
 @hydra.main(version_base="1.3", config_path="config", config_name="train")
@@ -53,7 +55,7 @@ def main(config: DictConfig) -> None:
         os.chdir(job.runtime.cwd)  # where the sweep was started: a cluster's worker may be elsewhere
         demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
         experiment = load_experiment(config.experiment, demonstrations)
-        told = partial(print_trial, label)
+        told = partial(print_trial, label, experiment.objective)
         result = train(experiment, config.seed, config.trials, out, command, alone, told, config.resume, config.logger)
     except KeyboardInterrupt:
         print(f"\n{label}stopped; go on with: {command.removesuffix(' resume=true')} resume=true", file=sys.stderr)
@@ -78,11 +80,12 @@ def say(label: str, text: str) -> None:
     sys.stdout.flush()
 
 
-def print_trial(label: str, trial: Trial) -> None:
+def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> None:
     """One line for each trial."""
+    predicted = f"{objective.label} {trial.kl:6.1f} {objective.unit}".rstrip()
     say(
         label,
-        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, KL {trial.kl:6.1f} nats, "
+        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {predicted}, "
         f"own rollout {'succeeded' if trial.own_success else 'failed'}, "
         f"success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s",
     )
@@ -90,7 +93,7 @@ def print_trial(label: str, trial: Trial) -> None:
 
 def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
     """Figures and video of a run."""
-    match = experiment.space.match
+    match, objective = experiment.space.match, experiment.objective
     predicted = match.belief(result.predicted).add_noise(experiment.noise_std**2)
     executed = match(result.executed)
     figures = {
@@ -101,6 +104,7 @@ def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
             [t.experience_s for t in result.trials],
             [t.success_rate for t in result.trials],
             [t.kl for t in result.trials],
+            f"{objective.label} ({objective.unit})" if objective.unit else objective.label,
         ),
     }
     if experiment.name in SKETCHES:

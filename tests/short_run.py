@@ -37,9 +37,9 @@ PHASES = {  # what is called there
 }
 
 
-def short_experiment(steps: int = STEPS, **changes: object) -> Experiment:
-    """The first steps of the double pendulum, five basis functions and searches of a few evaluations."""
-    experiment = load_experiment("double_pendulum")
+def short_experiment(steps: int = STEPS, name: str = "double_pendulum", **changes: object) -> Experiment:
+    """The first steps of the double pendulum (or of PILCO on it), five basis functions and searches of a few evaluations."""
+    experiment = load_experiment(name)
     beginning = replace(experiment.demonstrations, positions=experiment.demonstrations.positions[:, : steps + 1])
     return replace(
         experiment, demonstrations=beginning, num_centres=5, **{"search": SearchSettings(1, 1, 1, first_horizon=steps)} | changes
@@ -51,10 +51,10 @@ def quick_fits(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
 
 
-def run(folder: Path, resume: bool = False, **changes: object) -> RunResult:
+def run(folder: Path, resume: bool = False, name: str = "double_pendulum", **changes: object) -> RunResult:
     """Learn it, or go on. No step counts as matched, so that every search begins with a renewed policy."""
     arguments = {"seed": SEED, "trials": TRIALS, "command": COMMAND, **changes}
-    experiment = short_experiment(search=SearchSettings(1, 1, 1, first_horizon=STEPS, trusted_kl=1e-9))
+    experiment = short_experiment(name=name, search=SearchSettings(1, 1, 1, first_horizon=STEPS, trusted=1e-9))
     return train(experiment, out=folder, progress_bar=False, resume=resume, **arguments)
 
 

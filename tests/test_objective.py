@@ -149,6 +149,21 @@ def test_entry_without_weight_is_ignored(initial: Gaussian) -> None:
     assert torch.equal(here, there)
 
 
+def test_doubt_of_a_kl_is_the_kl(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
+    assert torch.equal(loss.doubt(initial, 3), loss.per_step(initial, 3))
+
+
+def test_doubt_of_a_cost_is_the_cost_of_the_spread_around_the_target(initial: Gaussian) -> None:
+    """1 - |I + W S / width²|^(-1/2), whether the target is near or far."""
+    weight = torch.tensor([[2.0, 0.5], [0.5, 1.0]], dtype=torch.float64)
+    near, far = (make_cost(seed=0, weight=weight, target=torch.full((2,), place)) for place in (0.0, 9.0))
+    spread = weight @ near.predict(initial, 3).cov / WIDTH**2
+    expected = 1 - torch.linalg.det(torch.eye(2) + spread).rsqrt()
+    for cost in (near, far):
+        torch.testing.assert_close(cost.doubt(initial, 3), expected, rtol=1e-10, atol=0)
+    assert (expected > 1e-3).all()
+
+
 @pytest.mark.parametrize("key", ["loss_kl", "loss_cost"])
 def test_search_lowers_the_loss(key: str, initial: Gaussian) -> None:
     """Every loss of a trajectory can be searched."""

@@ -120,6 +120,10 @@ def test_learning_curve_is_in_percent_seconds_and_nats() -> None:
     assert [line.get_ydata() for line in rates.lines if line.get_linestyle() == ":"] == [[95, 95]]
 
 
+def test_learning_curve_of_another_loss_is_labelled_so() -> None:
+    assert plot_learning_curve([2.5], [0.0], [5.0], "cost").axes[1].get_ylabel() == "predicted cost"
+
+
 @pytest.mark.parametrize("kl", [[np.nan, np.nan], [0.0, 1.0]])
 def test_learning_curve_leaves_out_what_has_no_logarithm(kl: list[float], tmp_path: Path) -> None:
     save_figure(plot_learning_curve([2.5, 5.0], [0.0, 0.5], kl), tmp_path / "curve.png")

@@ -12,7 +12,7 @@ from torch import Tensor
 from tests.draws import Draws
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
-from torch_pmil.objective import TrajectoryKLLoss
+from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, _evaluate, renew_policy, search_policy
 from torch_pmil.rollout import PredictionError, predict_mean_trajectory
@@ -20,7 +20,7 @@ from torch_pmil.state_space import StateSpace, joint_match
 
 HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
 SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
-SETTINGS = SearchSettings(mean_iterations=5, stage_iterations=5, final_iterations=5, first_horizon=2, horizon_step=2, trusted_kl=1.0)
+SETTINGS = SearchSettings(mean_iterations=5, stage_iterations=5, final_iterations=5, first_horizon=2, horizon_step=2, trusted=1.0)
 INITIAL = Gaussian(torch.ones(1, dtype=torch.float64), torch.full((1, 1), 0.01, dtype=torch.float64))
 REACHABLE = 0.75 ** torch.arange(1.0, HORIZON + 1, dtype=torch.float64)
 
@@ -91,7 +91,7 @@ def test_search_lowers_the_kl_until_the_whole_horizon_is_matched(loss: Trajector
     result = finished.result
     assert result.kl < 0.5 * loss.per_step(INITIAL).sum().item()
     assert result.matched and result.horizon == HORIZON
-    assert (result.per_step < SETTINGS.trusted_kl).all()
+    assert (result.per_step < SETTINGS.trusted).all()
 
 
 def test_result_is_that_of_the_policy_that_is_left(found: TrajectoryKLLoss, finished: Search) -> None:
@@ -117,12 +117,12 @@ def test_last_report_is_the_result(finished: Search) -> None:
 
 @pytest.mark.parametrize(("first", "step", "expected"), [(2, 3, [2, 5, 6]), (4, 7, [4, 6]), (9, 3, [6])])
 def test_horizon_never_exceeds_that_of_the_expert(loss: TrajectoryKLLoss, first: int, step: int, expected: list[int]) -> None:
-    settings = SearchSettings(3, 3, 1, first_horizon=first, horizon_step=step, trusted_kl=1.0)
+    settings = SearchSettings(3, 3, 1, first_horizon=first, horizon_step=step, trusted=1.0)
     assert horizons(search(loss, settings), "mean") == expected
 
 
 def test_policy_that_matches_is_searched_on_the_whole_kl_alone(found: TrajectoryKLLoss) -> None:
-    settings = SearchSettings(1, 1, 1, first_horizon=2, trusted_kl=SETTINGS.trusted_kl)
+    settings = SearchSettings(1, 1, 1, first_horizon=2, trusted=SETTINGS.trusted)
     once = search(found, settings)
     assert horizons(once, "KL") == [6]
     assert horizons(once, "mean") == []
@@ -133,7 +133,16 @@ def test_horizon_stops_where_the_last_steps_are_not_trusted(hopeless: Trajectory
     assert result.horizon == 4
     assert not result.matched
     assert result.per_step.shape == (HORIZON,)
-    assert result.per_step[2:4].mean() > SETTINGS.trusted_kl
+    assert result.per_step[2:4].mean() > SETTINGS.trusted
+
+
+@pytest.mark.parametrize(("trusted", "horizon"), [(1e-9, 2), (0.0018, HORIZON), (0.5, HORIZON)])
+def test_costly_prediction_is_followed_as_far_as_it_is_sure(dynamics: GPDynamics, draws: Draws, trusted: float, horizon: int) -> None:
+    """The target is out of reach: every step costs more than may be doubted."""
+    cost = ExpectedSaturatingCost(make_policy(draws), dynamics, SPACE, torch.tensor([5.0]), width=1.5, horizon=HORIZON)
+    result = search(cost, SearchSettings(2, 2, 1, first_horizon=2, horizon_step=2, trusted=trusted)).result
+    assert (result.per_step > 0.5).all()
+    assert (result.horizon, result.complete) == (horizon, horizon == HORIZON)
 
 
 def test_same_start_gives_the_same_search(loss: TrajectoryKLLoss, finished: Search) -> None:
@@ -164,7 +173,7 @@ def fail_beyond(loss: TrajectoryKLLoss, step: int, monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("step", [1, 3, 5])
 def test_steps_beyond_a_failed_prediction_cost_infinitely_much(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, step: int) -> None:
     known = fail_beyond(loss, step, monkeypatch)
-    evaluated = _evaluate(loss, INITIAL)
+    evaluated = _evaluate(loss.per_step, INITIAL, HORIZON)
     assert torch.equal(evaluated[:step], known)
     assert evaluated[step:].tolist() == [math.inf] * (HORIZON - step)
 
@@ -178,7 +187,7 @@ def test_failure_of_the_first_step_is_an_error(loss: TrajectoryKLLoss, monkeypat
 def test_search_goes_on_where_the_prediction_can_be_followed(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch) -> None:
     """The far part fails throughout, and is not searched."""
     fail_beyond(loss, 3, monkeypatch)
-    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted_kl=0.0)).result
+    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted=0.0)).result
     assert (result.horizon, result.matched, result.kl) == (3, False, math.inf)
     assert result.per_step[:3].isfinite().all()
 
@@ -194,7 +203,7 @@ def test_failures_within_a_run_are_survived_and_counted(loss: TrajectoryKLLoss, 
         return mean_per_step(initial, horizon)
 
     monkeypatch.setattr(loss, "mean_per_step", failing_once)
-    result = search(loss, SearchSettings(5, 1, 1, first_horizon=6, trusted_kl=0.0)).result
+    result = search(loss, SearchSettings(5, 1, 1, first_horizon=6, trusted=0.0)).result
     assert result.failures == 1
     assert result.evaluations > len(calls) > 2
 
@@ -228,7 +237,7 @@ def test_renewed_policy_has_the_centres_and_widths_of_the_new_one(found: Traject
 
 
 def test_policy_that_is_trusted_nowhere_is_renewed_at_the_start_alone(found: TrajectoryKLLoss) -> None:
-    before, after, _ = renewed(found, SearchSettings(first_horizon=1, trusted_kl=0.0))
+    before, after, _ = renewed(found, SearchSettings(first_horizon=1, trusted=0.0))
     difference = (after - before).abs()
     assert difference[0] < 0.05 * U_MAX < difference[1:].max()
 
@@ -245,5 +254,5 @@ def test_horizon_grows_no_further_than_the_prediction_can_be_followed(
 ) -> None:
     """The first three steps are matched, and beyond step ``known`` the prediction fails."""
     fail_beyond(loss, known, monkeypatch)
-    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted_kl=1.0)).result
+    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted=1.0)).result
     assert (result.horizon, result.kl) == (known, math.inf)

@@ -113,6 +113,16 @@ def test_killed_run_ends_as_one_that_was_not_killed(phase: str, count: int, whol
     assert_same_end(folder, whole)
 
 
+def test_run_of_the_baseline_goes_on_too(tmp_path: Path) -> None:
+    pilco = {"name": "double_pendulum_pilco"}
+    run(tmp_path / "whole", **pilco)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
+        stop_in(patch, "search", 5, stop)
+        run(tmp_path / "stopped", **pilco)
+    run(tmp_path / "stopped", resume=True, **pilco)
+    assert_same_end(tmp_path / "stopped", tmp_path / "whole")
+
+
 def test_run_may_be_stopped_again_and_again(whole: Path, stopped: Path) -> None:
     for phase, count in (("fit", 1), ("evaluation", 1), ("renaming", 1)):
         with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):

@@ -45,6 +45,7 @@ class TrajectoryKLLoss(TrajectoryLoss):
     """
 
     out_keys = ["loss_kl"]
+    label, unit = "KL", "nats"
 
     def __init__(
         self,
@@ -118,6 +119,7 @@ class ExpectedSaturatingCost(TrajectoryLoss):
     """
 
     out_keys = ["loss_cost"]
+    label, unit = "cost", ""
 
     def __init__(
         self,
@@ -147,6 +149,14 @@ class ExpectedSaturatingCost(TrajectoryLoss):
     def horizon(self) -> int:
         """T, number of steps after the start."""
         return self._horizon
+
+    def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """What the spread of each predicted marginal would cost around the target, (*batch, horizon). Raises PredictionError.
+
+        The cost itself would not do: it is high far from the target, however sure the prediction is.
+        """
+        observed = self.predict(initial, horizon)
+        return self._score(Gaussian(self.target.expand_as(observed.mean), observed.cov))
 
     def _costs(self, observed: Gaussian) -> Tensor:
         return expected_saturating_cost(Gaussian(observed.mean - self.target, observed.cov).affine(self.to_widths))

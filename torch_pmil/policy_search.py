@@ -1,4 +1,4 @@
-"""Search for the policy of least predicted KL (Eq. 22), over a horizon that grows as far as the prediction can be trusted."""
+"""Search for the policy of least predicted loss (Eq. 22), over a horizon that grows as far as the prediction can be trusted."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ class SearchSettings:
 
     Args:
         mean_iterations: of L-BFGS on the mean alone, for each horizon.
-        stage_iterations: on the KL, for each horizon that is extended further.
-        final_iterations: on the KL, at the last horizon.
+        stage_iterations: on the loss, for each horizon that is extended further.
+        final_iterations: on the loss, at the last horizon.
         first_horizon: least number of steps of the first horizon.
         horizon_step: steps by which the horizon grows.
-        trusted_kl: mean KL of the last steps (nats a step) above which the prediction is not followed further; about 3 in four dimensions.
+        trusted: mean doubt of the last steps (:meth:`TrajectoryLoss.doubt`) above which the prediction is not followed further. For the KL
+            it is in nats a step, about 3 in four dimensions.
     """
 
     mean_iterations: int = 60
@@ -37,14 +38,14 @@ class SearchSettings:
     final_iterations: int = 40
     first_horizon: int = 5
     horizon_step: int = 3
-    trusted_kl: float = 3.0
+    trusted: float = 3.0
 
 
 @dataclass(frozen=True)
 class SearchResult:
     """What a policy search did.
 
-    ``kl`` is the sum over the whole horizon T, ``per_step`` its summands; ``horizon`` is the last one that was searched,
+    ``kl`` is the loss (KL or cost) over the whole horizon T, ``per_step`` its summands; ``horizon`` is the last one that was searched,
     ``matched`` whether all its steps are trusted; ``stop_reason`` says why the last run of L-BFGS ended.
     """
 
@@ -69,13 +70,13 @@ def search_policy(
     settings: SearchSettings = SearchSettings(),
     report: Callable[[str, float], None] = lambda stage, kl: None,
 ) -> SearchResult:
-    """Minimise Eq. 20 over the policy of ``loss``, following the prediction only as far as it can be trusted.
+    """Minimise a loss, as Eq. 20 or 28, over its policy, following the prediction only as far as it can be trusted.
 
     The far, unpredictable part of a trajectory would pull the policy away from the near part that is right already.
     So the horizon starts where the present policy stops matching, and grows; at each horizon the mean alone is
-    searched first (a policy that only widens the prediction is no optimum there), then the KL. It stops growing
-    where the last steps cost more than ``settings.trusted_kl`` each. A policy that matches every step already is searched on
-    the KL of the whole horizon alone.
+    searched first (a policy that only widens the prediction is no optimum there), then the loss. It stops growing
+    where the doubt of the last steps is more than ``settings.trusted`` each. A policy whose every step is trusted already is searched on
+    the loss of the whole horizon alone.
 
     Args:
         loss: objective with the policy (changed in place) and the model.
@@ -87,17 +88,17 @@ def search_policy(
         PredictionError: the prediction fails at the policy that was given.
     """
     search = _Search(loss, initial, settings, report)
-    per_step = _evaluate(loss, initial)
-    horizon = _first_unmatched(per_step, settings)
-    growing = bool((per_step > settings.trusted_kl).any())
+    doubt = _evaluate(loss.doubt, initial, loss.horizon)
+    horizon = _first_unmatched(doubt, settings)
+    growing = bool((doubt > settings.trusted).any())
     while growing:
         begun = search.stage(horizon)
-        per_step = _evaluate(loss, initial)
-        growing = begun and horizon < loss.horizon and _trusted(per_step, horizon, settings)
+        doubt = _evaluate(loss.doubt, initial, loss.horizon)
+        growing = begun and horizon < loss.horizon and _trusted(doubt, horizon, settings)
         if growing:
-            horizon = min(max(horizon + settings.horizon_step, _first_unmatched(per_step, settings)), loss.horizon)
-    horizon = min(horizon, int(per_step.isfinite().sum()))
-    search.run("KL", loss.per_step, horizon, settings.final_iterations)
+            horizon = min(max(horizon + settings.horizon_step, _first_unmatched(doubt, settings)), loss.horizon)
+    horizon = min(horizon, int(doubt.isfinite().sum()))
+    search.run(loss.label, loss.per_step, horizon, settings.final_iterations)
     return search.result(horizon)
 
 
@@ -117,11 +118,11 @@ class _Search:
         self.report(f"{name} {horizon}/{self.loss.horizon}", self.runs[-1].loss)
 
     def stage(self, horizon: int) -> bool:
-        """Search the mean, then the KL. Where one cannot begin, the policy is what it was before, and the answer False."""
+        """Search the mean, then the loss. Where one cannot begin, the policy is what it was before, and the answer False."""
         before = [parameter.detach().clone() for parameter in self.parameters]
         try:
             self.run("mean", self.loss.mean_per_step, horizon, self.settings.mean_iterations)
-            self.run("KL", self.loss.per_step, horizon, self.settings.stage_iterations)
+            self.run(self.loss.label, self.loss.per_step, horizon, self.settings.stage_iterations)
         except (PredictionError, NotFiniteError):
             restore(self.parameters, before)
             return False
@@ -129,12 +130,12 @@ class _Search:
 
     def result(self, horizon: int) -> SearchResult:
         """What the policy has come to."""
-        per_step = _evaluate(self.loss, self.initial)
+        per_step, doubt = (_evaluate(of, self.initial, self.loss.horizon) for of in (self.loss.per_step, self.loss.doubt))
         return SearchResult(
             kl=per_step.sum().item(),
             per_step=per_step,
             horizon=horizon,
-            matched=_trusted(per_step, horizon, self.settings),
+            matched=_trusted(doubt, horizon, self.settings),
             evaluations=sum(run.evaluations for run in self.runs),
             failures=sum(run.failures for run in self.runs),
             seconds=time.perf_counter() - self.start,
@@ -156,7 +157,7 @@ def renew_policy(loss: TrajectoryLoss, initial: Gaussian, new: RBFPolicy, settin
         settings: says up to which step the prediction is trusted.
         generator: of the states, drawn from the prediction, at which the actions are compared.
     """
-    trusted = _first_unmatched(_evaluate(loss, initial), settings) - 1
+    trusted = _first_unmatched(_evaluate(loss.doubt, initial, loss.horizon), settings) - 1
     states = initial.sample(RENEWAL_SAMPLES, generator)[:, None]
     if trusted > 0:
         predicted = predict_trajectory(initial, loss.actor_network, loss.dynamics, loss.space, trusted)
@@ -167,22 +168,22 @@ def renew_policy(loss: TrajectoryLoss, initial: Gaussian, new: RBFPolicy, settin
 
 
 @torch.no_grad()
-def _evaluate(loss: TrajectoryLoss, initial: Gaussian) -> Tensor:
-    """KL of each step, (T,); infinite from the step on at which the prediction fails."""
+def _evaluate(of_steps: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int) -> Tensor:
+    """Cost or doubt of each step, (horizon,); infinite from the step on at which the prediction fails."""
     try:
-        return loss.per_step(initial)
+        return of_steps(initial, horizon)
     except PredictionError as error:
         if error.step == 1:
             raise
-        known = loss.per_step(initial, error.step - 1)
-        return torch.cat([known, known.new_full((loss.horizon - len(known),), math.inf)])
+        known = of_steps(initial, error.step - 1)
+        return torch.cat([known, known.new_full((horizon - len(known),), math.inf)])
 
 
-def _first_unmatched(per_step: Tensor, settings: SearchSettings) -> int:
-    unmatched = (per_step > settings.trusted_kl).nonzero()[:, 0]
-    first = unmatched[0].item() + 1 if len(unmatched) else len(per_step)
-    return min(max(first, settings.first_horizon), len(per_step))
+def _first_unmatched(doubt: Tensor, settings: SearchSettings) -> int:
+    unmatched = (doubt > settings.trusted).nonzero()[:, 0]
+    first = unmatched[0].item() + 1 if len(unmatched) else len(doubt)
+    return min(max(first, settings.first_horizon), len(doubt))
 
 
-def _trusted(per_step: Tensor, horizon: int, settings: SearchSettings) -> bool:
-    return per_step[max(horizon - settings.horizon_step, 0) : horizon].mean().item() <= settings.trusted_kl
+def _trusted(doubt: Tensor, horizon: int, settings: SearchSettings) -> bool:
+    return doubt[max(horizon - settings.horizon_step, 0) : horizon].mean().item() <= settings.trusted

@@ -24,7 +24,7 @@ class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
     While the last search did not match the whole horizon, the next one starts from a renewed network
-    (:func:`renew_policy`). Two searches in a row without progress (no more steps trusted, and not a twentieth less KL than
+    (:func:`renew_policy`). Two searches in a row without progress (no more steps trusted, and not a twentieth less loss than
     the best before) sit in a local optimum: another begins at once from a random policy, and the better one is kept.
 
     Args:

@@ -42,7 +42,7 @@ class Trial:
         n_eval: their number.
         own_error: error of the policy's own rollout (m in the double pendulum), which becomes experience.
         own_success: whether that is a success.
-        kl: predicted KL over the whole horizon, nats.
+        kl: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
         horizon: step up to which the search trusted the prediction.
         restarted: whether a second search was made, from a new random policy.
         gp_seconds, search_seconds: wall time.
@@ -214,19 +214,19 @@ class PMILTrainer(Trainer):
         self._fit = dynamics.fit(*data)
 
     def best_policy(self) -> Candidate:
-        """The policy of least predicted KL under a model of all experience, among those whose own rollout did best.
+        """The policy of least predicted loss under a model of all experience, among those whose own rollout did best.
 
         A success does best; where there is none, the least error. The policy of the loss then holds its parameters.
         """
         self.fit_dynamics()
         least = min(candidate.own_error for candidate in self.candidates)
         best = [c for c in self.candidates if c.own_error <= max(least, self.tolerance)]
-        chosen = min(best, key=self._predicted_kl)
+        chosen = min(best, key=self._predicted_loss)
         self.loss_module.actor_network.load_state_dict(chosen.parameters)
         return chosen
 
     @torch.no_grad()
-    def _predicted_kl(self, candidate: Candidate) -> float:
+    def _predicted_loss(self, candidate: Candidate) -> float:
         self.loss_module.actor_network.load_state_dict(candidate.parameters)
         try:
             return self.loss_module.per_step(self.initial).sum().item()
@@ -308,7 +308,7 @@ class PMILTrainer(Trainer):
 
     def _report(self, stage: str, loss: float) -> None:
         if self.progress_bar:
-            self._pbar.set_postfix_str(f"search: {stage} = {loss:.1f} nats")
+            self._pbar.set_postfix_str(f"search: {stage} = {loss:.1f} {self.loss_module.unit}".rstrip())
 
 
 class _Progress:

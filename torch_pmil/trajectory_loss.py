@@ -47,6 +47,9 @@ class TrajectoryLoss(LossModule):
         ValueError: the reduction is none of these.
     """
 
+    label: str  # as progress and figures name it
+    unit: str  # likewise, "" for none
+
     @dataclass
     class _AcceptedKeys:
         """Keys that ``set_keys`` takes: mean and covariance of the belief over the state."""
@@ -106,6 +109,10 @@ class TrajectoryLoss(LossModule):
         """The same for the model's mean alone: cheap, and no local optimum of wide predictions."""
         states = predict_mean_trajectory(initial.mean, self.actor_network, self.dynamics, self.space, horizon or self.horizon)
         return self._mean_costs(self.space.match(states))
+
+    def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """How little a search should rely on each predicted marginal, (*batch, horizon); the cost itself. Raises PredictionError."""
+        return self.per_step(initial, horizon)
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

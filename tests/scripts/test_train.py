@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.experiments import EXPERIMENTS
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "train.py"
-UNKNOWN = "experiment must be one of double_pendulum, gym_pendulum, inverted_pendulum"
+UNKNOWN = "experiment must be one of double_pendulum, double_pendulum_pilco, gym_pendulum, inverted_pendulum"
 Script = Callable[..., None]
 
 
@@ -60,6 +61,20 @@ def test_run_leaves_numbers_policy_figures_and_a_video(script: Script, tmp_path:
     assert "trial  1:   0.6 s of experience" in printed
     assert "policy of trial 1: success rate" in printed
     assert "see run/figures, run/video.mp4, run/summary.json" in printed
+
+
+@pytest.mark.slow
+def test_run_of_the_baseline_tells_of_its_cost_and_draws_the_same(
+    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = short_experiment(6, name="double_pendulum_pilco")
+    monkeypatch.setitem(EXPERIMENTS, "double_pendulum_pilco", lambda demonstrations: short)
+    script("experiment=double_pendulum_pilco", "trials=1", "seed=2", "logger=null")
+    assert re.search(r"trial  1:   0.6 s of experience, cost +\d\.\d, own rollout", capsys.readouterr().out)
+    run = tmp_path / "runs" / "double_pendulum_pilco" / "seed_2"
+    assert {path.name for path in (run / "figures").iterdir()} == {"trajectories.png", "learning_curve.png", "poses.png"}
+    settings = json.loads((run / "summary.json").read_text())["settings"]
+    assert (settings["cost_width"], settings["target"]) == (2.0, [0.0, 0.5, 0.0, 1.0])
 
 
 @pytest.mark.usefixtures("short_double_pendulum")

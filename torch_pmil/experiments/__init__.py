@@ -7,8 +7,14 @@ from torch_pmil.experiments.double_pendulum import double_pendulum
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.gym_pendulum import gym_pendulum
 from torch_pmil.experiments.inverted_pendulum import inverted_pendulum
+from torch_pmil.experiments.pilco import double_pendulum_pilco
 
-EXPERIMENTS = {"double_pendulum": double_pendulum, "gym_pendulum": gym_pendulum, "inverted_pendulum": inverted_pendulum}
+EXPERIMENTS = {
+    "double_pendulum": double_pendulum,
+    "double_pendulum_pilco": double_pendulum_pilco,
+    "gym_pendulum": gym_pendulum,
+    "inverted_pendulum": inverted_pendulum,
+}
 
 
 def load_experiment(name: str, demonstrations: Demonstrations | None = None) -> Experiment:

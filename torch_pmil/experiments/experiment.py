@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
+from torch_pmil.dynamics import GPDynamics
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.expert import expert_distribution
 from torch_pmil.gaussian import Gaussian
+from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchSettings
 from torch_pmil.state_space import StateSpace
+from torch_pmil.trajectory_loss import TrajectoryLoss
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,11 @@ class Experiment:
         input_scale: width of the policy's initial basis functions, in standard deviations of the demonstrated features; a policy is
             nothing beyond the reach of its functions, so starts at the rim of what was demonstrated may need more than 1.
         search: budget and horizon of the policy search.
+
+    ``objective`` is the class of the loss that :meth:`make_loss` gives.
     """
+
+    objective: ClassVar[type[TrajectoryLoss]] = TrajectoryKLLoss
 
     name: str
     make_env: Callable[..., MujocoRobotEnv | AdaptedEnv]
@@ -73,9 +81,31 @@ class Experiment:
         limits[list(self.space.angles)] = torch.inf
         return limits
 
+    @property
+    def settings(self) -> dict[str, object]:
+        """Numbers that a run depends on, as its summary and its checkpoints hold them."""
+        return {
+            "horizon": self.horizon,
+            "num_centres": self.num_centres,
+            "noise_std": self.noise_std,
+            "random_torque": self.random_torque,
+            "initial_weight_std": self.initial_weight_std,
+            "input_scale": self.input_scale,
+            "tolerance": self.tolerance,
+            "search": asdict(self.search),
+        }
+
+    def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:
+        """What the policy is searched for: the KL between demonstrated and predicted trajectories."""
+        return TrajectoryKLLoss(policy, dynamics, self.space, self.expert, self.noise_std)
+
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near demonstrated states, small random weights."""
-        features = self.space.features(self.demonstrated_states)
+        return self.policy_near(self.demonstrated_states, generator)
+
+    def policy_near(self, states: Tensor, generator: torch.Generator) -> RBFPolicy:
+        """A new policy: centres near some of the states (S, D), widths those of all, small random weights."""
+        features = self.space.features(states)
         std = features.std(0)
         chosen = torch.randint(len(features), (self.num_centres,), generator=generator)
         jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)

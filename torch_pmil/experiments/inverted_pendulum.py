@@ -76,5 +76,5 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
         tolerance=SUCCESS_DISTANCE,
         random_torque=0.1,
         input_scale=3.0,
-        search=SearchSettings(trusted_kl=1.0),  # of two dimensions in effect: the height of the tip hardly changes
+        search=SearchSettings(trusted=1.0),  # of two dimensions in effect: the height of the tip hardly changes
     )

@@ -28,7 +28,6 @@ from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.files import replacing, write_json
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import predict_trajectory
 from torch_pmil.saved_policy import save_policy
@@ -129,7 +128,7 @@ def train(
         "experiment": experiment.name,
         "seed": seed,
         **source,
-        "settings": {"trials": trials, **_settings(experiment)},
+        "settings": {"trials": trials, **experiment.settings},
         "wall_seconds": round(trainer.seconds, 2),
         **_outcome(trainer, best, experiment, predicted, executed),
         "trials": [_plain(trial) for trial in trainer.trials],
@@ -175,7 +174,7 @@ def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
     """What a resumed run must have in common with the one that was stopped, as JSON says it."""
     positions = experiment.demonstrations.positions.contiguous().numpy().tobytes()
     identity = {"experiment": experiment.name, "seed": seed, "demonstrations": hashlib.sha256(positions).hexdigest()}
-    return json.loads(json.dumps({**identity, **_settings(experiment)}))
+    return json.loads(json.dumps({**identity, **experiment.settings}))
 
 
 def _check_same_run(rotation: CheckpointRotation, identity: dict[str, object]) -> None:
@@ -203,7 +202,7 @@ def make_trainer(
     return PMILTrainer(
         env=experiment.make_env(seed=seed),
         evaluation_env=experiment.make_env(num_envs=EVALUATION_STARTS, seed=seed + 2_000_000),
-        loss_module=TrajectoryKLLoss(policy, dynamics, experiment.space, experiment.expert, experiment.noise_std),
+        loss_module=experiment.make_loss(policy, dynamics),
         initial=experiment.initial,
         limits=experiment.limits,
         error=experiment.error,
@@ -274,19 +273,6 @@ def _outcome(trainer: PMILTrainer, best: Candidate, experiment: Experiment, pred
         "saved_success_rate": success,
         "saved_n_eval": len(executed),
         "two_sigma_coverage": two_sigma_coverage(predicted, executed),
-    }
-
-
-def _settings(experiment: Experiment) -> dict[str, object]:
-    return {
-        "horizon": experiment.horizon,
-        "num_centres": experiment.num_centres,
-        "noise_std": experiment.noise_std,
-        "random_torque": experiment.random_torque,
-        "initial_weight_std": experiment.initial_weight_std,
-        "input_scale": experiment.input_scale,
-        "tolerance": experiment.tolerance,
-        "search": asdict(experiment.search),
     }
 
 

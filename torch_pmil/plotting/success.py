@@ -14,13 +14,16 @@ from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLIO
 SERIES = ((BLUE, "o"), (VERMILLION, "s"), (GREEN, "^"), (ORANGE, "D"))  # colours and markers of several methods
 
 
-def plot_learning_curve(experience_s: Sequence[float], success_rate: Sequence[float], kl: Sequence[float]) -> Figure:
-    """Success rate (Figure 7) and predicted KL divergence after each trial, over the robot's experience.
+def plot_learning_curve(
+    experience_s: Sequence[float], success_rate: Sequence[float], loss: Sequence[float], label: str = "KL (nats)"
+) -> Figure:
+    """Success rate (Figure 7) and predicted loss after each trial, over the robot's experience.
 
     Args:
         experience_s: seconds of motion the robot had learned from, (N,).
         success_rate: fractions from 0 to 1, (N,); drawn in percent, with the paper's 95 % as a dotted line.
-        kl: trajectory KL in nats, (N,), on a logarithmic axis; a value that is NaN, or not positive, is left out.
+        loss: predicted loss over the trajectory, (N,), on a logarithmic axis; a value that is NaN, or not positive, is left out.
+        label: names it, with its unit.
 
     Raises:
         ValueError: the lengths differ, or a success rate is outside 0 to 1.
@@ -30,18 +33,19 @@ def plot_learning_curve(experience_s: Sequence[float], success_rate: Sequence[fl
         >>> figure.axes[1].get_xlabel(), figure.axes[1].get_ylabel()
         ('experience (s)', 'predicted KL (nats)')
     """
-    if not len(experience_s) == len(success_rate) == len(kl):
-        raise ValueError(f"experience_s, success_rate and kl must be equally long, got {len(experience_s)}, {len(success_rate)}, {len(kl)}")
+    if not len(experience_s) == len(success_rate) == len(loss):
+        lengths = len(experience_s), len(success_rate), len(loss)
+        raise ValueError("experience_s, success_rate and loss must be equally long, got {}, {}, {}".format(*lengths))
     percent = 100 * np.asarray(success_rate, dtype=float)
     if not ((percent >= 0) & (percent <= 100)).all():
         raise ValueError(f"success_rate must be between 0 and 1, got {list(success_rate)}")
-    divergence = np.asarray(kl, dtype=float)
+    loss = np.asarray(loss, dtype=float)
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     _success_axis(upper)
     upper.plot(experience_s, percent, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3)
-    lower.plot(experience_s, np.where(divergence > 0, divergence, np.nan), color=VERMILLION, marker="s", markersize=4, zorder=3)
-    lower.set(yscale="log", xlabel="experience (s)", ylabel="predicted KL (nats)")
+    lower.plot(experience_s, np.where(loss > 0, loss, np.nan), color=VERMILLION, marker="s", markersize=4, zorder=3)
+    lower.set(yscale="log", xlabel="experience (s)", ylabel=f"predicted {label}")
     lower.set_xlim(left=0)
     for panel in (upper, lower):
         style(panel)

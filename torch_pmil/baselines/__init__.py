@@ -1,0 +1,1 @@
+"""Methods that Section 5.1 compares with; the main path knows nothing of them."""

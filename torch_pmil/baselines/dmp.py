@@ -29,7 +29,8 @@ STIFFNESS = 25.0
 PHASE_DECAY = -math.log(0.01)  # the phase falls from 1 to 0.01
 OVERLAP = 0.8  # of a basis function, at the centre of the next one
 SAMPLES = 10  # of a demonstration's spline, in each of its time steps
-NODES = 256  # of the quadrature, for each duration
+PANELS = 16  # of the quadrature, for each duration
+NODES = 16  # of Gauss and Legendre, in each panel
 
 
 @dataclass(frozen=True)
@@ -125,8 +126,8 @@ class DMP:
         decay = STIFFNESS / 2
         offset = self.start - self.goal
         slope = self.start_rate + decay * offset
-        nodes, node_weights = (torch.from_numpy(array) / 2 for array in leggauss(NODES * math.ceil(max(time.max().item(), 1))))
-        lag = time * (nodes + 0.5)  # r, (S, n)
+        nodes, node_weights = _quadrature(PANELS * math.ceil(max(time.max().item(), 1)))
+        lag = time * nodes  # r, (S, n)
         force = self._force(time - lag) * (time * node_weights * torch.exp(-decay * lag))[..., None]  # (S, n, D)
         free = torch.exp(-decay * time)
         y = self.goal + (offset + slope * time) * free + (lag[..., None] * force).sum(1)
@@ -137,6 +138,13 @@ class DMP:
     def _force(self, time: Tensor) -> Tensor:
         """At times in units of the duration (*batch): (*batch, D)."""
         return _basis(time, len(self.weights)) @ self.weights
+
+
+def _quadrature(panels: int) -> tuple[Tensor, Tensor]:
+    """Nodes and weights (n,) of an integral from 0 to 1."""
+    nodes, weights = (torch.from_numpy(array) for array in leggauss(NODES))
+    nodes = torch.arange(panels, dtype=torch.float64)[:, None] + (nodes + 1) / 2
+    return nodes.flatten() / panels, weights.repeat(panels) / (2 * panels)
 
 
 def _phase(time: Tensor) -> Tensor:

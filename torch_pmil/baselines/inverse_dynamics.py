@@ -22,7 +22,9 @@ VELOCITY_GAIN = 0.25  # N·m s/rad, K_d
 class InverseDynamics:
     r"""GPs of the torques :math:`u_t = f_{\mathrm{inv}}(q_t, \dot q_t, q_{t+1}, \dot q_{t+1}, \ddot q_{t+1})` of Eq. 29.
 
-    They are those of the forward model (Section 3.2) with the roles exchanged; as there, sin and cos stand in place of each angle.
+    They are those of the forward model (Section 3.2) with the roles exchanged. As there, sin and cos stand in place of each angle, and
+    the next state is told as its difference from the present one: the same inputs as the paper's, but with x_{t+1} itself a GP of few
+    data shares what depends on the pose, such as gravity, between two inputs that are nearly the same.
 
     Args:
         space: of the robot's states, two entries for each joint.
@@ -42,7 +44,7 @@ class InverseDynamics:
             raise ValueError(f"a state must hold a position and a velocity of each joint, got {space.names}")
         self.space = space
         joints = space.dim // 2
-        self.gp = GPDynamics(2 * len(space.feature_names) + joints, joints, targets="successor")
+        self.gp = GPDynamics(len(space.feature_names) + space.dim + joints, joints, targets="successor")
 
     def fit(self, states: Tensor, next_states: Tensor, accelerations: Tensor, torques: Tensor) -> FitResult:
         """Learn from all transitions so far; the hyper-parameters go on from the last ones.
@@ -64,7 +66,7 @@ class InverseDynamics:
         return self.gp.expansion.mean(self._inputs(states, next_states, accelerations))
 
     def _inputs(self, states: Tensor, next_states: Tensor, accelerations: Tensor) -> Tensor:
-        return torch.cat([self.space.features(states), self.space.features(next_states), accelerations], -1)
+        return torch.cat([self.space.features(states), next_states - states, accelerations], -1)
 
 
 @dataclass(frozen=True)

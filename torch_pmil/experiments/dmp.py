@@ -139,9 +139,7 @@ def random_rollout(experiment: Experiment, env: MujocoRobotEnv, hold: int, seed:
     return execute(env, torques, experiment.horizon, hold)
 
 
-def run_trial(
-    experiment: Experiment, learner: InverseDynamicsLearner, env: MujocoRobotEnv, fresh: MujocoRobotEnv, number: int
-) -> DMPTrial:
+def run_trial(experiment: Experiment, learner: InverseDynamicsLearner, env: MujocoRobotEnv, fresh: MujocoRobotEnv, number: int) -> DMPTrial:
     """Learn from all experience, measure from fresh starts, and run on the robot, which is new experience."""
     experience_s, fit = learner.experience_s, learner.fit()
     measured, own = learner.execute(fresh), learner.execute(env)

@@ -76,7 +76,7 @@ def test_inverse_model_needs_data() -> None:
 
 def test_state_without_a_velocity_for_each_joint_is_refused() -> None:
     names, units = ("q1", "dq1", "q2"), ("rad", "rad/s", "rad")
-    with pytest.raises(ValueError, match="a state must hold a position and a velocity of each joint, got .*q2"):
+    with pytest.raises(ValueError, match="a state must hold a position and a velocity of each joint, got "):
         InverseDynamics(StateSpace(names, units, (), joint_match(names, units)))
 
 

@@ -37,8 +37,8 @@ NODES = 16  # of Gauss and Legendre, in each panel
 class DMP:
     r"""A motion of D joints.
 
-    .. math:: \tau^2 \ddot y = \alpha \left(\tfrac{\alpha}{4} (g - y) - \tau \dot y\right) + x \frac{\sum_k w_k \psi_k(x)}{\sum_k \psi_k(x)},
-        \qquad x = e^{-\alpha_x t / \tau}
+    .. math:: \tau^2 \ddot y = \alpha \left(\tfrac{\alpha}{4} (g - y) - \tau \dot y\right) + f(t / \tau), \qquad
+        f = x \frac{\sum_k w_k \psi_k(x)}{\sum_k \psi_k(x)}, \quad x = e^{-\alpha_x t / \tau}
 
     It ends at the goal whatever the weights are, since the phase x takes the force away. Another duration, start or goal
     (``dataclasses.replace``) stretches the motion in time or draws it there.

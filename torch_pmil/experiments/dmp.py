@@ -74,7 +74,7 @@ def run_dmp(
 
     Args:
         experiment: the double pendulum.
-        seed: of the robot's starts and the random torques; same seed, same run.
+        seed: of the robot's starts and the random torques; same seed, same run up to rounding.
         trials: number of trials.
         out: folder of the run.
         command: said in the summary, so that the run can be repeated.
@@ -134,8 +134,8 @@ def make_learner(experiment: Experiment, hold: int) -> InverseDynamicsLearner:
 def random_rollout(experiment: Experiment, env: MujocoRobotEnv, hold: int, seed: int) -> Motion:
     """The first experience, the same as our learner's with that seed."""
     generator = torch.Generator().manual_seed(seed + 1_000_000)
-    env.reset()  # our learner's collector, too, draws a start when it is made
     torques = random_torques(experiment.u_max, experiment.random_torque, hold, generator)
+    torques(0, env.reset()["observation"])  # our learner's collector, too, tries out robot and torques when it is made
     return execute(env, torques, experiment.horizon, hold)
 
 

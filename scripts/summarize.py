@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 from torch_pmil.experiments.runs import (
+    COVERAGE,
     RunError,
     SuccessCurve,
     count_trials,
@@ -34,9 +35,11 @@ HEADER = "experience (s)  trials  saved  success rate  computing (s)  ended beca
 def headline(runs: list[dict]) -> dict[str, float]:
     """Main numbers over runs; a run has learned if its saved policy reaches the success rate within the paper's experience.
 
-    ``median_experience_s`` and ``max_experience_s`` count all rollouts, the two that confirm a success too.
+    ``median_experience_s`` and ``max_experience_s`` count all rollouts, the two that confirm a success too. Runs of a method that predicts
+    nothing have no coverage.
     """
     experience = [run["experience_s"] for run in runs]
+    coverage = [run[COVERAGE] for run in runs if COVERAGE in run]
     return {
         "seeds": len(runs),
         "learned_within_33s": sum(learned(run) for run in runs),
@@ -45,8 +48,7 @@ def headline(runs: list[dict]) -> dict[str, float]:
         "mean_saved_success_rate": statistics.mean(run["saved_success_rate"] for run in runs),
         "median_wall_seconds": statistics.median(run["wall_seconds"] for run in runs),
         "max_wall_seconds": max(run["wall_seconds"] for run in runs),
-        "two_sigma_coverage": statistics.mean(run["two_sigma_coverage"] for run in runs),
-    }
+    } | ({COVERAGE: statistics.mean(coverage)} if coverage else {})
 
 
 def learned(run: dict) -> bool:

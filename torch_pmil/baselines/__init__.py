@@ -1,1 +1,1 @@
-"""Other ways to imitate, which the paper compares with."""
+"""Methods that Section 5.1 compares with; the main path knows nothing of them."""

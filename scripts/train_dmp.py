@@ -1,0 +1,55 @@
+"""Learn the double pendulum with the paper's baseline: movement primitives, an inverse model and a PD controller (Eq. 29).
+
+Example:
+    python scripts/train_dmp.py seed=0 out=runs/double_pendulum_dmp/seed_0
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from torch_pmil.demonstrations import load_demonstrations
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.dmp import DMPTrial, run_dmp
+
+
+@hydra.main(version_base="1.3", config_path="config", config_name="train_dmp")
+def main(config: DictConfig) -> None:
+    """Learn, and say what came of it."""
+    torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
+    out = Path(config.out)
+    command = shlex.join(["python", "scripts/train_dmp.py", *HydraConfig.get().overrides.task])
+    try:
+        demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
+        experiment = load_experiment("double_pendulum", demonstrations)
+        summary = run_dmp(experiment, config.seed, config.trials, out, command, config.feedback_period, print_trial)
+    except KeyboardInterrupt:
+        print("\nstopped", file=sys.stderr)
+        sys.exit(130)
+    except (ValueError, OSError, RuntimeError) as error:
+        sys.exit(f"error: {error}")
+    print(
+        f"success rate {summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh starts after "
+        f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of computing\nsee {out / 'summary.json'}"
+    )
+
+
+def print_trial(trial: DMPTrial) -> None:
+    """One line for each trial."""
+    print(
+        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, own rollout "
+        f"{'succeeded' if trial.own_success else 'failed'}, success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, "
+        f"off the reference by {trial.tracking_error:.2f} rad",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main()

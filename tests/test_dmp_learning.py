@@ -35,7 +35,7 @@ def motion(draws: Draws) -> Motion:
 
 def test_reference_is_the_primitives_motion(dmp: DMP) -> None:
     reference = dmp_reference(dmp, STEPS, 0.1, HOLD)
-    y, dy, ddy = dmp(torch.tensor([0.12, 0.3]))
+    y, dy, ddy = dmp(torch.tensor([0.12, 0.3], dtype=torch.float64))
     assert reference.hold == HOLD
     torch.testing.assert_close(reference.states[6], torch.stack([y[0, 0], dy[0, 0], y[0, 1], dy[0, 1]]))
     torch.testing.assert_close(reference.accelerations[3], ddy[1])

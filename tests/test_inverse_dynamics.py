@@ -122,13 +122,13 @@ def test_accelerations_are_exact_for_cubic_velocities(draws: Draws) -> None:
     torch.testing.assert_close(accelerations_from_velocities(velocities, 1 / 8), c[1] + 2 * c[2] * t + 3 * c[3] * t**2)
 
 
-@pytest.mark.parametrize(("period", "least", "largest"), [(0.1, 1.9, 2.0), (0.01, 0.9, 1.0)])
+@pytest.mark.parametrize(("period", "least", "largest"), [(0.1, 2.2, 2.4), (0.01, 0.9, 1.0)])
 def test_feedback_held_for_a_control_step_is_unstable_about_hanging_and_a_fast_one_is_not(
     period: float, least: float, largest: float
 ) -> None:
     """The spectral radius of the hanging double pendulum with the PD controller alone, for one period of the controller.
 
-    K_d dt is 2.9 times the least eigenvalue of the mass matrix at dt = 0.1 s: the velocity error of that mode changes its sign and grows.
+    K_d dt is three times the least eigenvalue of the mass matrix at dt = 0.1 s: the velocity error of that mode changes its sign and grows.
     """
     env, step = DoublePendulumEnv(control_period=period, seed=0), 1e-5
     states, torques = step * torch.eye(4, dtype=torch.float64), step * torch.eye(2, dtype=torch.float64)

@@ -52,7 +52,7 @@ class DMP:
 
     Example:
         >>> t = torch.linspace(0, 1, 21, dtype=torch.float64)
-        >>> dmp = DMP.from_demonstrations(t.cos().expand(1, 1, -1).mT, time_step=0.05, num_basis=10)
+        >>> dmp = DMP.from_demonstrations(t.cos().expand(1, 1, -1).mT, time_step=0.05, num_basis=20)
         >>> y, dy, ddy = dmp(t)
         >>> bool((y[:, 0] - t.cos()).abs().max() < 1e-3), ddy.shape
         (True, torch.Size([21, 1]))

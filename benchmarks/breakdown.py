@@ -21,7 +21,7 @@ import torch
 
 from benchmarks.workloads import make_problem
 from torch_pmil import linearised_moments, rollout
-from torch_pmil.experiments.training import provenance
+from torch_pmil.experiments.run_folder import provenance
 from torch_pmil.files import write_json
 
 ROOT = Path(__file__).parents[1]

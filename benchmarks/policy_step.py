@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.training import provenance
+from torch_pmil.experiments.run_folder import provenance
 from torch_pmil.files import write_json
 from torch_pmil.saved_policy import load_policy, save_policy
 

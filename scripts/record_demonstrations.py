@@ -18,6 +18,7 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
 import torch_pmil.demonstrations
+from torch_pmil.collection import states_of
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs import AdaptedEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
@@ -30,7 +31,6 @@ from torch_pmil.experiments.double_pendulum import SUCCESS_DISTANCE, distance_fr
 from torch_pmil.experiments.gym_pendulum import gym_pendulum_space
 from torch_pmil.experiments.inverted_pendulum import inverted_pendulum_space
 from torch_pmil.state_space import StateSpace
-from torch_pmil.trainer import states_of
 
 DEMONSTRATIONS = 5  # paper
 CART_DEMONSTRATIONS = 10  # of starts that differ in all four entries

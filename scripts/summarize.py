@@ -12,6 +12,7 @@ import statistics
 import sys
 from pathlib import Path
 
+from torch_pmil.experiments.run_folder import provenance
 from torch_pmil.experiments.runs import (
     COVERAGE,
     RunError,
@@ -22,7 +23,6 @@ from torch_pmil.experiments.runs import (
     read_summary,
     success_over_experience,
 )
-from torch_pmil.experiments.training import provenance
 from torch_pmil.files import write_json
 from torch_pmil.plotting import plot_success_over_experience, save_figure
 

@@ -31,8 +31,8 @@ from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.sweep import register_launchers
 from torch_pmil.experiments.training import RunResult, train
 from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, save_figure
-from torch_pmil.trainer import Trial
 from torch_pmil.trajectory_loss import TrajectoryLoss
+from torch_pmil.trials import Trial
 from torch_pmil.video import dense_states, film_rollout, render_rollout, write_video
 
 FRAMES_PER_SECOND = 50

@@ -25,7 +25,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"trajectory_loss"},
     {"objective"},
     {"policy_search"},
-    {"search_stepper", "lbfgs_stepper", "collection", "checkpoints"},
+    {"search_stepper", "lbfgs_stepper", "collection", "checkpoints", "trials"},
     {"trainer", "torchrl_interop", "evaluation", "run"},
     {"baselines", "plotting"},  # plots draw numbers and know no experiment
     {"experiments"},

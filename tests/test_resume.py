@@ -15,7 +15,7 @@ from torch import Tensor
 from tests.short_run import SEED, STEPS, TRIALS, quick_fits, run, stop_in
 from torch_pmil.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.collection import RolloutCollector
-from torch_pmil.experiments.training import UnfinishedRunError
+from torch_pmil.experiments.run_folder import UnfinishedRunError
 
 ROOT = Path(__file__).parents[1]
 TIMES = {"date", "wall_seconds", "commit"}, {"gp_seconds", "search_seconds"}  # of a run, of a trial

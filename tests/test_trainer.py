@@ -21,7 +21,8 @@ from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings
 from torch_pmil.rollout import PredictionError
 from torch_pmil.search_stepper import PATIENCE, PolicySearchStepper
-from torch_pmil.trainer import Candidate, PMILTrainer, Trial
+from torch_pmil.trainer import PMILTrainer
+from torch_pmil.trials import Candidate, Trial
 
 HORIZON, STARTS = 4, 20
 

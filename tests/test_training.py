@@ -18,12 +18,13 @@ from tests.short_run import quick_fits as shorten_fits
 from tests.short_run import short_experiment
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experiments import Experiment
-from torch_pmil.experiments.training import EVALUATION_STARTS, RunResult, prepare_folder, save_tensors, train, two_sigma_coverage
+from torch_pmil.experiments.run_folder import prepare_folder, save_tensors
+from torch_pmil.experiments.training import EVALUATION_STARTS, RunResult, train, two_sigma_coverage
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import predict_trajectory
 from torch_pmil.saved_policy import load_policy
-from torch_pmil.trainer import Trial
+from torch_pmil.trials import Trial
 
 HORIZON, TRIALS, SEED = 4, 2, 3
 COMMAND = f"python scripts/train.py seed={SEED}"

@@ -23,7 +23,8 @@ from torch_pmil.saturating_cost import expected_saturating_cost
 from torch_pmil.saved_policy import PolicyFileError, load_policy, save_policy
 from torch_pmil.state_policy import StatePolicy
 from torch_pmil.state_space import MatchSpace, StateSpace, joint_match
-from torch_pmil.trainer import PMILTrainer, Trial
+from torch_pmil.trainer import PMILTrainer
+from torch_pmil.trials import Trial
 
 __version__ = "0.1.0"
 

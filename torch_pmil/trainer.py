@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
@@ -29,49 +29,7 @@ from torch_pmil.policy_search import SearchSettings
 from torch_pmil.rollout import PredictionError
 from torch_pmil.search_stepper import PolicySearchStepper
 from torch_pmil.trajectory_loss import TrajectoryLoss
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One turn of Algorithm 1: a search, its policy's rollout on the robot, and a measurement that decides nothing.
-
-    Args:
-        trial: 1, 2, ...
-        experience_s: seconds of experience that the policy was learned from.
-        success_rate: of ``n_eval`` rollouts from fresh starts; they are no experience.
-        n_eval: their number.
-        own_error: error of the policy's own rollout (m in the double pendulum), which becomes experience.
-        own_success: whether that is a success.
-        kl: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
-        horizon: step up to which the search trusted the prediction.
-        restarted: whether a second search was made, from a new random policy.
-        gp_seconds, search_seconds: wall time.
-        evaluations: of the objective.
-        stop_reason: why the last run of L-BFGS ended.
-    """
-
-    trial: int
-    experience_s: float
-    success_rate: float
-    n_eval: int
-    own_error: float
-    own_success: bool
-    kl: float
-    horizon: int
-    restarted: bool
-    gp_seconds: float
-    search_seconds: float
-    evaluations: int
-    stop_reason: str
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A policy that ran on the robot: its parameters and the error of its own rollout."""
-
-    trial: int
-    parameters: Mapping[str, Tensor]
-    own_error: float
+from torch_pmil.trials import Candidate, Trial, success_rate
 
 
 class PMILTrainer(Trainer):
@@ -103,7 +61,7 @@ class PMILTrainer(Trainer):
         progress_bar: whether to show progress.
         logger: TorchRL's, for the numbers of every trial; None for none.
         checkpoint_rotation: where checkpoints go; None for none.
-        checkpoint_metadata: called with the trainer, what a checkpoint's manifest says of the run.
+        checkpoint_metadata: what a checkpoint's manifest says of the run, as JSON can.
 
     Example: see ``torch_pmil/experiments/training.py``.
     """
@@ -128,7 +86,7 @@ class PMILTrainer(Trainer):
         progress_bar: bool = True,
         logger: Logger | None = None,
         checkpoint_rotation: CheckpointRotation | None = None,
-        checkpoint_metadata: Callable[[PMILTrainer], Mapping[str, object]] = lambda trainer: {},
+        checkpoint_metadata: Mapping[str, object] | None = None,
     ) -> None:
         if trials < 1:
             raise ValueError(f"trials must be at least 1, got {trials}")
@@ -166,14 +124,7 @@ class PMILTrainer(Trainer):
         self._pending: Trial | None = None
         self._begun = time.perf_counter()
         self._register_state(policy_generator, generator)
-        self.register_op("setup", self._show_progress)
-        self.register_op("batch_process", self._save)
-        self.register_op("batch_process", self._learn_from_rollout)
-        self.register_op("pre_steps_log", self._log_own_rollout)
-        self.register_op("pre_optim_steps", self.fit_dynamics)
-        self.register_op("process_optim_batch", self._start_belief)
-        self.register_op("post_steps_log", self._measure)
-        self.register_op("post_steps_log", self._log_search)
+        self._register_hooks()
 
     @property
     def stop_reason(self) -> str:
@@ -241,10 +192,21 @@ class PMILTrainer(Trainer):
         self.register_module("experience", self.experience)
         self.register_module("progress", _Progress(self))
 
+    def _register_hooks(self) -> None:
+        """What TorchRL's loop calls: a checkpoint before anything is learned, Algorithm 1, and what is logged of it."""
+        self.register_op("setup", self._show_progress)
+        self.register_op("batch_process", self._save)
+        self.register_op("batch_process", self._learn_from_rollout)
+        self.register_op("pre_steps_log", self._log_own_rollout)
+        self.register_op("pre_optim_steps", self.fit_dynamics)
+        self.register_op("process_optim_batch", self._start_belief)
+        self.register_op("post_steps_log", self._measure)
+        self.register_op("post_steps_log", self._log_search)
+
     def _save(self, batch: TensorDictBase) -> TensorDictBase:
         """Write a checkpoint: the collector's part holds ``batch``, the others are from before it."""
         if self.rotation is not None:
-            self.rotation.save(self._sync_checkpoint_components(), step=self.collected_frames, metadata=self.metadata(self))
+            self.rotation.save(self._sync_checkpoint_components(), step=self.collected_frames, metadata=self.metadata)
         return batch
 
     def _show_progress(self) -> None:
@@ -280,7 +242,7 @@ class PMILTrainer(Trainer):
         self._pending = Trial(
             trial=len(self.trials) + 1,
             experience_s=len(self.experience) * self.control_period,
-            success_rate=(errors <= self.tolerance).double().mean().item(),
+            success_rate=success_rate(errors, self.tolerance),
             n_eval=len(errors),
             own_error=float("nan"),
             own_success=False,

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.files import replacing
 from torch_pmil.policy import RBFPolicy
+from torch_pmil.state_policy import StatePolicy
 from torch_pmil.state_space import StateSpace
 
 MP4 = ["-f", "mp4", "-movflags", "+faststart"]  # whatever the file is called; the index comes first, so that a browser plays at once
@@ -86,7 +87,7 @@ def film_rollout(env: AdaptedEnv, policy: RBFPolicy, space: StateSpace, steps: i
     Returns:
         ``steps`` + 1 pictures (height, width, 3), uint8, the first one of the start.
     """
-    rollout = env.rollout(steps, lambda tensordict: tensordict.set("action", policy(space.features(tensordict["observation"]))))
+    rollout = env.rollout(steps, StatePolicy(policy, space, env.control_period).as_tensordict_module())
     return (picture.numpy() for picture in itertools.chain(rollout["pixels"][:1], rollout["next", "pixels"]))
 
 

@@ -10,8 +10,10 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
+from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs import EnvBase, SerialEnv, step_mdp
+
+from torch_pmil.envs.robot import RobotEnv, check_num_envs
 
 LARGEST_SEED = 2**31 - 1
 
@@ -30,7 +32,7 @@ class CosSin:
     near: float = 0.0
 
 
-class AdaptedEnv(EnvBase):
+class AdaptedEnv(RobotEnv):
     """A robot made of a TorchRL environment: float64, torques around zero, episodes that do not end, starts of its own seed.
 
     Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all float64, and with
@@ -80,25 +82,13 @@ class AdaptedEnv(EnvBase):
     ) -> None:
         if not (math.isfinite(control_period) and control_period > 0):
             raise ValueError(f"control_period must be positive and finite, in seconds, got {control_period}")
-        if num_envs is not None and num_envs < 1:
-            raise ValueError(f"num_envs must be None or at least 1, got {num_envs}")
+        check_num_envs(num_envs)
         pictures = {"from_pixels": True} if from_pixels else {}
         env = make_env(**pictures) if num_envs is None else SerialEnv(num_envs, lambda: make_env(**pictures))
-        super().__init__(device="cpu", batch_size=env.batch_size)
+        super().__init__(env.batch_size, float(control_period), from_pixels, seed)
         self.__dict__["base_env"] = env  # no submodule: its state is not ours to save
-        self.control_period, self.angles, self.from_pixels = float(control_period), tuple(angles), from_pixels
-        self._observation, self._action = observation, action
-        self._generator = torch.Generator()
-        self._set_seed(seed)
+        self.angles, self._observation, self._action = tuple(angles), observation, action
         self._make_specs()
-
-    def get_extra_state(self) -> Tensor:
-        """State of the generator of the starts, kept in ``state_dict``."""
-        return self._generator.get_state()
-
-    def set_extra_state(self, state: Tensor) -> None:
-        """Restore what ``get_extra_state`` returned."""
-        self._generator.set_state(state)
 
     def close(self, **kwargs) -> None:
         """Close the environment."""
@@ -106,24 +96,13 @@ class AdaptedEnv(EnvBase):
         super().close(**kwargs)
 
     def _make_specs(self) -> None:
-        batch, shown = self.batch_size, self.base_env.observation_spec
-        dim = _vector(shown, self._observation, "observation", len(batch)).shape[-1]
-        limits = _box(self.base_env.full_action_spec, self._action, len(batch))
+        batch_dims, shown = len(self.batch_size), self.base_env.observation_spec
+        dim = _vector(shown, self._observation, "observation", batch_dims).shape[-1]
+        limits = _box(self.base_env.full_action_spec, self._action, batch_dims)
         self._low, self._high = limits.space.low.double(), limits.space.high.double()
         self._kept = _kept_entries(self.angles, dim)
-        half = (self._high - self._low) / 2
-        observation = {"observation": Unbounded((*batch, len(self._kept)), dtype=torch.float64)}
-        if self.from_pixels:
-            observation["pixels"] = _entry(shown, "pixels", "pictures").clone()
-        self.observation_spec = Composite(observation, shape=batch)
-        self.action_spec = Bounded(-half, half, half.shape, dtype=torch.float64)
-        self.reward_spec = Unbounded((*batch, 1), dtype=torch.float64)
-
-    def _set_seed(self, seed: int | None) -> None:
-        if seed is None:
-            self._generator.seed()
-        else:
-            self._generator.manual_seed(seed)
+        pixels = _entry(shown, "pixels", "pictures").clone() if self.from_pixels else None
+        self._set_specs(len(self._kept), (self._high - self._low) / 2, pixels)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -142,10 +121,7 @@ class AdaptedEnv(EnvBase):
         action = (torque + (self._high + self._low) / 2).clamp(self._low, self._high)
         dtype = self.base_env.full_action_spec[self._action].dtype
         self._last = step_mdp(self.base_env.step(self._last.set(self._action, action.to(dtype))))
-        result = self._measure()
-        result["reward"] = torch.zeros(*self.batch_size, 1, dtype=torch.float64)
-        result["done"] = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
-        return result
+        return self._without_reward(self._measure())
 
     def _measure(self) -> TensorDictBase:
         shown = self._last[self._observation].double()

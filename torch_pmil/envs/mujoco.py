@@ -12,13 +12,14 @@ import torch
 from mujoco import rollout
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Bounded, Composite, Unbounded
-from torchrl.envs import EnvBase
+from torchrl.data import Bounded
+
+from torch_pmil.envs.robot import RobotEnv, check_num_envs
 
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
-class MujocoRobotEnv(EnvBase):
+class MujocoRobotEnv(RobotEnv):
     """A torque-controlled MuJoCo robot, simulated in float64 by ``mujoco.rollout``.
 
     One step holds the action for ``control_period`` seconds. The state vector interleaves position and velocity of
@@ -63,15 +64,12 @@ class MujocoRobotEnv(EnvBase):
         pixel_size: tuple[int, int] = (240, 240),
         seed: int | None = None,
     ) -> None:
-        if num_envs is not None and num_envs < 1:
-            raise ValueError(f"num_envs must be None or at least 1, got {num_envs}")
-        super().__init__(device="cpu", batch_size=() if num_envs is None else (num_envs,))
+        check_num_envs(num_envs)
+        super().__init__(() if num_envs is None else (num_envs,), control_period, from_pixels, seed)
         self.substeps = _substeps(control_period, model.opt.timestep)
-        self.control_period = control_period
         self.model = _limited_model(model, torque_limit)
         self.model.vis.global_.offheight, self.model.vis.global_.offwidth = pixel_size
         self.pixel_size = pixel_size
-        self.from_pixels = from_pixels
         self._data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
         self._state_columns = _state_columns(self.model, joints)
@@ -79,8 +77,6 @@ class MujocoRobotEnv(EnvBase):
         self.initial_std = _state_vector("initial_std", initial_std, 2 * len(joints))
         if (self.initial_std < 0).any():
             raise ValueError(f"initial_std must not be negative, got {self.initial_std.tolist()}")
-        self._generator = torch.Generator()
-        self._set_seed(seed)
         self.register_buffer("_physics", self._physics_from_state(self.initial_mean.expand(num_envs or 1, -1)))
         self._make_specs()
         if from_pixels:
@@ -145,14 +141,6 @@ class MujocoRobotEnv(EnvBase):
             self._renderer = None
         super().close(**kwargs)
 
-    def get_extra_state(self) -> Tensor:
-        """State of the generator of the starts, kept in ``state_dict`` beside the physics."""
-        return self._generator.get_state()
-
-    def set_extra_state(self, state: Tensor) -> None:
-        """Restore what ``get_extra_state`` returned."""
-        self._generator.set_state(state)
-
     def _physics_from_state(self, state: Tensor) -> Tensor:
         """Full simulation state (N, P) at time 0 of robots whose state vectors are (N, D); other joints at rest."""
         at_rest = np.empty(mujoco.mj_stateSize(self.model, FULL_PHYSICS))
@@ -162,20 +150,10 @@ class MujocoRobotEnv(EnvBase):
         return physics
 
     def _make_specs(self) -> None:
-        batch, dim = self.batch_size, self._state_columns.numel()
+        batch = self.batch_size
         limit = torch.from_numpy(self.model.actuator_ctrlrange[:, 1].copy()).expand(*batch, -1)
-        observation = {"observation": Unbounded((*batch, dim), dtype=torch.float64)}
-        if self.from_pixels:
-            observation["pixels"] = Bounded(0, 255, (*batch, *self.pixel_size, 3), dtype=torch.uint8)
-        self.observation_spec = Composite(observation, shape=batch)
-        self.action_spec = Bounded(-limit, limit, limit.shape, dtype=torch.float64)
-        self.reward_spec = Unbounded((*batch, 1), dtype=torch.float64)
-
-    def _set_seed(self, seed: int | None) -> None:
-        if seed is None:
-            self._generator.seed()
-        else:
-            self._generator.manual_seed(seed)
+        pixels = Bounded(0, 255, (*batch, *self.pixel_size, 3), dtype=torch.uint8) if self.from_pixels else None
+        self._set_specs(self._state_columns.numel(), limit, pixels)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
         given = None if tensordict is None else tensordict.get("observation", None)
@@ -189,10 +167,7 @@ class MujocoRobotEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._physics = self._advance(self._physics, self._check_torque(tensordict["action"]))
-        result = self._measure()
-        result["reward"] = torch.zeros(*self.batch_size, 1, dtype=torch.float64)
-        result["done"] = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
-        return result
+        return self._without_reward(self._measure())
 
     def _measure(self) -> TensorDictBase:
         measured = {"observation": self._physics[:, self._state_columns].reshape(*self.batch_size, -1)}

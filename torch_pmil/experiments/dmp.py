@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
@@ -18,34 +17,24 @@ from torch_pmil.baselines.inverse_dynamics import POSITION_GAIN, VELOCITY_GAIN
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments.double_pendulum import states_from_positions
 from torch_pmil.experiments.experiment import Experiment
-from torch_pmil.experiments.training import EVALUATION_STARTS, clear_folder, prepare_folder, provenance
-from torch_pmil.files import replacing, write_json
+from torch_pmil.experiments.run_folder import check_whole, clear_folder, prepare_folder, provenance, write_metrics
+from torch_pmil.experiments.training import EVALUATION_STARTS
+from torch_pmil.files import write_json
+from torch_pmil.trials import Measurement, success_rate
 
 NUM_BASIS = 30  # of the primitive; with them it is within 1 mrad of the demonstrations' mean
 FEEDBACK_PERIOD = 0.01  # s; held for 0.1 s, the paper's gains are unstable on this robot (tests/test_inverse_dynamics.py)
 
 
 @dataclass(frozen=True)
-class DMPTrial:
-    """One trial of the baseline; names are those of ``torch_pmil.trainer.Trial``.
+class DMPTrial(Measurement):
+    """One trial of the baseline.
 
     Args:
-        trial: 1, 2, ...
-        experience_s: seconds of experience that the inverse model was learned from.
-        success_rate: of ``n_eval`` rollouts from fresh starts; they are no experience.
-        n_eval: their number.
-        own_error: error of the trial's own rollout (m), which becomes experience.
-        own_success: whether that is a success.
         tracking_error: root mean square error of the joint angles in the rollouts from fresh starts, rad.
         gp_seconds: wall time.
     """
 
-    trial: int
-    experience_s: float
-    success_rate: float
-    n_eval: int
-    own_error: float
-    own_success: bool
     tracking_error: float
     gp_seconds: float
 
@@ -98,12 +87,12 @@ def run_dmp(
     clear_folder(out)
     prepare_folder(out)
     rows: list[DMPTrial] = []
-    write_metrics(out / "metrics.csv", rows)
+    write_metrics(out / "metrics.csv", DMPTrial, rows)
     learner = make_learner(experiment, hold)
     learner.add(random_rollout(experiment, env, hold, seed))
     for _ in range(trials):
         rows.append(run_trial(experiment, learner, env, fresh, len(rows) + 1))
-        write_metrics(out / "metrics.csv", rows)
+        write_metrics(out / "metrics.csv", DMPTrial, rows)
         on_trial(rows[-1])
     learner.fit()
     errors = experiment.error(learner.execute(fresh).states)
@@ -116,7 +105,7 @@ def run_dmp(
         "stop_reason": "limit of trials",
         "experience_s": round(learner.experience_s, 6),
         "saved_trial": trials,
-        "saved_success_rate": _success_rate(errors, experiment.tolerance),
+        "saved_success_rate": success_rate(errors, experiment.tolerance),
         "saved_n_eval": len(errors),
         "trials": [asdict(trial) for trial in rows],
     }
@@ -149,21 +138,13 @@ def run_trial(experiment: Experiment, learner: InverseDynamicsLearner, env: Mujo
     return DMPTrial(
         trial=number,
         experience_s=experience_s,
-        success_rate=_success_rate(errors, experiment.tolerance),
+        success_rate=success_rate(errors, experiment.tolerance),
         n_eval=len(errors),
         own_error=own_error,
         own_success=own_error <= experiment.tolerance,
         tracking_error=learner.tracking_error(measured),
         gp_seconds=fit.seconds,
     )
-
-
-def write_metrics(path: Path, trials: list[DMPTrial]) -> None:
-    """One row for each trial."""
-    with replacing(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(DMPTrial)])
-        writer.writeheader()
-        writer.writerows(asdict(trial) for trial in trials)
 
 
 def settings(experiment: Experiment, trials: int, feedback_period: float) -> dict[str, object]:
@@ -180,16 +161,11 @@ def settings(experiment: Experiment, trials: int, feedback_period: float) -> dic
     }
 
 
-def _success_rate(errors: Tensor, tolerance: float) -> float:
-    return (errors <= tolerance).double().mean().item()
-
-
 def _check(experiment: Experiment, seed: int, trials: int) -> None:
     if experiment.name != "double_pendulum":
         raise ValueError(f"the baseline with movement primitives is for double_pendulum, got {experiment.name}")
-    for name, value, least in (("seed", seed, 0), ("trials", trials, 1)):
-        if not isinstance(value, int) or value < least:
-            raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    check_whole("seed", seed, least=0)
+    check_whole("trials", trials, least=1)
 
 
 def _hold(control_period: float, feedback_period: float) -> int:

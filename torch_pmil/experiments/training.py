@@ -2,40 +2,41 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import math
-import os
-import platform
-import shutil
-import subprocess
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
-from datetime import UTC, datetime
-from importlib.metadata import version
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
 from torch import Tensor
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
-from torchrl.record.loggers import Logger, get_logger
-from torchrl.record.loggers.mlflow import MLFlowLogger
+from torchrl.record.loggers import Logger
 
-from torch_pmil.checkpoints import rotation_in, saved_checkpoints
+from torch_pmil.checkpoints import rotation_in
 from torch_pmil.collection import states_of
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experiments.experiment import Experiment
-from torch_pmil.files import replacing, write_json
+from torch_pmil.experiments.run_folder import (
+    LOGGERS,
+    check_whole,
+    clear_folder,
+    open_logger,
+    prepare_folder,
+    provenance,
+    save_tensors,
+    write_metrics,
+)
+from torch_pmil.files import write_json
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import predict_trajectory
 from torch_pmil.saved_policy import save_policy
-from torch_pmil.trainer import Candidate, PMILTrainer, Trial
+from torch_pmil.trainer import PMILTrainer
+from torch_pmil.trials import Candidate, Trial, success_rate
 
 EVALUATION_STARTS = 20
-LOGGERS = ("csv", "tensorboard", "wandb", "mlflow")
-LIBRARIES = ("torch_pmil", "torch", "gpytorch", "torchrl", "tensordict", "mujoco", "numpy")
 
 
 @dataclass(frozen=True)
@@ -55,10 +56,6 @@ class RunResult:
     predicted: Gaussian
     executed: Tensor
     policy: RBFPolicy
-
-
-class UnfinishedRunError(ValueError):
-    """A folder holds a run that was stopped, which a new one would overwrite."""
 
 
 def train(
@@ -96,8 +93,8 @@ def train(
         CheckpointError: all checkpoints are damaged.
         ImportError: the library of that logger is missing.
     """
-    _check_whole("seed", seed, least=0)
-    _check_whole("trials", trials, least=1)
+    check_whole("seed", seed, least=0)
+    check_whole("trials", trials, least=1)
     if logger not in (None, *LOGGERS):
         raise ValueError(f"logger must be one of {', '.join(LOGGERS)} or null, got {logger}")
     source = provenance(command)
@@ -110,14 +107,14 @@ def train(
     prepare_folder(out)
 
     def record(trial: Trial) -> None:
-        write_metrics(out / "metrics.csv", trainer.trials)
+        write_metrics(out / "metrics.csv", Trial, trainer.trials)
         on_trial(trial)
 
     opened = None if logger is None else open_logger(logger, out, experiment.name, seed)
     trainer = make_trainer(experiment, seed, trials, progress_bar, record, opened, rotation)
     if resume:
         trainer.resume()
-    write_metrics(out / "metrics.csv", trainer.trials)
+    write_metrics(out / "metrics.csv", Trial, trainer.trials)
     trainer.train()
     best = trainer.best_policy()
     policy, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
@@ -135,39 +132,6 @@ def train(
     }
     write_json(out / "summary.json", summary)
     return RunResult(summary, trainer.trials, predicted, executed, policy)
-
-
-def prepare_folder(out: Path) -> None:
-    """Make the folder of a run, with ``figures/``, and see that it can be written to. Raises OSError if not."""
-    (out / "figures").mkdir(parents=True, exist_ok=True)
-    with replacing(out / ".writable") as probe:
-        probe.touch()
-    (out / ".writable").unlink()
-
-
-def clear_folder(out: Path) -> None:
-    """Remove what a finished run left of its course. Raises UnfinishedRunError where the last one has not ended."""
-    saved = saved_checkpoints(rotation_in(out / "checkpoints"))
-    if saved and not (out / "summary.json").exists():
-        raise UnfinishedRunError(f"{out} holds a run that was stopped: go on with resume=true, or remove {out / 'checkpoints'}")
-    for leftover in (out / "checkpoints", out / "logs"):
-        if leftover.exists():
-            shutil.rmtree(leftover)
-
-
-def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
-    """TorchRL's logger of that kind for a run. Raises ImportError where its library is missing.
-
-    MLflow's server is that of ``MLFLOW_TRACKING_URI``, or else a database in ``logs/``: it refuses the folder that TorchRL suggests.
-    """
-    name, folder = f"{experiment}_seed_{seed}", (out / "logs").absolute()
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        if kind == "mlflow":
-            return MLFlowLogger(name, tracking_uri=os.environ.get("MLFLOW_TRACKING_URI", f"sqlite:///{folder / 'mlflow.db'}"))
-        return get_logger(kind, str(folder), name)
-    except ImportError as error:
-        raise ImportError(f"logger={kind} needs another library: pip install {kind}") from error
 
 
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
@@ -217,7 +181,7 @@ def make_trainer(
         progress_bar=progress_bar,
         logger=logger,
         checkpoint_rotation=rotation,
-        checkpoint_metadata=lambda trainer: _identity(experiment, seed),
+        checkpoint_metadata=_identity(experiment, seed),
     )
 
 
@@ -237,25 +201,6 @@ def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
     return inside.double().mean().item()
 
 
-def write_metrics(path: Path, trials: list[Trial]) -> None:
-    """One row for each trial."""
-    with replacing(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Trial)])
-        writer.writeheader()
-        writer.writerows(asdict(trial) for trial in trials)
-
-
-def save_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
-    """A state dict that ``torch.load(path, weights_only=True)`` reads."""
-    with replacing(path) as temporary:
-        torch.save(tensors, temporary)
-
-
-def _check_whole(name: str, value: int, least: int) -> None:
-    if not isinstance(value, int) or value < least:
-        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
-
-
 @torch.no_grad()
 def _predict_and_execute(trainer: PMILTrainer, experiment: Experiment) -> tuple[Gaussian, Tensor]:
     loss = trainer.loss_module
@@ -265,31 +210,13 @@ def _predict_and_execute(trainer: PMILTrainer, experiment: Experiment) -> tuple[
 
 def _outcome(trainer: PMILTrainer, best: Candidate, experiment: Experiment, predicted: Gaussian, executed: Tensor) -> dict[str, object]:
     """What the run came to; the saved policy is measured anew, from starts that no trial saw."""
-    success = (experiment.error(executed) <= experiment.tolerance).double().mean().item()
     return {
         "stop_reason": trainer.stop_reason,
         "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
         "saved_trial": best.trial,
-        "saved_success_rate": success,
+        "saved_success_rate": success_rate(experiment.error(executed), experiment.tolerance),
         "saved_n_eval": len(executed),
         "two_sigma_coverage": two_sigma_coverage(predicted, executed),
-    }
-
-
-def provenance(command: str) -> dict[str, object]:
-    """Where a result comes from: command, date, commit of the source tree (or "unknown" outside one), versions."""
-    try:
-        git = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
-        )
-        commit = git.stdout.strip() or "unknown"
-    except OSError:
-        commit = "unknown"
-    return {
-        "command": command,
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "commit": commit,
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
     }
 
 

@@ -13,11 +13,12 @@ import torch
 from tqdm import tqdm
 
 from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.run_folder import provenance
 from torch_pmil.experiments.runs import RunError, is_finished, read_summary
-from torch_pmil.experiments.training import provenance, train
+from torch_pmil.experiments.training import train
 from torch_pmil.files import write_json
 from torch_pmil.plotting import Figure, save_figure
-from torch_pmil.trainer import Trial
+from torch_pmil.trials import Trial
 
 OF_RUN = ("experiment", "seed", "command", "date", "commit", "experience_s", "wall_seconds")  # what results say of each run
 

@@ -1,0 +1,62 @@
+"""What the environments of robots have in common, whatever moves them."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
+from torchrl.envs import EnvBase
+
+
+class RobotEnv(EnvBase):
+    """A robot in float64 with starts of its own seed, torques around zero, no reward, and episodes that do not end.
+
+    Args:
+        batch_size: of the robots.
+        control_period: seconds between two actions.
+        from_pixels: whether there are pictures.
+        seed: of the generator of the starts; None takes entropy from the system.
+    """
+
+    def __init__(self, batch_size: tuple[int, ...], control_period: float, from_pixels: bool, seed: int | None) -> None:
+        super().__init__(device="cpu", batch_size=batch_size)
+        self.control_period, self.from_pixels = control_period, from_pixels
+        self._generator = torch.Generator()
+        self._set_seed(seed)
+
+    def get_extra_state(self) -> Tensor:
+        """State of the generator of the starts, kept in ``state_dict``."""
+        return self._generator.get_state()
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Restore what ``get_extra_state`` returned."""
+        self._generator.set_state(state)
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is None:
+            self._generator.seed()
+        else:
+            self._generator.manual_seed(seed)
+
+    def _set_specs(self, dim: int, limit: Tensor, pixels: TensorSpec | None) -> None:
+        """Of a state vector (*batch, dim), actions within ±limit (*batch, F), and pictures if there are any."""
+        batch = self.batch_size
+        observation = {"observation": Unbounded((*batch, dim), dtype=torch.float64)}
+        if pixels is not None:
+            observation["pixels"] = pixels
+        self.observation_spec = Composite(observation, shape=batch)
+        self.action_spec = Bounded(-limit, limit, limit.shape, dtype=torch.float64)
+        self.reward_spec = Unbounded((*batch, 1), dtype=torch.float64)
+
+    def _without_reward(self, measured: TensorDictBase) -> TensorDictBase:
+        """What a step gives: the measurement, no reward, and no end."""
+        measured["reward"] = torch.zeros(*self.batch_size, 1, dtype=torch.float64)
+        measured["done"] = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
+        return measured
+
+
+def check_num_envs(num_envs: int | None) -> None:
+    """Raise ValueError unless it is None, for one robot, or a number of robots."""
+    if num_envs is not None and num_envs < 1:
+        raise ValueError(f"num_envs must be None or at least 1, got {num_envs}")

@@ -1,0 +1,65 @@
+"""What is known of each trial on the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """How a trial went, whatever learned.
+
+    Args:
+        trial: 1, 2, ...
+        experience_s: seconds of experience that was learned from.
+        success_rate: of ``n_eval`` rollouts from fresh starts; they are no experience.
+        n_eval: their number.
+        own_error: error of the trial's own rollout (m in the double pendulum), which becomes experience.
+        own_success: whether that is a success.
+    """
+
+    trial: int
+    experience_s: float
+    success_rate: float
+    n_eval: int
+    own_error: float
+    own_success: bool
+
+
+@dataclass(frozen=True)
+class Trial(Measurement):
+    """One turn of Algorithm 1: a search, its policy's rollout on the robot, and a measurement that decides nothing.
+
+    Args:
+        kl: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
+        horizon: step up to which the search trusted the prediction.
+        restarted: whether a second search was made, from a new random policy.
+        gp_seconds, search_seconds: wall time.
+        evaluations: of the objective.
+        stop_reason: why the last run of L-BFGS ended.
+    """
+
+    kl: float
+    horizon: int
+    restarted: bool
+    gp_seconds: float
+    search_seconds: float
+    evaluations: int
+    stop_reason: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A policy that ran on the robot: its parameters and the error of its own rollout."""
+
+    trial: int
+    parameters: Mapping[str, Tensor]
+    own_error: float
+
+
+def success_rate(errors: Tensor, tolerance: float) -> float:
+    """Fraction of rollouts whose error (N,) is within the tolerance."""
+    return (errors <= tolerance).double().mean().item()

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-import runpy
 import shlex
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.run_script import run_script
 from torch_pmil.experiments import load_experiment
 from torch_pmil.saved_policy import load_policy, save_policy
 
@@ -54,9 +53,7 @@ def namespace(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     save_policy(folder / RUN / "policy.pt", network, experiment.space, control_period=0.02)  # so that the test is short
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        script, *arguments = shlex.split(COMMANDS[0])
-        patch.setattr(sys, "argv", [script, *arguments])
-        runpy.run_path(str(ROOT / script), run_name="__main__")
+        run_script(patch, *shlex.split(COMMANDS[0]))
         names: dict = {"read_state": robot.read_state, "send_torque": robot.send_torque}
         for block in BLOCKS:
             exec(block, names)

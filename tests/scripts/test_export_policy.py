@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import os
-import runpy
-import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
 
 from tests.draws import Draws
+from tests.run_script import run_script
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.saved_policy import load_policy, save_policy
 from torch_pmil.state_space import StateSpace, joint_match
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "export_policy.py"
+SCRIPT = "scripts/export_policy.py"
 Script = Callable[..., None]
 
 
@@ -24,12 +24,7 @@ Script = Callable[..., None]
 def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     """The script, run with arguments in an empty folder."""
     monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> None:
-        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *arguments])
-        runpy.run_path(str(SCRIPT), run_name="__main__")
-
-    return run
+    return partial(run_script, monkeypatch, SCRIPT)
 
 
 @pytest.fixture

@@ -1,28 +1,22 @@
 """The recording script: what it writes, and that it fails cleanly."""
 
 import os
-import runpy
-import sys
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 
+from tests.run_script import run_script
 from torch_pmil.demonstrations import load_demonstrations, shipped_demonstrations
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "record_demonstrations.py"
+SCRIPT = "scripts/record_demonstrations.py"
 
 
 @pytest.fixture
 def record(monkeypatch):
     """The script, run with command-line overrides."""
-
-    def run(*overrides):
-        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *overrides])
-        runpy.run_path(str(SCRIPT), run_name="__main__")
-
-    return run
+    return partial(run_script, monkeypatch, SCRIPT)
 
 
 @pytest.mark.slow

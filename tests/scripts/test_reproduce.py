@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import runpy
-import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from tests.run_script import run_script
 from torch_pmil.experiments.paper import PAPER
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run
 from torch_pmil.plotting import Figure
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "reproduce.py"
+SCRIPT = "scripts/reproduce.py"
 Script = Callable[..., None]
 
 
@@ -21,12 +21,7 @@ Script = Callable[..., None]
 def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     """The script, run in an empty folder."""
     monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> None:
-        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *arguments])
-        runpy.run_path(str(SCRIPT), run_name="__main__")
-
-    return run
+    return partial(run_script, monkeypatch, SCRIPT)
 
 
 def toy(learn: Callable[[Path, str], object] | None = None) -> PaperExperiment:

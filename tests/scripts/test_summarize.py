@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-import runpy
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.run_script import run_script
 from torch_pmil.experiments.runs import wilson_interval
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "summarize.py"
+SCRIPT = "scripts/summarize.py"
 
 
 def write_run(folder: Path, seed: int, experience_s: float, rate: float, experiment: str = "double_pendulum") -> Path:
@@ -36,8 +35,7 @@ def write_unfinished_run(folder: Path, seed: int) -> Path:
 
 
 def summarize(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> None:
-    monkeypatch.setattr(sys, "argv", [str(SCRIPT), *map(str, arguments)])
-    runpy.run_path(str(SCRIPT), run_name="__main__")
+    run_script(monkeypatch, SCRIPT, *arguments)
 
 
 def error_of(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> str:

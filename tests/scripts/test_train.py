@@ -5,22 +5,23 @@ from __future__ import annotations
 import json
 import os
 import re
-import runpy
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from hydra.core.config_store import ConfigStore
 
+from tests.run_script import ROOT, run_script
 from tests.short_run import short_experiment
 from torch_pmil import policy_search, search_stepper
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.experiments import EXPERIMENTS
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "train.py"
+SCRIPT = "scripts/train.py"
 UNKNOWN = "experiment must be one of double_pendulum, double_pendulum_pilco, gym_pendulum, inverted_pendulum"
 Script = Callable[..., None]
 
@@ -30,12 +31,7 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     """The script, run with command-line overrides in an empty folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(ConfigStore.instance().repo, "logger", raising=False)  # other tests may have imported TorchRL's configurations
-
-    def run(*overrides: str) -> None:
-        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *overrides])
-        runpy.run_path(str(SCRIPT), run_name="__main__")
-
-    return run
+    return partial(run_script, monkeypatch, SCRIPT)
 
 
 @pytest.fixture
@@ -156,7 +152,7 @@ def test_folder_that_cannot_be_made_is_refused(script: Script, tmp_path: Path, o
 
 
 def test_failure_is_one_line_on_stderr_and_an_exit_code(tmp_path: Path) -> None:
-    command = [sys.executable, str(SCRIPT), "experiment=triple", "out=run"]
+    command = [sys.executable, str(ROOT / SCRIPT), "experiment=triple", "out=run"]
     process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert process.returncode == 1
     assert process.stdout == ""

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-import runpy
-import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from tests.run_script import run_script
 from tests.short_run import quick_fits, short_experiment
 from torch_pmil.experiments import EXPERIMENTS
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "train_dmp.py"
+SCRIPT = "scripts/train_dmp.py"
 Script = Callable[..., None]
 
 
@@ -24,12 +24,7 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     short = short_experiment()
     monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
     quick_fits(monkeypatch)
-
-    def run(*overrides: str) -> None:
-        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *overrides])
-        runpy.run_path(str(SCRIPT), run_name="__main__")
-
-    return run
+    return partial(run_script, monkeypatch, SCRIPT)
 
 
 def test_run_leaves_its_numbers_and_says_them(script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import runpy
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partialmethod
@@ -15,6 +13,7 @@ import imageio_ffmpeg
 import pytest
 import torch
 
+from tests.run_script import run_script
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.envs import gym_tasks
 from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
@@ -22,7 +21,7 @@ from torch_pmil.experiments.training import make_trainer
 from torch_pmil.policy_search import SearchSettings
 from torch_pmil.trainer import PMILTrainer
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "train.py"
+SCRIPT = "scripts/train.py"
 HORIZON = 8
 NAMES = ("gym_pendulum", "inverted_pendulum")
 
@@ -46,8 +45,7 @@ def run(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     experiment = short(name)
     monkeypatch.setitem(EXPERIMENTS, name, lambda demonstrations: experiment)
-    monkeypatch.setattr(sys, "argv", [str(SCRIPT), f"experiment={name}", "trials=1", "out=run"])
-    runpy.run_path(str(SCRIPT), run_name="__main__")
+    run_script(monkeypatch, SCRIPT, f"experiment={name}", "trials=1", "out=run")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -108,8 +106,7 @@ def test_run_without_pictures_says_so_in_one_line(
 def test_without_gymnasium_the_script_ends_in_one_line(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(gym_tasks, "gymnasium", None)
-    monkeypatch.setattr(sys, "argv", [str(SCRIPT), f"experiment={name}", "out=run"])
     with pytest.raises(SystemExit) as stop:
-        runpy.run_path(str(SCRIPT), run_name="__main__")
+        run_script(monkeypatch, SCRIPT, f"experiment={name}", "out=run")
     assert stop.value.code == "error: this task needs gymnasium, which is not installed: pip install 'torch_pmil[gym]'"
     assert list(tmp_path.iterdir()) == []

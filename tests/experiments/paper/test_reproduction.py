@@ -11,6 +11,7 @@ from pathlib import Path
 import joblib
 import pytest
 
+from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.paper import reproduction
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run, finish, learning_run, reproduce
 from torch_pmil.experiments.runs import RunError
@@ -121,7 +122,7 @@ def test_our_own_runs_go_on_from_where_they_were_stopped(monkeypatch: pytest.Mon
         asked.append((experiment.name, *settings, resume))
 
     monkeypatch.setattr(reproduction, "train", train)
-    finish([learning_run(Path("runs"), "double_pendulum", seed=3, trials=4)], COMMAND)
+    finish([learning_run(Path("runs"), load_experiment("double_pendulum"), seed=3, trials=4)], COMMAND)
     assert asked == [("double_pendulum", 3, 4, Path("runs/double_pendulum/seed_3"), COMMAND, True)]
 
 

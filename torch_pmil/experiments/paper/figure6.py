@@ -24,7 +24,7 @@ START_SEED = 4_000_000  # no start that the run has seen
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
     """One run of the double pendulum."""
-    return [learning_run(root, "double_pendulum", SEED, trials=3 if quick else 12)]
+    return [learning_run(root, load_experiment("double_pendulum"), SEED, trials=3 if quick else 12)]
 
 
 def report(folders: Sequence[Path], quick: bool) -> Report:

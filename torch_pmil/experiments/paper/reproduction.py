@@ -12,7 +12,7 @@ import joblib
 import torch
 from tqdm import tqdm
 
-from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.run_folder import provenance
 from torch_pmil.experiments.runs import RunError, is_finished, read_summary
 from torch_pmil.experiments.training import train
@@ -63,8 +63,9 @@ class PaperExperiment:
         report: numbers and figures from the folders of those runs, in that order; from fewer samples if quick.
 
     Example:
+        >>> from torch_pmil.experiments import load_experiment
         >>> def runs(root: Path, quick: bool) -> list[Run]:
-        ...     return [learning_run(root, "double_pendulum", seed, trials=3 if quick else 12) for seed in range(2)]
+        ...     return [learning_run(root, load_experiment("double_pendulum"), seed, trials=3 if quick else 12) for seed in range(2)]
         >>> def report(folders: Sequence[Path], quick: bool) -> Report:
         ...     rates = [read_summary(folder)["saved_success_rate"] for folder in folders]
         ...     return Report({"mean_success_rate": sum(rates) / len(rates)}, figures={})
@@ -78,20 +79,21 @@ class PaperExperiment:
     report: Callable[[Sequence[Path], bool], Report]
 
 
-def learning_run(root: Path, experiment: str, seed: int, trials: int = 12) -> Run:
-    """A run of our method, in the folder in which ``scripts/train.py`` would leave it if ``root`` is ``runs``.
+def learning_run(root: Path, experiment: Experiment, seed: int, trials: int = 12) -> Run:
+    """A run of an experiment, in the folder in which ``scripts/train.py`` would leave it if ``root`` is ``runs``.
 
     Args:
         root: folder of runs.
-        experiment: as in ``load_experiment``.
+        experiment: what to learn; those that differ have names that differ.
         seed: of the run.
         trials: largest number of trials.
 
     Example:
-        >>> str(learning_run(Path("runs"), "double_pendulum", seed=3).out)
+        >>> from torch_pmil.experiments import load_experiment
+        >>> str(learning_run(Path("runs"), load_experiment("double_pendulum"), seed=3).out)
         'runs/double_pendulum/seed_3'
     """
-    return Run(root / experiment / f"seed_{seed}", partial(_learn, experiment=experiment, seed=seed, trials=trials))
+    return Run(root / experiment.name / f"seed_{seed}", partial(_learn, experiment=experiment, seed=seed, trials=trials))
 
 
 def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[Path, Report]:
@@ -155,8 +157,8 @@ def _attempt(run: Run, command: str) -> str | None:
     return None
 
 
-def _learn(out: Path, command: str, experiment: str, seed: int, trials: int) -> None:
-    train(load_experiment(experiment), seed, trials, out, command, progress_bar=False, on_trial=partial(_tell, out), resume=True)
+def _learn(out: Path, command: str, experiment: Experiment, seed: int, trials: int) -> None:
+    train(experiment, seed, trials, out, command, progress_bar=False, on_trial=partial(_tell, out), resume=True)
 
 
 def _tell(out: Path, trial: Trial) -> None:

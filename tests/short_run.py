@@ -52,7 +52,7 @@ def quick_fits(patch: pytest.MonkeyPatch) -> None:
 
 
 def run(folder: Path, resume: bool = False, name: str = "double_pendulum", **changes: object) -> RunResult:
-    """Learn it, or go on. No step counts as matched, so that every search begins with a renewed policy."""
+    """Learn it, or go on. No step counts as matched, so that searches stall and begin anew."""
     arguments = {"seed": SEED, "trials": TRIALS, "command": COMMAND, **changes}
     experiment = short_experiment(name=name, search=SearchSettings(1, 1, 1, first_horizon=STEPS, trusted=1e-9))
     return train(experiment, out=folder, progress_bar=False, resume=resume, **arguments)

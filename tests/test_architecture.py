@@ -23,7 +23,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"linearised_step", "state_policy", "saved_policy"},
     {"rollout"},
     {"trajectory_loss"},
-    {"objective"},
+    {"objective", "conditioning"},
     {"policy_search"},
     {"search_stepper", "lbfgs_stepper", "collection", "checkpoints", "trials"},
     {"trainer", "torchrl_interop", "evaluation", "run"},

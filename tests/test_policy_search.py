@@ -14,8 +14,8 @@ from torch_pmil.dynamics import GPDynamics
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.policy_search import SearchResult, SearchSettings, _evaluate, renew_policy, search_policy
-from torch_pmil.rollout import PredictionError, predict_mean_trajectory
+from torch_pmil.policy_search import SearchResult, SearchSettings, _evaluate, search_policy
+from torch_pmil.rollout import PredictionError
 from torch_pmil.state_space import StateSpace, joint_match
 
 HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
@@ -206,46 +206,6 @@ def test_failures_within_a_run_are_survived_and_counted(loss: TrajectoryKLLoss, 
     result = search(loss, SearchSettings(5, 1, 1, first_horizon=6, trusted=0.0)).result
     assert result.failures == 1
     assert result.evaluations > len(calls) > 2
-
-
-def renewed(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS) -> tuple[Tensor, Tensor, RBFPolicy]:
-    """Actions before and after along the mean of the old policy, x_0 first, and the new policy as it was drawn."""
-    draws = Draws(seed=5)
-    new, policy = make_policy(draws), loss.actor_network
-    drawn = {name: value.clone() for name, value in new.state_dict().items()}
-    mean = predict_mean_trajectory(INITIAL.mean, policy, loss.dynamics, SPACE, HORIZON)
-    features = SPACE.features(torch.cat([INITIAL.mean[None], mean])).detach()
-    before = policy(features).detach()
-    renew_policy(loss, INITIAL, new, settings, draws.generator)
-    after = policy(features).detach()
-    new.load_state_dict(drawn)
-    return before, after, new
-
-
-def test_renewed_policy_acts_nearly_as_the_old_one_along_the_prediction(found: TrajectoryKLLoss) -> None:
-    before, after, drawn = renewed(found)
-    assert (after - before).abs().max() < 0.05 * U_MAX
-    features = SPACE.features(INITIAL.mean)
-    assert (drawn(features) - before[0]).abs() > 0.2 * U_MAX
-
-
-def test_renewed_policy_has_the_centres_and_widths_of_the_new_one(found: TrajectoryKLLoss) -> None:
-    _, _, drawn = renewed(found)
-    assert torch.equal(found.actor_network.centres, drawn.centres)
-    assert torch.equal(found.actor_network.log_widths, drawn.log_widths)
-    assert not torch.equal(found.actor_network.weights, drawn.weights)
-
-
-def test_policy_that_is_trusted_nowhere_is_renewed_at_the_start_alone(found: TrajectoryKLLoss) -> None:
-    before, after, _ = renewed(found, SearchSettings(first_horizon=1, trusted=0.0))
-    difference = (after - before).abs()
-    assert difference[0] < 0.05 * U_MAX < difference[1:].max()
-
-
-def test_renewal_with_the_same_seed_is_the_same(dynamics: GPDynamics) -> None:
-    losses = [make_loss(dynamics, Draws(seed=0), REACHABLE) for _ in range(2)]
-    (_, one, _), (_, other, _) = (renewed(loss) for loss in losses)
-    assert torch.equal(one, other)
 
 
 @pytest.mark.parametrize("known", [3, 4])

@@ -232,13 +232,11 @@ class ScriptedSearches:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, results: list[tuple[float, int, bool]]) -> None:
         self.loss = make(trials=1)[0].loss_module
-        self.renewed_at: list[int] = []  # numbers of the searches that began from a renewed policy
-        self.anew_at: list[int] = []  # and of those that began from a new one
+        self.anew_at: list[int] = []  # numbers of the searches that began from a new policy
         self.searches = 0
         self._results = iter(results)
         monkeypatch.setattr(stepper_module, "search_policy", self._search)
-        monkeypatch.setattr(stepper_module, "renew_policy", lambda *_: self.renewed_at.append(self.searches + 1))
-        self.stepper = PolicySearchStepper(SearchSettings(), self._make_policy, torch.Generator(), lambda *_: None)
+        self.stepper = PolicySearchStepper(SearchSettings(), self._make_policy, lambda *_: None)
 
     def _search(self, loss: torch.nn.Module, *_: object) -> SearchResult:
         self.searches += 1
@@ -260,13 +258,6 @@ class ScriptedSearches:
         loss = self.stepper.step(SimpleNamespace(loss_module=self.loss), start)["loss_kl"]
         assert loss.item() == self.stepper.result.kl
         return int(self.loss.actor_network.weights[0, 0].item())
-
-
-def test_search_after_an_incomplete_one_begins_from_a_renewed_policy(monkeypatch: pytest.MonkeyPatch) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(9.0, 2, False), (8.0, 4, False), (7.0, 4, True), (6.0, 4, True)])
-    assert [scripted.step() for _ in range(4)] == [1, 2, 3, 4]
-    assert scripted.renewed_at == [2, 3]
-    assert scripted.anew_at == []
 
 
 @pytest.mark.parametrize("second", [(99.0, 3, False), (90.0, 2, False), (99.0, 4, True)], ids=["farther", "less KL", "complete"])

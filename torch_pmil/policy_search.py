@@ -10,13 +10,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_pmil.conditioning import ConditionedLoss
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.lbfgs import MinimiseResult, NotFiniteError, minimise, restore
-from torch_pmil.policy import RBFPolicy
-from torch_pmil.rollout import PredictionError, predict_trajectory
+from torch_pmil.rollout import PredictionError
 from torch_pmil.trajectory_loss import TrajectoryLoss
-
-RENEWAL_SAMPLES = 20  # states a time step
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,9 @@ class _Search:
     def run(self, name: str, per_step: Callable[[Gaussian, int], Tensor], horizon: int, iterations: int) -> None:
         """Minimise the sum of the steps up to a horizon."""
         failures = (PredictionError, NotPositiveDefiniteError)
-        self.runs.append(minimise(self.parameters, lambda: per_step(self.initial, horizon).sum(), iterations, failures))
+        conditioned = ConditionedLoss(self.loss)
+        self.runs.append(minimise(conditioned.variables, lambda: conditioned.total(per_step, self.initial, horizon), iterations, failures))
+        conditioned.write()
         self.report(f"{name} {horizon}/{self.loss.horizon}", self.runs[-1].loss)
 
     def stage(self, horizon: int) -> bool:
@@ -141,30 +141,6 @@ class _Search:
             seconds=time.perf_counter() - self.start,
             stop_reason=self.runs[-1].stop_reason,
         )
-
-
-@torch.no_grad()
-def renew_policy(loss: TrajectoryLoss, initial: Gaussian, new: RBFPolicy, settings: SearchSettings, generator: torch.Generator) -> None:
-    """Give the policy of ``loss`` the new policy's centres and widths, and weights that act as it did where it is trusted.
-
-    Searches on early, poor models drive widths and centres to extremes from which no later search returns. A new network
-    that was fitted to the old one's actions keeps what was learned, and can be searched well.
-
-    Args:
-        loss: objective with the policy (changed in place) and the newest model.
-        initial: p(x_0).
-        new: a random policy of the same shape; changed in place.
-        settings: says up to which step the prediction is trusted.
-        generator: of the states, drawn from the prediction, at which the actions are compared.
-    """
-    trusted = _first_unmatched(_evaluate(loss.doubt, initial, loss.horizon), settings) - 1
-    states = initial.sample(RENEWAL_SAMPLES, generator)[:, None]
-    if trusted > 0:
-        predicted = predict_trajectory(initial, loss.actor_network, loss.dynamics, loss.space, trusted)
-        states = torch.cat([states, predicted.sample(RENEWAL_SAMPLES, generator)], 1)
-    features = loss.space.features(states.flatten(0, 1))
-    new.fit_weights(features, loss.actor_network(features))
-    loss.actor_network.load_state_dict(new.state_dict())
 
 
 @torch.no_grad()

@@ -13,24 +13,23 @@ from torchrl.trainers import OptimizationStepper, Trainer
 
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.policy_search import SearchResult, SearchSettings, renew_policy, search_policy
+from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.trajectory_loss import TrajectoryLoss
 
-STATE = ("_longest", "_least", "_stalled", "_renewing")
+STATE = ("_longest", "_least", "_stalled")
 PATIENCE = 2  # searches in a row without progress, before one from a random policy
 
 
 class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
-    While the last search did not match the whole horizon, the next one starts from a renewed network
-    (:func:`renew_policy`). Two searches in a row without progress (no more steps trusted, and not a twentieth less loss than
-    the best before) sit in a local optimum: another begins at once from a random policy, and the better one is kept.
+    A search starts from the policy that the last one left. Two searches in a row without progress (no more steps trusted, and not
+    a twentieth less loss than the best before) sit in a local optimum: another begins at once from a random policy, and the
+    better one is kept.
 
     Args:
         settings: budget and horizon of a search.
         make_policy: a new random policy of the same shape.
-        generator: of the renewal.
         report: called with the name and the loss of each run of L-BFGS.
     """
 
@@ -38,20 +37,17 @@ class PolicySearchStepper(OptimizationStepper):
         self,
         settings: SearchSettings,
         make_policy: Callable[[], RBFPolicy],
-        generator: torch.Generator,
         report: Callable[[str, float], None],
     ) -> None:
-        self.settings, self.make_policy, self.generator, self.report = settings, make_policy, generator, report
+        self.settings, self.make_policy, self.report = settings, make_policy, report
         self.result: SearchResult | None = None
         self.restarted = False
-        self._longest, self._least, self._stalled, self._renewing = 0, math.inf, 0, False
+        self._longest, self._least, self._stalled = 0, math.inf, 0
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
         loss = trainer.loss_module
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
-        if self._renewing:
-            renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
         self.result = search_policy(loss, initial, self.settings, self.report)
         self._stalled = 0 if self.result.complete or self._progressed() else self._stalled + 1
         self.restarted = self._stalled == PATIENCE
@@ -59,7 +55,6 @@ class PolicySearchStepper(OptimizationStepper):
             self._search_anew(loss, initial)
             self._stalled = 0
         self._longest, self._least = max(self._longest, self.result.horizon), min(self._least, self.result.kl)
-        self._renewing = not self.result.complete
         return TensorDict({loss.out_keys[0]: torch.tensor(self.result.kl, dtype=torch.float64)})
 
     def state_dict(self) -> dict[str, object]:

@@ -56,7 +56,7 @@ class PMILTrainer(Trainer):
         make_policy: a new random policy, drawn from a generator.
         random_torque: of the first rollout, as a fraction of the limits.
         policy_generator: of new policies.
-        generator: of the random torques and of the renewal of policies.
+        generator: of the random torques.
         on_trial: called with each trial when its own rollout is done.
         progress_bar: whether to show progress.
         logger: TorchRL's, for the numbers of every trial; None for none.
@@ -107,7 +107,7 @@ class PMILTrainer(Trainer):
             frame_skip=1,
             optim_steps_per_batch=1,
             loss_module=loss_module,
-            optimization_stepper=PolicySearchStepper(search, lambda: make_policy(policy_generator), generator, self._report),
+            optimization_stepper=PolicySearchStepper(search, lambda: make_policy(policy_generator), self._report),
             progress_bar=progress_bar,
             logger=logger,
             log_interval=0,

@@ -1,0 +1,90 @@
+"""The variables of the policy search: the same policies, the same loss, and a gradient that leads further."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.draws import Draws
+from tests.losses import HORIZON, make_kl
+from torch_pmil.conditioning import NOISE_VARIANCE, ConditionedLoss
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.lbfgs import MinimiseResult, minimise
+from torch_pmil.objective import TrajectoryKLLoss
+from torch_pmil.policy import RBFPolicy
+
+START = Gaussian(torch.zeros(2, dtype=torch.float64), 0.01 * torch.eye(2, dtype=torch.float64))
+
+
+@pytest.fixture
+def loss() -> TrajectoryKLLoss:
+    return make_kl(seed=0)
+
+
+def gram(policy: RBFPolicy) -> Tensor:
+    """K + sigma^2 I of a network with one output and scale 1, from its definition."""
+    centres = policy.centres / policy.log_widths.exp()
+    squares = (centres[:, None] - centres).square().sum(-1)
+    return (-squares / 2).exp() + NOISE_VARIANCE * torch.eye(len(centres))
+
+
+def total(loss: TrajectoryKLLoss) -> Tensor:
+    return loss.per_step(START).sum()
+
+
+def test_start_is_the_policy_itself(loss: TrajectoryKLLoss) -> None:
+    weights, value = loss.actor_network.weights.detach().clone(), total(loss).item()
+    conditioned = ConditionedLoss(loss)
+    assert conditioned.total(loss.per_step, START, HORIZON).item() == pytest.approx(value, rel=1e-12)
+    conditioned.write()
+    torch.testing.assert_close(loss.actor_network.weights.detach(), weights, rtol=1e-12, atol=1e-12)
+
+
+def test_values_are_those_of_the_network_at_its_centres_with_noise(loss: TrajectoryKLLoss) -> None:
+    policy = loss.actor_network
+    policy.log_widths.data += 0.3
+    torch.testing.assert_close(ConditionedLoss(loss).values[0], gram(policy) @ policy.weights)
+
+
+def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(loss: TrajectoryKLLoss, draws: Draws) -> None:
+    policy, conditioned = loss.actor_network, ConditionedLoss(loss)
+    conditioned.values.data += 0.3 * draws.normal(*conditioned.values.shape)
+    value = conditioned.total(loss.per_step, START, HORIZON)
+    centres, values, widths = torch.autograd.grad(value, conditioned.variables)
+    conditioned.write()
+    of_centres, of_weights, of_widths = torch.autograd.grad(total(loss), [policy.centres, policy.weights, policy.log_widths])
+    torch.testing.assert_close(centres, of_centres)
+    torch.testing.assert_close(widths, of_widths)
+    torch.testing.assert_close(values[0], torch.linalg.solve(gram(policy), of_weights))
+
+
+def found_by_values(loss: TrajectoryKLLoss, iterations: int) -> MinimiseResult:
+    conditioned = ConditionedLoss(loss)
+    result = minimise(conditioned.variables, lambda: conditioned.total(loss.per_step, START, HORIZON), iterations)
+    conditioned.write()
+    return result
+
+
+def test_search_changes_the_policy_itself_and_keeps_its_parameters(loss: TrajectoryKLLoss) -> None:
+    before, names = list(loss.actor_network.parameters()), list(loss.actor_network.state_dict())
+    found = found_by_values(loss, iterations=5)
+    assert found.loss < found.initial_loss
+    assert total(loss).item() == pytest.approx(found.loss, rel=1e-9)
+    assert all(one is other for one, other in zip(before, loss.actor_network.parameters(), strict=True))
+    assert list(loss.actor_network.state_dict()) == names
+
+
+def test_overlapping_functions_are_searched_in_fewer_iterations() -> None:
+    """Sixty functions, twice as wide as their centres' spread."""
+
+    def overlapping() -> TrajectoryKLLoss:
+        loss, draws = make_kl(seed=0), Draws(seed=1)
+        loss.actor_network = RBFPolicy(draws.normal(60, 3), torch.tensor([2.0]), 2 * torch.ones(3))
+        loss.actor_network.weights.data.copy_(0.1 * draws.normal(60, 1))
+        return loss
+
+    plain = overlapping()
+    by_weights = minimise(plain.actor_network.parameters(), lambda: total(plain), max_iterations=15)
+    by_values = found_by_values(overlapping(), iterations=15)
+    assert by_values.loss < by_weights.loss

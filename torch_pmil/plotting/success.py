@@ -129,6 +129,38 @@ def plot_success_over_mass(
     return figure
 
 
+def plot_success_over_settings(panels: Mapping[str, tuple[Sequence[float], np.ndarray]], plain: Sequence[float]) -> Figure:
+    """Success rate over one setting in each panel, beside those settings that are the same in all panels.
+
+    Args:
+        panels: by what is varied, with its unit: its K levels, and the success rates, fractions from 0 to 1, (runs, K), of which the
+            mean is drawn in percent with the range over the runs.
+        plain: level in each panel that the other panels have.
+
+    Raises:
+        ValueError: the rates are not of those levels.
+
+    Example:
+        >>> figure = plot_success_over_settings({"noise (rad)": ([0.0, 0.1], np.ones((3, 2)))}, plain=[0.0])
+        >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
+        ('noise (rad)', 'success rate (%)')
+    """
+    figure = Figure(figsize=(0.6 + 2.8 * len(panels), 3.2), layout="constrained")
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for panel, (label, (levels, rates)), usual in zip(axes, panels.items(), plain, strict=True):
+        if rates.shape[1:] != (len(levels),):
+            raise ValueError(f"rates over {label} must be (runs, {len(levels)}) for {len(levels)} levels, got {rates.shape}")
+        panel.axhline(95, color=GREY, linewidth=0.8, linestyle=":")
+        line = panel.axvline(usual, color=GREY, linewidth=0.8, linestyle="--")
+        _draw_range(panel, levels, 100 * rates, BLUE, "o", f"mean of {len(rates)} runs, and their range")
+        panel.set(xlabel=label, xticks=levels)
+        style(panel)
+    _success_axis(axes[0])
+    line.set_label("as in the other panels")
+    figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
 def _draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str, marker: str, label: str) -> None:
     """Mean of values (runs, K), with the range over the runs as error bars."""
     mean = values.mean(0)

@@ -2,5 +2,7 @@
 
 from torch_pmil.experiments.paper.cloning import CLONING
 from torch_pmil.experiments.paper.figure6 import FIGURE6
+from torch_pmil.experiments.paper.masses import MASSES
+from torch_pmil.experiments.paper.robustness import ROBUSTNESS
 
-PAPER = {experiment.name: experiment for experiment in (FIGURE6, CLONING)}
+PAPER = {experiment.name: experiment for experiment in (FIGURE6, CLONING, MASSES, ROBUSTNESS)}

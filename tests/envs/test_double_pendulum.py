@@ -126,7 +126,7 @@ def test_starts_follow_the_start_distribution():
 
 
 def test_sensors_say_the_true_state_and_independent_noise_of_their_standard_deviations():
-    count, std = 20_000, torch.tensor(NOISE, dtype=torch.float64)
+    count, std = 2_000, torch.tensor(NOISE, dtype=torch.float64)
     env = DoublePendulumEnv(num_envs=count, observation_std=NOISE, seed=0)
     start = env.reset()
     following = env.step(TensorDict({"action": torch.zeros(count, 2, dtype=torch.float64)}, [count]))["next"]

@@ -116,8 +116,9 @@ def plot_success_over_mass(
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     _success_axis(upper)
-    for (name, values), (colour, marker) in zip(rates.items(), cycle(SERIES), strict=False):
-        _draw_range(upper, masses, 100 * values, colour, marker, name)
+    for index, ((name, values), (colour, marker)) in enumerate(zip(rates.items(), cycle(SERIES), strict=False)):
+        size = len(rates) - index  # those below, drawn larger, are seen also where all agree
+        _draw_range(upper, masses, 100 * values, colour, marker, name, size)
     _draw_range(lower, masses, torques, GREY, "o", "exact tracking")
     lower.axhline(limit, color=DARK, linewidth=0.8, linestyle="--", label="limit of the motors")
     lower.set(xlabel="mass of the second link (kg)", ylabel="peak torque (N·m)", ylim=(0, None))
@@ -150,22 +151,24 @@ def plot_success_over_settings(panels: Mapping[str, tuple[Sequence[float], np.nd
     for panel, (label, (levels, rates)), usual in zip(axes, panels.items(), plain, strict=True):
         if rates.shape[1:] != (len(levels),):
             raise ValueError(f"rates over {label} must be (runs, {len(levels)}) for {len(levels)} levels, got {rates.shape}")
-        panel.axhline(95, color=GREY, linewidth=0.8, linestyle=":")
+        _success_axis(panel)
         line = panel.axvline(usual, color=GREY, linewidth=0.8, linestyle="--")
         _draw_range(panel, levels, 100 * rates, BLUE, "o", f"mean of {len(rates)} runs, and their range")
-        panel.set(xlabel=label, xticks=levels)
+        panel.set_xticks(levels, [f"{level:g}" for level in levels])
+        panel.set(xlabel=label)
+        panel.label_outer()
         style(panel)
-    _success_axis(axes[0])
     line.set_label("as in the other panels")
     figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
     return figure
 
 
-def _draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str, marker: str, label: str) -> None:
+def _draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str, marker: str, label: str, size: int = 1) -> None:
     """Mean of values (runs, K), with the range over the runs as error bars."""
     mean = values.mean(0)
     bars = np.stack([mean - values.min(0), values.max(0) - mean])
-    drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, markersize=4, linewidth=1.4, elinewidth=0.8, capsize=2, label=label)
+    weight = {"markersize": 1 + 3 * size, "linewidth": 1.6 * size, "elinewidth": 0.8 * size, "capsize": 2 * size}
+    drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, label=label, **weight)
     for artist in drawn.get_children():
         artist.set_clip_on(False)
 

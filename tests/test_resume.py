@@ -15,6 +15,8 @@ from torch import Tensor
 from tests.short_run import SEED, STEPS, TRIALS, quick_fits, run, stop_in
 from torch_pmil.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.collection import RolloutCollector
+from torch_pmil.experiments import EXPERIMENTS
+from torch_pmil.experiments.paper.robustness import with_noise
 from torch_pmil.experiments.run_folder import UnfinishedRunError
 
 ROOT = Path(__file__).parents[1]
@@ -120,6 +122,14 @@ def test_run_of_the_baseline_goes_on_too(tmp_path: Path) -> None:
         stop_in(patch, "search", 5, stop)
         run(tmp_path / "stopped", **pilco)
     run(tmp_path / "stopped", resume=True, **pilco)
+    assert_same_end(tmp_path / "stopped", tmp_path / "whole")
+
+
+def test_run_with_noisy_sensors_goes_on_with_the_same_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    noisy = with_noise(0.02)
+    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: noisy)
+    run(tmp_path / "whole")
+    run(stopped_run(tmp_path / "stopped", "search", 5), resume=True)
     assert_same_end(tmp_path / "stopped", tmp_path / "whole")
 
 

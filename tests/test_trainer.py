@@ -15,7 +15,7 @@ from torch import Tensor
 from tests.short_run import quick_fits as shorten_fits
 from tests.short_run import short_experiment
 from torch_pmil import search_stepper as stepper_module
-from torch_pmil.collection import RobotActor, states_of
+from torch_pmil.collection import RobotActor, states_of, true_states_of
 from torch_pmil.experiments.training import make_trainer
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings
@@ -327,3 +327,8 @@ def test_states_of_rollouts_are_the_start_and_all_that_followed() -> None:
     path = torch.arange(2 * 5 * 3.0).reshape(2, 5, 3)
     rollout = TensorDict({"observation": path[:, :-1], "next": {"observation": path[:, 1:]}}, batch_size=(2, 4))
     assert torch.equal(states_of(rollout), path)
+    assert torch.equal(true_states_of(rollout), path)
+    truth = path + 1
+    rollout["state"], rollout["next", "state"] = truth[:, :-1], truth[:, 1:]
+    assert torch.equal(states_of(rollout), path)
+    assert torch.equal(true_states_of(rollout), truth)

@@ -71,5 +71,14 @@ class RolloutCollector(Collector):
 
 
 def states_of(rollout: TensorDictBase) -> Tensor:
-    """States x_0..x_T of rollouts (*batch, T): (*batch, T + 1, D)."""
-    return torch.cat([rollout["observation"][..., :1, :], rollout["next", "observation"]], -2)
+    """States x_0..x_T of rollouts (*batch, T), as the robot's sensors say: (*batch, T + 1, D)."""
+    return _course_of(rollout, "observation")
+
+
+def true_states_of(rollout: TensorDictBase) -> Tensor:
+    """States x_0..x_T of rollouts (*batch, T), also where the robot's sensors are noisy: (*batch, T + 1, D)."""
+    return _course_of(rollout, "state" if "state" in set(rollout.keys()) else "observation")
+
+
+def _course_of(rollout: TensorDictBase, key: str) -> Tensor:
+    return torch.cat([rollout[key][..., :1, :], rollout["next", key]], -2)

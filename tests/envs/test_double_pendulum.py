@@ -19,6 +19,7 @@ from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
 from torch_pmil.envs.double_pendulum import double_pendulum_model, link_positions
 
 GRAVITY, LENGTH = 9.81, 0.5
+NOISE = (0.02, 0.3, 0.0, 0.1)  # rad, rad/s
 
 
 def lagrange_equations(_, x, masses, torques):
@@ -67,8 +68,9 @@ def random_torques(seed, *shape):
 
 
 @pytest.mark.parametrize("num_envs", [None, 3])
-def test_torchrl_accepts_the_environment(num_envs):
-    check_env_specs(DoublePendulumEnv(num_envs=num_envs, seed=0))
+@pytest.mark.parametrize("noise", [None, NOISE])
+def test_torchrl_accepts_the_environment(num_envs, noise):
+    check_env_specs(DoublePendulumEnv(num_envs=num_envs, observation_std=noise, seed=0))
 
 
 @pytest.mark.parametrize("masses", [(0.5, 0.5), (0.5, 0.15), (0.5, 1.0)])
@@ -123,6 +125,37 @@ def test_starts_follow_the_start_distribution():
     assert (starts.std(0) / std - 1).abs().max() < 4 / math.sqrt(40_000)
 
 
+def test_sensors_say_the_true_state_and_independent_noise_of_their_standard_deviations():
+    count, std = 2_000, torch.tensor(NOISE, dtype=torch.float64)
+    env = DoublePendulumEnv(num_envs=count, observation_std=NOISE, seed=0)
+    start = env.reset()
+    following = env.step(TensorDict({"action": torch.zeros(count, 2, dtype=torch.float64)}, [count]))["next"]
+    first, second = (measured["observation"] - measured["state"] for measured in (start, following))
+    noise = torch.cat([first, second], -1)
+    assert (noise.mean(0).abs() <= 4 * std.repeat(2) / math.sqrt(count)).all()
+    assert ((noise.std(0) - std.repeat(2)).abs() <= 4 * std.repeat(2) / math.sqrt(2 * count)).all()
+    noisy = std.repeat(2).nonzero().flatten()
+    assert (noise[:, noisy].T.corrcoef() - torch.eye(len(noisy), dtype=torch.float64)).abs().max() < 5 / math.sqrt(count)
+
+
+def test_noise_does_not_move_the_robot():
+    torques, start = random_torques(6, 5, 3, 2), torch.tensor([2.0, 0.5, 0.7, -1.0], dtype=torch.float64).repeat(3, 1)
+    noisy, exact = DoublePendulumEnv(num_envs=3, observation_std=NOISE, seed=0), DoublePendulumEnv(num_envs=3, seed=1)
+    assert torch.equal(start_at(noisy, start)["state"], start)
+    start_at(exact, start)
+    for torque in torques:
+        action = TensorDict({"action": torque}, [3])
+        measured = noisy.step(action.clone())["next"]
+        assert torch.equal(measured["state"], exact.step(action)["next", "observation"])
+        assert not torch.equal(measured["state"], measured["observation"])
+
+
+def test_first_starts_do_not_depend_on_the_noise():
+    exact, noisy = (DoublePendulumEnv(num_envs=3, observation_std=noise, seed=4).reset() for noise in (None, NOISE))
+    assert torch.equal(noisy["state"], exact["observation"])
+    assert "state" not in set(exact.keys())
+
+
 def test_global_seed_does_not_move_the_starts():
     starts = []
     for seed in (0, 1):
@@ -174,15 +207,16 @@ def test_period_splits_into_whole_time_steps_only(count):
         env.substates(env.initial_mean, torch.zeros(2, dtype=torch.float64), count)
 
 
-def test_checkpoint_resumes_motion_and_starts():
-    env, torque = DoublePendulumEnv(seed=0), TensorDict({"action": random_torques(4, 2)})
+@pytest.mark.parametrize("noise", [None, NOISE])
+def test_checkpoint_resumes_motion_starts_and_noise(noise):
+    env, torque = DoublePendulumEnv(observation_std=noise, seed=0), TensorDict({"action": random_torques(4, 2)})
     env.reset()
     env.step(torque.clone())
     file = io.BytesIO()
     torch.save(env.state_dict(), file)
     expected = env.step(torque.clone())["next", "observation"], env.reset()["observation"]
     file.seek(0)
-    resumed = DoublePendulumEnv(seed=1)
+    resumed = DoublePendulumEnv(observation_std=noise, seed=1)
     resumed.load_state_dict(torch.load(file, weights_only=True))
     assert torch.equal(resumed.step(torque.clone())["next", "observation"], expected[0])
     assert torch.equal(resumed.reset()["observation"], expected[1])
@@ -211,6 +245,8 @@ def test_step_counter_restarts_a_batch():
         ({"torque_limit": -1.0}, "torque_limit must be one or 2 positive finite numbers"),
         ({"initial_mean": (0.0, 0.0)}, "initial_mean must be 4 finite numbers, got"),
         ({"initial_std": (0.1, -0.1, 0.1, 0.1)}, "initial_std must not be negative, got"),
+        ({"observation_std": (0.1, -0.1, 0.1, 0.1)}, "observation_std must not be negative, got"),
+        ({"observation_std": (0.1,)}, "observation_std must be 4 finite numbers, got"),
         ({"num_envs": 0}, "num_envs must be None or at least 1, got 0"),
     ],
 )

@@ -11,7 +11,14 @@ from matplotlib.collections import FillBetweenPolyCollection
 
 from tests.draws import Draws
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.plotting import plot_demonstrations, plot_gp, plot_moment_matching, plot_success_over_mass, save_figure
+from torch_pmil.plotting import (
+    plot_demonstrations,
+    plot_gp,
+    plot_moment_matching,
+    plot_success_over_mass,
+    plot_success_over_settings,
+    save_figure,
+)
 
 MASSES = [0.3, 0.5, 0.8]
 
@@ -110,3 +117,20 @@ def test_success_over_mass_is_the_mean_in_percent_with_the_range_over_the_runs(t
 def test_success_of_another_number_of_masses_is_refused() -> None:
     with pytest.raises(ValueError, match=r"rates and torques must be \(runs, 3\) for 3 masses, got .*\(1, 2\)"):
         plot_success_over_mass(MASSES, {"a": np.ones((1, 2))}, np.ones((1, 3)), limit=3.5, demonstrated=0.5)
+
+
+def test_each_setting_has_its_panel_with_the_mean_in_percent_and_the_range_over_the_runs(tmp_path: Path) -> None:
+    panels = {"noise (rad)": ([0.0, 0.1], np.array([[1.0, 0.5], [0.5, 0.0]])), "demonstrations": ([2, 5, 10], np.ones((2, 3)))}
+    figure = plot_success_over_settings(panels, plain=[0.0, 5])
+    first, second = figure.axes
+    np.testing.assert_allclose(first.containers[0].lines[0].get_xydata(), [[0.0, 75], [0.1, 25]])
+    np.testing.assert_allclose([segment[:, 1] for segment in first.containers[0].lines[2][0].get_segments()], [[50, 100], [0, 50]])
+    np.testing.assert_allclose(second.containers[0].lines[0].get_xydata(), [[2, 100], [5, 100], [10, 100]])
+    assert [panel.get_xlabel() for panel in figure.axes] == list(panels)
+    assert [5, 5] in [list(line.get_xdata()) for line in second.lines]
+    save_figure(figure, tmp_path / "settings.png")
+
+
+def test_success_of_another_number_of_levels_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"rates over noise must be \(runs, 2\) for 2 levels, got \(2, 3\)"):
+        plot_success_over_settings({"noise": ([0.0, 0.1], np.ones((2, 3)))}, plain=[0.0])

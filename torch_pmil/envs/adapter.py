@@ -101,8 +101,8 @@ class AdaptedEnv(RobotEnv):
         limits = _box(self.base_env.full_action_spec, self._action, batch_dims)
         self._low, self._high = limits.space.low.double(), limits.space.high.double()
         self._kept = _kept_entries(self.angles, dim)
-        pixels = _entry(shown, "pixels", "pictures").clone() if self.from_pixels else None
-        self._set_specs(len(self._kept), (self._high - self._low) / 2, pixels)
+        more = {"pixels": _entry(shown, "pixels", "pictures").clone()} if self.from_pixels else {}
+        self._set_specs(len(self._kept), (self._high - self._low) / 2, more)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)

@@ -31,10 +31,11 @@ class DoublePendulumEnv(MujocoRobotEnv):
         torque_limit: largest absolute torque in N·m, one for both motors or one each.
         initial_mean: mean of the start state, length 4.
         initial_std: standard deviations of the start state, length 4.
+        observation_std: standard deviations of the sensors' noise, length 4; None for exact sensors.
         control_period: seconds between two actions; a whole number of 2 ms steps.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
         from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
-        seed: of the generator of the starts; None takes entropy from the system.
+        seed: of the generator of starts and noise; None takes entropy from the system.
 
     Raises:
         ValueError: a setting has the wrong shape or range; the message says what was expected and what came.
@@ -56,6 +57,7 @@ class DoublePendulumEnv(MujocoRobotEnv):
         torque_limit: float | Sequence[float] = 3.5,
         initial_mean: Sequence[float] | Tensor = (math.pi, 0.0, 0.0, 0.0),
         initial_std: Sequence[float] | Tensor = (0.05, 0.1, 0.05, 0.1),
+        observation_std: Sequence[float] | Tensor | None = None,
         control_period: float = 0.1,
         num_envs: int | None = None,
         from_pixels: bool = False,
@@ -66,6 +68,7 @@ class DoublePendulumEnv(MujocoRobotEnv):
             joints=("q1", "q2"),
             initial_mean=initial_mean,
             initial_std=initial_std,
+            observation_std=observation_std,
             torque_limit=torque_limit,
             control_period=control_period,
             num_envs=num_envs,

@@ -12,7 +12,7 @@ import torch
 from mujoco import rollout
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Bounded
+from torchrl.data import Bounded, TensorSpec, Unbounded
 
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
 
@@ -29,6 +29,8 @@ class MujocoRobotEnv(RobotEnv):
     Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all float64, and with
     ``from_pixels`` also ``"pixels"`` (*batch, height, width, 3), uint8. ``reset`` draws x_0 ~ N(initial_mean,
     diag(initial_std²)) from the generator of this environment, or starts at the ``"observation"`` it is given.
+    Sensors may be noisy: with ``observation_std`` each ``"observation"`` is the true state plus noise from the same
+    generator, and ``"state"`` (*batch, D) is the true one, for measurements from outside.
     ``state_dict`` holds the physics and the generator, so that a checkpoint resumes bit for bit.
 
     Args:
@@ -36,12 +38,13 @@ class MujocoRobotEnv(RobotEnv):
         joints: names of the D/2 observed hinge or slide joints, in the order of the state vector.
         initial_mean: mean of the start state, length D.
         initial_std: standard deviations of the start state, length D.
+        observation_std: standard deviations of the sensors' noise, length D; None for exact sensors.
         torque_limit: largest absolute torque in N·m, one for all motors or one each.
         control_period: seconds between two actions; a whole number of simulation time steps.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
         from_pixels: whether to draw a picture at each step; needs OpenGL (headless: ``MUJOCO_GL=egl``).
         pixel_size: height and width of a picture.
-        seed: of the generator of the starts; None takes entropy from the system.
+        seed: of the generator of starts and noise; None takes entropy from the system.
 
     Raises:
         ValueError: a setting has the wrong shape or range; the message says what was expected and what came.
@@ -57,6 +60,7 @@ class MujocoRobotEnv(RobotEnv):
         *,
         initial_mean: Sequence[float] | Tensor,
         initial_std: Sequence[float] | Tensor,
+        observation_std: Sequence[float] | Tensor | None = None,
         torque_limit: float | Sequence[float],
         control_period: float = 0.1,
         num_envs: int | None = None,
@@ -73,10 +77,10 @@ class MujocoRobotEnv(RobotEnv):
         self._data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
         self._state_columns = _state_columns(self.model, joints)
-        self.initial_mean = _state_vector("initial_mean", initial_mean, 2 * len(joints))
-        self.initial_std = _state_vector("initial_std", initial_std, 2 * len(joints))
-        if (self.initial_std < 0).any():
-            raise ValueError(f"initial_std must not be negative, got {self.initial_std.tolist()}")
+        dim = 2 * len(joints)
+        self.initial_mean = _state_vector("initial_mean", initial_mean, dim)
+        self.initial_std = _deviations("initial_std", initial_std, dim)
+        self.observation_std = None if observation_std is None else _deviations("observation_std", observation_std, dim)
         self.register_buffer("_physics", self._physics_from_state(self.initial_mean.expand(num_envs or 1, -1)))
         self._make_specs()
         if from_pixels:
@@ -152,8 +156,12 @@ class MujocoRobotEnv(RobotEnv):
     def _make_specs(self) -> None:
         batch = self.batch_size
         limit = torch.from_numpy(self.model.actuator_ctrlrange[:, 1].copy()).expand(*batch, -1)
-        pixels = Bounded(0, 255, (*batch, *self.pixel_size, 3), dtype=torch.uint8) if self.from_pixels else None
-        self._set_specs(self._state_columns.numel(), limit, pixels)
+        dim, more = self._state_columns.numel(), dict[str, TensorSpec]()
+        if self.observation_std is not None:
+            more["state"] = Unbounded((*batch, dim), dtype=torch.float64)
+        if self.from_pixels:
+            more["pixels"] = Bounded(0, 255, (*batch, *self.pixel_size, 3), dtype=torch.uint8)
+        self._set_specs(dim, limit, more)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
         given = None if tensordict is None else tensordict.get("observation", None)
@@ -170,7 +178,11 @@ class MujocoRobotEnv(RobotEnv):
         return self._without_reward(self._measure())
 
     def _measure(self) -> TensorDictBase:
-        measured = {"observation": self._physics[:, self._state_columns].reshape(*self.batch_size, -1)}
+        state = self._physics[:, self._state_columns].reshape(*self.batch_size, -1)
+        measured = {"observation": state}
+        if self.observation_std is not None:
+            noise = torch.randn(state.shape, generator=self._generator, dtype=torch.float64)
+            measured = {"observation": state + self.observation_std * noise, "state": state}
         if self.from_pixels:
             pixels = np.stack([self._draw(physics) for physics in self._physics])
             measured["pixels"] = torch.from_numpy(pixels).reshape(*self.batch_size, *self.pixel_size, 3)
@@ -267,3 +279,10 @@ def _state_vector(name: str, values: Sequence[float] | Tensor, dim: int) -> Tens
     if vector.shape != (dim,) or not vector.isfinite().all():
         raise ValueError(f"{name} must be {dim} finite numbers, got {vector.tolist()}")
     return vector
+
+
+def _deviations(name: str, values: Sequence[float] | Tensor, dim: int) -> Tensor:
+    deviations = _state_vector(name, values, dim)
+    if (deviations < 0).any():
+        raise ValueError(f"{name} must not be negative, got {deviations.tolist()}")
+    return deviations

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -16,7 +18,7 @@ class RobotEnv(EnvBase):
         batch_size: of the robots.
         control_period: seconds between two actions.
         from_pixels: whether there are pictures.
-        seed: of the generator of the starts; None takes entropy from the system.
+        seed: of the generator of starts and noise; None takes entropy from the system.
     """
 
     def __init__(self, batch_size: tuple[int, ...], control_period: float, from_pixels: bool, seed: int | None) -> None:
@@ -26,7 +28,7 @@ class RobotEnv(EnvBase):
         self._set_seed(seed)
 
     def get_extra_state(self) -> Tensor:
-        """State of the generator of the starts, kept in ``state_dict``."""
+        """State of the generator of starts and noise, kept in ``state_dict``."""
         return self._generator.get_state()
 
     def set_extra_state(self, state: Tensor) -> None:
@@ -39,13 +41,10 @@ class RobotEnv(EnvBase):
         else:
             self._generator.manual_seed(seed)
 
-    def _set_specs(self, dim: int, limit: Tensor, pixels: TensorSpec | None) -> None:
-        """Of a state vector (*batch, dim), actions within ±limit (*batch, F), and pictures if there are any."""
+    def _set_specs(self, dim: int, limit: Tensor, more: Mapping[str, TensorSpec]) -> None:
+        """Of a state vector (*batch, dim), actions within ±limit (*batch, F), and what else is observed."""
         batch = self.batch_size
-        observation = {"observation": Unbounded((*batch, dim), dtype=torch.float64)}
-        if pixels is not None:
-            observation["pixels"] = pixels
-        self.observation_spec = Composite(observation, shape=batch)
+        self.observation_spec = Composite({"observation": Unbounded((*batch, dim), dtype=torch.float64), **more}, shape=batch)
         self.action_spec = Bounded(-limit, limit, limit.shape, dtype=torch.float64)
         self.reward_spec = Unbounded((*batch, 1), dtype=torch.float64)
 

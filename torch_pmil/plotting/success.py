@@ -116,8 +116,9 @@ def plot_success_over_mass(
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     _success_axis(upper)
-    for (name, values), (colour, marker) in zip(rates.items(), cycle(SERIES), strict=False):
-        _draw_range(upper, masses, 100 * values, colour, marker, name)
+    for index, ((name, values), (colour, marker)) in enumerate(zip(rates.items(), cycle(SERIES), strict=False)):
+        size = len(rates) - index  # those below, drawn larger, are seen also where all agree
+        _draw_range(upper, masses, 100 * values, colour, marker, name, size)
     _draw_range(lower, masses, torques, GREY, "o", "exact tracking")
     lower.axhline(limit, color=DARK, linewidth=0.8, linestyle="--", label="limit of the motors")
     lower.set(xlabel="mass of the second link (kg)", ylabel="peak torque (N·m)", ylim=(0, None))
@@ -129,11 +130,45 @@ def plot_success_over_mass(
     return figure
 
 
-def _draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str, marker: str, label: str) -> None:
+def plot_success_over_settings(panels: Mapping[str, tuple[Sequence[float], np.ndarray]], plain: Sequence[float]) -> Figure:
+    """Success rate over one setting in each panel, beside those settings that are the same in all panels.
+
+    Args:
+        panels: by what is varied, with its unit: its K levels, and the success rates, fractions from 0 to 1, (runs, K), of which the
+            mean is drawn in percent with the range over the runs.
+        plain: level in each panel that the other panels have.
+
+    Raises:
+        ValueError: the rates are not of those levels.
+
+    Example:
+        >>> figure = plot_success_over_settings({"noise (rad)": ([0.0, 0.1], np.ones((3, 2)))}, plain=[0.0])
+        >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
+        ('noise (rad)', 'success rate (%)')
+    """
+    figure = Figure(figsize=(0.6 + 2.8 * len(panels), 3.2), layout="constrained")
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for panel, (label, (levels, rates)), usual in zip(axes, panels.items(), plain, strict=True):
+        if rates.shape[1:] != (len(levels),):
+            raise ValueError(f"rates over {label} must be (runs, {len(levels)}) for {len(levels)} levels, got {rates.shape}")
+        _success_axis(panel)
+        line = panel.axvline(usual, color=GREY, linewidth=0.8, linestyle="--")
+        _draw_range(panel, levels, 100 * rates, BLUE, "o", f"mean of {len(rates)} runs, and their range")
+        panel.set_xticks(levels, [f"{level:g}" for level in levels])
+        panel.set(xlabel=label)
+        panel.label_outer()
+        style(panel)
+    line.set_label("as in the other panels")
+    figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
+def _draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str, marker: str, label: str, size: int = 1) -> None:
     """Mean of values (runs, K), with the range over the runs as error bars."""
     mean = values.mean(0)
     bars = np.stack([mean - values.min(0), values.max(0) - mean])
-    drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, markersize=4, linewidth=1.4, elinewidth=0.8, capsize=2, label=label)
+    weight = {"markersize": 1 + 3 * size, "linewidth": 1.6 * size, "elinewidth": 0.8 * size, "capsize": 2 * size}
+    drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, label=label, **weight)
     for artist in drawn.get_children():
         artist.set_clip_on(False)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torch_pmil.collection import states_of
+from torch_pmil.collection import states_of, true_states_of
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.runs import RunError, read_summary
@@ -17,6 +17,7 @@ from torch_pmil.gaussian import Gaussian
 from torch_pmil.rollout import predict_trajectory
 from torch_pmil.saved_policy import load_policy
 from torch_pmil.state_policy import StatePolicy
+from torch_pmil.trials import success_rate
 
 
 @dataclass(frozen=True)
@@ -67,3 +68,44 @@ def load_learned(folder: Path, experiment: Experiment) -> Learned:
         reason = " ".join(str(error).split())
         raise RunError(f"{folder}: dynamics.pt is damaged, or of another version: {reason}") from error
     return Learned(summary, load_policy(folder / "policy.pt"), dynamics)
+
+
+@torch.no_grad()
+def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, seed: int) -> float:
+    """Success rate of a policy on an experiment's robot, judged by where the robot truly is, whatever its sensors say.
+
+    Args:
+        policy: of the robot's states.
+        experiment: says the robot, the horizon and what a success is.
+        starts: number of rollouts.
+        seed: of the starts.
+
+    Returns:
+        Fraction from 0 to 1.
+    """
+    env = experiment.make_env(num_envs=starts, seed=seed)
+    states = true_states_of(env.rollout(experiment.horizon, policy.as_tensordict_module()))
+    return success_rate(experiment.error(states), experiment.tolerance)
+
+
+def outcome(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, object]:
+    """What a run came to, for the details of a summary; its policy is measured anew.
+
+    Args:
+        folder: of the run.
+        experiment: what it learned.
+        starts: number of rollouts.
+        seed: of their starts.
+
+    Raises:
+        RunError, PolicyFileError, OSError: as :func:`load_learned`.
+    """
+    learned = load_learned(folder, experiment)
+    return {
+        "experiment": experiment.name,
+        "seed": learned.summary["seed"],
+        "success_rate": measured_success(learned.policy, experiment, starts, seed),
+        "experience_s": learned.summary["experience_s"],
+        "trials": len(learned.summary["trials"]),
+        "stop_reason": learned.summary["stop_reason"],
+    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -15,7 +15,7 @@ from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, _evaluate, renew_policy, search_policy
-from torch_pmil.rollout import PredictionError, predict_mean_trajectory
+from torch_pmil.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
 from torch_pmil.state_space import StateSpace, joint_match
 
 HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
@@ -256,3 +256,21 @@ def test_horizon_grows_no_further_than_the_prediction_can_be_followed(
     fail_beyond(loss, known, monkeypatch)
     result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted=1.0)).result
     assert (result.horizon, result.kl) == (known, math.inf)
+
+
+def test_without_iterations_of_the_mean_each_horizon_begins_with_the_loss(loss: TrajectoryKLLoss) -> None:
+    found = search(loss, replace(SETTINGS, mean_iterations=0))
+    assert horizons(found, "mean") == []
+    assert horizons(found, "KL")[:2] == [2, 4]
+    assert found.result.kl < 0.5 * make_loss(loss.dynamics, Draws(seed=0), REACHABLE).per_step(INITIAL).sum().item()
+
+
+def test_policy_whose_prediction_fails_early_is_renewed_as_far_as_it_can_be_followed(found: TrajectoryKLLoss) -> None:
+    def failing(*arguments: object) -> Gaussian:
+        if arguments[-1] > 2:
+            raise PredictionError("prediction of step 3 failed", 3)
+        return predict_trajectory(*arguments)
+
+    found.prediction = failing
+    before, after, _ = renewed(found, replace(SETTINGS, first_horizon=HORIZON))
+    assert (after - before)[:3].abs().max() < 0.05 * U_MAX

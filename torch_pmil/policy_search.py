@@ -13,7 +13,7 @@ from torch import Tensor
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.lbfgs import MinimiseResult, NotFiniteError, minimise, restore
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.rollout import PredictionError, predict_trajectory
+from torch_pmil.rollout import PredictionError
 from torch_pmil.trajectory_loss import TrajectoryLoss
 
 RENEWAL_SAMPLES = 20  # states a time step
@@ -24,7 +24,7 @@ class SearchSettings:
     """Budget and horizon of a search.
 
     Args:
-        mean_iterations: of L-BFGS on the mean alone, for each horizon.
+        mean_iterations: of L-BFGS on the mean alone, for each horizon; 0 begins with the loss.
         stage_iterations: on the loss, for each horizon that is extended further.
         final_iterations: on the loss, at the last horizon.
         first_horizon: least number of steps of the first horizon.
@@ -121,7 +121,8 @@ class _Search:
         """Search the mean, then the loss. Where one cannot begin, the policy is what it was before, and the answer False."""
         before = [parameter.detach().clone() for parameter in self.parameters]
         try:
-            self.run("mean", self.loss.mean_per_step, horizon, self.settings.mean_iterations)
+            if self.settings.mean_iterations:
+                self.run("mean", self.loss.mean_per_step, horizon, self.settings.mean_iterations)
             self.run(self.loss.label, self.loss.per_step, horizon, self.settings.stage_iterations)
         except (PredictionError, NotFiniteError):
             restore(self.parameters, before)
@@ -157,10 +158,11 @@ def renew_policy(loss: TrajectoryLoss, initial: Gaussian, new: RBFPolicy, settin
         settings: says up to which step the prediction is trusted.
         generator: of the states, drawn from the prediction, at which the actions are compared.
     """
-    trusted = _first_unmatched(_evaluate(loss.doubt, initial, loss.horizon), settings) - 1
+    doubt = _evaluate(loss.doubt, initial, loss.horizon)
+    trusted = min(_first_unmatched(doubt, settings) - 1, int(doubt.isfinite().sum()))
     states = initial.sample(RENEWAL_SAMPLES, generator)[:, None]
     if trusted > 0:
-        predicted = predict_trajectory(initial, loss.actor_network, loss.dynamics, loss.space, trusted)
+        predicted = loss.predict_states(initial, trusted)
         states = torch.cat([states, predicted.sample(RENEWAL_SAMPLES, generator)], 1)
     features = loss.space.features(states.flatten(0, 1))
     new.fit_weights(features, loss.actor_network(features))

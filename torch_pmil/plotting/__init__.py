@@ -7,6 +7,7 @@ from torch_pmil.plotting.pendulum import pendulum_frames, plot_poses
 from torch_pmil.plotting.style import BLUE, GREY, VERMILLION, save_figure, style
 from torch_pmil.plotting.success import plot_learning_curve, plot_success_over_experience, plot_success_over_mass
 from torch_pmil.plotting.trajectories import plot_demonstrations, plot_distributions
+from torch_pmil.plotting.variants import plot_variants
 
 __all__ = [
     "BLUE",
@@ -22,6 +23,7 @@ __all__ = [
     "plot_poses",
     "plot_success_over_experience",
     "plot_success_over_mass",
+    "plot_variants",
     "save_figure",
     "style",
 ]

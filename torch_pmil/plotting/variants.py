@@ -62,7 +62,7 @@ def _draw_never(panel: Axes, succeeded: np.ndarray, longest: float) -> None:
     never = 1.15 * longest
     _draw_runs(panel, np.where(succeeded, np.nan, never), "x", VERMILLION, "a run without success")
     panel.axvline(1.07 * longest, color=DARK, linewidth=0.6, linestyle=":")
-    seconds = [tick for tick in MaxNLocator(4).tick_values(0, longest) if tick <= longest]
+    seconds = [tick for tick in MaxNLocator(4, steps=[1, 5, 10]).tick_values(0, longest) if tick <= longest]
     panel.set(xlim=(0, 1.22 * longest), xticks=[*seconds, never], xticklabels=[*(f"{tick:g}" for tick in seconds), "never"])
 
 

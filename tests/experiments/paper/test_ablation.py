@@ -142,4 +142,5 @@ def test_report_is_of_each_variation_over_its_seeds(tmp_path: Path) -> None:
     assert (made.headline["ours_runs_with_success"], made.headline["random_centres_runs_with_success"]) == (1, 2)
     assert np.array(made.details["success"]).shape == np.array(made.details["first_success_s"]).shape == (len(LABELS), 2)
     assert [tick.get_text() for tick in made.figures["ablation"].axes[0].get_yticklabels()] == list(LABELS.values())[::-1]
+    assert "never" in [tick.get_text() for tick in made.figures["ablation"].axes[1].get_xticklabels()]
     json.dumps({**made.headline, **made.details})

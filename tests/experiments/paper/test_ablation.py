@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.short_run import quick_fits, short_experiment
+from tests.short_run import quick_fits, short_experiment, stop_in
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.paper.ablation import LABELS, PARTICLES, Variation, needed_runs, outcome, report, variations
 from torch_pmil.experiments.paper.learned import load_learned
@@ -106,6 +106,24 @@ def test_each_variation_learns_is_saved_and_loaded(
     torch.testing.assert_close(loaded.predicted(task).mean, result.predicted.mean, rtol=0, atol=1e-10)
     assert loaded.dynamics.targets == task.targets
     assert json.loads((tmp_path / "summary.json").read_text())["experiment"] == varied[name].name
+
+
+def test_run_on_particles_that_was_stopped_ends_as_one_that_was_not(
+    varied: dict[str, Variation], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick_fits(monkeypatch)
+    arguments = {"seed": 0, "trials": 2, "command": "", "progress_bar": False}
+    whole = train(short(varied["particles"]), out=tmp_path / "whole", **arguments)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        stop_in(patch, "search", 5, stop)
+        train(short(varied["particles"]), out=tmp_path / "stopped", **arguments)
+    resumed = train(short(varied["particles"]), out=tmp_path / "stopped", resume=True, **arguments)
+    assert all(torch.equal(one, other) for one, other in zip(whole.policy.parameters(), resumed.policy.parameters(), strict=True))
+    assert [trial.kl for trial in whole.trials] == [trial.kl for trial in resumed.trials]
+
+
+def stop() -> None:
+    raise KeyboardInterrupt
 
 
 def test_all_variations_run_with_all_seeds(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"demonstrations", "alignment", "expert"},
     {"dynamics", "hyperparameters", "experience", "policy"},
     {"linearised_step", "state_policy", "saved_policy"},
-    {"rollout"},
+    {"rollout", "particles"},
     {"trajectory_loss"},
     {"objective", "conditioning"},
     {"policy_search"},

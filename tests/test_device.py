@@ -9,7 +9,7 @@ from torch import Tensor
 from tests.draws import Draws
 from torch_pmil import ExpectedSaturatingCost, GPDynamics, RBFPolicy, TrajectoryKLLoss
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.rollout import sample_trajectories
+from torch_pmil.particles import sample_trajectories
 from torch_pmil.state_space import StateSpace, joint_match
 
 SPACE = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s")))
@@ -17,7 +17,7 @@ DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.i
 
 
 def results(device: str) -> list[Tensor]:
-    """Likelihood of a fit, both losses and those of the mean with their policy gradients, and samples; computed on a device."""
+    """Likelihood of a fit, both losses and those of the mean with their policy gradients, and of samples; computed on a device."""
     draws = Draws(seed=0)
     states, actions = draws.uniform(-1.5, 1.5, 60, 2), draws.uniform(-2, 2, 60, 1)
     inputs = torch.cat([SPACE.features(states), actions], -1)
@@ -35,8 +35,9 @@ def results(device: str) -> list[Tensor]:
     for per_step in (kl.per_step, kl.mean_per_step, cost.per_step, cost.mean_per_step):
         value = per_step(initial)
         values += [value.detach(), *torch.autograd.grad(value.sum(), list(policy.parameters()))]
-    samples = sample_trajectories(initial, policy, dynamics, SPACE, 3, 4, torch.Generator().manual_seed(0))
-    return [value.cpu() for value in [*values, samples]]
+    particles = sample_trajectories(initial, policy, dynamics, SPACE, 3, 4, torch.Generator().manual_seed(0))
+    values += [particles.detach(), *torch.autograd.grad(particles.sum(), list(policy.parameters()))]
+    return [value.cpu() for value in values]
 
 
 @pytest.mark.parametrize("device", DEVICES)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -216,3 +216,10 @@ def test_horizon_grows_no_further_than_the_prediction_can_be_followed(
     fail_beyond(loss, known, monkeypatch)
     result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted=1.0)).result
     assert (result.horizon, result.kl) == (known, math.inf)
+
+
+def test_without_iterations_of_the_mean_each_horizon_begins_with_the_loss(loss: TrajectoryKLLoss) -> None:
+    found = search(loss, replace(SETTINGS, mean_iterations=0))
+    assert horizons(found, "mean") == []
+    assert horizons(found, "KL")[:2] == [2, 4]
+    assert found.result.kl < 0.5 * make_loss(loss.dynamics, Draws(seed=0), REACHABLE).per_step(INITIAL).sum().item()

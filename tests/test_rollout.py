@@ -17,8 +17,9 @@ from torch_pmil import exponential_sums, linearised_moments, rollout
 from torch_pmil.dynamics import GPDynamics, Targets
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
 from torch_pmil.kernel_expansion import KernelExpansion
+from torch_pmil.particles import sample_trajectories
 from torch_pmil.policy import Controller, RBFPolicy
-from torch_pmil.rollout import PredictionError, predict_mean_trajectory, predict_step, predict_trajectory, sample_trajectories
+from torch_pmil.rollout import PredictionError, predict_mean_trajectory, predict_step, predict_trajectory
 from torch_pmil.state_space import StateSpace, joint_match
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
@@ -105,6 +106,7 @@ def test_step_without_angles_has_the_moments_of_samples(draws: Draws, targets: T
     assert_moments_of(x + y if targets == "difference" else y, predicted)
 
 
+@torch.no_grad()
 @pytest.mark.parametrize("targets", ["difference", "successor"])
 def test_step_has_the_moments_of_its_sampled_twin(draws: Draws, policy: RBFPolicy, initial: Gaussian, targets: Targets) -> None:
     """Features and action are taken as Gaussian, which they are nearly for a narrow belief: half a per cent of the spread is allowed."""
@@ -114,6 +116,7 @@ def test_step_has_the_moments_of_its_sampled_twin(draws: Draws, policy: RBFPolic
 
 
 @pytest.mark.slow
+@torch.no_grad()
 def test_trajectory_has_nearly_the_moments_of_its_sampled_twin(
     draws: Draws, dynamics: GPDynamics, policy: RBFPolicy, initial: Gaussian
 ) -> None:

@@ -16,9 +16,10 @@ from torch_pmil.kl import gaussian_kl, trajectory_kl
 from torch_pmil.lbfgs_stepper import LBFGSStepper
 from torch_pmil.moment_matching import Moments, moment_match
 from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
+from torch_pmil.particles import ParticlePrediction, sample_trajectories
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
-from torch_pmil.rollout import PredictionError, predict_trajectory, sample_trajectories
+from torch_pmil.rollout import PredictionError, predict_trajectory
 from torch_pmil.saturating_cost import expected_saturating_cost
 from torch_pmil.saved_policy import PolicyFileError, load_policy, save_policy
 from torch_pmil.state_policy import StatePolicy
@@ -40,6 +41,7 @@ __all__ = [
     "Moments",
     "NotPositiveDefiniteError",
     "PMILTrainer",
+    "ParticlePrediction",
     "PolicyFileError",
     "PredictionError",
     "RBFPolicy",

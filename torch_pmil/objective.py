@@ -9,9 +9,10 @@ from torch_pmil.dynamics import GPDynamics
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.kl import gaussian_kl, mean_kl
 from torch_pmil.policy import RBFPolicy
+from torch_pmil.rollout import predict_trajectory
 from torch_pmil.saturating_cost import expected_saturating_cost, saturating_cost
 from torch_pmil.state_space import StateSpace
-from torch_pmil.trajectory_loss import Reduction, TrajectoryLoss
+from torch_pmil.trajectory_loss import Prediction, Reduction, TrajectoryLoss
 
 
 class TrajectoryKLLoss(TrajectoryLoss):
@@ -26,7 +27,7 @@ class TrajectoryKLLoss(TrajectoryLoss):
         space: the robot's state space.
         expert: demonstrated marginals at t = 1..T in the match space, observation noise included.
         noise_std: observation noise added to the prediction too, in the unit of the match space.
-        reduction: as in :class:`TrajectoryLoss`.
+        reduction, prediction: as in :class:`TrajectoryLoss`.
 
     Raises:
         ValueError: the expert is not in the match space, or the reduction is unknown.
@@ -55,8 +56,9 @@ class TrajectoryKLLoss(TrajectoryLoss):
         expert: Gaussian,
         noise_std: float,
         reduction: Reduction = "mean",
+        prediction: Prediction = predict_trajectory,
     ) -> None:
-        super().__init__(actor_network, dynamics, space, reduction)
+        super().__init__(actor_network, dynamics, space, reduction, prediction)
         if expert.dim != space.match.dim:
             raise ValueError(f"expert must have the {space.match.dim} entries {space.match.names}, got {expert.dim}")
         self.noise_std = noise_std
@@ -101,7 +103,7 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         width: distance :math:`\sigma` beyond which the cost saturates, in the unit of d.
         horizon: T, number of steps after the start.
         weight: W, (M, M), symmetric and positive semi-definite; the identity by default. Zeros ignore an entry.
-        reduction: as in :class:`TrajectoryLoss`.
+        reduction, prediction: as in :class:`TrajectoryLoss`.
 
     Raises:
         ValueError: shapes do not fit the match space, a number is not positive, W is indefinite, or the reduction is unknown.
@@ -131,8 +133,9 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         horizon: int,
         weight: Tensor | None = None,
         reduction: Reduction = "mean",
+        prediction: Prediction = predict_trajectory,
     ) -> None:
-        super().__init__(actor_network, dynamics, space, reduction)
+        super().__init__(actor_network, dynamics, space, reduction, prediction)
         M = space.match.dim
         if target.shape != (M,):
             raise ValueError(f"target must have shape ({M},), the entries {space.match.names}, got {tuple(target.shape)}")

@@ -22,7 +22,7 @@ class SearchSettings:
     """Budget and horizon of a search.
 
     Args:
-        mean_iterations: of L-BFGS on the mean alone, for each horizon.
+        mean_iterations: of L-BFGS on the mean alone, for each horizon; 0 begins with the loss.
         stage_iterations: on the loss, for each horizon that is extended further.
         final_iterations: on the loss, at the last horizon.
         first_horizon: least number of steps of the first horizon.
@@ -121,7 +121,8 @@ class _Search:
         """Search the mean, then the loss. Where one cannot begin, the policy is what it was before, and the answer False."""
         before = [parameter.detach().clone() for parameter in self.parameters]
         try:
-            self.run("mean", self.loss.mean_per_step, horizon, self.settings.mean_iterations)
+            if self.settings.mean_iterations:
+                self.run("mean", self.loss.mean_per_step, horizon, self.settings.mean_iterations)
             self.run(self.loss.label, self.loss.per_step, horizon, self.settings.stage_iterations)
         except (PredictionError, NotFiniteError):
             restore(self.parameters, before)

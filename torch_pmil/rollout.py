@@ -1,4 +1,4 @@
-r"""From p(x_0), a policy and a model to the trajectory distribution p(x_1), ..., p(x_T) (Eq. 13), and its sampled twin."""
+r"""From p(x_0), a policy and a model to the trajectory distribution p(x_1), ..., p(x_T) (Eq. 13)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.dynamics import GPDynamics, Targets
-from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, joint, normal, symmetric
+from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, joint, symmetric
 from torch_pmil.linearised_moments import RecordedMoments
 from torch_pmil.linearised_step import LinearisedStep
 from torch_pmil.moment_matching import Moments, moment_match
@@ -103,7 +103,7 @@ def predict_trajectory(
     start = Gaussian(initial.mean, symmetric(initial.cov)).flattened.flat
     states = unroll(step, start, controller.parameters, horizon)
     trajectory = Gaussian.from_flat(states.movedim(0, -2).reshape(*initial.batch_shape, horizon, -1), initial.dim)
-    _check_finite(trajectory, space)
+    check_finite(trajectory, space)
     return trajectory
 
 
@@ -149,7 +149,8 @@ class _MomentStep:
         return LinearisedStep(state, self.network.linearised, self.controller.u_max, self.model.linearised, differences, self.space)
 
 
-def _check_finite(trajectory: Gaussian, space: StateSpace) -> None:
+def check_finite(trajectory: Gaussian, space: StateSpace) -> None:
+    """Raise PredictionError for the first step, and the entry of the state, at which marginals (*batch, T, D) are not finite."""
     finite = trajectory.mean.isfinite() & trajectory.cov.isfinite().all(-1)
     if not finite.all():
         step, output = (~finite).reshape(-1, *finite.shape[-2:]).any(0).nonzero()[0].tolist()
@@ -202,36 +203,3 @@ class _MeanStep:
         features = self.space.features(state)
         mean = self.expansion.mean(torch.cat([features, controller(features)], -1))
         return mean if self.targets == "successor" else state + mean
-
-
-@torch.no_grad()
-def sample_trajectories(
-    initial: Gaussian,
-    policy: RBFPolicy,
-    dynamics: GPDynamics,
-    space: StateSpace,
-    horizon: int,
-    count: int,
-    generator: torch.Generator,
-    observation_noise: bool = True,
-) -> Tensor:
-    """Monte Carlo twin of :func:`predict_trajectory`: particles, each drawn from the model's posterior at every step.
-
-    Args:
-        count: number of particles.
-        generator: seeded source of the draws.
-
-    Returns:
-        States at t = 1..T, (count, T, D).
-    """
-    controller, state, states = policy.controller, initial.sample(count, generator), []
-    expansion = dynamics.expansion
-    for _ in range(horizon):
-        features = space.features(state)
-        mean, variance = expansion.predict(torch.cat([features, controller(features)], -1))
-        if observation_noise:
-            variance = variance + expansion.noise_variance
-        change = mean + variance.clamp(min=0).sqrt() * normal(mean.shape, mean, generator)
-        state = change if dynamics.targets == "successor" else state + change
-        states.append(state)
-    return torch.stack(states, -2)

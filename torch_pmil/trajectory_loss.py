@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,10 +17,11 @@ from torchrl.objectives import LossModule
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
+from torch_pmil.rollout import PredictionError, predict_mean_trajectory
 from torch_pmil.state_space import StateSpace
 
 Reduction = Literal["none", "mean", "sum"]
+Prediction = Callable[[Gaussian, RBFPolicy, GPDynamics, StateSpace, int], Gaussian]
 
 
 class TrajectoryLoss(LossModule):
@@ -42,6 +43,7 @@ class TrajectoryLoss(LossModule):
         space: the robot's state space.
         reduction: "mean", over trajectories, of the sum over their steps; "sum" over both; "none" gives all steps, (\*batch, T),
             with 0 where they do not count.
+        prediction: how p(x_1..T) is predicted: exact moment matching, or :class:`ParticlePrediction`.
 
     Raises:
         ValueError: the reduction is none of these.
@@ -60,7 +62,9 @@ class TrajectoryLoss(LossModule):
     default_keys = _AcceptedKeys
     tensor_keys: _AcceptedKeys
 
-    def __init__(self, actor_network: RBFPolicy, dynamics: GPDynamics, space: StateSpace, reduction: Reduction) -> None:
+    def __init__(
+        self, actor_network: RBFPolicy, dynamics: GPDynamics, space: StateSpace, reduction: Reduction, prediction: Prediction
+    ) -> None:
         super().__init__()
         if reduction not in ("none", "mean", "sum"):
             raise ValueError(f'reduction must be "none", "mean" or "sum", got {reduction!r}')
@@ -68,6 +72,7 @@ class TrajectoryLoss(LossModule):
         self.dynamics = dynamics
         self.space = space
         self.reduction = reduction
+        self.prediction = prediction
 
     @property
     @abstractmethod
@@ -99,7 +104,11 @@ class TrajectoryLoss(LossModule):
 
     def predict(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
         """Predicted observations at t = 1..horizon: mean (*batch, horizon, M). Raises PredictionError."""
-        return self._observe(predict_trajectory(initial, self.actor_network, self.dynamics, self.space, horizon or self.horizon))
+        return self._observe(self.predict_states(initial, horizon))
+
+    def predict_states(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
+        """Predicted states at t = 1..horizon: mean (*batch, horizon, D). Raises PredictionError."""
+        return self.prediction(initial, self.actor_network, self.dynamics, self.space, horizon or self.horizon)
 
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Cost of each predicted marginal up to a horizon, (*batch, horizon). Raises PredictionError."""

@@ -95,6 +95,10 @@ class Experiment:
             "search": asdict(self.search),
         }
 
+    def make_dynamics(self) -> GPDynamics:
+        """A forward model of the robot, without data."""
+        return GPDynamics(len(self.space.feature_names) + len(self.u_max), self.space.dim)
+
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:
         """What the policy is searched for: the KL between demonstrated and predicted trajectories."""
         return TrajectoryKLLoss(policy, dynamics, self.space, self.expert, self.noise_std)

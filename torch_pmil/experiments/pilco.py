@@ -17,6 +17,7 @@ from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.objective import ExpectedSaturatingCost
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchSettings
+from torch_pmil.state_space import StateSpace
 from torch_pmil.trajectory_loss import TrajectoryLoss
 
 COST_WIDTH = 2.0  # m, Eq. 28
@@ -66,11 +67,16 @@ class PilcoExperiment(Experiment):
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near random states, small random weights."""
-        states = self.velocity_std * torch.randn(SPREAD, self.space.dim, dtype=torch.float64, generator=generator)
-        angles = list(self.space.angles)
-        turns = torch.rand(SPREAD, len(angles), dtype=torch.float64, generator=generator)
-        states[:, angles] = (2 * turns - 1) * math.pi
-        return self.policy_near(states, generator)
+        return self.policy_near(random_states(self.space, self.velocity_std, generator), generator)
+
+
+def random_states(space: StateSpace, velocity_std: float, generator: torch.Generator) -> Tensor:
+    """States all over the state space, (S, D): angles uniform, the other entries normal with that standard deviation."""
+    states = velocity_std * torch.randn(SPREAD, space.dim, dtype=torch.float64, generator=generator)
+    angles = list(space.angles)
+    turns = torch.rand(SPREAD, len(angles), dtype=torch.float64, generator=generator)
+    states[:, angles] = (2 * turns - 1) * math.pi
+    return states
 
 
 def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> PilcoExperiment:

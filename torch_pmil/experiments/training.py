@@ -16,7 +16,6 @@ from torchrl.record.loggers import Logger
 
 from torch_pmil.checkpoints import rotation_in
 from torch_pmil.collection import states_of
-from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.run_folder import (
     LOGGERS,
@@ -31,7 +30,6 @@ from torch_pmil.experiments.run_folder import (
 from torch_pmil.files import write_json
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.rollout import predict_trajectory
 from torch_pmil.saved_policy import save_policy
 from torch_pmil.trainer import PMILTrainer
 from torch_pmil.trials import Candidate, Trial, success_rate
@@ -161,12 +159,11 @@ def make_trainer(
 ) -> PMILTrainer:
     """The trainer of an experiment, with every source of randomness seeded."""
     generators = [torch.Generator().manual_seed(seed + offset) for offset in (0, 1_000_000)]
-    dynamics = GPDynamics(len(experiment.space.feature_names) + len(experiment.u_max), experiment.space.dim)
     policy = experiment.make_policy(generators[0])
     return PMILTrainer(
         env=experiment.make_env(seed=seed),
         evaluation_env=experiment.make_env(num_envs=EVALUATION_STARTS, seed=seed + 2_000_000),
-        loss_module=experiment.make_loss(policy, dynamics),
+        loss_module=experiment.make_loss(policy, experiment.make_dynamics()),
         initial=experiment.initial,
         limits=experiment.limits,
         error=experiment.error,
@@ -204,8 +201,7 @@ def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
 @torch.no_grad()
 def _predict_and_execute(trainer: PMILTrainer, experiment: Experiment) -> tuple[Gaussian, Tensor]:
     loss = trainer.loss_module
-    predicted = predict_trajectory(experiment.initial, loss.actor_network, loss.dynamics, experiment.space, loss.horizon)
-    return predicted, states_of(trainer.evaluation_env.rollout(loss.horizon, trainer.robot_policy))
+    return loss.predict_states(experiment.initial), states_of(trainer.evaluation_env.rollout(loss.horizon, trainer.robot_policy))
 
 
 def _outcome(trainer: PMILTrainer, best: Candidate, experiment: Experiment, predicted: Gaussian, executed: Tensor) -> dict[str, object]:

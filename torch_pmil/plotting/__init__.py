@@ -12,6 +12,7 @@ from torch_pmil.plotting.success import (
     plot_success_over_settings,
 )
 from torch_pmil.plotting.trajectories import plot_demonstrations, plot_distributions
+from torch_pmil.plotting.variants import plot_variants
 
 __all__ = [
     "BLUE",
@@ -28,6 +29,7 @@ __all__ = [
     "plot_success_over_experience",
     "plot_success_over_mass",
     "plot_success_over_settings",
+    "plot_variants",
     "save_figure",
     "style",
 ]

@@ -1,7 +1,8 @@
 """The experiments of the paper, by name. Each is a file with its runs, its numbers and its figures."""
 
+from torch_pmil.experiments.paper.ablation import ABLATION
 from torch_pmil.experiments.paper.figure6 import FIGURE6
 from torch_pmil.experiments.paper.masses import MASSES
 from torch_pmil.experiments.paper.robustness import ROBUSTNESS
 
-PAPER = {experiment.name: experiment for experiment in (FIGURE6, MASSES, ROBUSTNESS)}
+PAPER = {experiment.name: experiment for experiment in (FIGURE6, MASSES, ROBUSTNESS, ABLATION)}

@@ -14,7 +14,6 @@ from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.runs import RunError, read_summary
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.rollout import predict_trajectory
 from torch_pmil.saved_policy import load_policy
 from torch_pmil.state_policy import StatePolicy
 from torch_pmil.trials import success_rate
@@ -37,7 +36,7 @@ class Learned:
     @torch.no_grad()
     def predicted(self, experiment: Experiment) -> Gaussian:
         """p(x_1..T) of the policy under its model, mean (T, D)."""
-        return predict_trajectory(experiment.initial, self.policy.policy, self.dynamics, experiment.space, experiment.horizon)
+        return experiment.make_loss(self.policy.policy, self.dynamics).predict_states(experiment.initial)
 
     @torch.no_grad()
     def executed(self, experiment: Experiment, starts: int, seed: int) -> Tensor:
@@ -61,7 +60,7 @@ def load_learned(folder: Path, experiment: Experiment) -> Learned:
     summary = read_summary(folder)
     if summary["experiment"] != experiment.name:
         raise RunError(f"{folder} must be a run of {experiment.name}, got one of {summary['experiment']}")
-    dynamics = GPDynamics(len(experiment.space.feature_names) + len(experiment.u_max), experiment.space.dim)
+    dynamics = experiment.make_dynamics()
     try:
         dynamics.load_state_dict(torch.load(folder / "dynamics.pt", weights_only=True, map_location="cpu"))
     except (RuntimeError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:

@@ -31,6 +31,8 @@ class SearchSettings:
         horizon_step: steps by which the horizon grows.
         trusted: mean doubt of the last steps (:meth:`TrajectoryLoss.doubt`) above which the prediction is not followed further. For the KL
             it is in nats a step, about 3 in four dimensions.
+        patience: searches in a row without progress before others begin from random policies (:class:`PolicySearchStepper`).
+        restarts: how many others.
     """
 
     mean_iterations: int = 60
@@ -39,6 +41,8 @@ class SearchSettings:
     first_horizon: int = 5
     horizon_step: int = 3
     trusted: float = 3.0
+    patience: int = 2
+    restarts: int = 1
 
 
 @dataclass(frozen=True)

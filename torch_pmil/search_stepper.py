@@ -17,18 +17,17 @@ from torch_pmil.policy_search import SearchResult, SearchSettings, renew_policy,
 from torch_pmil.trajectory_loss import TrajectoryLoss
 
 STATE = ("_longest", "_least", "_stalled", "_renewing")
-PATIENCE = 2  # searches in a row without progress, before one from a random policy
 
 
 class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
     While the last search did not match the whole horizon, the next one starts from a renewed network
-    (:func:`renew_policy`). Two searches in a row without progress (no more steps trusted, and not a twentieth less loss than
-    the best before) sit in a local optimum: another begins at once from a random policy, and the better one is kept.
+    (:func:`renew_policy`). Some searches in a row without progress (no more steps trusted, and not a twentieth less loss than
+    the best before) sit in a local optimum: others begin at once from random policies, and the best one is kept.
 
     Args:
-        settings: budget and horizon of a search.
+        settings: budget and horizon of a search, and when and how often it begins anew.
         make_policy: a new random policy of the same shape.
         generator: of the renewal.
         report: called with the name and the loss of each run of L-BFGS.
@@ -54,9 +53,10 @@ class PolicySearchStepper(OptimizationStepper):
             renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
         self.result = search_policy(loss, initial, self.settings, self.report)
         self._stalled = 0 if self.result.complete or self._progressed() else self._stalled + 1
-        self.restarted = self._stalled == PATIENCE
+        self.restarted = self._stalled == self.settings.patience
         if self.restarted:
-            self._search_anew(loss, initial)
+            for _ in range(self.settings.restarts):
+                self._search_anew(loss, initial)
             self._stalled = 0
         self._longest, self._least = max(self._longest, self.result.horizon), min(self._least, self.result.kl)
         self._renewing = not self.result.complete

@@ -5,7 +5,12 @@ from matplotlib.figure import Figure
 from torch_pmil.plotting.gaussian_process import plot_gp, plot_moment_matching
 from torch_pmil.plotting.pendulum import pendulum_frames, plot_poses
 from torch_pmil.plotting.style import BLUE, GREY, VERMILLION, save_figure, style
-from torch_pmil.plotting.success import plot_learning_curve, plot_success_over_experience, plot_success_over_mass
+from torch_pmil.plotting.success import (
+    plot_learning_curve,
+    plot_success_of_methods,
+    plot_success_over_experience,
+    plot_success_over_mass,
+)
 from torch_pmil.plotting.trajectories import plot_demonstrations, plot_distributions
 
 __all__ = [
@@ -20,6 +25,7 @@ __all__ = [
     "plot_learning_curve",
     "plot_moment_matching",
     "plot_poses",
+    "plot_success_of_methods",
     "plot_success_over_experience",
     "plot_success_over_mass",
     "save_figure",

@@ -2,5 +2,7 @@
 
 from torch_pmil.experiments.paper.cloning import CLONING
 from torch_pmil.experiments.paper.figure6 import FIGURE6
+from torch_pmil.experiments.paper.figure7a import FIGURE7A
+from torch_pmil.experiments.paper.figure7b import FIGURE7B
 
-PAPER = {experiment.name: experiment for experiment in (FIGURE6, CLONING)}
+PAPER = {experiment.name: experiment for experiment in (FIGURE6, FIGURE7A, FIGURE7B, CLONING)}

@@ -239,14 +239,16 @@ class ScriptedSearches:
         self.loss = make(trials=1)[0].loss_module
         self.renewed_at: list[int] = []  # numbers of the searches that began from a renewed policy
         self.anew_at: list[int] = []  # and of those that began from a new one
+        self.random_at: list[int] = []  # and of those that were told so
         self.searches = 0
         self._results = iter(results)
         monkeypatch.setattr(stepper_module, "search_policy", self._search)
         monkeypatch.setattr(stepper_module, "renew_policy", lambda *_: self.renewed_at.append(self.searches + 1))
         self.stepper = PolicySearchStepper(settings, self._make_policy, torch.Generator(), lambda *_: None)
 
-    def _search(self, loss: torch.nn.Module, *_: object) -> SearchResult:
+    def _search(self, loss: torch.nn.Module, *_: object, random: bool) -> SearchResult:
         self.searches += 1
+        self.random_at += [self.searches] if random else []
         if (loss.actor_network.weights == -1).all():
             self.anew_at.append(self.searches)
         loss.actor_network.weights.data.fill_(self.searches)
@@ -303,6 +305,7 @@ def test_there_are_as_many_restarts_as_told_as_soon_as_told_and_the_best_search_
     scripted = ScriptedSearches(monkeypatch, results, SearchSettings(patience=1, restarts=3))
     assert [scripted.step(), scripted.step()] == [1, 4]
     assert scripted.anew_at == [3, 4, 5]
+    assert scripted.random_at == [1, 3, 4, 5]
     assert (scripted.stepper.result.kl, scripted.stepper.result.evaluations) == (50.0, 40)
 
 

@@ -51,7 +51,7 @@ class PolicySearchStepper(OptimizationStepper):
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
         if self._renewing:
             renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
-        self.result = search_policy(loss, initial, self.settings, self.report)
+        self.result = search_policy(loss, initial, self.settings, self.report, random=self._least == math.inf)
         self._stalled = 0 if self.result.complete or self._progressed() else self._stalled + 1
         self.restarted = self._stalled == self.settings.patience
         if self.restarted:
@@ -74,7 +74,7 @@ class PolicySearchStepper(OptimizationStepper):
     def _search_anew(self, loss: TrajectoryLoss, initial: Gaussian) -> None:
         first = copy.deepcopy(loss.actor_network.state_dict())
         loss.actor_network.load_state_dict(self.make_policy().state_dict())
-        second = search_policy(loss, initial, self.settings, self.report)
+        second = search_policy(loss, initial, self.settings, self.report, random=True)
         better = second if second.kl < self.result.kl else self.result
         if better is not second:
             loss.actor_network.load_state_dict(first)

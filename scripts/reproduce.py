@@ -35,7 +35,7 @@ def main() -> None:
         sys.exit(130)
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         sys.exit(f"error: {error}")
-    print("\n".join(f"{name}: {value:.4g}" for name, value in report.headline.items()))
+    print("\n".join(f"{name}: {'never' if value is None else f'{value:.4g}'}" for name, value in report.headline.items()))
     print(f"see {out}/summary.json, {', '.join(f'{out}/{name}.png' for name in report.figures)}")
 
 

@@ -19,6 +19,7 @@ from torch_pmil.plotting import (
     plot_distributions,
     plot_learning_curve,
     plot_poses,
+    plot_success_of_methods,
     plot_success_over_experience,
     save_figure,
 )
@@ -206,3 +207,26 @@ def test_success_over_experience_is_the_mean_of_the_runs_with_its_interval_in_pe
 def test_success_over_experience_of_different_shapes_is_refused() -> None:
     with pytest.raises(ValueError, match=r"must be \(K,\) for rates \(runs, K\), got \(2,\), \(3,\), \(3,\) for \(1, 3\)"):
         plot_success_over_experience(np.zeros(2), np.zeros((1, 3)), np.zeros(3), np.zeros(3))
+
+
+def test_every_method_has_its_own_mean_and_interval_in_percent(tmp_path: Path) -> None:
+    experience, half = np.array([2.5, 5.0]), np.full(2, 0.1)
+    means = {"a": np.array([0.2, 0.9]), "b": np.array([0.5, 0.5])}
+    figure = plot_success_of_methods({name: (experience, mean, mean - half, mean + half) for name, mean in means.items()})
+    (panel,) = figure.axes
+    drawn = {line.get_label(): line for line in panel.lines}
+    for (name, mean), band in zip(means.items(), panel.collections, strict=True):
+        np.testing.assert_allclose(drawn[name].get_xydata(), np.stack([experience, 100 * mean], -1))
+        corners = band.get_paths()[0].vertices
+        for edge in (mean - half, mean + half):
+            distances = np.abs(corners[None] - np.stack([experience, 100 * edge], -1)[:, None]).max(-1)
+            np.testing.assert_allclose(distances.min(1), 0, atol=1e-12)
+    assert drawn["a"].get_color() != drawn["b"].get_color() and drawn["a"].get_marker() != drawn["b"].get_marker()
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", "b"]
+    assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_ylim()) == ("experience (s)", "success rate (%)", (0, 100))
+    save_figure(figure, tmp_path / "methods.png")
+
+
+def test_method_with_curves_of_different_lengths_is_named() -> None:
+    with pytest.raises(ValueError, match=r"experience, mean and interval of b must be equally long, got \[2, 3, 2, 2\]"):
+        plot_success_of_methods({"b": (np.zeros(2), np.zeros(3), np.zeros(2), np.zeros(2))})

@@ -68,9 +68,9 @@ class Search:
     parameters: dict[str, Tensor]
 
 
-def search(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS) -> Search:
+def search(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS, random: bool = False) -> Search:
     reports: list[tuple[str, float]] = []
-    result = search_policy(loss, INITIAL, settings, lambda *report: reports.append(report))
+    result = search_policy(loss, INITIAL, settings, lambda *report: reports.append(report), random)
     return Search(result, reports, {name: value.clone() for name, value in loss.actor_network.state_dict().items()})
 
 
@@ -126,6 +126,24 @@ def test_policy_that_matches_is_searched_on_the_whole_kl_alone(found: Trajectory
     once = search(found, settings)
     assert horizons(once, "KL") == [6]
     assert horizons(once, "mean") == []
+
+
+@pytest.mark.parametrize(("leaps", "random", "expected"), [(False, True, [2, 4, 6]), (False, False, []), (True, True, [])])
+def test_random_policy_that_is_trusted_throughout_grows_step_by_step_if_the_horizon_does_not_leap(
+    found: TrajectoryKLLoss, leaps: bool, random: bool, expected: list[int]
+) -> None:
+    settings = SearchSettings(1, 1, 1, first_horizon=2, horizon_step=2, trusted=SETTINGS.trusted, leaps=leaps)
+    assert horizons(search(found, settings, random), "mean") == expected
+
+
+@pytest.mark.parametrize(("leaps", "expected"), [(True, [2, 6]), (False, [2, 3, 4, 5, 6])])
+def test_horizon_that_leaps_passes_over_what_is_trusted(
+    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, leaps: bool, expected: list[int]
+) -> None:
+    doubts = iter([torch.full((HORIZON,), 9.0), *[torch.zeros(HORIZON)] * 10])
+    monkeypatch.setattr(loss, "doubt", lambda *_: next(doubts))
+    settings = SearchSettings(1, 1, 1, first_horizon=2, horizon_step=1, trusted=1.0, leaps=leaps)
+    assert horizons(search(loss, settings), "mean") == expected
 
 
 def test_horizon_stops_where_the_last_steps_are_not_trusted(hopeless: TrajectoryKLLoss) -> None:

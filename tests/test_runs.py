@@ -11,6 +11,7 @@ from scipy.stats import binomtest
 
 from torch_pmil.experiments.runs import (
     RunError,
+    SuccessCurve,
     count_trials,
     find_runs,
     is_finished,
@@ -158,3 +159,19 @@ def test_interval_of_ten_draws_between_0_and_1_covers_their_mean_at_least_as_oft
     lower, upper = wilson_interval(draws.mean(1), 10)
     coverage = ((lower <= a / (a + b)) & (a / (a + b) <= upper)).mean()
     assert coverage > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 20_000)
+
+
+def curve_of(*mean: float) -> SuccessCurve:
+    """Measured at 2.5 s, 5 s, ..."""
+    rates = np.array(mean)
+    return SuccessCurve(2.5 * np.arange(1, len(mean) + 1), rates[None], rates, rates, rates)
+
+
+@pytest.mark.parametrize(("experience_s", "rate"), [(2.4, 0.1), (2.5, 0.1), (4.9, 0.1), (5.0, 0.2), (33.0, 0.3), (float("inf"), 0.3)])
+def test_curve_holds_its_last_measurement(experience_s: float, rate: float) -> None:
+    assert curve_of(0.1, 0.2, 0.3).at(experience_s) == rate
+
+
+@pytest.mark.parametrize(("mean", "experience_s"), [((0.0, 0.96, 0.5, 1.0), 5.0), ((0.0, 0.95 - 1e-15), 5.0), ((0.0, 0.94), None)])
+def test_rate_is_reached_the_first_time_or_never(mean: tuple[float, ...], experience_s: float | None) -> None:
+    assert curve_of(*mean).experience_to(0.95) == experience_s

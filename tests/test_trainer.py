@@ -20,7 +20,7 @@ from torch_pmil.experiments.training import make_trainer
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings
 from torch_pmil.rollout import PredictionError
-from torch_pmil.search_stepper import PATIENCE, PolicySearchStepper
+from torch_pmil.search_stepper import PolicySearchStepper
 from torch_pmil.trainer import PMILTrainer
 from torch_pmil.trials import Candidate, Trial
 
@@ -227,19 +227,26 @@ def test_best_policy_is_chosen_under_a_model_of_all_experience(candidates: Calla
 # the search of a trial
 
 
+DEFAULTS = SearchSettings()
+
+
 class ScriptedSearches:
     """A stepper whose searches end with these results; the policy's weights are then the number of the search, 1, 2, ..."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, results: list[tuple[float, int, bool]]) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, results: list[tuple[float, int, bool]], settings: SearchSettings = DEFAULTS
+    ) -> None:
         self.loss = make(trials=1)[0].loss_module
         self.anew_at: list[int] = []  # numbers of the searches that began from a new policy
+        self.random_at: list[int] = []  # and of those that were told so
         self.searches = 0
         self._results = iter(results)
         monkeypatch.setattr(stepper_module, "search_policy", self._search)
-        self.stepper = PolicySearchStepper(SearchSettings(), self._make_policy, lambda *_: None)
+        self.stepper = PolicySearchStepper(settings, self._make_policy, lambda *_: None)
 
-    def _search(self, loss: torch.nn.Module, *_: object) -> SearchResult:
+    def _search(self, loss: torch.nn.Module, *_: object, random: bool) -> SearchResult:
         self.searches += 1
+        self.random_at += [self.searches] if random else []
         if (loss.actor_network.weights == -1).all():
             self.anew_at.append(self.searches)
         loss.actor_network.weights.data.fill_(self.searches)
@@ -267,7 +274,7 @@ def test_search_that_makes_progress_is_not_begun_anew(monkeypatch: pytest.Monkey
     assert not scripted.stepper.restarted
 
 
-STALLED = [(99.0, 2, False)] * (1 + PATIENCE)
+STALLED = [(99.0, 2, False)] * (1 + DEFAULTS.patience)
 
 
 @pytest.mark.parametrize(("anew", "keeps_new"), [(50.0, True), (100.0, False)], ids=["better", "worse"])
@@ -284,6 +291,15 @@ def test_searches_without_progress_are_begun_anew_and_the_better_one_is_kept(
     assert (result.evaluations, result.failures, result.seconds) == (20, 2, 1.0)
 
 
+def test_there_are_as_many_restarts_as_told_as_soon_as_told_and_the_best_search_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    results = [(99.0, 2, False), (98.0, 2, False), (60.0, 2, False), (50.0, 2, False), (70.0, 2, False)]
+    scripted = ScriptedSearches(monkeypatch, results, SearchSettings(patience=1, restarts=3))
+    assert [scripted.step(), scripted.step()] == [1, 4]
+    assert scripted.anew_at == [3, 4, 5]
+    assert scripted.random_at == [1, 3, 4, 5]
+    assert (scripted.stepper.result.kl, scripted.stepper.result.evaluations) == (50.0, 40)
+
+
 def test_progress_in_between_starts_the_count_again(monkeypatch: pytest.MonkeyPatch) -> None:
     results = [*STALLED[:-1], (99.0, 3, False), *STALLED[:-2], (99.0, 4, True), *STALLED[:-2]]
     scripted = ScriptedSearches(monkeypatch, results)
@@ -292,7 +308,7 @@ def test_progress_in_between_starts_the_count_again(monkeypatch: pytest.MonkeyPa
 
 
 def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(math.inf, 2, False)] * (1 + PATIENCE) + [(50.0, 2, False)])
+    scripted = ScriptedSearches(monkeypatch, [(math.inf, 2, False)] * (1 + DEFAULTS.patience) + [(50.0, 2, False)])
     assert [scripted.step() for _ in STALLED][-1] == len(STALLED) + 1
 
 

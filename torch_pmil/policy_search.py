@@ -29,6 +29,11 @@ class SearchSettings:
         horizon_step: steps by which the horizon grows.
         trusted: mean doubt of the last steps (:meth:`TrajectoryLoss.doubt`) above which the prediction is not followed further. For the KL
             it is in nats a step, about 3 in four dimensions.
+        leaps: whether the horizon leaps to where the prediction ceases to be trusted: right for the KL, which is trusted where it matches.
+            A motion that is predicted well may be no good for another loss; then the horizon grows step by step, and from the first one
+            on for a random policy.
+        patience: searches in a row without progress before others begin from random policies (:class:`PolicySearchStepper`).
+        restarts: how many others.
     """
 
     mean_iterations: int = 60
@@ -37,6 +42,9 @@ class SearchSettings:
     first_horizon: int = 5
     horizon_step: int = 3
     trusted: float = 3.0
+    leaps: bool = True
+    patience: int = 2
+    restarts: int = 1
 
 
 @dataclass(frozen=True)
@@ -67,6 +75,7 @@ def search_policy(
     initial: Gaussian,
     settings: SearchSettings = SearchSettings(),
     report: Callable[[str, float], None] = lambda stage, kl: None,
+    random: bool = False,
 ) -> SearchResult:
     """Minimise a loss, as Eq. 20 or 28, over its policy, following the prediction only as far as it can be trusted.
 
@@ -81,20 +90,23 @@ def search_policy(
         initial: p(x_0).
         settings: budget and horizon.
         report: called after each run of L-BFGS with its name and its loss.
+        random: whether the policy is a random one, which no search has seen.
 
     Raises:
         PredictionError: the prediction fails at the policy that was given.
     """
     search = _Search(loss, initial, settings, report)
     doubt = _evaluate(loss.doubt, initial, loss.horizon)
-    horizon = _first_unmatched(doubt, settings)
-    growing = bool((doubt > settings.trusted).any())
+    from_first = random and not settings.leaps
+    horizon = min(settings.first_horizon, loss.horizon) if from_first else _first_unmatched(doubt, settings)
+    growing = from_first or bool((doubt > settings.trusted).any())
     while growing:
         begun = search.stage(horizon)
         doubt = _evaluate(loss.doubt, initial, loss.horizon)
         growing = begun and horizon < loss.horizon and _trusted(doubt, horizon, settings)
         if growing:
-            horizon = min(max(horizon + settings.horizon_step, _first_unmatched(doubt, settings)), loss.horizon)
+            horizon = min(horizon + settings.horizon_step, loss.horizon)
+            horizon = max(horizon, _first_unmatched(doubt, settings)) if settings.leaps else horizon
     horizon = min(horizon, int(doubt.isfinite().sum()))
     search.run(loss.label, loss.per_step, horizon, settings.final_iterations)
     return search.result(horizon)

@@ -17,18 +17,17 @@ from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.trajectory_loss import TrajectoryLoss
 
 STATE = ("_longest", "_least", "_stalled")
-PATIENCE = 2  # searches in a row without progress, before one from a random policy
 
 
 class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
-    A search starts from the policy that the last one left. Two searches in a row without progress (no more steps trusted, and not
-    a twentieth less loss than the best before) sit in a local optimum: another begins at once from a random policy, and the
-    better one is kept.
+    A search starts from the policy that the last one left. Some searches in a row without progress (no more steps trusted, and not
+    a twentieth less loss than the best before) sit in a local optimum: others begin at once from random policies, and the best
+    one is kept.
 
     Args:
-        settings: budget and horizon of a search.
+        settings: budget and horizon of a search, and when and how often it begins anew.
         make_policy: a new random policy of the same shape.
         report: called with the name and the loss of each run of L-BFGS.
     """
@@ -48,11 +47,12 @@ class PolicySearchStepper(OptimizationStepper):
         """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
         loss = trainer.loss_module
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
-        self.result = search_policy(loss, initial, self.settings, self.report)
+        self.result = search_policy(loss, initial, self.settings, self.report, random=self._least == math.inf)
         self._stalled = 0 if self.result.complete or self._progressed() else self._stalled + 1
-        self.restarted = self._stalled == PATIENCE
+        self.restarted = self._stalled == self.settings.patience
         if self.restarted:
-            self._search_anew(loss, initial)
+            for _ in range(self.settings.restarts):
+                self._search_anew(loss, initial)
             self._stalled = 0
         self._longest, self._least = max(self._longest, self.result.horizon), min(self._least, self.result.kl)
         return TensorDict({loss.out_keys[0]: torch.tensor(self.result.kl, dtype=torch.float64)})
@@ -69,7 +69,7 @@ class PolicySearchStepper(OptimizationStepper):
     def _search_anew(self, loss: TrajectoryLoss, initial: Gaussian) -> None:
         first = copy.deepcopy(loss.actor_network.state_dict())
         loss.actor_network.load_state_dict(self.make_policy().state_dict())
-        second = search_policy(loss, initial, self.settings, self.report)
+        second = search_policy(loss, initial, self.settings, self.report, random=True)
         better = second if second.kl < self.result.kl else self.result
         if better is not second:
             loss.actor_network.load_state_dict(first)

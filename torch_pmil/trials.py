@@ -36,7 +36,7 @@ class Trial(Measurement):
     Args:
         kl: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
         horizon: step up to which the search trusted the prediction.
-        restarted: whether a second search was made, from a new random policy.
+        restarted: whether other searches were made, from new random policies.
         gp_seconds, search_seconds: wall time.
         evaluations: of the objective.
         stop_reason: why the last run of L-BFGS ended.

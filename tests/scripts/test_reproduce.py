@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -24,12 +25,12 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     return partial(run_script, monkeypatch, SCRIPT)
 
 
-def toy(learn: Callable[[Path, str], object] | None = None) -> PaperExperiment:
+def toy(learn: Callable[[Path, str], object] | None = None, **headline: float | None) -> PaperExperiment:
     def runs(root: Path, quick: bool) -> list[Run]:
         return [] if learn is None else [Run(root / "seed_0", learn)]
 
     def report(folders: Sequence[Path], quick: bool) -> Report:
-        return Report({"pi": 3.14159265, "quick": quick}, {"empty": Figure()})
+        return Report({"pi": 3.14159265, "quick": quick, **headline}, {"empty": Figure()})
 
     return PaperExperiment("figure6", "nothing", runs, report)
 
@@ -40,6 +41,15 @@ def test_headline_and_files_are_told(script: Script, monkeypatch: pytest.MonkeyP
     assert capsys.readouterr().out == "pi: 3.142\nquick: 0\nsee results/figure6/summary.json, results/figure6/empty.png\n"
     script("figure6", "--quick")
     assert "quick: 1\nsee results/quick/figure6/summary.json" in capsys.readouterr().out
+
+
+def test_what_never_came_about_is_told_and_written_as_such(
+    script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(PAPER, "figure6", toy(experience_to_95=None))
+    script("figure6")
+    assert "experience_to_95: never\n" in capsys.readouterr().out
+    assert json.loads(Path("results/figure6/summary.json").read_text())["headline"]["experience_to_95"] is None
 
 
 def test_unknown_name_is_refused_with_those_there_are(script: Script, capsys: pytest.CaptureFixture[str]) -> None:

@@ -24,7 +24,9 @@ COST_WIDTH = 2.0  # m, Eq. 28
 UPRIGHT = (0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH)  # m
 VELOCITY_STD = 3.0  # rad/s
 SPREAD = 400  # states
-SEARCH = SearchSettings(mean_iterations=40, stage_iterations=20, final_iterations=40, first_horizon=3, horizon_step=3, trusted=0.025)
+SEARCH = SearchSettings(
+    mean_iterations=40, stage_iterations=20, final_iterations=40, first_horizon=3, trusted=0.025, leaps=False, patience=1, restarts=2
+)
 
 
 @dataclass(frozen=True)
@@ -32,12 +34,13 @@ class PilcoExperiment(Experiment):
     """A task learned from the expected saturating cost of not being at a target (Eq. 28), without regard to the demonstrations.
 
     These give the number of steps and are drawn beside the prediction, nothing more: the policy's centres are spread over
-    the state space, and the model learns from all transitions, however fast.
+    the state space, and what is too fast to learn from is told by the sampling.
 
     Args:
         target: where to be, (M,), in the match space.
         cost_width: distance from the target beyond which the cost saturates, in the unit of the match space.
         velocity_std: of the states near which centres are drawn, in the unit of the entries that are no angles; angles are uniform.
+        velocity_limit: of the states from which the model learns, in the same unit.
 
     Example:
         >>> pilco = double_pendulum_pilco()
@@ -50,16 +53,20 @@ class PilcoExperiment(Experiment):
     target: Tensor = field(kw_only=True)
     cost_width: float = field(kw_only=True)
     velocity_std: float = field(kw_only=True)
+    velocity_limit: float = field(kw_only=True)
 
     @property
     def limits(self) -> Tensor:
-        """None: without demonstrations there is no measure of what is far from the task."""
-        return torch.full_like(self.initial.mean, torch.inf)
+        """Largest absolute values of the state (D,) that the model learns from, angles without limit."""
+        limits = torch.full_like(self.initial.mean, self.velocity_limit)
+        limits[list(self.space.angles)] = torch.inf
+        return limits
 
     @property
     def settings(self) -> dict[str, object]:
         """Numbers that a run depends on."""
-        return super().settings | {"target": self.target.tolist(), "cost_width": self.cost_width, "velocity_std": self.velocity_std}
+        own = {"cost_width": self.cost_width, "velocity_std": self.velocity_std, "velocity_limit": self.velocity_limit}
+        return super().settings | {"target": self.target.tolist(), **own}
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> ExpectedSaturatingCost:
         """What the policy is searched for: the expected cost of not being at the target."""
@@ -80,10 +87,17 @@ def random_states(space: StateSpace, velocity_std: float, generator: torch.Gener
 
 
 def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> PilcoExperiment:
-    """The swing-up of Section 5.1 by PILCO; arguments and errors are those of :func:`double_pendulum`."""
+    """The swing-up of Section 5.1 by PILCO; arguments and errors are those of :func:`double_pendulum`.
+
+    The model learns from states up to half a turn in a control step: of faster ones the samples do not tell how far a joint turned.
+    """
     task = double_pendulum(demonstrations)
     same = {entry.name: getattr(task, entry.name) for entry in fields(task)}
     own = {"name": "double_pendulum_pilco", "search": SEARCH}
     return PilcoExperiment(
-        **(same | own), target=torch.tensor(UPRIGHT, dtype=torch.float64), cost_width=COST_WIDTH, velocity_std=VELOCITY_STD
+        **(same | own),
+        target=torch.tensor(UPRIGHT, dtype=torch.float64),
+        cost_width=COST_WIDTH,
+        velocity_std=VELOCITY_STD,
+        velocity_limit=math.pi / task.demonstrations.time_step,
     )

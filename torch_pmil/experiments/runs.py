@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import norm
 
 CONFIDENCE = 0.95
+ROUNDING = 1e-9  # of a mean of rates
 NUMBERS = ("seed", "wall_seconds", "saved_trial")
 COVERAGE = "two_sigma_coverage"  # of a method that predicts
 TEXTS = ("experiment", "stop_reason")
@@ -38,6 +39,15 @@ class SuccessCurve:
     mean: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
+
+    def at(self, experience_s: float) -> float:
+        """Mean success rate with that much experience: of the last measurement up to then, or of the first one."""
+        return self.mean[max(np.searchsorted(self.experience_s, experience_s, side="right") - 1, 0)].item()
+
+    def experience_to(self, rate: float) -> float | None:
+        """Seconds of experience with which the mean first reached a rate; None if it never did."""
+        reached = self.experience_s[self.mean >= rate - ROUNDING]
+        return reached[0].item() if len(reached) else None
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:

@@ -7,6 +7,7 @@ from torch_pmil.plotting.pendulum import pendulum_frames, plot_poses
 from torch_pmil.plotting.style import BLUE, GREY, VERMILLION, save_figure, style
 from torch_pmil.plotting.success import (
     plot_learning_curve,
+    plot_success_of_methods,
     plot_success_over_experience,
     plot_success_over_mass,
     plot_success_over_settings,
@@ -26,6 +27,7 @@ __all__ = [
     "plot_learning_curve",
     "plot_moment_matching",
     "plot_poses",
+    "plot_success_of_methods",
     "plot_success_over_experience",
     "plot_success_over_mass",
     "plot_success_over_settings",

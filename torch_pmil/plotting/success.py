@@ -90,6 +90,39 @@ def plot_success_over_experience(experience_s: np.ndarray, rates: np.ndarray, lo
     return figure
 
 
+def plot_success_of_methods(curves: Mapping[str, Sequence[np.ndarray]]) -> Figure:
+    """Mean success rate of several methods, each with its 95 % interval, over the robot's experience (Figure 7).
+
+    Args:
+        curves: of each method, by its name: seconds of motion that the robot had learned from, (K,), and for these the mean over runs and
+            the ends of its interval, fractions from 0 to 1, (K,) each; drawn in percent, with the paper's 95 % as a dotted line.
+
+    Raises:
+        ValueError: the lengths of a method's curves differ.
+
+    Example:
+        >>> mean = np.array([0.0, 1.0])
+        >>> figure = plot_success_of_methods({"a": (np.array([2.5, 5.0]), mean, mean, mean)})
+        >>> [text.get_text() for text in figure.legends[0].get_texts()]
+        ['a']
+    """
+    figure = Figure(figsize=(6.0, 3.6), layout="constrained")
+    panel = figure.subplots()
+    _success_axis(panel)
+    for (name, curve), (colour, marker) in zip(curves.items(), cycle(SERIES), strict=False):
+        lengths = [len(values) for values in curve]
+        if len(set(lengths)) > 1:
+            raise ValueError(f"experience, mean and interval of {name} must be equally long, got {lengths}")
+        experience_s, mean, lower, upper = curve
+        panel.fill_between(experience_s, 100 * lower, 100 * upper, facecolor=(colour, 0.15), edgecolor=(colour, 0.5), linewidth=0.6)
+        panel.plot(experience_s, 100 * mean, color=colour, marker=marker, markersize=4, clip_on=False, zorder=3, label=name)
+    panel.set(xlabel="experience (s)")
+    panel.set_xlim(left=0)
+    style(panel)
+    figure.legend(loc="outside upper center", ncols=len(curves), frameon=False)
+    return figure
+
+
 def plot_success_over_mass(
     masses: Sequence[float], rates: Mapping[str, np.ndarray], torques: np.ndarray, limit: float, demonstrated: float
 ) -> Figure:

@@ -18,7 +18,7 @@ from torch_pmil.experiments.runs import RunError, is_finished, read_summary
 from torch_pmil.experiments.training import train
 from torch_pmil.files import write_json
 from torch_pmil.plotting import Figure, save_figure
-from torch_pmil.trials import Trial
+from torch_pmil.trials import Measurement
 
 OF_RUN = ("experiment", "seed", "command", "date", "commit", "experience_s", "wall_seconds")  # what results say of each run
 
@@ -42,12 +42,12 @@ class Report:
     """What came out.
 
     Args:
-        headline: main numbers, flat.
+        headline: main numbers, flat; None for what never came about.
         figures: by name.
         details: other numbers for the summary, as JSON can say them.
     """
 
-    headline: dict[str, float]
+    headline: dict[str, float | None]
     figures: dict[str, Figure]
     details: dict[str, object] = field(default_factory=dict)
 
@@ -158,10 +158,11 @@ def _attempt(run: Run, command: str) -> str | None:
 
 
 def _learn(out: Path, command: str, experiment: Experiment, seed: int, trials: int) -> None:
-    train(experiment, seed, trials, out, command, progress_bar=False, on_trial=partial(_tell, out), resume=True)
+    train(experiment, seed, trials, out, command, progress_bar=False, on_trial=partial(tell_trial, out), resume=True)
 
 
-def _tell(out: Path, trial: Trial) -> None:
+def tell_trial(out: Path, trial: Measurement) -> None:
+    """Say how a trial of a run went, above the progress bar of all runs."""
     tqdm.write(f"{out}: trial {trial.trial}, {trial.experience_s:.1f} s of experience, success rate {trial.success_rate:.0%}")
 
 

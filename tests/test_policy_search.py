@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, replace
 
@@ -14,8 +15,8 @@ from torch_pmil.dynamics import GPDynamics
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.policy_search import SearchResult, SearchSettings, _evaluate, search_policy
-from torch_pmil.rollout import PredictionError
+from torch_pmil.policy_search import SearchResult, SearchSettings, _evaluate, renew_policy, search_policy
+from torch_pmil.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
 from torch_pmil.state_space import StateSpace, joint_match
 
 HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
@@ -226,6 +227,47 @@ def test_failures_within_a_run_are_survived_and_counted(loss: TrajectoryKLLoss, 
     assert result.evaluations > len(calls) > 2
 
 
+def renewed(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS) -> tuple[Tensor, Tensor, RBFPolicy]:
+    """Actions before and after along the mean of the old policy, x_0 first, and the new policy as it was drawn."""
+    draws = Draws(seed=5)
+    new, policy = make_policy(draws), loss.actor_network
+    drawn = {name: value.clone() for name, value in new.state_dict().items()}
+    mean = predict_mean_trajectory(INITIAL.mean, policy, loss.dynamics, SPACE, HORIZON)
+    features = SPACE.features(torch.cat([INITIAL.mean[None], mean])).detach()
+    before = policy(features).detach()
+    renew_policy(loss, INITIAL, new, settings, draws.generator)
+    after = policy(features).detach()
+    new.load_state_dict(drawn)
+    return before, after, new
+
+
+def test_renewed_policy_acts_nearly_as_the_old_one_along_the_prediction(found: TrajectoryKLLoss) -> None:
+    before, after, drawn = renewed(found)
+    assert (after - before).abs().max() < 0.05 * U_MAX
+    features = SPACE.features(INITIAL.mean)
+    assert (drawn(features) - before[0]).abs() > 0.2 * U_MAX
+
+
+def test_renewed_policy_has_the_centres_and_widths_of_the_new_one(found: TrajectoryKLLoss) -> None:
+    _, _, drawn = renewed(found)
+    assert torch.equal(found.actor_network.centres, drawn.centres)
+    assert torch.equal(found.actor_network.log_widths, drawn.log_widths)
+    assert not torch.equal(found.actor_network.weights, drawn.weights)
+
+
+def test_policy_that_is_trusted_nowhere_is_renewed_at_the_start_alone(found: TrajectoryKLLoss) -> None:
+    everywhere, nowhere = (renewed(copy.deepcopy(found), SearchSettings(first_horizon=1, trusted=trusted)) for trusted in (math.inf, 0.0))
+    near, far = ((after - before).abs() for before, after, _ in (everywhere, nowhere))
+    assert far[0] < near[0]
+    assert far[-1] > 2 * near[-1]
+
+
+def test_renewal_with_the_same_seed_is_the_same(dynamics: GPDynamics) -> None:
+    losses = [make_loss(dynamics, Draws(seed=0), REACHABLE) for _ in range(2)]
+    (_, one, _), (_, other, _) = (renewed(loss) for loss in losses)
+    assert torch.equal(one, other)
+
+
 @pytest.mark.parametrize("known", [3, 4])
 def test_horizon_grows_no_further_than_the_prediction_can_be_followed(
     loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, known: int
@@ -241,3 +283,14 @@ def test_without_iterations_of_the_mean_each_horizon_begins_with_the_loss(loss: 
     assert horizons(found, "mean") == []
     assert horizons(found, "KL")[:2] == [2, 4]
     assert found.result.kl < 0.5 * make_loss(loss.dynamics, Draws(seed=0), REACHABLE).per_step(INITIAL).sum().item()
+
+
+def test_policy_whose_prediction_fails_early_is_renewed_as_far_as_it_can_be_followed(found: TrajectoryKLLoss) -> None:
+    def failing(*arguments: object) -> Gaussian:
+        if arguments[-1] > 2:
+            raise PredictionError("prediction of step 3 failed", 3)
+        return predict_trajectory(*arguments)
+
+    found.prediction = failing
+    before, after, _ = renewed(found, replace(SETTINGS, first_horizon=HORIZON))
+    assert (after - before)[:3].abs().max() < 0.05 * U_MAX

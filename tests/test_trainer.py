@@ -20,7 +20,7 @@ from torch_pmil.experiments.training import make_trainer
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings
 from torch_pmil.rollout import PredictionError
-from torch_pmil.search_stepper import PolicySearchStepper
+from torch_pmil.search_stepper import PROGRESS, PolicySearchStepper
 from torch_pmil.trainer import PMILTrainer
 from torch_pmil.trials import Candidate, Trial
 
@@ -227,89 +227,71 @@ def test_best_policy_is_chosen_under_a_model_of_all_experience(candidates: Calla
 # the search of a trial
 
 
-DEFAULTS = SearchSettings()
-
-
 class ScriptedSearches:
     """A stepper whose searches end with these results; the policy's weights are then the number of the search, 1, 2, ..."""
 
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, results: list[tuple[float, int, bool]], settings: SearchSettings = DEFAULTS
-    ) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, results: list[tuple[float, int, bool]]) -> None:
         self.loss = make(trials=1)[0].loss_module
-        self.anew_at: list[int] = []  # numbers of the searches that began from a new policy
-        self.random_at: list[int] = []  # and of those that were told so
+        self.renewed_from: list[int] = []  # numbers of the searches whose policies were renewed
+        self.random_at: list[int] = []  # and of those that were told that theirs is random
         self.searches = 0
         self._results = iter(results)
         monkeypatch.setattr(stepper_module, "search_policy", self._search)
-        self.stepper = PolicySearchStepper(settings, self._make_policy, lambda *_: None)
+        monkeypatch.setattr(stepper_module, "renew_policy", lambda *_: self.renewed_from.append(self.kept))
+        self.stepper = PolicySearchStepper(SearchSettings(), lambda: None, torch.Generator(), lambda *_: None)
 
-    def _search(self, loss: torch.nn.Module, *_: object, random: bool) -> SearchResult:
+    def _search(self, loss: torch.nn.Module, *_: object, random: bool = False) -> SearchResult:
         self.searches += 1
         self.random_at += [self.searches] if random else []
-        if (loss.actor_network.weights == -1).all():
-            self.anew_at.append(self.searches)
         loss.actor_network.weights.data.fill_(self.searches)
         kl, horizon, matched = next(self._results)
         per_step = torch.full((HORIZON,), kl / HORIZON, dtype=torch.float64)
         return SearchResult(kl, per_step, horizon, matched, evaluations=10, failures=1, seconds=0.5, stop_reason="iteration limit")
 
-    def _make_policy(self) -> RBFPolicy:
-        policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
-        policy.weights.data.fill_(-1)
-        return policy
+    @property
+    def kept(self) -> int:
+        """Number of the search whose policy the loss holds."""
+        return int(self.loss.actor_network.weights[0, 0].item())
 
     def step(self) -> int:
-        """One trial's search; number of the search whose policy was kept."""
+        """One trial's search; number of the one whose policy was kept."""
         start = TensorDict({"observation": {"mean": torch.zeros(4), "var": torch.eye(4)}})
         loss = self.stepper.step(SimpleNamespace(loss_module=self.loss), start)["loss_kl"]
         assert loss.item() == self.stepper.result.kl
-        return int(self.loss.actor_network.weights[0, 0].item())
+        return self.kept
 
 
-@pytest.mark.parametrize("second", [(99.0, 3, False), (90.0, 2, False), (99.0, 4, True)], ids=["farther", "less KL", "complete"])
-def test_search_that_makes_progress_is_not_begun_anew(monkeypatch: pytest.MonkeyPatch, second: tuple[float, int, bool]) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(99.0, 2, False), second])
+SLOW = 1.1 * PROGRESS * 100  # after a search that came to 100
+
+
+@pytest.mark.parametrize("second", [(0.9 * PROGRESS * 100, 2, False), (SLOW, 4, True)], ids=["well below", "complete"])
+def test_search_that_makes_progress_is_the_only_one(monkeypatch: pytest.MonkeyPatch, second: tuple[float, int, bool]) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), second])
     assert [scripted.step(), scripted.step()] == [1, 2]
-    assert not scripted.stepper.restarted
+    assert (scripted.renewed_from, scripted.random_at, scripted.stepper.renewed) == ([], [1], False)
 
 
-STALLED = [(99.0, 2, False)] * (1 + DEFAULTS.patience)
-
-
-@pytest.mark.parametrize(("anew", "keeps_new"), [(50.0, True), (100.0, False)], ids=["better", "worse"])
-def test_searches_without_progress_are_begun_anew_and_the_better_one_is_kept(
-    monkeypatch: pytest.MonkeyPatch, anew: float, keeps_new: bool
+@pytest.mark.parametrize(("renewed", "kept"), [(50.0, 3), (99.0, 2)], ids=["better", "worse"])
+def test_search_without_progress_is_followed_by_one_of_the_renewed_policy_and_the_better_is_kept(
+    monkeypatch: pytest.MonkeyPatch, renewed: float, kept: int
 ) -> None:
-    scripted = ScriptedSearches(monkeypatch, [*STALLED, (anew, 2, False)])
-    kept = [scripted.step() for _ in STALLED]
-    assert scripted.anew_at == [len(STALLED) + 1]
-    assert kept == [*range(1, len(STALLED)), len(STALLED) + keeps_new]
+    scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), (SLOW, 3, False), (renewed, 2, False)])
+    assert [scripted.step(), scripted.step()] == [1, kept]
+    assert (scripted.renewed_from, scripted.stepper.renewed) == ([2], True)
     result = scripted.stepper.result
-    assert scripted.stepper.restarted
-    assert result.kl == min(anew, 99.0)
+    assert result.kl == min(renewed, SLOW)
     assert (result.evaluations, result.failures, result.seconds) == (20, 2, 1.0)
 
 
-def test_there_are_as_many_restarts_as_told_as_soon_as_told_and_the_best_search_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    results = [(99.0, 2, False), (98.0, 2, False), (60.0, 2, False), (50.0, 2, False), (70.0, 2, False)]
-    scripted = ScriptedSearches(monkeypatch, results, SearchSettings(patience=1, restarts=3))
-    assert [scripted.step(), scripted.step()] == [1, 4]
-    assert scripted.anew_at == [3, 4, 5]
-    assert scripted.random_at == [1, 3, 4, 5]
-    assert (scripted.stepper.result.kl, scripted.stepper.result.evaluations) == (50.0, 40)
-
-
-def test_progress_in_between_starts_the_count_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    results = [*STALLED[:-1], (99.0, 3, False), *STALLED[:-2], (99.0, 4, True), *STALLED[:-2]]
-    scripted = ScriptedSearches(monkeypatch, results)
-    assert [scripted.step() for _ in results] == list(range(1, len(results) + 1))
-    assert scripted.anew_at == []
+def test_progress_is_from_the_least_loss_of_all_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), (150.0, 2, False), (140.0, 2, False), (SLOW, 2, False), (95.0, 2, False)])
+    assert [scripted.step() for _ in range(3)] == [1, 3, 4]
+    assert scripted.renewed_from == [2, 4]
 
 
 def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(math.inf, 2, False)] * (1 + DEFAULTS.patience) + [(50.0, 2, False)])
-    assert [scripted.step() for _ in STALLED][-1] == len(STALLED) + 1
+    scripted = ScriptedSearches(monkeypatch, [(math.inf, 2, False), (50.0, 2, False)])
+    assert scripted.step() == 2
 
 
 # what the robot executes

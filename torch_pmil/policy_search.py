@@ -13,8 +13,12 @@ from torch import Tensor
 from torch_pmil.conditioning import ConditionedLoss
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.lbfgs import MinimiseResult, NotFiniteError, minimise, restore
+from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import PredictionError
 from torch_pmil.trajectory_loss import TrajectoryLoss
+
+RENEWAL_SAMPLES = 20  # states a time step
+WORTHWHILE = 0.9  # of the loss at its start: what a run must come to for another one to follow
 
 
 @dataclass(frozen=True)
@@ -32,8 +36,6 @@ class SearchSettings:
         leaps: whether the horizon leaps to where the prediction ceases to be trusted: right for the KL, which is trusted where it matches.
             A motion that is predicted well may be no good for another loss; then the horizon grows step by step, and from the first one
             on for a random policy.
-        patience: searches in a row without progress before others begin from random policies (:class:`PolicySearchStepper`).
-        restarts: how many others.
     """
 
     mean_iterations: int = 60
@@ -43,8 +45,6 @@ class SearchSettings:
     horizon_step: int = 3
     trusted: float = 3.0
     leaps: bool = True
-    patience: int = 2
-    restarts: int = 1
 
 
 @dataclass(frozen=True)
@@ -136,10 +136,18 @@ class _Search:
             if self.settings.mean_iterations:
                 self.run("mean", self.loss.mean_per_step, horizon, self.settings.mean_iterations)
             self.run(self.loss.label, self.loss.per_step, horizon, self.settings.stage_iterations)
+            while self._worth_more(horizon):
+                self.run(self.loss.label, self.loss.per_step, horizon, self.settings.stage_iterations)
         except (PredictionError, NotFiniteError):
             restore(self.parameters, before)
             return False
         return True
+
+    def _worth_more(self, horizon: int) -> bool:
+        """Whether the last steps are not trusted yet, and the last run might have come further with more iterations."""
+        last = self.runs[-1]
+        unfinished = last.stop_reason == "iteration limit" and last.loss < WORTHWHILE * last.initial_loss
+        return unfinished and not _trusted(_evaluate(self.loss.doubt, self.initial, horizon), horizon, self.settings)
 
     def result(self, horizon: int) -> SearchResult:
         """What the policy has come to."""
@@ -154,6 +162,31 @@ class _Search:
             seconds=time.perf_counter() - self.start,
             stop_reason=self.runs[-1].stop_reason,
         )
+
+
+@torch.no_grad()
+def renew_policy(loss: TrajectoryLoss, initial: Gaussian, new: RBFPolicy, settings: SearchSettings, generator: torch.Generator) -> None:
+    """Give the policy of ``loss`` the new policy's centres and widths, and weights that act as it did where it is trusted.
+
+    Searches on early, poor models may drive widths and centres to extremes from which no later search returns. A new network
+    that was fitted to the old one's actions keeps what was learned, and can be searched well.
+
+    Args:
+        loss: objective with the policy (changed in place) and the newest model.
+        initial: p(x_0).
+        new: a random policy of the same shape; changed in place.
+        settings: says up to which step the prediction is trusted.
+        generator: of the states, drawn from the prediction, at which the actions are compared.
+    """
+    doubt = _evaluate(loss.doubt, initial, loss.horizon)
+    trusted = min(_first_unmatched(doubt, settings) - 1, int(doubt.isfinite().sum()))
+    states = initial.sample(RENEWAL_SAMPLES, generator)[:, None]
+    if trusted > 0:
+        predicted = loss.predict_states(initial, trusted)
+        states = torch.cat([states, predicted.sample(RENEWAL_SAMPLES, generator)], 1)
+    features = loss.space.features(states.flatten(0, 1))
+    new.fit_weights(features, loss.actor_network(features))
+    loss.actor_network.load_state_dict(new.state_dict())
 
 
 @torch.no_grad()

@@ -13,22 +13,22 @@ from torchrl.trainers import OptimizationStepper, Trainer
 
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
+from torch_pmil.policy_search import SearchResult, SearchSettings, renew_policy, search_policy
 from torch_pmil.trajectory_loss import TrajectoryLoss
 
-STATE = ("_longest", "_least", "_stalled")
+PROGRESS = 0.8  # of the least loss so far: what a search should come to
 
 
 class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
-    A search starts from the policy that the last one left. Some searches in a row without progress (no more steps trusted, and not
-    a twentieth less loss than the best before) sit in a local optimum: others begin at once from random policies, and the best
-    one is kept.
+    A search starts from the policy that the last one left. Where it neither matches the whole horizon nor brings the loss well below the
+    least so far, another starts from what it found, renewed (:func:`renew_policy`), and the better one is kept.
 
     Args:
-        settings: budget and horizon of a search, and when and how often it begins anew.
+        settings: budget and horizon of a search.
         make_policy: a new random policy of the same shape.
+        generator: of the renewal.
         report: called with the name and the loss of each run of L-BFGS.
     """
 
@@ -36,49 +36,43 @@ class PolicySearchStepper(OptimizationStepper):
         self,
         settings: SearchSettings,
         make_policy: Callable[[], RBFPolicy],
+        generator: torch.Generator,
         report: Callable[[str, float], None],
     ) -> None:
-        self.settings, self.make_policy, self.report = settings, make_policy, report
+        self.settings, self.make_policy, self.generator, self.report = settings, make_policy, generator, report
         self.result: SearchResult | None = None
-        self.restarted = False
-        self._longest, self._least, self._stalled = 0, math.inf, 0
+        self.renewed = False
+        self._least = math.inf
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
         loss = trainer.loss_module
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
         self.result = search_policy(loss, initial, self.settings, self.report, random=self._least == math.inf)
-        self._stalled = 0 if self.result.complete or self._progressed() else self._stalled + 1
-        self.restarted = self._stalled == self.settings.patience
-        if self.restarted:
-            for _ in range(self.settings.restarts):
-                self._search_anew(loss, initial)
-            self._stalled = 0
-        self._longest, self._least = max(self._longest, self.result.horizon), min(self._least, self.result.kl)
+        self.renewed = not (self.result.complete or self.result.kl < PROGRESS * self._least)
+        if self.renewed:
+            self._search_renewed(loss, initial)
+        self._least = min(self._least, self.result.kl)
         return TensorDict({loss.out_keys[0]: torch.tensor(self.result.kl, dtype=torch.float64)})
 
     def state_dict(self) -> dict[str, object]:
         """What the next search depends on, besides policy and model."""
-        return {name: getattr(self, name) for name in STATE}
+        return {"least": self._least}
 
     def load_state_dict(self, state_dict: dict[str, object]) -> None:
         """Restore what :meth:`state_dict` gave."""
-        for name in STATE:
-            setattr(self, name, state_dict[name])
+        self._least = state_dict["least"]
 
-    def _search_anew(self, loss: TrajectoryLoss, initial: Gaussian) -> None:
-        first = copy.deepcopy(loss.actor_network.state_dict())
-        loss.actor_network.load_state_dict(self.make_policy().state_dict())
-        second = search_policy(loss, initial, self.settings, self.report, random=True)
+    def _search_renewed(self, loss: TrajectoryLoss, initial: Gaussian) -> None:
+        found = copy.deepcopy(loss.actor_network.state_dict())
+        renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
+        second = search_policy(loss, initial, self.settings, self.report)
         better = second if second.kl < self.result.kl else self.result
         if better is not second:
-            loss.actor_network.load_state_dict(first)
+            loss.actor_network.load_state_dict(found)
         self.result = replace(
             better,
             seconds=self.result.seconds + second.seconds,
             evaluations=self.result.evaluations + second.evaluations,
             failures=self.result.failures + second.failures,
         )
-
-    def _progressed(self) -> bool:
-        return self.result.horizon > self._longest or self.result.kl < 0.95 * self._least

@@ -56,7 +56,7 @@ class PMILTrainer(Trainer):
         make_policy: a new random policy, drawn from a generator.
         random_torque: of the first rollout, as a fraction of the limits.
         policy_generator: of new policies.
-        generator: of the random torques.
+        generator: of the random torques and of the renewal of policies.
         on_trial: called with each trial when its own rollout is done.
         progress_bar: whether to show progress.
         logger: TorchRL's, for the numbers of every trial; None for none.
@@ -107,7 +107,7 @@ class PMILTrainer(Trainer):
             frame_skip=1,
             optim_steps_per_batch=1,
             loss_module=loss_module,
-            optimization_stepper=PolicySearchStepper(search, lambda: make_policy(policy_generator), self._report),
+            optimization_stepper=PolicySearchStepper(search, lambda: make_policy(policy_generator), generator, self._report),
             progress_bar=progress_bar,
             logger=logger,
             log_interval=0,
@@ -248,7 +248,7 @@ class PMILTrainer(Trainer):
             own_success=False,
             kl=search.kl,
             horizon=search.horizon,
-            restarted=self.optimization_stepper.restarted,
+            renewed=self.optimization_stepper.renewed,
             gp_seconds=self._fit.seconds,
             search_seconds=search.seconds,
             evaluations=search.evaluations,
@@ -261,7 +261,7 @@ class PMILTrainer(Trainer):
         """What else the logger gets of a search."""
         if self._pending is None:
             return None
-        return {key: getattr(self._pending, key) for key in ("horizon", "restarted", "gp_seconds", "search_seconds", "evaluations")}
+        return {key: getattr(self._pending, key) for key in ("horizon", "renewed", "gp_seconds", "search_seconds", "evaluations")}
 
     def _log_own_rollout(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
         if not self.trials:

@@ -36,7 +36,7 @@ class Trial(Measurement):
     Args:
         kl: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
         horizon: step up to which the search trusted the prediction.
-        restarted: whether other searches were made, from new random policies.
+        renewed: whether a second search was made, from a renewed policy.
         gp_seconds, search_seconds: wall time.
         evaluations: of the objective.
         stop_reason: why the last run of L-BFGS ended.
@@ -44,7 +44,7 @@ class Trial(Measurement):
 
     kl: float
     horizon: int
-    restarted: bool
+    renewed: bool
     gp_seconds: float
     search_seconds: float
     evaluations: int

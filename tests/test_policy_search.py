@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import pytest
 import torch
@@ -15,7 +16,7 @@ from torch_pmil.dynamics import GPDynamics
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
-from torch_pmil.policy_search import SearchResult, SearchSettings, _evaluate, renew_policy, search_policy
+from torch_pmil.policy_search import WORTHWHILE, SearchResult, SearchSettings, _evaluate, renew_policy, search_policy
 from torch_pmil.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
 from torch_pmil.state_space import StateSpace, joint_match
 
@@ -255,11 +256,14 @@ def test_renewed_policy_has_the_centres_and_widths_of_the_new_one(found: Traject
     assert not torch.equal(found.actor_network.weights, drawn.weights)
 
 
-def test_policy_that_is_trusted_nowhere_is_renewed_at_the_start_alone(found: TrajectoryKLLoss) -> None:
-    everywhere, nowhere = (renewed(copy.deepcopy(found), SearchSettings(first_horizon=1, trusted=trusted)) for trusted in (math.inf, 0.0))
-    near, far = ((after - before).abs() for before, after, _ in (everywhere, nowhere))
-    assert far[0] < near[0]
-    assert far[-1] > 2 * near[-1]
+@pytest.mark.parametrize(("trusted", "same"), [(0.0, True), (math.inf, False)], ids=["nowhere", "everywhere"])
+def test_policy_is_renewed_at_the_start_and_where_the_prediction_is_trusted(found: TrajectoryKLLoss, trusted: float, same: bool) -> None:
+    """What a model predicts matters only where it is trusted."""
+    other = copy.deepcopy(found)
+    other.dynamics.set_data(other.dynamics.train_inputs, -other.dynamics.train_targets)
+    for loss in (found, other):
+        renew_policy(loss, INITIAL, make_policy(Draws(seed=5)), SearchSettings(first_horizon=1, trusted=trusted), Draws(seed=6).generator)
+    assert torch.equal(found.actor_network.weights, other.actor_network.weights) == same
 
 
 def test_renewal_with_the_same_seed_is_the_same(dynamics: GPDynamics) -> None:
@@ -294,3 +298,19 @@ def test_policy_whose_prediction_fails_early_is_renewed_as_far_as_it_can_be_foll
     found.prediction = failing
     before, after, _ = renewed(found, replace(SETTINGS, first_horizon=HORIZON))
     assert (after - before)[:3].abs().max() < 0.05 * U_MAX
+
+
+def losses_at(found: Search, horizon: int) -> list[float]:
+    """Of the runs on the KL up to a horizon, the last search left out."""
+    return [loss for name, loss in found.reports[:-1] if name == f"KL {horizon}/{HORIZON}"]
+
+
+def test_horizon_that_is_not_trusted_is_searched_on_while_that_lowers_the_loss(hopeless: TrajectoryKLLoss) -> None:
+    """No torque leads to step 4: the search on the horizon that holds it goes on while runs of two iterations bring a tenth."""
+    found = search(hopeless, SearchSettings(1, 2, 1, first_horizon=4, horizon_step=1, trusted=1.0))
+    reached = losses_at(found, 4)
+    falls = [after / before for before, after in pairwise(reached)]
+    assert len(falls) > 1
+    assert all(fall < WORTHWHILE for fall in falls[:-1])
+    assert falls[-1] >= WORTHWHILE
+    assert found.result.horizon == 4

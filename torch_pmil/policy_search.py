@@ -27,7 +27,8 @@ class SearchSettings:
 
     Args:
         mean_iterations: of L-BFGS on the mean alone, for each horizon; 0 begins with the loss.
-        stage_iterations: on the loss, for each horizon that is extended further.
+        stage_iterations: on the loss, for each horizon; as many again while its last steps are not trusted and each time lowers the loss
+            by a tenth.
         final_iterations: on the loss, at the last horizon.
         first_horizon: least number of steps of the first horizon.
         horizon_step: steps by which the horizon grows.
@@ -82,8 +83,8 @@ def search_policy(
     The far, unpredictable part of a trajectory would pull the policy away from the near part that is right already.
     So the horizon starts where the present policy stops matching, and grows; at each horizon the mean alone is
     searched first (a policy that only widens the prediction is no optimum there), then the loss. It stops growing
-    where the doubt of the last steps is more than ``settings.trusted`` each. A policy whose every step is trusted already is searched on
-    the loss of the whole horizon alone.
+    where the loss falls no more and the doubt of the last steps is still more than ``settings.trusted`` each. A policy whose every
+    step is trusted already is searched on the loss of the whole horizon alone.
 
     Args:
         loss: objective with the policy (changed in place) and the model.

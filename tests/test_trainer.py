@@ -230,7 +230,7 @@ def test_best_policy_is_chosen_under_a_model_of_all_experience(candidates: Calla
 class ScriptedSearches:
     """A stepper whose searches end with these results; the policy's weights are then the number of the search, 1, 2, ..."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, results: list[tuple[float, int, bool]]) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, results: list[tuple[float, int, bool]], restarts: int = 0) -> None:
         self.loss = make(trials=1)[0].loss_module
         self.renewed_from: list[int] = []  # numbers of the searches whose policies were renewed
         self.random_at: list[int] = []  # and of those that were told that theirs is random
@@ -238,9 +238,15 @@ class ScriptedSearches:
         self._results = iter(results)
         monkeypatch.setattr(stepper_module, "search_policy", self._search)
         monkeypatch.setattr(stepper_module, "renew_policy", lambda *_: self.renewed_from.append(self.kept))
-        self.stepper = PolicySearchStepper(SearchSettings(), lambda: None, torch.Generator(), lambda *_: None)
+        self.stepper = PolicySearchStepper(SearchSettings(restarts=restarts), self._random, torch.Generator(), lambda *_: None)
 
-    def _search(self, loss: torch.nn.Module, *_: object, random: bool = False) -> SearchResult:
+    def _random(self) -> RBFPolicy:
+        policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
+        policy.weights.data.fill_(-1)
+        return policy
+
+    def _search(self, loss: torch.nn.Module, *_: object, random: bool) -> SearchResult:
+        assert not random or self.kept in (-1, 0)
         self.searches += 1
         self.random_at += [self.searches] if random else []
         loss.actor_network.weights.data.fill_(self.searches)
@@ -281,6 +287,14 @@ def test_search_without_progress_is_followed_by_one_of_the_renewed_policy_and_th
     result = scripted.stepper.result
     assert result.kl == min(renewed, SLOW)
     assert (result.evaluations, result.failures, result.seconds) == (20, 2, 1.0)
+
+
+def test_searches_from_random_policies_follow_until_one_brings_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    results = [(100.0, 2, False), (SLOW, 2, False), (SLOW, 2, False), (99.0, 2, False), (50.0, 2, False)]
+    scripted = ScriptedSearches(monkeypatch, results, restarts=3)
+    assert [scripted.step(), scripted.step()] == [1, 5]
+    assert (scripted.renewed_from, scripted.random_at) == ([2], [1, 4, 5])
+    assert scripted.stepper.result.evaluations == 40
 
 
 def test_progress_is_from_the_least_loss_of_all_trials(monkeypatch: pytest.MonkeyPatch) -> None:

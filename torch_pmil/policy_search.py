@@ -37,6 +37,7 @@ class SearchSettings:
         leaps: whether the horizon leaps to where the prediction ceases to be trusted: right for the KL, which is trusted where it matches.
             A motion that is predicted well may be no good for another loss; then the horizon grows step by step, and from the first one
             on for a random policy.
+        restarts: searches from random policies, one after the other, while none has brought enough (:class:`PolicySearchStepper`).
     """
 
     mean_iterations: int = 60
@@ -46,6 +47,7 @@ class SearchSettings:
     horizon_step: int = 3
     trusted: float = 3.0
     leaps: bool = True
+    restarts: int = 0
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
     A search starts from the policy that the last one left. Where it neither matches the whole horizon nor brings the loss well below the
-    least so far, another starts from what it found, renewed (:func:`renew_policy`), and the better one is kept.
+    least so far, another starts from what it found, renewed (:func:`renew_policy`), and where that brings no more, others start from
+    random policies if the settings say so. The best one is kept.
 
     Args:
         settings: budget and horizon of a search.
@@ -49,9 +50,12 @@ class PolicySearchStepper(OptimizationStepper):
         loss = trainer.loss_module
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
         self.result = search_policy(loss, initial, self.settings, self.report, random=self._least == math.inf)
-        self.renewed = not (self.result.complete or self.result.kl < PROGRESS * self._least)
+        self.renewed = not self._enough()
         if self.renewed:
-            self._search_renewed(loss, initial)
+            self._search_also(loss, initial, lambda: renew_policy(loss, initial, self.make_policy(), self.settings, self.generator))
+        for _ in range(self.settings.restarts):
+            if not self._enough():
+                self._search_also(loss, initial, lambda: loss.actor_network.load_state_dict(self.make_policy().state_dict()), random=True)
         self._least = min(self._least, self.result.kl)
         return TensorDict({loss.out_keys[0]: torch.tensor(self.result.kl, dtype=torch.float64)})
 
@@ -63,10 +67,13 @@ class PolicySearchStepper(OptimizationStepper):
         """Restore what :meth:`state_dict` gave."""
         self._least = state_dict["least"]
 
-    def _search_renewed(self, loss: TrajectoryLoss, initial: Gaussian) -> None:
+    def _enough(self) -> bool:
+        return self.result.complete or self.result.kl < PROGRESS * self._least
+
+    def _search_also(self, loss: TrajectoryLoss, initial: Gaussian, begin: Callable[[], object], random: bool = False) -> None:
         found = copy.deepcopy(loss.actor_network.state_dict())
-        renew_policy(loss, initial, self.make_policy(), self.settings, self.generator)
-        second = search_policy(loss, initial, self.settings, self.report)
+        begin()
+        second = search_policy(loss, initial, self.settings, self.report, random=random)
         better = second if second.kl < self.result.kl else self.result
         if better is not second:
             loss.actor_network.load_state_dict(found)

@@ -24,7 +24,9 @@ COST_WIDTH = 2.0  # m, Eq. 28
 UPRIGHT = (0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH)  # m
 VELOCITY_STD = 3.0  # rad/s
 SPREAD = 400  # states
-SEARCH = SearchSettings(mean_iterations=40, stage_iterations=20, final_iterations=40, first_horizon=3, trusted=0.025, leaps=False)
+SEARCH = SearchSettings(
+    mean_iterations=40, stage_iterations=20, final_iterations=40, first_horizon=3, trusted=0.025, leaps=False, restarts=2
+)
 
 
 @dataclass(frozen=True)

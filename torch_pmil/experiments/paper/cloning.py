@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +12,12 @@ import torch
 from torch import Tensor
 
 from torch_pmil.baselines.behavioral_cloning import clone_behavior
-from torch_pmil.collection import states_of
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, double_pendulum_model, link_positions
 from torch_pmil.envs.exact_tracking import motion_of, tracking_torques
 from torch_pmil.envs.swing_up import demonstrate_swing_up, swing_up_expert
 from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.paper.learned import measured_success
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run
 from torch_pmil.plotting import plot_success_over_mass
 from torch_pmil.state_policy import StatePolicy
@@ -45,7 +47,6 @@ def clone_double_pendulum(states: Tensor, torques: Tensor) -> StatePolicy:
     )
 
 
-@torch.no_grad()
 def success_over_mass(policy: StatePolicy, masses: Sequence[float], starts: int, seed: int) -> list[float]:
     """Success rate of a policy on the double pendulum with each mass of the second link.
 
@@ -59,12 +60,8 @@ def success_over_mass(policy: StatePolicy, masses: Sequence[float], starts: int,
         Fractions from 0 to 1, one for each mass.
     """
     experiment = load_experiment("double_pendulum")
-    rates = []
-    for mass in masses:
-        env = DoublePendulumEnv((FIRST_LINK, mass), num_envs=starts, seed=seed)
-        errors = experiment.error(states_of(env.rollout(experiment.horizon, policy.as_tensordict_module())))
-        rates.append((errors <= experiment.tolerance).double().mean().item())
-    return rates
+    robots = [replace(experiment, make_env=partial(DoublePendulumEnv, (FIRST_LINK, mass))) for mass in masses]
+    return [measured_success(policy, robot, starts, seed) for robot in robots]
 
 
 def peak_tracking_torques(states: Tensor, torques: Tensor, masses: Sequence[float]) -> Tensor:

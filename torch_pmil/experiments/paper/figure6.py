@@ -17,6 +17,7 @@ from torch_pmil.experiments.training import EVALUATION_STARTS, two_sigma_coverag
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.kl import trajectory_kl
 from torch_pmil.plotting import Figure, plot_demonstrations, plot_distributions, plot_gp, plot_moment_matching, plot_poses
+from torch_pmil.trials import success_rate
 
 SEED = 0
 START_SEED = 4_000_000  # no start that the run has seen
@@ -36,7 +37,7 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     predicted = match.belief(states).add_noise(experiment.noise_std**2)
     headline = {
         "experience_s": learned.summary["experience_s"],
-        "success_rate": (experiment.error(executed) <= experiment.tolerance).double().mean().item(),
+        "success_rate": success_rate(experiment.error(executed), experiment.tolerance),
         "two_sigma_coverage": two_sigma_coverage(states, executed),
         **comparison(experiment.expert, predicted),
     }

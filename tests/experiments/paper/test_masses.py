@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -62,15 +63,22 @@ def test_every_number_is_at_its_mass(monkeypatch: pytest.MonkeyPatch) -> None:
         measured.append((folder, mass_of(robot), seed))
         return {"success_rate": mass_of(robot) / int(folder.name[-1])}
 
+    def load_learned(folder: Path, robot: Experiment) -> SimpleNamespace:
+        return SimpleNamespace(executed=lambda robot, starts, seed: torch.zeros(starts, 26, 4, dtype=torch.float64))
+
     monkeypatch.setattr(masses, "outcome", outcome)
+    monkeypatch.setattr(masses, "load_learned", load_learned)
     monkeypatch.setattr(masses, "record_pairs", shipped_pairs)
     monkeypatch.setattr(masses, "clone_double_pendulum", lambda states, torques: None)
     monkeypatch.setattr(masses, "measured_success", lambda policy, robot, starts, seed: 1 - mass_of(robot))
     folders = [Path(f"{mass}kg/seed_{seed}") for mass in SECOND_LINKS for seed in (1, 2)]
     made = report(folders, quick=True)
     assert [f"{mass}kg" for _, mass, _ in measured] == [folder.parent.name for folder, *_ in measured]
+    from_upright = shipped_demonstrations("double_pendulum").positions.mean(0)[1:] - torch.tensor([0.0, 0.5, 0.0, 1.0])
+    standing = from_upright.square().sum().div(2 * 25).sqrt().item()
     for mass in SECOND_LINKS:
         assert made.headline[f"ours_success_{mass:g}kg"] == pytest.approx(0.75 * mass)
+        assert made.headline[f"ours_departure_m_{mass:g}kg"] == pytest.approx(standing)
         assert made.headline[f"cloning_success_{mass:g}kg"] == pytest.approx(1 - mass)
     peaks = [made.headline[f"peak_torque_{mass:g}kg"] for mass in SECOND_LINKS]
     assert peaks == pytest.approx([max(column) for column in zip(*made.details["peak_torques"], strict=True)])

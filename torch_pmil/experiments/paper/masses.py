@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from torch import Tensor
 
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
@@ -20,7 +21,7 @@ from torch_pmil.experiments.paper.cloning import (
     peak_tracking_torques,
     record_pairs,
 )
-from torch_pmil.experiments.paper.learned import measured_success, outcome
+from torch_pmil.experiments.paper.learned import load_learned, measured_success, outcome
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run, learning_run
 from torch_pmil.plotting import plot_success_over_mass
 
@@ -59,6 +60,8 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     learned_on = [robot for robot in robots for _ in range(runs_each)]
     runs = [outcome(folder, robot, starts, START_SEED) for robot, folder in zip(learned_on, folders, strict=True)]
     ours = np.reshape([run["success_rate"] for run in runs], (len(robots), runs_each)).T
+    executed = [load_learned(run, robot).executed(robot, starts, START_SEED) for robot, run in zip(learned_on, folders, strict=True)]
+    departures = np.reshape([departure(*each) for each in zip(executed, learned_on, strict=True)], ours.T.shape)
     pairs = list(record_pairs(sets))
     clones = [clone_double_pendulum(*pair) for pair in pairs]
     cloning = np.array([[measured_success(clone, robot, starts, START_SEED) for robot in robots] for clone in clones])
@@ -67,15 +70,35 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     difference = link_positions(pairs[0][0]) - shipped_demonstrations("double_pendulum").positions
     headline = {
         **_by_mass("ours_success", ours.mean(0)),
+        **_by_mass("ours_departure_m", departures.mean(1)),
         **_by_mass("cloning_success", cloning.mean(0)),
         **_by_mass("peak_torque", peaks.max(0)),
         "torque_limit": limit,
         "difference_from_shipped_demonstrations_m": difference.abs().max().item(),
     }
-    settings = {"masses": list(SECOND_LINKS), "starts": starts, "cloned_seeds": list(sets)}
-    details = {**settings, "ours": runs, "cloning_success_rates": cloning.tolist(), "peak_torques": peaks.tolist()}
+    details = {
+        "masses": list(SECOND_LINKS),
+        "starts": starts,
+        "cloned_seeds": list(sets),
+        "ours": runs,
+        "ours_departures_m": departures.tolist(),
+        "cloning_success_rates": cloning.tolist(),
+        "peak_torques": peaks.tolist(),
+    }
     figure = plot_success_over_mass(SECOND_LINKS, {"ours": ours, "behavioural cloning": cloning}, peaks, limit, DEMONSTRATED)
     return Report(headline, {"masses": figure}, details)
+
+
+def departure(states: Tensor, robot: Experiment) -> float:
+    """Root mean square distance (m) of the two link ends from the demonstrated mean, over rollouts x_0..x_T (N, T + 1, 4) and steps 1..T.
+
+    Example:
+        >>> robot = with_second_link(DEMONSTRATED)
+        >>> 0 < departure(robot.demonstrated_states.unflatten(0, (5, 26)), robot) < 0.1
+        True
+    """
+    difference = robot.space.match(states[:, 1:]) - robot.expert.mean
+    return difference.unflatten(-1, (2, 2)).square().sum(-1).mean().sqrt().item()
 
 
 def _by_mass(name: str, values: np.ndarray) -> dict[str, float]:

@@ -133,6 +133,16 @@ def test_run_with_noisy_sensors_goes_on_with_the_same_noise(tmp_path: Path, monk
     assert_same_end(tmp_path / "stopped", tmp_path / "whole")
 
 
+@pytest.mark.parametrize(("before", "after"), [(None, "csv"), ("csv", None)])
+def test_run_goes_on_with_another_logger(before: str | None, after: str | None, whole: Path, tmp_path: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
+        stop_in(patch, "search", 5, stop)
+        run(tmp_path / "run", logger=before)
+    run(tmp_path / "run", resume=True, logger=after)
+    assert_same_end(tmp_path / "run", whole)
+    assert after is None or any((tmp_path / "run" / "logs").rglob("*.csv"))
+
+
 def test_run_may_be_stopped_again_and_again(whole: Path, stopped: Path) -> None:
     for phase, count in (("fit", 1), ("evaluation", 1), ("renaming", 1)):
         with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):

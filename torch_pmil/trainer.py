@@ -14,7 +14,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
-from torchrl.checkpoint import CheckpointRotation
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.envs import EnvBase
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
@@ -144,7 +144,9 @@ class PMILTrainer(Trainer):
         """
         path = newest_undamaged(self.rotation)
         if path is not None:
-            self.load_from_file(path)
+            saved = Checkpoint.manifest(path)["components"]
+            new = self._sync_checkpoint_components().components.keys() - saved.keys()
+            self.load_from_file(path, strict="ignore" if new == {"logger"} else "error")  # a logger may begin at any time
         return path
 
     def train(self) -> None:

@@ -149,7 +149,7 @@ def _set_angles(model: mujoco.MjModel, data: mujoco.MjData, angles: tuple[float,
     """Put the arm in a pose, the cables at equal tension."""
     for name, angle in zip(CONTROLLED, angles, strict=True):
         data.joint(name).qpos = angle
-    for name, angle in zip(MOTORS, (angles[0], angles[1], angles[2] - angles[1] / 2), strict=True):
+    for name, angle in zip(MOTORS, (angles[0], angles[1], angles[2] + angles[1] / 2), strict=True):
         data.joint(name).qpos = angle
     mujoco.mj_kinematics(model, data)
 

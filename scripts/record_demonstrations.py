@@ -88,7 +88,7 @@ def record_expert(
     rollout = env.rollout(steps, imprecise_expert)
     demonstrations = Demonstrations(space.match(states_of(rollout)), env.control_period, space.match.names)
     experiment = load_experiment(name, demonstrations)
-    errors, peaks = experiment.error(states_of(rollout)), rollout["action"].abs().amax((1, 2))
+    errors, peaks = experiment.error(rollout), rollout["action"].abs().amax((1, 2))
     print("demonstration  error  peak action")
     for number, (error, peak) in enumerate(zip(errors.tolist(), peaks.tolist(), strict=True)):
         print(f"{number:13d}  {error:5.3f}  {peak:11.3f}")

@@ -9,14 +9,15 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from tests.short_run import quick_fits as shorten_fits
 from tests.short_run import short_experiment
 from torch_pmil import search_stepper as stepper_module
-from torch_pmil.collection import RobotActor, states_of, true_states_of
+from torch_pmil.collection import RobotActor, rollout_of, states_of, without_sensor_noise
 from torch_pmil.experiments.training import make_trainer
+from torch_pmil.first_motion import RandomTorques
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings
 from torch_pmil.rollout import PredictionError
@@ -40,10 +41,10 @@ def make(trials: int, seed: int = 0, progress_bar: bool = False, **changes: obje
     return make_trainer(short_experiment(HORIZON, **changes), seed, trials, progress_bar, told.append), told
 
 
-def own_errors(*errors: float) -> Callable[[Tensor], Tensor]:
+def own_errors(*errors: float) -> Callable[[TensorDictBase], Tensor]:
     """An error measure under which own rollouts have these errors, one after the other, and a quarter of the starts succeed."""
     script, starts = iter(errors), torch.arange(STARTS) % 4
-    return lambda states: torch.tensor(next(script)) if states.ndim == 2 else 1.0 * starts
+    return lambda rollout: torch.tensor(next(script)) if rollout.ndim == 1 else 1.0 * starts
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,7 @@ def test_later_rollouts_are_the_searched_policies(trained: PMILTrainer) -> None:
 
 def test_own_error_is_that_of_the_rollout_that_became_experience(trained: PMILTrainer) -> None:
     for trial, rollout in zip(trained.trials, rollouts_of(trained)[1:], strict=True):
-        assert trial.own_error == trained.error(states_of(rollout)).item()
+        assert trial.own_error == trained.error(rollout).item()
 
 
 def test_model_is_fitted_to_all_experience_before_each_search() -> None:
@@ -315,7 +316,7 @@ def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPa
 def actor() -> RobotActor:
     experiment = short_experiment(HORIZON)
     generator = torch.Generator().manual_seed(0)
-    return RobotActor(experiment.make_policy(generator), experiment.space, 0.4, generator)
+    return RobotActor(experiment.make_policy(generator), experiment.space, RandomTorques(experiment.u_max, 0.4, HORIZON).motion(generator))
 
 
 def test_exploring_robot_acts_uniformly_within_its_fraction_of_the_limit(actor: RobotActor) -> None:
@@ -337,10 +338,13 @@ def test_robot_that_no_longer_explores_follows_its_policy(actor: RobotActor) -> 
 
 def test_states_of_rollouts_are_the_start_and_all_that_followed() -> None:
     path = torch.arange(2 * 5 * 3.0).reshape(2, 5, 3)
-    rollout = TensorDict({"observation": path[:, :-1], "next": {"observation": path[:, 1:]}}, batch_size=(2, 4))
+    rollout = rollout_of(path)
+    assert rollout.batch_size == (2, 4)
+    assert torch.equal(rollout["next", "observation"], path[:, 1:])
     assert torch.equal(states_of(rollout), path)
-    assert torch.equal(true_states_of(rollout), path)
+    assert torch.equal(states_of(without_sensor_noise(rollout)), path)
     truth = path + 1
     rollout["state"], rollout["next", "state"] = truth[:, :-1], truth[:, 1:]
     assert torch.equal(states_of(rollout), path)
-    assert torch.equal(true_states_of(rollout), truth)
+    assert torch.equal(states_of(without_sensor_noise(rollout)), truth)
+    assert torch.equal(states_of(rollout), path)

@@ -16,10 +16,12 @@ import torch
 from tests.draws import Draws
 from tests.short_run import quick_fits as shorten_fits
 from tests.short_run import short_experiment
+from torch_pmil.collection import rollout_of
 from torch_pmil.dynamics import GPDynamics
+from torch_pmil.evaluation import two_sigma_coverage
 from torch_pmil.experiments import Experiment
 from torch_pmil.experiments.run_folder import prepare_folder, save_tensors
-from torch_pmil.experiments.training import EVALUATION_STARTS, RunResult, train, two_sigma_coverage
+from torch_pmil.experiments.training import EVALUATION_STARTS, RunResult, train
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import predict_trajectory
@@ -90,7 +92,7 @@ def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> Non
 
 
 def test_summary_says_what_came_of_it(summary: dict, result: RunResult, experiment: Experiment) -> None:
-    successes = experiment.error(result.executed) <= experiment.tolerance
+    successes = experiment.error(rollout_of(result.executed)) <= experiment.tolerance
     assert summary["saved_success_rate"] == successes.double().mean().item()
     assert summary["saved_n_eval"] == len(result.executed) == EVALUATION_STARTS
     assert summary["two_sigma_coverage"] == two_sigma_coverage(result.predicted, result.executed)

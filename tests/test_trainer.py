@@ -12,8 +12,8 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from tests.short_run import PD_MOVEMENTS, short_experiment
 from tests.short_run import quick_fits as shorten_fits
-from tests.short_run import short_experiment
 from torch_pmil import search_stepper as stepper_module
 from torch_pmil.collection import RobotActor, rollout_of, states_of, without_sensor_noise
 from torch_pmil.experiments.training import make_trainer
@@ -84,6 +84,35 @@ def test_first_rollout_is_random_within_a_fraction_of_the_limit() -> None:
     assert len(actions.unique()) == actions.numel()
 
 
+def test_first_motion_may_be_several_rollouts_of_another_length() -> None:
+    trainer, told = make(trials=2, pd_movements=PD_MOVEMENTS)
+    sizes: list[int] = []
+    trainer.register_op("post_optim", lambda: sizes.append(len(trainer.loss_module.dynamics.train_inputs)))
+    trainer.train()
+    assert len(trainer.experience) == trainer.collected_frames == trainer.total_frames == 2 * 7 + 2 * HORIZON
+    assert sizes == [14, 14 + HORIZON]
+    assert [trial.experience_s for trial in told] == pytest.approx([1.4, 1.4 + 0.1 * HORIZON])
+    transitions = trainer.experience.transitions
+    for rollout in transitions.split([7, 7, HORIZON, HORIZON]):
+        assert torch.equal(rollout["next", "observation"][:-1], rollout["observation"][1:])
+    assert not torch.equal(transitions["next", "observation"][6], transitions["observation"][7])
+
+
+def test_first_motion_is_that_of_the_pd_controller_from_the_robots_starts() -> None:
+    """The collector tries out robot and motion when it is made."""
+    trainer, _ = make(trials=1, pd_movements=PD_MOVEMENTS)
+    trainer.train()
+    env, motion = short_experiment().make_env(seed=0), PD_MOVEMENTS.motion(torch.Generator().manual_seed(1_000_000))
+    motion(env.reset()["observation"])
+    for rollout in trainer.experience.transitions[:14].split(7):
+        motion.begin()
+        state = env.reset()["observation"]
+        for step in rollout:
+            action = motion(state)
+            torch.testing.assert_close((step["observation"], step["action"]), (state, action), rtol=0, atol=1e-12)
+            state = env.step(TensorDict({"action": action}))["next", "observation"]
+
+
 def test_later_rollouts_are_the_searched_policies(trained: PMILTrainer) -> None:
     policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
     for candidate, rollout in zip(trained.candidates, rollouts_of(trained)[1:], strict=True):
@@ -132,6 +161,26 @@ def test_trials_are_told_one_by_one_when_their_rollout_is_done() -> None:
     trainer.train()
     assert told == trainer.trials
     assert [(trial.own_error, trial.own_success) for trial in told] == [(pytest.approx(0.2), True), (pytest.approx(0.9), False)]
+
+
+def test_error_is_of_the_rollout_as_the_environment_gives_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the states do not say: here, how fast the torques were."""
+    trainer, told = make(trials=1, error=lambda rollout: rollout["action"].norm(dim=-1).amax(-1), tolerance=0.0)
+    trainer.train()
+    assert told[0].own_error == rollouts_of(trainer)[1]["action"].norm(dim=-1).max().item()
+
+
+@pytest.mark.parametrize(("confirmations", "trials"), [(1, 1), (3, 5)])
+def test_experiment_says_how_many_successes_in_a_row_end_the_training(confirmations: int, trials: int) -> None:
+    trainer, told = make(trials=6, error=own_errors(0.1, 0.9, 0.1, 0.1, 0.1), tolerance=0.5, confirmations=confirmations)
+    trainer.train()
+    assert len(told) == trials
+    assert trainer.stop_reason.startswith("the own rollout")
+
+
+def test_no_confirmations_are_an_error() -> None:
+    with pytest.raises(ValueError, match="confirmations must be at least 1, got 0"):
+        make(trials=1, confirmations=0)
 
 
 def test_training_ends_after_two_own_successes_in_a_row() -> None:

@@ -12,6 +12,7 @@ from scipy.interpolate import BPoly
 
 from torch_pmil.envs.biorob import JOINTS, ROTORS
 from torch_pmil.envs.equilibrium import Equilibrium
+from torch_pmil.envs.mujoco import FULL_PHYSICS
 
 Array = NDArray[np.float64]
 
@@ -92,11 +93,13 @@ class Recording:
         time_step: s.
         states: [q, dq] of yaw, shoulder and elbow from the start on, (n, 6), rad and rad/s.
         hit_time: s, when the racket touched the ball; None if it did not.
+        physics: full simulation states, as ``MujocoRobotEnv.draw`` takes them, (n, P).
     """
 
     time_step: float
     states: Array
     hit_time: float | None
+    physics: Array
 
 
 def record_strike(model: mujoco.MjModel, strike: Strike) -> Recording:
@@ -124,8 +127,9 @@ def record_strike(model: mujoco.MjModel, strike: Strike) -> Recording:
     _set_angles(data, JOINTS, strike.start)
     _set_angles(data, ROTORS, Equilibrium(model, JOINTS, ROTORS).ratio @ strike.start)  # the two cables of each joint pull alike
     joints = [data.joint(name) for name in JOINTS]
-    states, touched = [], []
-    for place, velocity in zip(led, speeds, strict=True):
+    states, touched, physics = [], [], np.empty((steps + 1, mujoco.mj_stateSize(model, FULL_PHYSICS)))
+    for place, velocity, now in zip(led, speeds, physics, strict=True):
+        mujoco.mj_getState(model, data, now, FULL_PHYSICS)
         mujoco.mj_step1(model, data)
         states.append([joint.qpos[0] for joint in joints] + [joint.qvel[0] for joint in joints])
         _pull(model, data, place, velocity)
@@ -136,7 +140,8 @@ def record_strike(model: mujoco.MjModel, strike: Strike) -> Recording:
         raise RuntimeError(f"the hand must keep the racket within 0.1 m, it ended {distance:.2f} m away")
     begun = round(SETTLING / model.opt.timestep)
     hits = np.flatnonzero(touched[begun:])
-    return Recording(model.opt.timestep, np.array(states[begun:]), hits[0] * model.opt.timestep if len(hits) else None)
+    hit_time = hits[0] * model.opt.timestep if len(hits) else None
+    return Recording(model.opt.timestep, np.array(states[begun:]), hit_time, physics[begun:])
 
 
 def _pull(model: mujoco.MjModel, data: mujoco.MjData, place: Array, velocity: Array) -> None:

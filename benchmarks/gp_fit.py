@@ -63,7 +63,7 @@ def experience(n: int, seed: int) -> tuple[Tensor, Tensor]:
     task = load_experiment("double_pendulum")
     rollouts = 2 * -(-n // ROLLOUT)  # of some, a part is beyond the limits
     env, generator = task.make_env(num_envs=rollouts, seed=seed), torch.Generator().manual_seed(seed)
-    actor = RobotActor(task.make_policy(generator), task.space, task.random_torque, generator)
+    actor = RobotActor(task.make_policy(generator), task.space, task.first_motion.motion(generator))
     past = Experience(capacity=rollouts * ROLLOUT)
     past.extend(env.rollout(ROLLOUT, actor))
     inputs, targets = past.training_data(task.space, "difference", task.limits)

@@ -7,6 +7,7 @@ prints ``stopped`` in that phase, for the COUNT-th time that it comes there, and
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 import zipfile
@@ -16,6 +17,7 @@ from functools import partialmethod
 from pathlib import Path
 
 import pytest
+import torch
 from torchrl.checkpoint import Checkpoint
 
 from torch_pmil import dynamics, policy_search
@@ -23,10 +25,16 @@ from torch_pmil.dynamics import GPDynamics
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.training import RunResult, train
+from torch_pmil.first_motion import PDMovements
 from torch_pmil.policy_search import SearchSettings
 
 STEPS, TRIALS, SEED = 4, 3, 5
 COMMAND = f"python scripts/train.py seed={SEED}"
+HANGING = torch.tensor([math.pi, 0.0, 0.0, 0.0], dtype=torch.float64)
+REACH = torch.tensor([0.1, 0.0, 0.1, 0.0], dtype=torch.float64)
+GAIN = torch.tensor([[1.0, 0.2, 0.0, 0.0], [0.0, 0.0, 1.0, 0.2]], dtype=torch.float64)
+LIMITS = torch.tensor([3.5, 3.5], dtype=torch.float64)
+PD_MOVEMENTS = PDMovements(HANGING, REACH, GAIN, LIMITS, 3, 2, 7, lambda state: torch.zeros_like(state[..., :2]))
 PHASES = {  # what is called there
     "collection": (MujocoRobotEnv, "_step"),
     "fit": (dynamics, "find_hyperparameters"),

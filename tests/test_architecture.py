@@ -12,13 +12,13 @@ PACKAGE = Path(__file__).parents[1] / "torch_pmil"
 
 FLOORS = (  # bottom first; modules of one floor may import each other
     {"envs", "files"},  # know nothing of the mathematics, see below
-    {"functions", "gaussian", "lbfgs"},
+    {"functions", "gaussian", "lbfgs", "first_motion"},
     {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "saturating_cost", "marginal_likelihood"},
     {"gaussian_integrals"},
     {"moment_matching"},
     {"linearised_moments"},
     {"state_space"},
-    {"demonstrations", "alignment", "expert"},
+    {"demonstrations", "alignment", "expert", "evaluation"},
     {"dynamics", "hyperparameters", "experience", "policy"},
     {"linearised_step", "state_policy", "saved_policy"},
     {"rollout", "particles"},
@@ -26,7 +26,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"objective", "conditioning"},
     {"policy_search"},
     {"search_stepper", "lbfgs_stepper", "collection", "checkpoints", "trials"},
-    {"trainer", "torchrl_interop", "evaluation", "run"},
+    {"trainer", "torchrl_interop", "run"},
     {"baselines", "plotting"},  # plots draw numbers and know no experiment
     {"experiments"},
     {"video", "configs"},

@@ -30,7 +30,19 @@ def test_noise_is_a_floor_under_the_variances(draws: Draws) -> None:
     torch.testing.assert_close(smallest, torch.full((4,), 0.05**2, dtype=torch.float64), rtol=1e-8, atol=0)
 
 
-@pytest.mark.parametrize("noise_std", [0.0, -0.1, float("nan")])
-def test_noise_that_is_not_positive_is_an_error(draws: Draws, noise_std: float) -> None:
+def test_each_entry_may_have_a_noise_of_its_own(draws: Draws) -> None:
+    demonstrations, noise_std = Demonstrations(draws.normal(6, 4, 3), 0.1, NAMES), draws.uniform(0.1, 2.0, 3)
+    own, same = expert_distribution(demonstrations, noise_std), expert_distribution(demonstrations, 0.5)
+    torch.testing.assert_close(own.cov - same.cov, (noise_std**2 - 0.5**2).diag().expand(3, 3, 3))
+    assert torch.equal(expert_distribution(demonstrations, torch.full((3,), 0.5)).cov, same.cov)
+
+
+def test_noise_of_other_entries_is_an_error(draws: Draws) -> None:
+    with pytest.raises(ValueError, match=r"noise_std must be a number or one for each of x, y, z, got \[0.5, 0.5\]"):
+        expert_distribution(Demonstrations(draws.normal(2, 5, 3), 0.1, NAMES), torch.full((2,), 0.5))
+
+
+@pytest.mark.parametrize("noise_std", [0.0, -0.1, float("nan"), torch.tensor([0.1, 0.0, 0.1])])
+def test_noise_that_is_not_positive_is_an_error(draws: Draws, noise_std: float | torch.Tensor) -> None:
     with pytest.raises(ValueError, match="noise_std must be positive, got"):
         expert_distribution(Demonstrations(draws.normal(2, 5, 3), 0.1, NAMES), noise_std)

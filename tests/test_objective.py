@@ -76,6 +76,23 @@ def test_expert_that_is_the_prediction_costs_nothing(loss: TrajectoryKLLoss, ini
     torch.testing.assert_close(perfect(start(initial))["loss_kl"], torch.zeros((), dtype=torch.float64), rtol=0, atol=1e-9)
 
 
+def test_noise_of_each_entry_is_added_to_the_prediction_as_to_the_expert(draws: Draws) -> None:
+    """Independent entries: the KL is the sum of theirs, each with its own noise."""
+    parts, noise_std = make_parts(draws), torch.tensor([0.1, 0.3], dtype=torch.float64)
+    expert, start = draws.belief(HORIZON, 2, scale=0.05), draws.belief(2, scale=0.01)
+    loss = TrajectoryKLLoss(*parts, SPACE, expert, noise_std)
+    predicted = TIP.belief(loss.predict_states(start))
+    noisy = Gaussian(predicted.mean, predicted.cov + (noise_std**2).diag())
+    torch.testing.assert_close(loss.per_step(start), gaussian_kl(expert, noisy))
+    same = TrajectoryKLLoss(*parts, SPACE, expert, torch.full((2,), 0.1, dtype=torch.float64))
+    assert torch.equal(same.per_step(start), TrajectoryKLLoss(*parts, SPACE, expert, 0.1).per_step(start))
+
+
+def test_noise_of_other_entries_is_an_error(draws: Draws) -> None:
+    with pytest.raises(ValueError, match=r"noise_std must be a number or one for each of \('x', 'y'\)"):
+        TrajectoryKLLoss(*make_parts(draws), SPACE, draws.belief(HORIZON, 2), torch.ones(3))
+
+
 def test_expert_of_another_dimension_is_an_error(loss: TrajectoryKLLoss, draws: Draws) -> None:
     with pytest.raises(ValueError, match=r"expert must have the 2 entries \('x', 'y'\), got 3"):
         TrajectoryKLLoss(loss.actor_network, loss.dynamics, SPACE, draws.belief(HORIZON, 3), NOISE_STD)

@@ -6,16 +6,17 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
-from tests.short_run import SEED, STEPS, TRIALS, quick_fits, run, stop_in
+from tests.short_run import PD_MOVEMENTS, SEED, STEPS, TRIALS, quick_fits, run, stop_in
 from torch_pmil.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.collection import RolloutCollector
-from torch_pmil.experiments import EXPERIMENTS
+from torch_pmil.experiments import EXPERIMENTS, load_experiment
 from torch_pmil.experiments.paper.robustness import with_noise
 from torch_pmil.experiments.run_folder import UnfinishedRunError
 
@@ -130,6 +131,16 @@ def test_run_with_noisy_sensors_goes_on_with_the_same_noise(tmp_path: Path, monk
     monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: noisy)
     run(tmp_path / "whole")
     run(stopped_run(tmp_path / "stopped", "search", 5), resume=True)
+    assert_same_end(tmp_path / "stopped", tmp_path / "whole")
+
+
+@pytest.mark.parametrize(("phase", "count"), [("fit", 1), ("search", 5)], ids=str)
+def test_run_with_a_first_motion_of_its_own_goes_on_too(phase: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment = replace(load_experiment("double_pendulum"), pd_movements=PD_MOVEMENTS)
+    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: experiment)
+    run(tmp_path / "whole")
+    assert numbers(tmp_path / "whole")["experience_s"] == pytest.approx(0.1 * (2 * 7 + TRIALS * STEPS))
+    run(stopped_run(tmp_path / "stopped", phase, count), resume=True)
     assert_same_end(tmp_path / "stopped", tmp_path / "whole")
 
 

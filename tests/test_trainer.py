@@ -9,14 +9,15 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from tests.short_run import PD_MOVEMENTS, short_experiment
 from tests.short_run import quick_fits as shorten_fits
-from tests.short_run import short_experiment
 from torch_pmil import search_stepper as stepper_module
-from torch_pmil.collection import RobotActor, states_of, true_states_of
+from torch_pmil.collection import RobotActor, rollout_of, states_of, without_sensor_noise
 from torch_pmil.experiments.training import make_trainer
+from torch_pmil.first_motion import RandomTorques
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings
 from torch_pmil.rollout import PredictionError
@@ -40,10 +41,10 @@ def make(trials: int, seed: int = 0, progress_bar: bool = False, **changes: obje
     return make_trainer(short_experiment(HORIZON, **changes), seed, trials, progress_bar, told.append), told
 
 
-def own_errors(*errors: float) -> Callable[[Tensor], Tensor]:
+def own_errors(*errors: float) -> Callable[[TensorDictBase], Tensor]:
     """An error measure under which own rollouts have these errors, one after the other, and a quarter of the starts succeed."""
     script, starts = iter(errors), torch.arange(STARTS) % 4
-    return lambda states: torch.tensor(next(script)) if states.ndim == 2 else 1.0 * starts
+    return lambda rollout: torch.tensor(next(script)) if rollout.ndim == 1 else 1.0 * starts
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +84,35 @@ def test_first_rollout_is_random_within_a_fraction_of_the_limit() -> None:
     assert len(actions.unique()) == actions.numel()
 
 
+def test_first_motion_may_be_several_rollouts_of_another_length() -> None:
+    trainer, told = make(trials=2, pd_movements=PD_MOVEMENTS)
+    sizes: list[int] = []
+    trainer.register_op("post_optim", lambda: sizes.append(len(trainer.loss_module.dynamics.train_inputs)))
+    trainer.train()
+    assert len(trainer.experience) == trainer.collected_frames == trainer.total_frames == 2 * 7 + 2 * HORIZON
+    assert sizes == [14, 14 + HORIZON]
+    assert [trial.experience_s for trial in told] == pytest.approx([1.4, 1.4 + 0.1 * HORIZON])
+    transitions = trainer.experience.transitions
+    for rollout in transitions.split([7, 7, HORIZON, HORIZON]):
+        assert torch.equal(rollout["next", "observation"][:-1], rollout["observation"][1:])
+    assert not torch.equal(transitions["next", "observation"][6], transitions["observation"][7])
+
+
+def test_first_motion_is_that_of_the_pd_controller_from_the_robots_starts() -> None:
+    """The collector tries out robot and motion when it is made."""
+    trainer, _ = make(trials=1, pd_movements=PD_MOVEMENTS)
+    trainer.train()
+    env, motion = short_experiment().make_env(seed=0), PD_MOVEMENTS.motion(torch.Generator().manual_seed(1_000_000))
+    motion(env.reset()["observation"])
+    for rollout in trainer.experience.transitions[:14].split(7):
+        motion.begin()
+        state = env.reset()["observation"]
+        for step in rollout:
+            action = motion(state)
+            torch.testing.assert_close((step["observation"], step["action"]), (state, action), rtol=0, atol=1e-12)
+            state = env.step(TensorDict({"action": action}))["next", "observation"]
+
+
 def test_later_rollouts_are_the_searched_policies(trained: PMILTrainer) -> None:
     policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
     for candidate, rollout in zip(trained.candidates, rollouts_of(trained)[1:], strict=True):
@@ -93,7 +123,7 @@ def test_later_rollouts_are_the_searched_policies(trained: PMILTrainer) -> None:
 
 def test_own_error_is_that_of_the_rollout_that_became_experience(trained: PMILTrainer) -> None:
     for trial, rollout in zip(trained.trials, rollouts_of(trained)[1:], strict=True):
-        assert trial.own_error == trained.error(states_of(rollout)).item()
+        assert trial.own_error == trained.error(rollout).item()
 
 
 def test_model_is_fitted_to_all_experience_before_each_search() -> None:
@@ -131,6 +161,26 @@ def test_trials_are_told_one_by_one_when_their_rollout_is_done() -> None:
     trainer.train()
     assert told == trainer.trials
     assert [(trial.own_error, trial.own_success) for trial in told] == [(pytest.approx(0.2), True), (pytest.approx(0.9), False)]
+
+
+def test_error_is_of_the_rollout_as_the_environment_gives_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the states do not say: here, how fast the torques were."""
+    trainer, told = make(trials=1, error=lambda rollout: rollout["action"].norm(dim=-1).amax(-1), tolerance=0.0)
+    trainer.train()
+    assert told[0].own_error == rollouts_of(trainer)[1]["action"].norm(dim=-1).max().item()
+
+
+@pytest.mark.parametrize(("confirmations", "trials"), [(1, 1), (3, 5)])
+def test_experiment_says_how_many_successes_in_a_row_end_the_training(confirmations: int, trials: int) -> None:
+    trainer, told = make(trials=6, error=own_errors(0.1, 0.9, 0.1, 0.1, 0.1), tolerance=0.5, confirmations=confirmations)
+    trainer.train()
+    assert len(told) == trials
+    assert trainer.stop_reason.startswith("the own rollout")
+
+
+def test_no_confirmations_are_an_error() -> None:
+    with pytest.raises(ValueError, match="confirmations must be at least 1, got 0"):
+        make(trials=1, confirmations=0)
 
 
 def test_training_ends_after_two_own_successes_in_a_row() -> None:
@@ -315,7 +365,7 @@ def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPa
 def actor() -> RobotActor:
     experiment = short_experiment(HORIZON)
     generator = torch.Generator().manual_seed(0)
-    return RobotActor(experiment.make_policy(generator), experiment.space, 0.4, generator)
+    return RobotActor(experiment.make_policy(generator), experiment.space, RandomTorques(experiment.u_max, 0.4, HORIZON).motion(generator))
 
 
 def test_exploring_robot_acts_uniformly_within_its_fraction_of_the_limit(actor: RobotActor) -> None:
@@ -337,10 +387,13 @@ def test_robot_that_no_longer_explores_follows_its_policy(actor: RobotActor) -> 
 
 def test_states_of_rollouts_are_the_start_and_all_that_followed() -> None:
     path = torch.arange(2 * 5 * 3.0).reshape(2, 5, 3)
-    rollout = TensorDict({"observation": path[:, :-1], "next": {"observation": path[:, 1:]}}, batch_size=(2, 4))
+    rollout = rollout_of(path)
+    assert rollout.batch_size == (2, 4)
+    assert torch.equal(rollout["next", "observation"], path[:, 1:])
     assert torch.equal(states_of(rollout), path)
-    assert torch.equal(true_states_of(rollout), path)
+    assert torch.equal(states_of(without_sensor_noise(rollout)), path)
     truth = path + 1
     rollout["state"], rollout["next", "state"] = truth[:, :-1], truth[:, 1:]
     assert torch.equal(states_of(rollout), path)
-    assert torch.equal(true_states_of(rollout), truth)
+    assert torch.equal(states_of(without_sensor_noise(rollout)), truth)
+    assert torch.equal(states_of(rollout), path)

@@ -16,11 +16,12 @@ import torch
 from tests.draws import Draws
 from tests.short_run import quick_fits as shorten_fits
 from tests.short_run import short_experiment
+from torch_pmil.collection import rollout_of
 from torch_pmil.dynamics import GPDynamics
+from torch_pmil.evaluation import demonstration_spread, rms_error, two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.experiments import Experiment
 from torch_pmil.experiments.run_folder import prepare_folder, save_tensors
-from torch_pmil.experiments.training import EVALUATION_STARTS, RunResult, train, two_sigma_coverage
-from torch_pmil.gaussian import Gaussian
+from torch_pmil.experiments.training import EVALUATION_STARTS, RunResult, train
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import predict_trajectory
 from torch_pmil.saved_policy import load_policy
@@ -86,14 +87,22 @@ def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> Non
     settings = summary["settings"]
     assert (settings["trials"], settings["horizon"], settings["num_centres"]) == (TRIALS, HORIZON, 5)
     assert settings["search"] == asdict(experiment.search)
-    assert {"noise_std", "random_torque", "initial_weight_std", "tolerance"} <= settings.keys()
+    assert {"random_torque", "initial_weight_std", "tolerance", "input_widths", "holds_start"} <= settings.keys()
+    assert (settings["noise_std"], settings["confirmations"]) == (0.05, 2)
+    assert settings["first_motion"] == {"rollouts": 1, "steps": HORIZON, "random_torque": experiment.random_torque}
 
 
 def test_summary_says_what_came_of_it(summary: dict, result: RunResult, experiment: Experiment) -> None:
-    successes = experiment.error(result.executed) <= experiment.tolerance
+    successes = experiment.error(rollout_of(result.executed)) <= experiment.tolerance
     assert summary["saved_success_rate"] == successes.double().mean().item()
     assert summary["saved_n_eval"] == len(result.executed) == EVALUATION_STARTS
     assert summary["two_sigma_coverage"] == two_sigma_coverage(result.predicted, result.executed)
+    space, demonstrations = experiment.space, experiment.demonstrations
+    by_entry = two_sigma_coverage_by_entry(result.predicted, result.executed)
+    assert summary["two_sigma_coverage_by_entry"] == dict(zip(space.names, by_entry.tolist(), strict=True))
+    errors, spread = rms_error(demonstrations, space.match(result.executed)), demonstration_spread(demonstrations)
+    assert summary["rms_error"] == dict(zip(space.match.names, errors.tolist(), strict=True))
+    assert summary["demonstration_spread"] == dict(zip(space.match.names, spread.tolist(), strict=True))
     assert summary["saved_trial"] in (1, 2)
     assert summary["stop_reason"] == "limit of trials"
     assert summary["experience_s"] == pytest.approx((TRIALS + 1) * HORIZON * 0.1)
@@ -151,20 +160,6 @@ def test_executed_rollouts_are_those_of_the_saved_policy(result: RunResult, fold
     before, after = result.executed[:, :-1].flatten(0, 1), result.executed[:, 1:].flatten(0, 1)
     actions = load_network(folder)(experiment.space.features(before)).detach()
     torch.testing.assert_close(experiment.make_env(seed=0).simulate(before, actions), after, rtol=0, atol=1e-9)
-
-
-def test_two_standard_deviations_cover_95_per_cent_of_gaussian_rollouts(draws: Draws) -> None:
-    """Entries of one state are correlated: the standard error is that of independent states."""
-    predicted, count = draws.belief(5, 3), 4000
-    rollouts = torch.cat([draws.normal(count, 1, 3), predicted.sample(count, draws.generator)], 1)
-    standard_error = (0.954 * 0.046 / (5 * count)) ** 0.5
-    assert two_sigma_coverage(predicted, rollouts) == pytest.approx(0.9545, abs=4 * standard_error)
-
-
-def test_coverage_counts_entries_within_and_leaves_the_start_out() -> None:
-    predicted = Gaussian(torch.zeros(2, 1), torch.full((2, 1, 1), 0.25))
-    rollouts = torch.tensor([[[9.0], [1.0], [-1.0]], [[9.0], [1.1], [-1.1]]])
-    assert two_sigma_coverage(predicted, rollouts) == 0.5
 
 
 def test_folder_is_made_with_its_parents_and_used_again(tmp_path: Path) -> None:

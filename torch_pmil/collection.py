@@ -2,51 +2,72 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
 
+from torch_pmil.first_motion import FirstMotion, Motion
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.state_space import StateSpace
 
 
 class RobotActor(torch.nn.Module):
-    """What the robot executes: random torques until the first search, then the policy.
+    """What the robot executes: its first motion until the first search, then the policy.
 
     Args:
         policy: sees the features of the state.
         space: gives those.
-        random_torque: largest random torque, as a fraction of the limits.
-        generator: of the random torques.
+        motion: the first one.
     """
 
-    def __init__(self, policy: RBFPolicy, space: StateSpace, random_torque: float, generator: torch.Generator) -> None:
+    def __init__(self, policy: RBFPolicy, space: StateSpace, motion: Motion) -> None:
         super().__init__()
-        self.policy, self.space, self.random_torque, self.generator = policy, space, random_torque, generator
+        self.policy, self.space, self.motion = policy, space, motion
         self.exploring = True
 
     @torch.no_grad()
     def forward(self, observation: Tensor) -> Tensor:
         """Torques (*batch, F), N·m, for states (*batch, D)."""
-        if not self.exploring:
-            return self.policy(self.space.features(observation))
-        shape = (*observation.shape[:-1], len(self.policy.u_max))
-        uniform = 2 * torch.rand(shape, dtype=torch.float64, generator=self.generator) - 1
-        return self.random_torque * self.policy.u_max * uniform
+        return self.motion(observation) if self.exploring else self.policy(self.space.features(observation))
 
 
 class RolloutCollector(Collector):
-    """TorchRL's collector, whose state holds the batch that it handed out last: with a loaded state it begins with that one.
+    """TorchRL's collector of one rollout a batch, without end; the first batch is all rollouts of the first motion, one after the other.
 
-    A checkpoint that is written as soon as the robot has moved thus holds the motion, and a resumed loop learns from it as the
-    first one did.
+    Its state holds the batch that it handed out last: with a loaded state it begins with that one. A checkpoint that is written as
+    soon as the robot has moved thus holds the motion, and a resumed loop learns from it as the first one did.
+
+    Args:
+        env: the robot.
+        policy: what it executes.
+        actor: inside of the policy.
+        first_motion: its rollouts and their steps.
+        horizon: steps of the other rollouts.
     """
 
     _latest: TensorDictBase | None = None
     _repeated = False
+
+    def __init__(self, env: EnvBase, policy: TensorDictModule, actor: RobotActor, first_motion: FirstMotion, horizon: int) -> None:
+        settings = {"reset_at_each_iter": True, "auto_register_policy_transforms": False}
+        super().__init__(env, policy, frames_per_batch=horizon, total_frames=-1, **settings)
+        self._executed, self._actor, self._first_motion = policy, actor, first_motion
+
+    def rollout(self) -> TensorDictBase:
+        """The next batch, (steps,)."""
+        if self._frames:
+            return super().rollout()
+        rollouts = []
+        for _ in range(self._first_motion.rollouts):
+            self._actor.motion.begin()
+            rollouts.append(self.env.rollout(self._first_motion.steps, self._executed))
+        return torch.cat(rollouts, -1)
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """The batch of a loaded state, then new ones."""
@@ -72,13 +93,43 @@ class RolloutCollector(Collector):
 
 def states_of(rollout: TensorDictBase) -> Tensor:
     """States x_0..x_T of rollouts (*batch, T), as the robot's sensors say: (*batch, T + 1, D)."""
-    return _course_of(rollout, "observation")
+    return torch.cat([rollout["observation"][..., :1, :], rollout["next", "observation"]], -2)
 
 
-def true_states_of(rollout: TensorDictBase) -> Tensor:
-    """States x_0..x_T of rollouts (*batch, T), also where the robot's sensors are noisy: (*batch, T + 1, D)."""
-    return _course_of(rollout, "state" if "state" in set(rollout.keys()) else "observation")
+def rollout_of(states: Tensor) -> TensorDict:
+    """The rollouts (*batch, T) of which :func:`states_of` gives these states x_0..x_T, (*batch, T + 1, D); nothing else is known of them.
+
+    Example:
+        >>> states_of(rollout_of(torch.zeros(7, 26, 4))).shape
+        torch.Size([7, 26, 4])
+    """
+    batch = (*states.shape[:-2], states.shape[-2] - 1)
+    return TensorDict({"observation": states[..., :-1, :], "next": {"observation": states[..., 1:, :]}}, batch)
 
 
-def _course_of(rollout: TensorDictBase, key: str) -> Tensor:
-    return torch.cat([rollout[key][..., :1, :], rollout["next", key]], -2)
+def without_sensor_noise(rollout: TensorDictBase) -> TensorDictBase:
+    """The rollouts as exact sensors would have shown them."""
+    if "state" not in set(rollout.keys()):
+        return rollout
+    true = rollout.copy()
+    true["observation"], true["next", "observation"] = rollout["state"], rollout["next", "state"]
+    return true
+
+
+def of_states(error: Callable[[Tensor], Tensor]) -> Callable[[TensorDictBase], Tensor]:
+    """An error of rollouts (*batch, T) that is a function of their states x_0..x_T, (*batch, T + 1, D) to (*batch).
+
+    Example:
+        >>> last = of_states(lambda states: states[..., -1, :].norm(dim=-1))
+        >>> last(rollout_of(torch.ones(7, 26, 4))).shape
+        torch.Size([7])
+    """
+    return _OfStates(error)
+
+
+@dataclass(frozen=True)
+class _OfStates:
+    error: Callable[[Tensor], Tensor]
+
+    def __call__(self, rollout: TensorDictBase) -> Tensor:
+        return self.error(states_of(rollout))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.gaussian import Gaussian, symmetric
 
 
-def expert_distribution(demonstrations: Demonstrations, noise_std: float) -> Gaussian:
+def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tensor) -> Gaussian:
     r"""Marginals :math:`\mathcal N(\hat\mu_t^{\exp}, \hat\Sigma_t^{\exp} + \sigma_{\mathrm{obs}}^2 I)` at t = 1..T, unbiased (Eqs. 10-12).
 
     A few demonstrations have a singular sample covariance, and positions of links lie on circles: the observation noise
@@ -16,13 +17,13 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float) -> Gau
 
     Args:
         demonstrations: N aligned demonstrations of T + 1 samples, the first at t = 0.
-        noise_std: standard deviation of the observation noise, in the unit of the match space.
+        noise_std: standard deviation of the observation noise, in the units of the match space: one number, or one for each entry, (M,).
 
     Returns:
         Mean (T, M) and covariance (T, M, M).
 
     Raises:
-        ValueError: the noise is not positive.
+        ValueError: the noise is not positive, or has another number of entries.
 
     Example:
         >>> positions = torch.tensor([[[0.0], [1.0]], [[0.0], [3.0]]], dtype=torch.float64)
@@ -30,10 +31,13 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float) -> Gau
         >>> expert.mean.item(), expert.cov.item()
         (2.0, 2.25)
     """
-    if not noise_std > 0:
-        raise ValueError(f"noise_std must be positive, got {noise_std}")
     observed = demonstrations.positions[:, 1:]
+    noise = torch.as_tensor(noise_std, dtype=torch.float64)
+    if not (noise > 0).all():
+        raise ValueError(f"noise_std must be positive, got {noise.tolist()}")
+    if noise.shape not in ((), observed.shape[-1:]):
+        raise ValueError(f"noise_std must be a number or one for each of {', '.join(demonstrations.names)}, got {noise.tolist()}")
     mean = observed.mean(0)  # Eq. 10
     deviation = observed - mean
     cov = torch.einsum("ntj,ntk->tjk", deviation, deviation) / (len(observed) - 1)  # Eq. 11
-    return Gaussian(mean, symmetric(cov)).add_noise(noise_std**2)
+    return Gaussian(mean, symmetric(cov)).add_noise(noise**2)

@@ -26,11 +26,11 @@ class TrajectoryKLLoss(TrajectoryLoss):
         dynamics: the forward model, constant here.
         space: the robot's state space.
         expert: demonstrated marginals at t = 1..T in the match space, observation noise included.
-        noise_std: observation noise added to the prediction too, in the unit of the match space.
+        noise_std: observation noise added to the prediction too, in the units of the match space: one number, or one for each entry, (M,).
         reduction, prediction: as in :class:`TrajectoryLoss`.
 
     Raises:
-        ValueError: the expert is not in the match space, or the reduction is unknown.
+        ValueError: the expert or the noise is not in the match space, or the reduction is unknown.
 
     Example:
         >>> from tensordict import TensorDict
@@ -54,13 +54,15 @@ class TrajectoryKLLoss(TrajectoryLoss):
         dynamics: GPDynamics,
         space: StateSpace,
         expert: Gaussian,
-        noise_std: float,
+        noise_std: float | Tensor,
         reduction: Reduction = "mean",
         prediction: Prediction = predict_trajectory,
     ) -> None:
         super().__init__(actor_network, dynamics, space, reduction, prediction)
         if expert.dim != space.match.dim:
             raise ValueError(f"expert must have the {space.match.dim} entries {space.match.names}, got {expert.dim}")
+        if torch.as_tensor(noise_std).shape not in ((), (expert.dim,)):
+            raise ValueError(f"noise_std must be a number or one for each of {space.match.names}, got {noise_std}")
         self.noise_std = noise_std
         self.register_buffer("expert_mean", expert.mean)
         self.register_buffer("expert_cov", expert.cov)

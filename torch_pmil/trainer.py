@@ -20,9 +20,10 @@ from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
 
 from torch_pmil.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
-from torch_pmil.collection import RobotActor, RolloutCollector, states_of
+from torch_pmil.collection import RobotActor, RolloutCollector
 from torch_pmil.dynamics import FitResult
 from torch_pmil.experience import Experience
+from torch_pmil.first_motion import FirstMotion
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchSettings
@@ -31,13 +32,15 @@ from torch_pmil.search_stepper import PolicySearchStepper
 from torch_pmil.trajectory_loss import TrajectoryLoss
 from torch_pmil.trials import Candidate, Trial, success_rate
 
+NUMERALS = {2: "two", 3: "three", 4: "four"}
+
 
 class PMILTrainer(Trainer):
     """Probabilistic model-based imitation learning (Algorithm 1).
 
-    The first batch is a random rollout. After each batch the model is fitted to all experience, the policy is searched on it
+    The first batch is the robot's first motion. After each batch the model is fitted to all experience, the policy is searched on it
     and measured from fresh starts (which decides nothing, and is no experience); the next batch is that policy's rollout on the
-    robot. Training ends when the own rollouts of two trials in a row succeeded, or at the limit of trials.
+    robot. Training ends when the own rollouts of some trials in a row succeeded, or at the limit of trials.
     :meth:`best_policy` then chooses among the policies that ran.
 
     With a ``checkpoint_rotation`` everything is written down as soon as the robot has moved, before anything is learned from that.
@@ -49,14 +52,15 @@ class PMILTrainer(Trainer):
         loss_module: the objective with policy and model.
         initial: p(x_0).
         limits: of the state (D,); transitions beyond are experience, but no data of the model.
-        error: of rollouts x_0..x_T, (*batch, T + 1, D) to (*batch).
+        error: of rollouts (*batch, T), as the environment gives them, (*batch).
         tolerance: error up to which a rollout is a success.
+        confirmations: number of successes in a row that end the training.
         trials: largest number of trials.
         search: budget and horizon of each policy search.
         make_policy: a new random policy, drawn from a generator.
-        random_torque: of the first rollout, as a fraction of the limits.
+        first_motion: of the robot.
         policy_generator: of new policies.
-        generator: of the random torques and of the renewal of policies.
+        generator: of the first motion and of the renewal of policies.
         on_trial: called with each trial when its own rollout is done.
         progress_bar: whether to show progress.
         logger: TorchRL's, for the numbers of every trial; None for none.
@@ -74,12 +78,13 @@ class PMILTrainer(Trainer):
         loss_module: TrajectoryLoss,
         initial: Gaussian,
         limits: Tensor,
-        error: Callable[[Tensor], Tensor],
+        error: Callable[[TensorDictBase], Tensor],
         tolerance: float,
+        confirmations: int,
         trials: int,
         search: SearchSettings,
         make_policy: Callable[[torch.Generator], RBFPolicy],
-        random_torque: float,
+        first_motion: FirstMotion,
         policy_generator: torch.Generator,
         generator: torch.Generator,
         on_trial: Callable[[Trial], None] = lambda trial: None,
@@ -90,19 +95,14 @@ class PMILTrainer(Trainer):
     ) -> None:
         if trials < 1:
             raise ValueError(f"trials must be at least 1, got {trials}")
+        if confirmations < 1:
+            raise ValueError(f"confirmations must be at least 1, got {confirmations}")
         horizon = loss_module.horizon
-        frames = (trials + 1) * horizon
-        actor = RobotActor(loss_module.actor_network, loss_module.space, random_torque, generator)
+        frames = first_motion.rollouts * first_motion.steps + trials * horizon
+        actor = RobotActor(loss_module.actor_network, loss_module.space, first_motion.motion(generator))
         self.robot_policy = TensorDictModule(actor, in_keys=["observation"], out_keys=["action"])
         super().__init__(
-            collector=RolloutCollector(
-                env,
-                self.robot_policy,
-                frames_per_batch=horizon,
-                total_frames=frames,
-                reset_at_each_iter=True,
-                auto_register_policy_transforms=False,
-            ),
+            collector=RolloutCollector(env, self.robot_policy, actor, first_motion, horizon),
             total_frames=frames,
             frame_skip=1,
             optim_steps_per_batch=1,
@@ -114,7 +114,7 @@ class PMILTrainer(Trainer):
             checkpoint=new_checkpoint(),
         )
         self.actor, self.evaluation_env, self.initial, self.limits = actor, evaluation_env, initial, limits
-        self.error, self.tolerance, self.on_trial = error, tolerance, on_trial
+        self.error, self.tolerance, self.confirmations, self.on_trial = error, tolerance, confirmations, on_trial
         self.control_period = env.control_period
         self.experience = Experience(capacity=frames)
         self.trials: list[Trial] = []
@@ -220,15 +220,16 @@ class PMILTrainer(Trainer):
         self.experience.extend(batch)
         if self._pending is None:
             return batch
-        own_error = self.error(states_of(batch)).item()
+        own_error = self.error(batch).item()
         trial = replace(self._pending, own_error=own_error, own_success=own_error <= self.tolerance)
         parameters = {k: v.clone() for k, v in self.loss_module.actor_network.state_dict().items()}
         self.trials.append(trial)
         self._pending = None
         self.candidates.append(Candidate(trial.trial, parameters, own_error))
         self.on_trial(trial)
-        if len(self.trials) > 1 and all(t.own_success for t in self.trials[-2:]):
-            self.request_stop("the own rollouts of two trials in a row succeeded")
+        last = self.trials[-self.confirmations :]
+        if len(last) == self.confirmations and all(t.own_success for t in last):
+            self.request_stop(f"the own rollouts of {NUMERALS.get(len(last), len(last))} trials in a row succeeded")
         return batch
 
     def _start_belief(self, batch: TensorDictBase) -> TensorDictBase:
@@ -239,7 +240,7 @@ class PMILTrainer(Trainer):
         if self._stop_training or self.collected_frames >= self.total_frames:
             return None
         self.actor.exploring = False
-        errors = self.error(states_of(self.evaluation_env.rollout(self.loss_module.horizon, self.robot_policy)))
+        errors = self.error(self.evaluation_env.rollout(self.loss_module.horizon, self.robot_policy))
         search = self.optimization_stepper.result
         self._pending = Trial(
             trial=len(self.trials) + 1,

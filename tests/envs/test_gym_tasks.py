@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from torch_pmil.collection import states_of
+from torch_pmil.collection import rollout_of, states_of
 from torch_pmil.envs import gym_tasks
 from torch_pmil.envs.gym_experts import CART_STEPS, HOLD_FROM, PENDULUM_STEPS, TORQUE_LIMIT, balancing_expert, pendulum_expert
 from torch_pmil.envs.gym_tasks import cart_dynamics, gym_pendulum_env, inverted_pendulum_env, pendulum_dynamics
@@ -72,7 +72,7 @@ def test_match_space_of_the_cart_is_where_mujoco_has_cart_and_tip() -> None:
 
 def expert_error(name: str, dynamics: ArrayDynamics, starts: Array, expert: object, steps: int) -> torch.Tensor:
     states, _ = roll_out(dynamics, starts, expert, steps)
-    return load_experiment(name).error(torch.from_numpy(states))
+    return load_experiment(name).error(rollout_of(torch.from_numpy(states)))
 
 
 def test_cart_expert_meets_the_criterion_from_every_corner_of_the_starts() -> None:
@@ -93,7 +93,7 @@ def test_pendulum_expert_meets_the_criterion_three_standard_deviations_off() -> 
 def test_shipped_demonstrations_are_successes_and_show_no_more_than_positions(name: str) -> None:
     experiment = load_experiment(name)
     states = experiment.demonstrated_states.reshape(len(experiment.demonstrations.positions), -1, experiment.space.dim)
-    assert (experiment.error(states) <= experiment.tolerance).all()
+    assert (experiment.error(rollout_of(states)) <= experiment.tolerance).all()
     torch.testing.assert_close(experiment.space.match(states), experiment.demonstrations.positions, rtol=0, atol=2e-3)
     assert experiment.demonstrations.names == experiment.space.match.names
 

@@ -36,7 +36,7 @@ def short(name: str) -> Experiment:
     whole = load_experiment(name)
     beginning = replace(whole.demonstrations, positions=whole.demonstrations.positions[:, : HORIZON + 1])
     search = SearchSettings(1, 1, 1, first_horizon=HORIZON)
-    failure = lambda states: torch.ones(states.shape[:-2])  # noqa: E731
+    failure = lambda rollout: torch.ones(rollout.shape[:-1])  # noqa: E731
     return replace(whole, demonstrations=beginning, num_centres=5, search=search, error=failure, tolerance=0.5)
 
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch_pmil.baselines.dmp import DMP
 from torch_pmil.baselines.dmp_learning import InverseDynamicsLearner, Motion, dmp_reference, execute, random_torques
 from torch_pmil.baselines.inverse_dynamics import POSITION_GAIN, VELOCITY_GAIN
+from torch_pmil.collection import rollout_of
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments.double_pendulum import states_from_positions
 from torch_pmil.experiments.experiment import Experiment
@@ -95,7 +96,7 @@ def run_dmp(
         write_metrics(out / "metrics.csv", DMPTrial, rows)
         on_trial(rows[-1])
     learner.fit()
-    errors = experiment.error(learner.execute(fresh).states)
+    errors = experiment.error(rollout_of(learner.execute(fresh).states))
     summary = {
         "experiment": f"{experiment.name}_dmp",
         "seed": seed,
@@ -133,15 +134,15 @@ def run_trial(experiment: Experiment, learner: InverseDynamicsLearner, env: Mujo
     """Learn from all experience, measure from fresh starts, and run on the robot, which is new experience."""
     experience_s, fit = learner.experience_s, learner.fit()
     measured, own = learner.execute(fresh), learner.execute(env)
-    errors, own_error = experiment.error(measured.states), experiment.error(own.states).item()
+    errors, own_error = (experiment.error(rollout_of(motion.states)) for motion in (measured, own))
     learner.add(own)
     return DMPTrial(
         trial=number,
         experience_s=experience_s,
         success_rate=success_rate(errors, experiment.tolerance),
         n_eval=len(errors),
-        own_error=own_error,
-        own_success=own_error <= experiment.tolerance,
+        own_error=own_error.item(),
+        own_success=own_error.item() <= experiment.tolerance,
         tracking_error=learner.tracking_error(measured),
         gp_seconds=fit.seconds,
     )

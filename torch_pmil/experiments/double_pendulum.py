@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_pmil.collection import of_states
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
 from torch_pmil.experiments.experiment import Experiment, check_demonstrations
@@ -75,6 +76,6 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         u_max=env.action_spec.space.high,
         demonstrated_states=states.reshape(-1, 4),
         num_centres=100,
-        error=distance_from_upright,
+        error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
     )

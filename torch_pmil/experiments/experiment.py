@@ -7,18 +7,22 @@ from dataclasses import asdict, dataclass, field
 from typing import ClassVar
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.expert import expert_distribution
+from torch_pmil.first_motion import FirstMotion, PDMovements, RandomTorques
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchSettings
 from torch_pmil.state_space import StateSpace
 from torch_pmil.trajectory_loss import TrajectoryLoss
+
+HELD_STARTS = 200  # at which a new policy is told to hold the robot
 
 
 @dataclass(frozen=True)
@@ -30,17 +34,22 @@ class Experiment:
         make_env: environment for given ``num_envs`` (None or N), ``from_pixels`` and ``seed``.
         space: the robot's state space; the demonstrations are in its match space.
         demonstrations: N demonstrations.
-        noise_std: observation noise, in the unit of the match space.
+        noise_std: observation noise, in the units of the match space: one number, or one for each entry, (M,).
         initial: p(x_0).
         u_max: torque limits (F,), N·m.
         demonstrated_states: states recovered from the demonstrations, (S, D), where the policy's centres are drawn.
         num_centres: m.
-        error: of rollouts, states x_0..x_T (*batch, T + 1, D) to (*batch).
+        error: of rollouts (*batch, T), as the environment gives them, (*batch); :func:`~torch_pmil.collection.of_states` makes it of a
+            function of the states x_0..x_T.
         tolerance: error up to which a rollout is a success.
+        confirmations: successes of own rollouts in a row that end a run: more where a success is a lenient measure.
         random_torque: of the first rollout, as a fraction of u_max.
+        pd_movements: the robot's first motion; random torques for one horizon if None.
         initial_weight_std: of the policy's initial weights.
         input_scale: width of the policy's initial basis functions, in standard deviations of the demonstrated features; a policy is
             nothing beyond the reach of its functions, so starts at the rim of what was demonstrated may need more than 1.
+        input_widths: the widths themselves (D',), in the units of the features; None for those by ``input_scale``.
+        holding_torques: torques (S, F) that hold the robot in states (S, D); a new policy holds it at the start. None: it need not.
         search: budget and horizon of the policy search.
 
     ``objective`` is the class of the loss that :meth:`make_loss` gives.
@@ -52,16 +61,20 @@ class Experiment:
     make_env: Callable[..., MujocoRobotEnv | AdaptedEnv]
     space: StateSpace
     demonstrations: Demonstrations
-    noise_std: float
+    noise_std: float | Tensor
     initial: Gaussian
     u_max: Tensor
     demonstrated_states: Tensor
     num_centres: int
-    error: Callable[[Tensor], Tensor]
+    error: Callable[[TensorDictBase], Tensor]
     tolerance: float
+    confirmations: int = 2
     random_torque: float = 0.4
+    pd_movements: PDMovements | None = None
     initial_weight_std: float = 0.1
     input_scale: float = 1.0
+    input_widths: Tensor | None = None
+    holding_torques: Callable[[Tensor], Tensor] | None = None
     search: SearchSettings = field(default_factory=SearchSettings)
 
     @property
@@ -73,6 +86,11 @@ class Experiment:
     def expert(self) -> Gaussian:
         """Demonstrated marginals at t = 1..T, observation noise included."""
         return expert_distribution(self.demonstrations, self.noise_std)
+
+    @property
+    def first_motion(self) -> FirstMotion:
+        """How the robot moves before anything is learned."""
+        return self.pd_movements or RandomTorques(self.u_max, self.random_torque, self.horizon)
 
     @property
     def limits(self) -> Tensor:
@@ -87,11 +105,15 @@ class Experiment:
         return {
             "horizon": self.horizon,
             "num_centres": self.num_centres,
-            "noise_std": self.noise_std,
+            "noise_std": torch.as_tensor(self.noise_std, dtype=torch.float64).tolist(),
             "random_torque": self.random_torque,
+            "first_motion": self.first_motion.settings,
             "initial_weight_std": self.initial_weight_std,
             "input_scale": self.input_scale,
+            "input_widths": None if self.input_widths is None else self.input_widths.tolist(),
+            "holds_start": self.holding_torques is not None,
             "tolerance": self.tolerance,
+            "confirmations": self.confirmations,
             "search": asdict(self.search),
         }
 
@@ -104,18 +126,22 @@ class Experiment:
         return TrajectoryKLLoss(policy, dynamics, self.space, self.expert, self.noise_std)
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
-        """A new policy: centres near demonstrated states, small random weights."""
+        """A new policy: centres near demonstrated states, small random weights; it holds the robot at the start if the experiment can."""
         return self.policy_near(self.demonstrated_states, generator)
 
     def policy_near(self, states: Tensor, generator: torch.Generator) -> RBFPolicy:
-        """A new policy: centres near some of the states (S, D), widths those of all, small random weights."""
+        """As :meth:`make_policy`: centres near some of the states (S, D), widths those of all unless the experiment says them."""
         features = self.space.features(states)
         std = features.std(0)
         chosen = torch.randint(len(features), (self.num_centres,), generator=generator)
         jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)
-        policy = RBFPolicy(features[chosen] + 0.1 * std * jitter, self.u_max, self.input_scale * std)
+        widths = self.input_scale * std if self.input_widths is None else self.input_widths
+        policy = RBFPolicy(features[chosen] + 0.1 * std * jitter, self.u_max, widths)
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
         policy.weights.data.copy_(self.initial_weight_std * white)
+        if self.holding_torques is not None:
+            starts = self.initial.sample(HELD_STARTS, generator)
+            policy.fit_weights(self.space.features(starts), self.holding_torques(starts))
         return policy
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_pmil.collection import of_states
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.gym_tasks import CART_START, inverted_pendulum_env
 from torch_pmil.experiments.experiment import Experiment, check_demonstrations
@@ -72,7 +73,7 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
         u_max=env.action_spec.space.high,
         demonstrated_states=states.reshape(-1, 4),
         num_centres=50,
-        error=distance_from_demonstrated,
+        error=of_states(distance_from_demonstrated),
         tolerance=SUCCESS_DISTANCE,
         random_torque=0.1,
         input_scale=3.0,

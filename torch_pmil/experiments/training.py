@@ -10,12 +10,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.record.loggers import Logger
 
 from torch_pmil.checkpoints import rotation_in
 from torch_pmil.collection import states_of
+from torch_pmil.evaluation import demonstration_spread, rms_error, two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.run_folder import (
     LOGGERS,
@@ -118,18 +120,18 @@ def train(
     policy, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
     save_policy(out / "policy.pt", policy, experiment.space, trainer.control_period)
     save_tensors(out / "dynamics.pt", dynamics.state_dict())
-    predicted, executed = _predict_and_execute(trainer, experiment)
+    predicted, rollouts = _predict_and_execute(trainer, experiment)
     summary = {
         "experiment": experiment.name,
         "seed": seed,
         **source,
         "settings": {"trials": trials, **experiment.settings},
         "wall_seconds": round(trainer.seconds, 2),
-        **_outcome(trainer, best, experiment, predicted, executed),
+        **_outcome(trainer, best, experiment, predicted, rollouts),
         "trials": [_plain(trial) for trial in trainer.trials],
     }
     write_json(out / "summary.json", summary)
-    return RunResult(summary, trainer.trials, predicted, executed, policy)
+    return RunResult(summary, trainer.trials, predicted, states_of(rollouts), policy)
 
 
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
@@ -168,10 +170,11 @@ def make_trainer(
         limits=experiment.limits,
         error=experiment.error,
         tolerance=experiment.tolerance,
+        confirmations=experiment.confirmations,
         trials=trials,
         search=experiment.search,
         make_policy=experiment.make_policy,
-        random_torque=experiment.random_torque,
+        first_motion=experiment.first_motion,
         policy_generator=generators[0],
         generator=generators[1],
         on_trial=on_trial,
@@ -182,38 +185,32 @@ def make_trainer(
     )
 
 
-def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
-    """Fraction of executed entries inside the predicted mean plus or minus two standard deviations.
-
-    Args:
-        predicted: marginals at t = 1..T, mean (T, D).
-        executed: rollouts x_0..x_T, (N, T + 1, D).
-
-    Example:
-        >>> still = Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1))
-        >>> two_sigma_coverage(still, torch.tensor([[[0.0], [1.0], [3.0]]]))
-        0.5
-    """
-    inside = (executed[:, 1:] - predicted.mean).abs() <= 2 * predicted.std
-    return inside.double().mean().item()
-
-
 @torch.no_grad()
-def _predict_and_execute(trainer: PMILTrainer, experiment: Experiment) -> tuple[Gaussian, Tensor]:
+def _predict_and_execute(trainer: PMILTrainer, experiment: Experiment) -> tuple[Gaussian, TensorDictBase]:
     loss = trainer.loss_module
-    return loss.predict_states(experiment.initial), states_of(trainer.evaluation_env.rollout(loss.horizon, trainer.robot_policy))
+    return loss.predict_states(experiment.initial), trainer.evaluation_env.rollout(loss.horizon, trainer.robot_policy)
 
 
-def _outcome(trainer: PMILTrainer, best: Candidate, experiment: Experiment, predicted: Gaussian, executed: Tensor) -> dict[str, object]:
+def _outcome(
+    trainer: PMILTrainer, best: Candidate, experiment: Experiment, predicted: Gaussian, rollouts: TensorDictBase
+) -> dict[str, object]:
     """What the run came to; the saved policy is measured anew, from starts that no trial saw."""
+    executed, space, demonstrations = states_of(rollouts), experiment.space, experiment.demonstrations
     return {
         "stop_reason": trainer.stop_reason,
         "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
         "saved_trial": best.trial,
-        "saved_success_rate": success_rate(experiment.error(executed), experiment.tolerance),
+        "saved_success_rate": success_rate(experiment.error(rollouts), experiment.tolerance),
         "saved_n_eval": len(executed),
         "two_sigma_coverage": two_sigma_coverage(predicted, executed),
+        "two_sigma_coverage_by_entry": _by_name(space.names, two_sigma_coverage_by_entry(predicted, executed)),
+        "rms_error": _by_name(space.match.names, rms_error(demonstrations, space.match(executed))),
+        "demonstration_spread": _by_name(space.match.names, demonstration_spread(demonstrations)),
     }
+
+
+def _by_name(names: tuple[str, ...], values: Tensor) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _plain(trial: Trial) -> dict[str, object]:

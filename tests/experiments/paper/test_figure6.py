@@ -10,6 +10,7 @@ import torch
 
 from tests.draws import Draws
 from tests.short_run import STEPS, quick_fits, run, short_experiment
+from torch_pmil.collection import states_of
 from torch_pmil.experiments import EXPERIMENTS
 from torch_pmil.experiments.paper import one_dimension
 from torch_pmil.experiments.paper.figure6 import agreement, comparison, gp_figure, moment_matching_figure, needed_runs, report
@@ -36,7 +37,7 @@ def test_what_is_loaded_predicts_what_the_run_predicted(learned: tuple[Path, Run
     predicted = loaded.predicted(experiment)
     torch.testing.assert_close(predicted.mean, result.predicted.mean, rtol=0, atol=1e-10)
     torch.testing.assert_close(predicted.cov, result.predicted.cov, rtol=0, atol=1e-10)
-    executed = loaded.executed(experiment, starts=3, seed=1)
+    executed = states_of(loaded.rollouts(experiment, starts=3, seed=1))
     torch.testing.assert_close(executed[:, 0], experiment.make_env(num_envs=3, seed=1).reset()["observation"])
     assert executed.shape == (3, STEPS + 1, 4)
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from tests.short_run import quick_fits, run, short_experiment
+from torch_pmil.collection import of_states
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.experiment import Experiment
@@ -24,7 +25,7 @@ def hanging_still(**settings: object) -> Experiment:
     return replace(
         experiment,
         make_env=partial(DoublePendulumEnv, **settings),
-        error=lambda states: (states - experiment.initial.mean)[..., 0].abs().amax(-1),
+        error=of_states(lambda states: (states - experiment.initial.mean)[..., 0].abs().amax(-1)),
         tolerance=0.5,
     )
 

@@ -8,12 +8,14 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torch_pmil.collection import states_of
+from torch_pmil.evaluation import two_sigma_coverage
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.paper import one_dimension
 from torch_pmil.experiments.paper.learned import load_learned
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run, learning_run
-from torch_pmil.experiments.training import EVALUATION_STARTS, two_sigma_coverage
+from torch_pmil.experiments.training import EVALUATION_STARTS
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.kl import trajectory_kl
 from torch_pmil.plotting import Figure, plot_demonstrations, plot_distributions, plot_gp, plot_moment_matching, plot_poses
@@ -32,12 +34,13 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     """Distributions, rollouts and poses of that run; the small figures of the method's parts."""
     experiment, (folder,) = load_experiment("double_pendulum"), folders
     learned = load_learned(folder, experiment)
-    states, executed = learned.predicted(experiment), learned.executed(experiment, EVALUATION_STARTS, START_SEED)
+    states, rollouts = learned.predicted(experiment), learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
+    executed = states_of(rollouts)
     match = experiment.space.match
     predicted = match.belief(states).add_noise(experiment.noise_std**2)
     headline = {
         "experience_s": learned.summary["experience_s"],
-        "success_rate": success_rate(experiment.error(executed), experiment.tolerance),
+        "success_rate": success_rate(experiment.error(rollouts), experiment.tolerance),
         "two_sigma_coverage": two_sigma_coverage(states, executed),
         **comparison(experiment.expert, predicted),
     }

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from torch import Tensor
+from tensordict import TensorDictBase
 
-from torch_pmil.collection import states_of, true_states_of
+from torch_pmil.collection import without_sensor_noise
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.runs import RunError, read_summary
@@ -39,10 +39,10 @@ class Learned:
         return experiment.make_loss(self.policy.policy, self.dynamics).predict_states(experiment.initial)
 
     @torch.no_grad()
-    def executed(self, experiment: Experiment, starts: int, seed: int) -> Tensor:
-        """Rollouts of the robot from fresh starts, states x_0..x_T (starts, T + 1, D)."""
+    def rollouts(self, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
+        """Rollouts of the robot from fresh starts, (starts, T), as the environment gives them."""
         env = experiment.make_env(num_envs=starts, seed=seed)
-        return states_of(env.rollout(experiment.horizon, self.policy.as_tensordict_module()))
+        return env.rollout(experiment.horizon, self.policy.as_tensordict_module())
 
 
 def load_learned(folder: Path, experiment: Experiment) -> Learned:
@@ -83,8 +83,8 @@ def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, s
         Fraction from 0 to 1.
     """
     env = experiment.make_env(num_envs=starts, seed=seed)
-    states = true_states_of(env.rollout(experiment.horizon, policy.as_tensordict_module()))
-    return success_rate(experiment.error(states), experiment.tolerance)
+    rollouts = without_sensor_noise(env.rollout(experiment.horizon, policy.as_tensordict_module()))
+    return success_rate(experiment.error(rollouts), experiment.tolerance)
 
 
 def outcome(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, object]:

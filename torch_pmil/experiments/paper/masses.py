@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
+from torch_pmil.collection import states_of
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.experiments import load_experiment
@@ -60,8 +61,9 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     learned_on = [robot for robot in robots for _ in range(runs_each)]
     runs = [outcome(folder, robot, starts, START_SEED) for robot, folder in zip(learned_on, folders, strict=True)]
     ours = np.reshape([run["success_rate"] for run in runs], (len(robots), runs_each)).T
-    executed = [load_learned(run, robot).executed(robot, starts, START_SEED) for robot, run in zip(learned_on, folders, strict=True)]
-    departures = np.reshape([departure(*each) for each in zip(executed, learned_on, strict=True)], ours.T.shape)
+    rollouts = [load_learned(run, robot).rollouts(robot, starts, START_SEED) for robot, run in zip(learned_on, folders, strict=True)]
+    departures = [departure(states_of(own), robot) for own, robot in zip(rollouts, learned_on, strict=True)]
+    departures = np.reshape(departures, ours.T.shape)
     pairs = list(record_pairs(sets))
     clones = [clone_double_pendulum(*pair) for pair in pairs]
     cloning = np.array([[measured_success(clone, robot, starts, START_SEED) for robot in robots] for clone in clones])

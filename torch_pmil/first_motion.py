@@ -1,0 +1,159 @@
+"""How a robot moves before anything is learned: what its first model is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+Feedforward = Callable[[Tensor], Tensor]
+
+
+class Motion(Protocol):
+    """Torques (*batch, F), N·m, at states (*batch, D), called once for each control step."""
+
+    def begin(self) -> None:
+        """A new rollout begins."""
+
+    def __call__(self, state: Tensor) -> Tensor:
+        """Torques of the next step."""
+
+
+class FirstMotion(Protocol):
+    """What an experiment says of it: the number of rollouts, their steps, and what moves the robot."""
+
+    @property
+    def rollouts(self) -> int:
+        """How often the robot starts."""
+
+    @property
+    def steps(self) -> int:
+        """Control steps of each rollout."""
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """Numbers that a run depends on, as JSON can say them."""
+
+    def motion(self, generator: torch.Generator) -> Motion:
+        """What moves the robot, drawing from a generator."""
+
+
+@dataclass(frozen=True)
+class RandomTorques:
+    """A rollout of independent torques, uniform within a fraction of the limits.
+
+    Args:
+        u_max: torque limits (F,), N·m.
+        fraction: of them.
+        steps: of the rollout.
+
+    Example:
+        >>> torques = RandomTorques(torch.tensor([3.5, 3.5]), fraction=0.4, steps=25)
+        >>> torques.motion(torch.Generator().manual_seed(0))(torch.zeros(7, 4)).shape
+        torch.Size([7, 2])
+    """
+
+    u_max: Tensor
+    fraction: float
+    steps: int
+    rollouts: int = 1
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """Number and length of the rollouts, and the fraction."""
+        return {"rollouts": self.rollouts, "steps": self.steps, "random_torque": self.fraction}
+
+    def motion(self, generator: torch.Generator) -> Motion:
+        """What moves the robot, drawing from a generator."""
+        return _Uniform(self.fraction * self.u_max.double(), generator)
+
+
+class _Uniform:
+    def __init__(self, limit: Tensor, generator: torch.Generator) -> None:
+        self.limit, self.generator = limit, generator
+
+    def begin(self) -> None:
+        """Each step is independent of the others."""
+
+    def __call__(self, state: Tensor) -> Tensor:
+        shape = (*state.shape[:-1], len(self.limit))
+        return self.limit * (2 * torch.rand(shape, dtype=torch.float64, generator=self.generator) - 1)
+
+
+@dataclass(frozen=True)
+class PDMovements:
+    r"""Simple movements of a PD controller around a pose (Section 5.2.4).
+
+    .. math:: u = \operatorname{clip}_{\pm u_{\max}}\left(u_{\mathrm{ff}}(x) + K (x^* - x)\right)
+
+    The target :math:`x^*` is drawn uniformly around the pose, and anew every ``hold`` steps.
+
+    Args:
+        pose: state (D,) around which the robot moves.
+        reach: largest distances (D,) of a target from the pose, in its units; 0 for velocities.
+        gain: K (F, D): stiffness (N·m/rad) in the columns of the positions, damping (N·m·s/rad) in those of the velocities.
+        u_max: torque limits (F,), N·m.
+        hold: control steps for which a target stays.
+        rollouts, steps: number of rollouts and control steps of each.
+        feedforward: torques (*batch, F) at states (*batch, D), which carry the robot's weight.
+
+    Raises:
+        ValueError: shapes do not fit each other, a distance is negative, or a number is not positive.
+
+    Example:
+        >>> still, gain = torch.zeros(2), torch.tensor([[5.0, 1.0]])
+        >>> pd = PDMovements(still, torch.tensor([0.4, 0.0]), gain, torch.tensor([3.0]), 5, 3, 20, lambda state: state[..., :1])
+        >>> pd.motion(torch.Generator().manual_seed(0))(still).abs().item() <= 5 * 0.4
+        True
+    """
+
+    pose: Tensor
+    reach: Tensor
+    gain: Tensor
+    u_max: Tensor
+    hold: int
+    rollouts: int
+    steps: int
+    feedforward: Feedforward
+
+    def __post_init__(self) -> None:
+        D, F = len(self.pose), len(self.u_max)
+        if self.reach.shape != (D,) or self.gain.shape != (F, D):
+            got = f"{tuple(self.reach.shape)} and {tuple(self.gain.shape)}"
+            raise ValueError(f"reach and gain must have shapes ({D},) and ({F}, {D}) for a pose of {D} and {F} torques, got {got}")
+        if not ((self.reach >= 0).all() and (self.u_max > 0).all()):
+            raise ValueError(f"reach must not be negative and u_max be positive, got {self.reach.tolist()} and {self.u_max.tolist()}")
+        if min(self.hold, self.rollouts, self.steps) < 1:
+            raise ValueError(f"hold, rollouts and steps must be at least 1, got {self.hold}, {self.rollouts} and {self.steps}")
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """All numbers."""
+        counts = {"rollouts": self.rollouts, "steps": self.steps, "hold": self.hold}
+        return counts | {name: getattr(self, name).tolist() for name in ("pose", "reach", "gain")}
+
+    def motion(self, generator: torch.Generator) -> Motion:
+        """What moves the robot, drawing from a generator."""
+        return _PDControl(self, generator)
+
+
+class _PDControl:
+    def __init__(self, movements: PDMovements, generator: torch.Generator) -> None:
+        self.movements, self.generator = movements, generator
+        self.begin()
+
+    def begin(self) -> None:
+        """The first target is drawn at the next step."""
+        self.step = 0
+
+    def __call__(self, state: Tensor) -> Tensor:
+        movements = self.movements
+        if self.step % movements.hold == 0:
+            offset = 2 * torch.rand(state.shape, dtype=torch.float64, generator=self.generator) - 1
+            self.target = movements.pose + movements.reach * offset
+        self.step += 1
+        torque = movements.feedforward(state) + (self.target - state) @ movements.gain.to(state).mT
+        return torque.clamp(-movements.u_max, movements.u_max)

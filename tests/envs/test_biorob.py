@@ -1,0 +1,310 @@
+"""The BioRob's environment: what is hidden, what is measured beside the state, and the laws of an environment."""
+
+from __future__ import annotations
+
+import io
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs.utils import check_env_specs
+
+from torch_pmil.envs import BioRobEnv
+from torch_pmil.envs.biorob import BALL, JOINTS, ROTORS, START, START_STD, TORQUE_LIMIT, biorob_model, holding_torques
+from torch_pmil.video import dense_states, render_rollout
+
+NOISE = (0.01, 0.0, 0.02, 0.1, 0.3, 0.1)  # rad, rad/s
+UNDER_THE_BALL = (0.1, 0.55, 1.35, 0.0, 0.0, 0.0)
+STRIKE = torch.tensor([[0.0, 20.0, 10.0]], dtype=torch.float64)
+FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+def start_at(env: BioRobEnv, state: Tensor | tuple[float, ...]) -> TensorDictBase:
+    return env.reset(TensorDict({"observation": torch.as_tensor(state, dtype=torch.float64)}, env.batch_size))
+
+
+def run(env: BioRobEnv, start: Tensor | tuple[float, ...], torques: Tensor) -> TensorDictBase:
+    """What is measured (T+1, *batch) under torques (T, *batch, 3)."""
+    measured = [start_at(env, start)]
+    for torque in torques:
+        measured.append(env.step(TensorDict({"action": torque}, env.batch_size))["next"])
+    return torch.stack([each.select("observation", "info") for each in measured])
+
+
+def random_torques(seed: int, *shape: int) -> Tensor:
+    return (2 * torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) - 1) * torch.tensor([4.0, 10.0, 5.0])
+
+
+def step_by_step(state: tuple[float, ...], torques: Tensor) -> tuple[list[float], list[float], Tensor]:
+    """Distances (m) and contacts at the start and after each time step, and the last state, from MuJoCo's own stepping."""
+    env = BioRobEnv(seed=0)
+    start_at(env, state)
+    data = mujoco.MjData(env.model)
+    mujoco.mj_setState(env.model, data, env.state_dict()["_physics"][0].numpy(), FULL_PHYSICS)
+    mujoco.mj_forward(env.model, data)
+    sensed = [data.sensordata.copy()]
+    for torque in torques.repeat_interleave(100, 0):
+        data.ctrl[:] = torque
+        mujoco.mj_step(env.model, data)
+        mujoco.mj_forward(env.model, data)
+        sensed.append(data.sensordata.copy())
+    distances, contacts = (
+        [values[env.model.sensor(name).adr[0]] for values in sensed] for name in ("racket_ball_distance", "racket_ball_contact")
+    )
+    joints = [data.joint(name) for name in JOINTS]
+    return distances, contacts, torch.tensor([joint.qpos[0] for joint in joints] + [joint.qvel[0] for joint in joints])
+
+
+@pytest.mark.parametrize("num_envs", [None, 3])
+@pytest.mark.parametrize("noise", [None, NOISE])
+def test_torchrl_accepts_the_environment(num_envs: int | None, noise: tuple[float, ...] | None) -> None:
+    env = BioRobEnv(num_envs=num_envs, observation_std=noise, seed=0)
+    check_env_specs(env)
+    batch = () if num_envs is None else (num_envs,)
+    rollout = env.rollout(3)
+    assert rollout["next", "info", "racket_ball_distance"].shape == (*batch, 3, 1)
+    assert rollout["next", "info", "racket_ball_distance"].dtype == torch.float64 and rollout["next", "info", "hit"].dtype == torch.bool
+    assert env.action_spec.space.high.expand(*batch, 3).reshape(-1, 3)[0].tolist() == list(TORQUE_LIMIT)
+
+
+def test_state_has_positions_first() -> None:
+    state = (0.1, 0.2, 0.3, 1.0, 2.0, 3.0)
+    env = BioRobEnv(seed=0)
+    assert start_at(env, state)["observation"].tolist() == list(state)
+    model, data = env.model, mujoco.MjData(env.model)
+    mujoco.mj_setState(model, data, env.state_dict()["_physics"][0].numpy(), FULL_PHYSICS)
+    assert [data.joint(name).qpos[0] for name in JOINTS] + [data.joint(name).qvel[0] for name in JOINTS] == list(state)
+
+
+@pytest.mark.parametrize("pose", [START[:3], (0.1, 0.72, 1.5), (-0.5, -0.4, 0.3), (0.6, 1.5, 2.0)])
+def test_reset_is_in_equilibrium_with_the_torques_that_hold_it(pose: tuple[float, ...]) -> None:
+    torque = holding_torques(torch.tensor(pose, dtype=torch.float64))
+    states = run(BioRobEnv(seed=0), (*pose, 0.0, 0.0, 0.0), torque.expand(20, 3))["observation"]
+    assert (states - states[0]).abs().max() < 1e-6
+
+
+def test_motors_move_with_the_joints_at_a_reset() -> None:
+    env = BioRobEnv(seed=0)
+    start_at(env, (*START[:3], 1.0, 2.0, 3.0))
+    data = mujoco.MjData(env.model)
+    mujoco.mj_setState(env.model, data, env.state_dict()["_physics"][0].numpy(), FULL_PHYSICS)
+    mujoco.mj_forward(env.model, data)
+    assert np.allclose(data.ten_velocity[:6], 0, atol=1e-12), "no cable changes its length"
+    assert [data.joint(name).qvel[0] for name in ROTORS] == pytest.approx([1.0, 2.0, 4.0])
+
+
+def test_ball_hangs_at_rest_where_it_is_said_to() -> None:
+    for ball in (BALL, (0.6, -0.2, 1.3)):
+        env = BioRobEnv(ball, seed=0)
+        place = [env.replay(env.initial_mean, torch.zeros(5, 3, dtype=torch.float64), 1)[step] for step in (0, -1)]
+        data = mujoco.MjData(env.model)
+        for physics in place:
+            mujoco.mj_setState(env.model, data, physics.numpy(), FULL_PHYSICS)
+            mujoco.mj_forward(env.model, data)
+            np.testing.assert_allclose(data.body("ball").xpos, ball, atol=1e-5)
+
+
+def test_distance_is_the_least_over_all_time_steps_and_hit_stays() -> None:
+    torques = torch.cat([STRIKE.expand(3, 3), torch.zeros(4, 3, dtype=torch.float64)])
+    measured = run(BioRobEnv(seed=0), UNDER_THE_BALL, torques)
+    distances, contacts, last = step_by_step(UNDER_THE_BALL, torques)
+    torch.testing.assert_close(measured["observation"][-1], last, rtol=0, atol=1e-6)
+    least = torch.tensor(distances, dtype=torch.float64).unfold(0, 101, 100).amin(-1)  # both ends of a period belong to it
+    torch.testing.assert_close(measured["info", "racket_ball_distance"][1:, 0], least, rtol=0, atol=1e-6)
+    hits = (torch.tensor(contacts).unfold(0, 101, 100) > 0).any(-1).cummax(0).values
+    assert torch.equal(measured["info", "hit"][1:, 0], hits)
+    assert not hits[0] and hits[-1] and distances[-1] > 0.1, "it was touched, and is away again"
+
+
+def test_step_that_only_passes_the_ball_says_how_near_it_came() -> None:
+    """The least distance lies within a control period, and both ends of it belong to it."""
+    env = BioRobEnv((0.757, 0.25, 1.127), seed=0)
+    measured = run(env, UNDER_THE_BALL, STRIKE.expand(4, 3))
+    ends = measured["info", "racket_ball_distance"]
+    assert not measured["info", "hit"].any() and ends.min() > 0
+    states = env.replay(torch.tensor(UNDER_THE_BALL, dtype=torch.float64), STRIKE.expand(4, 3), 1)
+    now = torch.stack([_distance(env, physics) for physics in states])
+    assert ends[0, 0] == now[0] and (ends[1:, 0] <= torch.minimum(now[1:], now[:-1]) + 1e-12).all()
+    assert (ends[1:, 0] < torch.minimum(now[1:], now[:-1]) - 1e-4).any()
+
+
+def _distance(env: BioRobEnv, physics: Tensor) -> Tensor:
+    data = mujoco.MjData(env.model)
+    mujoco.mj_setState(env.model, data, physics.numpy(), FULL_PHYSICS)
+    mujoco.mj_forward(env.model, data)
+    return torch.tensor(data.sensor("racket_ball_distance").data[0], dtype=torch.float64)
+
+
+def test_hit_ends_nothing_and_is_forgotten_at_a_reset() -> None:
+    env = BioRobEnv(seed=0)
+    start_at(env, UNDER_THE_BALL)
+    for _ in range(5):
+        after = env.step(TensorDict({"action": STRIKE[0]}))["next"]
+    assert after["info", "hit"] and not after["done"]
+    assert not env.reset()["info", "hit"]
+
+
+def test_partial_reset_forgets_the_hits_of_the_masked_robots_only() -> None:
+    env = BioRobEnv(num_envs=2, seed=0)
+    start = torch.tensor([UNDER_THE_BALL] * 2, dtype=torch.float64)
+    after = run(env, start, STRIKE.expand(5, 2, 3))[-1]
+    assert after["info", "hit"].all()
+    mask = torch.tensor([[True], [False]])
+    env.reset(TensorDict({"_reset": mask, "observation": start}, [2]))
+    after = env.step(TensorDict({"action": torch.zeros(2, 3, dtype=torch.float64)}, [2]))["next"]
+    assert after["info", "hit"].flatten().tolist() == [False, True]
+
+
+def test_batch_equals_single_environments() -> None:
+    batch, torques = BioRobEnv(num_envs=3, seed=0), random_torques(2, 18, 3, 3)
+    starts = batch.reset()["observation"]
+    together = run(batch, starts, torques)
+    for index, start in enumerate(starts):
+        alone = run(BioRobEnv(seed=0), start, torques[:, index])
+        assert torch.equal(together["observation"][:, index], alone["observation"])
+        assert torch.equal(together["info", "racket_ball_distance"][:, index], alone["info", "racket_ball_distance"])
+
+
+def test_same_seed_gives_the_same_starts_and_the_global_seed_none() -> None:
+    starts = []
+    for seed in (0, 1):
+        torch.manual_seed(seed)
+        starts.append(BioRobEnv(seed=3).reset()["observation"])
+    assert torch.equal(*starts)
+
+
+def test_starts_follow_the_start_distribution() -> None:
+    starts = BioRobEnv(num_envs=500, seed=0).reset()["observation"]
+    mean, std = torch.tensor(START, dtype=torch.float64), torch.tensor(START_STD, dtype=torch.float64)
+    assert ((starts.mean(0) - mean) / std).abs().max() < 4 / math.sqrt(500)
+    assert (starts.std(0) / std - 1).abs().max() < 4 / math.sqrt(1_000)
+
+
+def test_torques_are_clipped_at_the_limits() -> None:
+    beyond = run(BioRobEnv(seed=0), START, torch.tensor([[100.0, -100.0, 100.0]], dtype=torch.float64))
+    at_limit = run(BioRobEnv(seed=0), START, torch.tensor([[10.0, -20.0, 10.0]], dtype=torch.float64))
+    assert torch.equal(beyond["observation"], at_limit["observation"])
+
+
+@pytest.mark.parametrize("batch", [(), (2,), (2, 3)])
+def test_holding_torques_keep_the_batch(batch: tuple[int, ...]) -> None:
+    poses = torch.tensor(START[:3], dtype=torch.float64).expand(*batch, 3)
+    torques = holding_torques(poses)
+    assert torques.shape == poses.shape and torques.dtype == torch.float64
+    assert (torques == torques.reshape(-1, 3)[0]).all()
+
+
+def test_holding_torques_do_the_work_against_gravity() -> None:
+    """Virtual work: motors that turn as the cables demand do what lifts the arm, tau·dr = dV."""
+    poses = torch.tensor([START[:3]], dtype=torch.float64)
+    step, ratio = 1e-4, torch.tensor([[1, 0, 0], [0, 1, 0], [0, 0.5, 1.0]], dtype=torch.float64)
+    slopes = [(_height_energy(poses[0] + e) - _height_energy(poses[0] - e)) / (2 * step) for e in step * torch.eye(3, dtype=torch.float64)]
+    torch.testing.assert_close(holding_torques(poses)[0] @ ratio, torch.stack(slopes), rtol=0, atol=0.05)  # cables and wrist give a little
+
+
+def _height_energy(pose: Tensor) -> Tensor:
+    model = biorob_model()
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    model.tendon_stiffness[:] = 0
+    data = mujoco.MjData(model)
+    for name, angle in zip(JOINTS, pose.tolist(), strict=True):
+        data.joint(name).qpos = angle
+    mujoco.mj_forward(model, data)
+    return torch.tensor(data.energy[0], dtype=torch.float64)
+
+
+def test_replay_is_the_rollout_itself_where_the_state_alone_would_not_tell() -> None:
+    env, torques = BioRobEnv(seed=0), random_torques(3, 18, 3)
+    states = run(env, START, torques)["observation"]
+    replayed = env.replay(states[0], torques, 5)
+    assert torch.equal(env.state_of(replayed)[::5], states)
+    assert torch.equal(replayed[-1], env.state_dict()["_physics"][0])
+    assert torch.equal(dense_states(env, states[0], torques)[::5], states)
+    from_states = env.simulate(states[:-1], torques)
+    assert (from_states - states[1:]).abs().max() > 0.05, "hidden motors matter"
+
+
+class PhysicsAsPictures(BioRobEnv):
+    """Its pictures are the simulation's states themselves, so that no OpenGL is needed."""
+
+    def draw(self, physics: Tensor) -> np.ndarray:
+        return physics.numpy()
+
+
+def test_film_shows_the_motion_of_the_rollout_and_the_flight_of_the_ball() -> None:
+    env, torques = PhysicsAsPictures(seed=0), torch.cat([STRIKE.expand(4, 3), random_torques(4, 4, 3)])
+    run(env, UNDER_THE_BALL, torques)
+    pictures = list(render_rollout(env, torch.tensor(UNDER_THE_BALL, dtype=torch.float64), torques))
+    assert len(pictures) == 41
+    np.testing.assert_array_equal(pictures[-1], env.state_dict()["_physics"][0])
+    ball = slice(1 + env.model.nq - 7, 1 + env.model.nq - 4)
+    assert np.linalg.norm(pictures[-1][ball] - pictures[0][ball]) > 0.1
+
+
+@pytest.mark.parametrize("noise", [None, NOISE])
+def test_checkpoint_resumes_motion_hit_starts_and_noise(noise: tuple[float, ...] | None) -> None:
+    env, strike = BioRobEnv(observation_std=noise, seed=0), TensorDict({"action": STRIKE[0]})
+    start_at(env, UNDER_THE_BALL)
+    for _ in range(5):
+        env.step(strike.clone())
+    file = io.BytesIO()
+    torch.save(env.state_dict(), file)
+    expected = env.step(strike.clone())["next"], env.reset()
+    file.seek(0)
+    resumed = BioRobEnv(observation_std=noise, seed=1)
+    resumed.load_state_dict(torch.load(file, weights_only=True))
+    following = resumed.step(strike.clone())["next"]
+    assert torch.equal(following["observation"], expected[0]["observation"])
+    assert following["info", "hit"] and (following["info"] == expected[0]["info"]).all()
+    assert torch.equal(resumed.reset()["observation"], expected[1]["observation"])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"ball": (0.0, 1.0)}, r"ball must be 3 finite numbers in m, got \[0.0, 1.0\]"),
+        ({"ball": (0.0, 1.0, math.nan)}, "ball must be 3 finite numbers in m, got"),
+        ({"initial_mean": (0.0, 0.0)}, "initial_mean must be 6 finite numbers, got"),
+        ({"initial_std": (-0.1,) * 6}, "initial_std must not be negative, got"),
+        ({"observation_std": (0.1,)}, "observation_std must be 6 finite numbers, got"),
+        ({"num_envs": 0}, "num_envs must be None or at least 1, got 0"),
+        ({"control_period": 0.0105}, "control_period must be a whole number of 0.001 s time steps, got 0.0105 s"),
+    ],
+)
+def test_bad_setting_is_refused_in_one_line(settings: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        BioRobEnv(**settings)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_action_that_is_not_finite_is_refused(bad: float) -> None:
+    env = BioRobEnv(seed=0)
+    env.reset()
+    with pytest.raises(ValueError, match="action must be finite, got"):
+        env.step(TensorDict({"action": torch.tensor([0.0, bad, 0.0], dtype=torch.float64)}))
+
+
+def test_bad_start_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"start observation must have shape \(6,\), got \(4,\)"):
+        start_at(BioRobEnv(seed=0), torch.zeros(4))
+    with pytest.raises(ValueError, match="start observation must be finite, got"):
+        start_at(BioRobEnv(seed=0), (math.nan, 0, 0, 0, 0, 0))
+
+
+@pytest.mark.slow
+def test_wheel_holds_the_models(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path, "."]
+    subprocess.run(command, check=True, capture_output=True, cwd=Path(__file__).parents[2])
+    (wheel,) = tmp_path.glob("*.whl")
+    listing = subprocess.run([sys.executable, "-m", "zipfile", "-l", wheel], check=True, capture_output=True, text=True).stdout
+    assert {"double_pendulum.xml", "biorob/biorob.xml", "biorob/scene.xml"} <= set(
+        line.split()[0].removeprefix("torch_pmil/envs/assets/") for line in listing.splitlines() if line
+    )

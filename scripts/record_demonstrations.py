@@ -18,21 +18,28 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
 import torch_pmil.demonstrations
+from torch_pmil.alignment import align
 from torch_pmil.collection import states_of
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs import AdaptedEnv
+from torch_pmil.envs.biorob import BioRobEnv, biorob_model
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_experts import CART_STEPS, PENDULUM_STEPS, balancing_expert, pendulum_expert
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
+from torch_pmil.envs.kinesthetic_teaching import Strike, Variation, record_strike
 from torch_pmil.envs.swing_up import demonstrate_swing_up, swing_up_expert
 from torch_pmil.envs.trajectory_optimization import Array
 from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.biorob import biorob_space
 from torch_pmil.experiments.double_pendulum import SUCCESS_DISTANCE, distance_from_upright
 from torch_pmil.experiments.gym_pendulum import gym_pendulum_space
 from torch_pmil.experiments.inverted_pendulum import inverted_pendulum_space
 from torch_pmil.state_space import StateSpace
 
 DEMONSTRATIONS = 5  # paper
+STRIKES = 3  # paper
+RECORDED_PERIOD = 0.01  # s, of what the robot's sensors record while it is led
+TORQUE_NOISE = 0.1  # of the experts that act by torques, in the unit of the action
 CART_DEMONSTRATIONS = 10  # of starts that differ in all four entries
 Expert = Callable[[int, Array], Array]
 
@@ -97,11 +104,36 @@ def record_expert(
     return demonstrations
 
 
+def record_biorob(seed: int, torque_noise: None) -> Demonstrations:
+    """Three strikes of the BioRob, led by hand, all hits, and aligned in time: people are never on time."""
+    model, generator = biorob_model(), np.random.default_rng(seed)
+    recordings = [record_strike(model, Variation().of(Strike(), model, generator)) for _ in range(STRIKES)]
+    print("demonstration  time of the hit (s)")
+    for number, recording in enumerate(recordings):
+        print(f"{number:13d}  {recording.hit_time or float('nan'):19.3f}")
+    if not all(recording.hit_time for recording in recordings):
+        raise RuntimeError("every demonstration must hit the ball")
+    stride = round(RECORDED_PERIOD / model.opt.timestep)
+    aligned = align([torch.from_numpy(recording.states[::stride]) for recording in recordings], velocities=(3, 4, 5))
+    space, period = biorob_space(), BioRobEnv().control_period
+    return Demonstrations(aligned[:, :: round(period / RECORDED_PERIOD)], period, space.match.names)
+
+
 EXPERIMENTS = {
+    "biorob": record_biorob,
     "double_pendulum": record_double_pendulum,
     "gym_pendulum": record_gym_pendulum,
     "inverted_pendulum": record_inverted_pendulum,
 }
+
+
+def torque_noise_of(config: DictConfig) -> float | None:
+    """What the expert adds to its torques; None for a teacher who applies none."""
+    if config.experiment != "biorob":
+        return TORQUE_NOISE if config.torque_noise is None else config.torque_noise
+    if config.torque_noise is not None:
+        raise ValueError(f"torque_noise must be null for biorob, which is led by hand, got {config.torque_noise}")
+    return None
 
 
 @hydra.main(version_base="1.3", config_path="config", config_name="record")
@@ -114,8 +146,8 @@ def main(config: DictConfig) -> None:
     if not out.parent.is_dir():
         sys.exit(f"cannot write {out}: there is no folder {out.parent}")
     try:
-        EXPERIMENTS[config.experiment](config.seed, config.torque_noise).save(out)
-    except (ImportError, OSError, RuntimeError) as error:
+        EXPERIMENTS[config.experiment](config.seed, torque_noise_of(config)).save(out)
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
         sys.exit(f"cannot record {out}: {error}")
     print(f"wrote {out}")
 

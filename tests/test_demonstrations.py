@@ -10,6 +10,7 @@ from torch_pmil.demonstrations import (
     DemonstrationError,
     Demonstrations,
     load_demonstrations,
+    load_recordings,
     shipped_demonstrations,
 )
 
@@ -173,7 +174,10 @@ def test_csv_holds_one_sample_per_row(tmp_path):
         (lambda lines: [], "row 1 must be demonstration,time,NAME,..., got "),
         (lambda lines: ["time,x,y", *lines[1:]], "row 1 must be demonstration,time,NAME,..., got time,x,y"),
         (lambda lines: lines[:5], "at least two demonstrations are needed, got 1"),
-        (lambda lines: lines[:-1], "demonstration 2 must have 4 rows like demonstration 1, got 3"),
+        (
+            lambda lines: lines[:-1],
+            "demonstration 2 must have 4 rows like demonstration 1, got 3; scripts/align_demonstrations.py makes them one length",
+        ),
         (lambda lines: [*lines[:2], "1,0.1,5", *lines[3:]], "row 3 must have 4 columns, got 3"),
         (
             lambda lines: [*lines[:2], "1,0.1,five,0", *lines[3:]],
@@ -203,6 +207,22 @@ def test_csv_that_is_not_text_is_refused(tmp_path):
     path = tmp_path / "walks.csv"
     path.write_bytes(b"\xff\xfe\x00demonstration")
     assert refused(load_demonstrations, path).startswith(f"{path}: not a readable CSV file")
+
+
+def test_recordings_have_lengths_and_times_of_their_own(tmp_path):
+    lines = csv_lines()[:-1]
+    lines[2] = "1,0.15,1,1"
+    recordings = load_recordings(write_csv(tmp_path / "walks.csv", lines))
+    assert (recordings.labels, recordings.names) == (("1", "2"), ("x", "y"))
+    assert [times.tolist() for times in recordings.times] == [pytest.approx([0, 0.15, 0.2, 0.3]), pytest.approx([0, 0.1, 0.2])]
+    assert [values.tolist() for values in recordings.values] == [[[0, 0], [1, 1], [2, 2], [3, 3]], [[0, 0], [1, 2], [2, 4]]]
+
+
+def test_recordings_whose_time_goes_back_are_refused_naming_file_and_row(tmp_path):
+    lines = csv_lines()
+    lines[3] = "1,0.1,2,2"
+    path = write_csv(tmp_path / "walks.csv", lines)
+    assert refused(load_recordings, path) == f"{path}: row 4, column time must increase, got 0.1 s after 0.1 s"
 
 
 def test_shipped_demonstrations_swing_up_and_balance():

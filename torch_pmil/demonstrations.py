@@ -121,6 +121,51 @@ def load_demonstrations(path: str | os.PathLike[str], time_step: float | None = 
     return demonstrations
 
 
+@dataclass(frozen=True, eq=False)
+class Recordings:
+    """Demonstrations as they were recorded: of lengths and at times of their own.
+
+    Attributes:
+        labels: number or name of each of the N demonstrations.
+        times: of the samples of each, increasing, in s, (T_n,), float64.
+        values: what was observed, (T_n, M), float64.
+        names: of the M observed coordinates.
+    """
+
+    labels: tuple[str, ...]
+    times: tuple[Tensor, ...]
+    values: tuple[Tensor, ...]
+    names: tuple[str, ...]
+
+
+def load_recordings(path: str | os.PathLike[str]) -> Recordings:
+    """Load what was recorded from a CSV file as ``load_demonstrations`` takes, but with any number of samples at any times.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        The recordings, in the order of the file.
+
+    Raises:
+        DemonstrationError: the file is malformed; the message names it, and the row and column.
+        OSError: the file cannot be read.
+    """
+    try:
+        samples, row_numbers, header = _csv_samples(Path(path))
+        for label, rows in samples.items():
+            late = np.flatnonzero(np.diff([row[0] for row in rows]) <= 0)
+            if len(late):
+                before, after = rows[late[0]][0], rows[late[0] + 1][0]
+                raise DemonstrationError(
+                    f"row {row_numbers[label][late[0] + 1]}, column time must increase, got {after:g} s after {before:g} s"
+                )
+    except DemonstrationError as error:
+        raise DemonstrationError(f"{path}: {error}") from error.__cause__
+    tables = [torch.tensor(rows, dtype=torch.float64) for rows in samples.values()]  # (T_n, 1 + M)
+    return Recordings(tuple(samples), tuple(table[:, 0] for table in tables), tuple(table[:, 1:] for table in tables), tuple(header[2:]))
+
+
 def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
     """The demonstrations that come with the package.
 
@@ -166,6 +211,15 @@ def _load_npz(path: Path) -> Demonstrations:
 
 
 def _load_csv(path: Path) -> Demonstrations:
+    samples, row_numbers, header = _csv_samples(path)
+    _check_csv_lengths(samples)
+    table = np.array(list(samples.values()))  # (N, T+1, 1+M)
+    time_step = _csv_time_step(table[:, :, 0], list(row_numbers.values()))
+    return Demonstrations(torch.from_numpy(table[:, :, 1:]), time_step, tuple(header[2:]))
+
+
+def _csv_samples(path: Path) -> tuple[dict[str, list[list[float]]], dict[str, list[int]], list[str]]:
+    """Rows [time, values] of each demonstration, the numbers of those rows, and the header."""
     with open(path, newline="", encoding="utf-8-sig") as file:
         try:
             rows = list(csv.reader(file, strict=True))
@@ -180,10 +234,9 @@ def _load_csv(path: Path) -> Demonstrations:
         if row:
             samples.setdefault(row[0].strip(), []).append(_csv_numbers(row, header, number))
             row_numbers.setdefault(row[0].strip(), []).append(number)
-    _check_csv_lengths(samples)
-    table = np.array(list(samples.values()))  # (N, T+1, 1+M)
-    time_step = _csv_time_step(table[:, :, 0], list(row_numbers.values()))
-    return Demonstrations(torch.from_numpy(table[:, :, 1:]), time_step, tuple(header[2:]))
+    if len(samples) < 2:
+        raise DemonstrationError(f"at least two demonstrations are needed, got {len(samples)}")
+    return samples, row_numbers, header
 
 
 def _csv_numbers(row: list[str], header: list[str], number: int) -> list[float]:
@@ -202,14 +255,15 @@ def _csv_numbers(row: list[str], header: list[str], number: int) -> list[float]:
 
 def _check_csv_lengths(samples: dict[str, list[list[float]]]) -> None:
     lengths = {label: len(rows) for label, rows in samples.items()}
-    if len(lengths) < 2:
-        raise DemonstrationError(f"at least two demonstrations are needed, got {len(lengths)}")
     first_label, expected = next(iter(lengths.items()))
     if expected < 2:
         raise DemonstrationError(f"demonstration {first_label} must have at least two rows, got {expected}")
     for label, length in lengths.items():
         if length != expected:
-            raise DemonstrationError(f"demonstration {label} must have {expected} rows like demonstration {first_label}, got {length}")
+            raise DemonstrationError(
+                f"demonstration {label} must have {expected} rows like demonstration {first_label}, got {length}; "
+                "scripts/align_demonstrations.py makes them one length"
+            )
 
 
 def _csv_time_step(times: np.ndarray, row_numbers: list[list[int]]) -> float:

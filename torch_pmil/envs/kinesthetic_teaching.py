@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -9,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
+from torch_pmil.envs.biorob import JOINTS, ROTORS
+from torch_pmil.envs.equilibrium import Equilibrium
+from torch_pmil.envs.mujoco import FULL_PHYSICS
+
 Array = NDArray[np.float64]
 
-CONTROLLED = ("yaw", "shoulder", "elbow")
-MOTORS = ("yaw_motor", "shoulder_motor", "elbow_motor")
 HAND_STIFFNESS = 1500.0  # N/m
 HAND_DAMPING = 70.0  # N·s/m
 HAND_FORCE = 120.0  # N, the most
@@ -90,11 +93,13 @@ class Recording:
         time_step: s.
         states: [q, dq] of yaw, shoulder and elbow from the start on, (n, 6), rad and rad/s.
         hit_time: s, when the racket touched the ball; None if it did not.
+        physics: full simulation states, as ``MujocoRobotEnv.draw`` takes them, (n, P).
     """
 
     time_step: float
     states: Array
     hit_time: float | None
+    physics: Array
 
 
 def record_strike(model: mujoco.MjModel, strike: Strike) -> Recording:
@@ -119,10 +124,12 @@ def record_strike(model: mujoco.MjModel, strike: Strike) -> Recording:
     steps = round((strike.duration + SETTLING) / model.opt.timestep)
     led = _racket_path(model, strike.path()(np.arange(steps + 1) * model.opt.timestep - SETTLING))
     speeds = np.gradient(led, model.opt.timestep, axis=0)
-    _set_angles(model, data, strike.start)
-    joints = [data.joint(name) for name in CONTROLLED]
-    states, touched = [], []
-    for place, velocity in zip(led, speeds, strict=True):
+    _set_angles(data, JOINTS, strike.start)
+    _set_angles(data, ROTORS, Equilibrium(model, JOINTS, ROTORS).ratio @ strike.start)  # the two cables of each joint pull alike
+    joints = [data.joint(name) for name in JOINTS]
+    states, touched, physics = [], [], np.empty((steps + 1, mujoco.mj_stateSize(model, FULL_PHYSICS)))
+    for place, velocity, now in zip(led, speeds, physics, strict=True):
+        mujoco.mj_getState(model, data, now, FULL_PHYSICS)
         mujoco.mj_step1(model, data)
         states.append([joint.qpos[0] for joint in joints] + [joint.qvel[0] for joint in joints])
         _pull(model, data, place, velocity)
@@ -133,7 +140,8 @@ def record_strike(model: mujoco.MjModel, strike: Strike) -> Recording:
         raise RuntimeError(f"the hand must keep the racket within 0.1 m, it ended {distance:.2f} m away")
     begun = round(SETTLING / model.opt.timestep)
     hits = np.flatnonzero(touched[begun:])
-    return Recording(model.opt.timestep, np.array(states[begun:]), hits[0] * model.opt.timestep if len(hits) else None)
+    hit_time = hits[0] * model.opt.timestep if len(hits) else None
+    return Recording(model.opt.timestep, np.array(states[begun:]), hit_time, physics[begun:])
 
 
 def _pull(model: mujoco.MjModel, data: mujoco.MjData, place: Array, velocity: Array) -> None:
@@ -145,20 +153,17 @@ def _pull(model: mujoco.MjModel, data: mujoco.MjData, place: Array, velocity: Ar
     data.qfrc_applied[:] = jacobian.T @ force * (HAND_FORCE / max(np.linalg.norm(force), HAND_FORCE))
 
 
-def _set_angles(model: mujoco.MjModel, data: mujoco.MjData, angles: tuple[float, ...] | Array) -> None:
-    """Put the arm in a pose, the cables at equal tension."""
-    for name, angle in zip(CONTROLLED, angles, strict=True):
+def _set_angles(data: mujoco.MjData, joints: Sequence[str], angles: Sequence[float] | Array) -> None:
+    for name, angle in zip(joints, angles, strict=True):
         data.joint(name).qpos = angle
-    for name, angle in zip(MOTORS, (angles[0], angles[1], angles[2] + angles[1] / 2), strict=True):
-        data.joint(name).qpos = angle
-    mujoco.mj_kinematics(model, data)
 
 
 def _racket_path(model: mujoco.MjModel, angles: Array) -> Array:
     """Where the racket's centre is, (n, 3) in m, at angles (n, 3)."""
     data, path = mujoco.MjData(model), []
     for each in angles:
-        _set_angles(model, data, each)
+        _set_angles(data, JOINTS, each)
+        mujoco.mj_kinematics(model, data)
         path.append(data.site("racket").xpos.copy())
     return np.array(path)
 
@@ -166,7 +171,8 @@ def _racket_path(model: mujoco.MjModel, angles: Array) -> Array:
 def _angles_for(model: mujoco.MjModel, angles: tuple[float, ...], shift: Array) -> Array:
     """Change of the angles (3,) that shifts the racket by ``shift`` (3,), m, to first order."""
     data, jacobian = mujoco.MjData(model), np.empty((3, model.nv))
-    _set_angles(model, data, angles)
+    _set_angles(data, JOINTS, angles)
+    mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_jacSite(model, data, jacobian, None, model.site("racket").id)
-    return np.linalg.solve(jacobian[:, [model.joint(name).dofadr[0] for name in CONTROLLED]], shift)
+    return np.linalg.solve(jacobian[:, [model.joint(name).dofadr[0] for name in JOINTS]], shift)

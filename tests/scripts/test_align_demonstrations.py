@@ -1,0 +1,77 @@
+"""The aligning script: from a recording with uneven samples to demonstrations that load, and failures in one line."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.run_script import run_script
+from torch_pmil.demonstrations import DemonstrationError, load_demonstrations
+
+Script = Callable[..., None]
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Script:
+    return partial(run_script, monkeypatch, "scripts/align_demonstrations.py")
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    """Three reaches of 1 rad at 100 Hz with jitter, after rests and at paces of their own; columns q and dq."""
+    draws, rows = np.random.default_rng(0), ["demonstration,time,q,dq"]
+    for label, (rest, duration) in enumerate([(0.1, 1.0), (0.3, 1.3), (0.2, 0.8)]):
+        times = np.arange(0, rest + duration + 0.2, 0.01)
+        times[1:-1] += draws.uniform(-0.002, 0.002, len(times) - 2)
+        s = np.clip((times - rest) / duration, 0, 1)
+        q, dq = 10 * s**3 - 15 * s**4 + 6 * s**5, 30 * (s * (1 - s)) ** 2 / duration
+        rows += [f"{label},{row[0]},{row[1]},{row[2]}" for row in zip(times, q, dq, strict=True)]
+    path = tmp_path / "recorded.csv"
+    path.write_text("\n".join(rows))
+    return path
+
+
+def test_what_loading_refuses_is_aligned_as_its_message_says(script: Script, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(DemonstrationError, match=r"scripts/align_demonstrations.py makes them one length"):
+        load_demonstrations(recorded)
+    out = recorded.with_suffix(".npz")
+    script(recorded, out, "--velocities", "dq", "--crop")
+    demonstrations = load_demonstrations(out, time_step=0.1)
+    assert capsys.readouterr().out == f"wrote {out}: 3 demonstrations of {demonstrations.positions.shape[1]} samples, 1 s\n"
+    q, dq = demonstrations.positions.unbind(-1)
+    assert q.std(0).max() < 0.02
+    assert (torch.gradient(q, spacing=0.1, dim=-1)[0] - dq)[:, 1:-1].abs().max() < 0.15 * dq.max()
+
+
+def test_rest_is_kept_unless_told(script: Script, recorded: Path) -> None:
+    out = recorded.with_suffix(".npz")
+    script(recorded, out)
+    assert load_demonstrations(out).duration > 1.3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--velocities", "dq", "v"], "velocities must be columns of q, dq, got v"),
+        (["--time-step", "9"], "time_step must be positive and at most the duration,"),
+        (["--window", "2"], "window must be in (0, 1], a fraction of the longest trajectory, got 2.0"),
+    ],
+)
+def test_wrong_option_is_one_line_and_writes_nothing(script: Script, recorded: Path, options: list[str], message: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        script(recorded, recorded.with_suffix(".npz"), *options)
+    assert stop.value.code.startswith(f"error: {message}")
+    assert os.listdir(recorded.parent) == ["recorded.csv"]
+
+
+def test_missing_file_and_other_suffix_are_one_line(script: Script, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match=r"error: .*No such file"):
+        script(tmp_path / "none.csv", tmp_path / "out.npz")
+    with pytest.raises(SystemExit, match=r"out.csv: demonstrations are written to a .npz file"):
+        script(tmp_path / "none.csv", tmp_path / "out.csv")

@@ -1,0 +1,39 @@
+"""Series of pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+
+def plot_photo_series(rows: Mapping[str, Sequence[np.ndarray]], times: Sequence[float]) -> Figure:
+    """Pictures of several motions below each other, at the same times (Figure 8).
+
+    Args:
+        rows: K pictures (height, width, 3) of each motion, uint8, by its name.
+        times: of the columns, (K,), s.
+
+    Raises:
+        ValueError: a row has another number of pictures.
+
+    Example:
+        >>> picture = np.zeros((8, 8, 3), dtype=np.uint8)
+        >>> len(plot_photo_series({"shown": [picture] * 2, "learned": [picture] * 2}, (0.0, 0.5)).axes)
+        4
+    """
+    for name, pictures in rows.items():
+        if len(pictures) != len(times):
+            raise ValueError(f"{name} must have a picture for each of the {len(times)} times, got {len(pictures)}")
+    figure = Figure(figsize=(2.0 * len(times) + 0.3, 2.15 * len(rows) + 0.2), layout="constrained")
+    panels = figure.subplots(len(rows), len(times), squeeze=False)
+    for line, (name, pictures) in zip(panels, rows.items(), strict=True):
+        line[0].set_ylabel(name)
+        for panel, picture in zip(line, pictures, strict=True):
+            panel.imshow(picture)
+            panel.set(xticks=[], yticks=[])
+            panel.spines[:].set_visible(False)
+    for panel, time in zip(panels[0], times, strict=True):
+        panel.set_title(f"{time:.2f} s", fontsize="medium")
+    return figure

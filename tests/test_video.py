@@ -31,8 +31,8 @@ def decode(path: Path, height: int, width: int) -> tuple[str, np.ndarray]:
 class StatesAsPictures(DoublePendulumEnv):
     """Its pictures are the states themselves, so that no OpenGL is needed."""
 
-    def render(self, state: torch.Tensor) -> np.ndarray:
-        return state.numpy()
+    def draw(self, physics: torch.Tensor) -> np.ndarray:
+        return self.state_of(physics).numpy()
 
 
 @pytest.mark.parametrize(("height", "width"), [(32, 48), (33, 47), (50, 50)])

@@ -46,7 +46,7 @@ def render_rollout(env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_p
         >>> pictures = render_rollout(env, env.initial_mean, torch.zeros(25, 2, dtype=torch.float64))
         >>> write_video("hanging.mp4", pictures, fps=50)  # doctest: +SKIP
     """
-    return map(env.render, dense_states(env, start, actions, frames_per_step))
+    return map(env.draw, env.replay(start, actions, frames_per_step))
 
 
 def dense_states(env: MujocoRobotEnv, start: Tensor, actions: Tensor, states_per_step: int = 5) -> Tensor:
@@ -68,10 +68,7 @@ def dense_states(env: MujocoRobotEnv, start: Tensor, actions: Tensor, states_per
         >>> dense_states(env, env.initial_mean, torch.zeros(25, 2, dtype=torch.float64)).shape
         torch.Size([126, 4])
     """
-    states = [start[None]]
-    for action in actions:
-        states.append(env.substates(states[-1][-1], action, states_per_step))
-    return torch.cat(states)
+    return env.state_of(env.replay(start, actions, states_per_step))
 
 
 @torch.no_grad()

@@ -23,8 +23,11 @@ class MujocoRobotEnv(RobotEnv):
     """A torque-controlled MuJoCo robot, simulated in float64 by ``mujoco.rollout``.
 
     One step holds the action for ``control_period`` seconds. The state vector interleaves position and velocity of
-    the observed joints, ``[q1, dq1, q2, dq2, ...]`` (rad, rad/s). Torques beyond the limit are clipped by the
-    physics. The reward is zero and an episode never ends by itself: imitation has neither.
+    the observed joints, ``[q1, dq1, q2, dq2, ...]``, or has the positions first, ``[q1, q2, ..., dq1, dq2, ...]`` (rad, rad/s).
+    Torques beyond the limit are clipped by the physics. The reward is zero and an episode never ends by itself: imitation has neither.
+
+    What the state vector does not say is hidden: at a reset it follows from the state (``_physics_from_state``), from then on from
+    the motion. A robot with sensors of its own adds to what is measured in ``_measure``.
 
     Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all float64, and with
     ``from_pixels`` also ``"pixels"`` (*batch, height, width, 3), uint8. ``reset`` draws x_0 ~ N(initial_mean,
@@ -38,6 +41,7 @@ class MujocoRobotEnv(RobotEnv):
         joints: names of the D/2 observed hinge or slide joints, in the order of the state vector.
         initial_mean: mean of the start state, length D.
         initial_std: standard deviations of the start state, length D.
+        positions_first: whether the state vector has all positions before all velocities.
         observation_std: standard deviations of the sensors' noise, length D; None for exact sensors.
         torque_limit: largest absolute torque in N·m, one for all motors or one each.
         control_period: seconds between two actions; a whole number of simulation time steps.
@@ -60,6 +64,7 @@ class MujocoRobotEnv(RobotEnv):
         *,
         initial_mean: Sequence[float] | Tensor,
         initial_std: Sequence[float] | Tensor,
+        positions_first: bool = False,
         observation_std: Sequence[float] | Tensor | None = None,
         torque_limit: float | Sequence[float],
         control_period: float = 0.1,
@@ -76,7 +81,7 @@ class MujocoRobotEnv(RobotEnv):
         self.pixel_size = pixel_size
         self._data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
-        self._state_columns = _state_columns(self.model, joints)
+        self._state_columns = _state_columns(self.model, joints, positions_first)
         dim = 2 * len(joints)
         self.initial_mean = _state_vector("initial_mean", initial_mean, dim)
         self.initial_std = _deviations("initial_std", initial_std, dim)
@@ -90,7 +95,7 @@ class MujocoRobotEnv(RobotEnv):
         """States one control period later; the environment itself stays where it is.
 
         Args:
-            state: state vectors (N, D); what they do not say (other joints) is at rest.
+            state: state vectors (N, D); what they do not say is as after a reset.
             action: torques (N, F) in N·m, held for the period and clipped to the limit.
 
         Returns:
@@ -99,13 +104,13 @@ class MujocoRobotEnv(RobotEnv):
         Raises:
             RuntimeError: a simulation diverged.
         """
-        return self._advance(self._physics_from_state(state), action)[:, self._state_columns]
+        return self.state_of(self._integrate(self._physics_from_state(state), action)[0][:, -1])
 
     def substates(self, state: Tensor, action: Tensor, count: int) -> Tensor:
         """States at ``count`` equal steps inside one control period; the environment itself stays where it is.
 
         Args:
-            state: state vector (D,); what it does not say (other joints) is at rest.
+            state: state vector (D,); what it does not say is as after a reset.
             action: torques (F,) in N·m, held for the period and clipped to the limit.
             count: a divisor of ``substeps``, the number of simulation time steps in a period.
 
@@ -116,11 +121,36 @@ class MujocoRobotEnv(RobotEnv):
             ValueError: the period does not split into ``count`` steps.
             RuntimeError: the simulation diverged.
         """
+        return self.state_of(self.replay(state, action[None], count)[1:])
+
+    def replay(self, start: Tensor, actions: Tensor, count: int) -> Tensor:
+        """Full simulation states along a rollout from a reset; the environment itself stays where it is.
+
+        They are those that the environment went through, what its state vector does not say included.
+
+        Args:
+            start: state vector (D,) of the reset.
+            actions: torques (T, F) in N·m, each held for a control period and clipped to the limit.
+            count: states in each control period, a divisor of ``substeps``, the number of its simulation time steps.
+
+        Returns:
+            Full simulation states (T · count + 1, P), float64, the first one that of the reset; ``state_of`` and ``draw`` take them.
+
+        Raises:
+            ValueError: the period does not split into ``count`` steps.
+            RuntimeError: the simulation diverged.
+        """
         if count < 1 or self.substeps % count:
             raise ValueError(f"count must divide the {self.substeps} time steps of a control period, got {count}")
-        steps = self._integrate(self._physics_from_state(state[None]), action[None])[0]
         stride = self.substeps // count
-        return steps[stride - 1 :: stride, self._state_columns]
+        physics = [self._physics_from_state(start[None])]
+        for action in actions:
+            physics.append(self._integrate(physics[-1][-1:], action[None])[0][0, stride - 1 :: stride])
+        return torch.cat(physics)
+
+    def state_of(self, physics: Tensor) -> Tensor:
+        """State vectors (*batch, D) of full simulation states (*batch, P)."""
+        return physics[..., self._state_columns]
 
     def render(self, state: Tensor) -> np.ndarray:
         """Draw the robot in one state, seen by the fixed camera, without shadows.
@@ -136,7 +166,15 @@ class MujocoRobotEnv(RobotEnv):
             RuntimeError: OpenGL is not available.
         """
         state = _state_vector("state", state, self._state_columns.numel())
-        return self._draw(self._physics_from_state(state[None])[0])
+        return self.draw(self._physics_from_state(state[None])[0])
+
+    def draw(self, physics: Tensor) -> np.ndarray:
+        """Draw the robot in one full simulation state (P,): a picture (height, width, 3), uint8. Raises RuntimeError without OpenGL."""
+        renderer = self._open_renderer()
+        mujoco.mj_setState(self.model, self._data, physics.numpy(), FULL_PHYSICS)
+        mujoco.mj_forward(self.model, self._data)
+        renderer.update_scene(self._data, camera=self.camera)
+        return renderer.render()
 
     def close(self, **kwargs) -> None:
         """Release the OpenGL context, if pictures were drawn."""
@@ -171,20 +209,22 @@ class MujocoRobotEnv(RobotEnv):
         if mask is not None:
             physics = torch.where(mask.reshape(-1, 1), physics, self._physics)
         self._physics = physics
-        return self._measure()
+        return self._measure(self._simulate(physics, torch.zeros(1, self.model.nu), 1)[1])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self._physics = self._advance(self._physics, self._check_torque(tensordict["action"]))
-        return self._without_reward(self._measure())
+        physics, sensors = self._integrate(self._physics, self._check_torque(tensordict["action"]))
+        self._physics = physics[:, -1].clone()
+        return self._without_reward(self._measure(sensors))
 
-    def _measure(self) -> TensorDictBase:
-        state = self._physics[:, self._state_columns].reshape(*self.batch_size, -1)
+    def _measure(self, sensors: Tensor) -> TensorDictBase:
+        """What is observed now, also from the values (N, K, S) of the model's sensors at all times since the last measurement."""
+        state = self.state_of(self._physics).reshape(*self.batch_size, -1)
         measured = {"observation": state}
         if self.observation_std is not None:
             noise = torch.randn(state.shape, generator=self._generator, dtype=torch.float64)
             measured = {"observation": state + self.observation_std * noise, "state": state}
         if self.from_pixels:
-            pixels = np.stack([self._draw(physics) for physics in self._physics])
+            pixels = np.stack([self.draw(physics) for physics in self._physics])
             measured["pixels"] = torch.from_numpy(pixels).reshape(*self.batch_size, *self.pixel_size, 3)
         return TensorDict(measured, batch_size=self.batch_size)
 
@@ -206,17 +246,20 @@ class MujocoRobotEnv(RobotEnv):
             raise ValueError(f"action must be finite, got {action.tolist()}")
         return action.reshape(self._physics.shape[0], -1)
 
-    def _advance(self, physics: Tensor, torque: Tensor) -> Tensor:
-        """Full simulation states (N, P) one control period later, the torques (N, F) held."""
-        return self._integrate(physics, torque)[:, -1].clone()
+    def _integrate(self, physics: Tensor, torque: Tensor) -> tuple[Tensor, Tensor]:
+        """A control period under the torques (N, F).
 
-    def _integrate(self, physics: Tensor, torque: Tensor) -> Tensor:
-        """Full simulation states (N, substeps, P) after each time step of a control period, the torques (N, F) held."""
-        held = torque[:, None].numpy()
-        states, _ = rollout.rollout(self.model, self._data, physics.numpy(), held, nstep=self.substeps)
-        after = torch.from_numpy(states)
-        self._check_physics(physics, after[:, -1])
-        return after
+        Returns:
+            Full simulation states (N, substeps, P) after each time step, and sensor values (N, substeps + 1, S) at both ends of each.
+        """
+        after, sensors = self._simulate(physics, torque, self.substeps + 1)  # MuJoCo senses before a step: one more for the end
+        self._check_physics(physics, after[:, -2])
+        return after[:, :-1], sensors
+
+    def _simulate(self, physics: Tensor, torque: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+        """Full simulation states (N, steps, P) after, and sensor values (N, steps, S) before each time step, the torques held."""
+        states, sensors = rollout.rollout(self.model, self._data, physics.numpy(), torque[:, None].numpy(), nstep=steps)
+        return torch.from_numpy(states), torch.from_numpy(sensors)
 
     def _check_physics(self, before: Tensor, after: Tensor) -> None:
         # mujoco.rollout stops early, with its clock behind, where the numbers grow out of range.
@@ -236,13 +279,6 @@ class MujocoRobotEnv(RobotEnv):
                     f"pictures need OpenGL, which failed with MUJOCO_GL {backend} ({error}); headless: MUJOCO_GL=egl"
                 ) from error
         return self._renderer
-
-    def _draw(self, physics: Tensor) -> np.ndarray:
-        renderer = self._open_renderer()
-        mujoco.mj_setState(self.model, self._data, physics.numpy(), FULL_PHYSICS)
-        mujoco.mj_forward(self.model, self._data)
-        renderer.update_scene(self._data, camera=self.camera)
-        return renderer.render()
 
 
 def _substeps(control_period: float, timestep: float) -> int:
@@ -265,13 +301,11 @@ def _limited_model(model: mujoco.MjModel, torque_limit: float | Sequence[float])
     return model
 
 
-def _state_columns(model: mujoco.MjModel, joints: Sequence[str]) -> Tensor:
-    """Columns of [q1, dq1, q2, dq2, ...] in MuJoCo's full state [time, qpos, qvel, ...]."""
-    columns = []
-    for name in joints:
-        joint = model.joint(name)
-        columns += [1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]]
-    return torch.tensor(columns)
+def _state_columns(model: mujoco.MjModel, joints: Sequence[str], positions_first: bool) -> Tensor:
+    """Columns of the state vector in MuJoCo's full state [time, qpos, qvel, ...]."""
+    observed = [model.joint(name) for name in joints]
+    columns = torch.tensor([[1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]] for joint in observed])
+    return (columns.T if positions_first else columns).flatten()
 
 
 def _state_vector(name: str, values: Sequence[float] | Tensor, dim: int) -> Tensor:

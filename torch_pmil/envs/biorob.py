@@ -1,0 +1,174 @@
+"""The BioRob of Sec. 5.2: a light arm whose motors pull it by elastic cables, a racket, and a ball on a string."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache, cached_property
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Unbounded
+
+from torch_pmil.envs.equilibrium import Equilibrium
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+
+JOINTS = ("yaw", "shoulder", "elbow")
+ROTORS = ("yaw_motor", "shoulder_motor", "elbow_motor")
+HELD = ("wrist_roll", "wrist_pitch")
+TORQUE_LIMIT = (10.0, 20.0, 10.0)  # N·m, estimate
+START = (-0.15, 0.35, 1.2, 0.0, 0.0, 0.0)  # rad, rad/s
+START_STD = (0.03, 0.03, 0.03, 0.05, 0.05, 0.05)
+BALL = (0.757, 0.076, 1.127)  # m
+STRING = 1.02  # m, from the ceiling to the ball's centre
+SCENE = Path(__file__).parent / "assets" / "biorob" / "scene.xml"
+
+
+class BioRobEnv(MujocoRobotEnv):
+    """The compliant, tendon-driven BioRob X4 with a table-tennis racket, in MuJoCo, at 10 Hz (Sec. 5.2).
+
+    The state is x = [q, dq] of yaw, shoulder and elbow (rad, rad/s): positions first. Yaw turns to the left; with shoulder and elbow at 0
+    the arm hangs, and positive angles lift it forwards. The action is the torque of the three motors in N·m, reflected to the
+    joints. Motors and joints are coupled by cables alone, so that the motors' angles, like the ball, are hidden: a reset puts the motors
+    where cables and gravity balance, moving with their joints, and the ball at rest on its string.
+
+    ``("info", "racket_ball_distance")`` (*batch, 1), float64, is the least distance between the surfaces of racket and ball
+    over the simulation time steps of the last step (m; at a reset: the distance now), ``("info", "hit")`` (*batch, 1), bool, whether
+    the racket has touched the ball since the reset. A hit ends nothing.
+
+    Stated in the paper: the structure, the joints and what is controlled, the control rate. Estimates: all numbers of the model, see its
+    file and docs/biorob.md, and the start.
+
+    Args:
+        ball: where the ball hangs, (3,) in m; x forwards, y to the left, z up from the floor.
+        initial_mean: mean of the start state, length 6.
+        initial_std: standard deviations of the start state, length 6.
+        observation_std: standard deviations of the sensors' noise, length 6; None for exact sensors.
+        control_period: seconds between two actions; a whole number of 1 ms steps.
+        num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
+        from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
+        seed: of the generator of starts and noise; None takes entropy from the system.
+
+    Raises:
+        ValueError: a setting has the wrong shape or range; the message says what was expected and what came.
+
+    Example:
+        >>> env = BioRobEnv(seed=0)
+        >>> rollout = env.rollout(18)
+        >>> rollout["next", "observation"].shape, rollout["next", "info", "hit"].any()
+        (torch.Size([18, 6]), tensor(False))
+    """
+
+    def __init__(
+        self,
+        ball: Sequence[float] | Tensor = BALL,
+        *,
+        initial_mean: Sequence[float] | Tensor = START,
+        initial_std: Sequence[float] | Tensor = START_STD,
+        observation_std: Sequence[float] | Tensor | None = None,
+        control_period: float = 0.1,
+        num_envs: int | None = None,
+        from_pixels: bool = False,
+        seed: int | None = None,
+    ) -> None:
+        super().__init__(
+            biorob_model(ball),
+            JOINTS,
+            initial_mean=initial_mean,
+            initial_std=initial_std,
+            positions_first=True,
+            observation_std=observation_std,
+            torque_limit=TORQUE_LIMIT,
+            control_period=control_period,
+            num_envs=num_envs,
+            from_pixels=from_pixels,
+            pixel_size=(480, 480),
+            seed=seed,
+        )
+        self.register_buffer("_hit", torch.zeros(num_envs or 1, dtype=torch.bool))
+
+    @cached_property
+    def _equilibrium(self) -> Equilibrium:
+        return Equilibrium(self.model, JOINTS, ROTORS, HELD)
+
+    def _physics_from_state(self, state: Tensor) -> Tensor:
+        physics = super()._physics_from_state(state)
+        positions, velocities = state.to(torch.float64).numpy().reshape(-1, 2, 3).swapaxes(0, 1)
+        speeds = [1 + self.model.nq + self.model.joint(name).dofadr[0] for name in ROTORS]
+        physics[:, 1 : 1 + self.model.nq] = torch.from_numpy(self._equilibrium(positions)[0])
+        physics[:, speeds] = torch.from_numpy(velocities @ self._equilibrium.ratio.T)
+        return physics
+
+    def _make_specs(self) -> None:
+        super()._make_specs()
+        shape = (*self.batch_size, 1)
+        self.observation_spec["info", "racket_ball_distance"] = Unbounded(shape, dtype=torch.float64)
+        self.observation_spec["info", "hit"] = Binary(shape=shape, dtype=torch.bool)
+
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        self._hit = torch.zeros_like(self._hit) if mask is None else self._hit & ~mask.flatten()
+        return super()._reset(tensordict, **kwargs)
+
+    def _measure(self, sensors: Tensor) -> TensorDictBase:
+        distance, contact = (sensors[..., self.model.sensor(f"racket_ball_{name}").adr[0]] for name in ("distance", "contact"))
+        self._hit = self._hit | (contact > 0).any(-1)
+        info = {"racket_ball_distance": distance.amin(-1), "hit": self._hit}
+        measured = super()._measure(sensors)
+        measured["info"] = TensorDict(
+            {name: value.reshape(*self.batch_size, 1) for name, value in info.items()}, batch_size=self.batch_size
+        )
+        return measured
+
+
+def biorob_model(ball: Sequence[float] | Tensor = BALL) -> mujoco.MjModel:
+    """The MuJoCo model of the BioRob and its ball.
+
+    Args:
+        ball: where the ball hangs, (3,) in m.
+
+    Returns:
+        The compiled model of ``assets/biorob/scene.xml``.
+
+    Raises:
+        ValueError: not three finite numbers.
+
+    Example:
+        >>> biorob_model((0.8, 0.0, 1.1)).body("ball").pos
+        array([0.8, 0. , 1.1])
+    """
+    place = torch.as_tensor(ball, dtype=torch.float64)
+    if place.shape != (3,) or not place.isfinite().all():
+        raise ValueError(f"ball must be 3 finite numbers in m, got {place.tolist()}")
+    spec = mujoco.MjSpec.from_file(str(SCENE))
+    spec.body("ball").pos = place.numpy()
+    spec.site("ceiling").pos = place.numpy() + np.array([0.0, 0.0, STRING])
+    return spec.compile()
+
+
+def holding_torques(q: Tensor) -> Tensor:
+    """Motor torques that hold the arm in a pose, against gravity; friction aside, which would hold it too within its bounds.
+
+    Args:
+        q: [yaw, shoulder, elbow], (*batch, 3) in rad.
+
+    Returns:
+        Torques (*batch, 3) in N·m, float64; they may lie beyond the limits.
+
+    Raises:
+        RuntimeError: no equilibrium was found.
+
+    Example:
+        >>> holding_torques(torch.tensor([0.0, 0.5, 0.9])).round(decimals=1) + 0.0
+        tensor([0.0000, 3.0000, 2.2000], dtype=torch.float64)
+    """
+    poses = q.detach().to(torch.float64).reshape(-1, 3).numpy()
+    return torch.from_numpy(_default_equilibrium()(poses)[1]).reshape(q.shape)
+
+
+@cache
+def _default_equilibrium() -> Equilibrium:
+    return Equilibrium(biorob_model(), JOINTS, ROTORS, HELD)

@@ -1,0 +1,91 @@
+"""Static equilibrium of a robot whose rotors pull its joints by cables. Knows no robot."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-9  # N·m, of what is left unbalanced
+MAX_ITERATIONS = 30
+DIFFERENCE_STEP = 1e-7  # rad
+
+
+class Equilibrium:
+    r"""Where everything is while the driven joints are held still by their rotors, and the torques which that takes.
+
+    At rest the generalised forces obey :math:`\tau(q) = g(q) - f(q)`, with gravity g and the pull f of cables and springs. Found by
+    Newton's method are the positions of the rotors and of the passive joints at which driven and passive joints need no torque
+    of their own; the rotors' part of :math:`\tau` then holds the robot. Friction and contacts have no part in it.
+
+    Args:
+        model: rotors and joints are hinges or slides, the cables fixed tendons.
+        driven: names of the joints that are where they are said to be.
+        rotors: names of the rotors, as many.
+        passive: names of the joints that give way to the load until their springs bear it.
+
+    Example:
+        >>> from torch_pmil.envs.biorob import JOINTS, ROTORS, biorob_model
+        >>> equilibrium = Equilibrium(biorob_model(), JOINTS, ROTORS, ("wrist_roll", "wrist_pitch"))
+        >>> qpos, torques = equilibrium(np.array([[0.0, 0.5, 0.9]]))
+        >>> torques.round(1) + 0.0
+        array([[0. , 3. , 2.2]])
+    """
+
+    def __init__(self, model: mujoco.MjModel, driven: Sequence[str], rotors: Sequence[str], passive: Sequence[str] = ()) -> None:
+        self._model = copy.copy(model)
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        self._data = mujoco.MjData(self._model)
+        self._driven, self._rotors, self._passive = ([model.joint(name) for name in names] for names in (driven, rotors, passive))
+        self.ratio = _ratio(model, _dofs(self._driven), _dofs(self._rotors))  # (F, F)
+
+    def __call__(self, positions: Array) -> tuple[Array, Array]:
+        """Everything's place, and the torques that hold it there.
+
+        Args:
+            positions: of the driven joints, (N, F).
+
+        Returns:
+            Positions of all joints as in ``MjData.qpos``, (N, nq), and torques of the rotors (N, F).
+
+        Raises:
+            RuntimeError: no equilibrium was found.
+        """
+        places, torques = zip(*map(self._solve, positions), strict=True)
+        return np.array(places), np.array(torques)
+
+    def _solve(self, positions: Array) -> tuple[Array, Array]:
+        model, data = self._model, self._data
+        balanced, free = _dofs(self._driven + self._passive), _dofs(self._rotors + self._passive)
+        places = [joint.qposadr[0] for joint in self._rotors + self._passive]
+        mujoco.mj_resetData(model, data)
+        data.qpos[[joint.qposadr[0] for joint in self._driven]] = positions
+        data.qpos[places[: len(self._rotors)]] = self.ratio @ positions
+        stiffness = np.empty((model.nv, model.nv))  # derivative of the force of dof j by position i
+        for _ in range(MAX_ITERATIONS):
+            mujoco.mj_inverse(model, data)
+            unbalanced = data.qfrc_inverse[balanced]
+            if np.abs(unbalanced).max() < TOLERANCE:
+                return data.qpos.copy(), data.qfrc_inverse[_dofs(self._rotors)]
+            mujoco.mjd_inverseFD(model, data, DIFFERENCE_STEP, False, stiffness, None, None, None, None, None, None)
+            data.qpos[places] -= np.linalg.solve(stiffness[np.ix_(free, balanced)].T, unbalanced)
+        raise RuntimeError(f"no equilibrium at {positions.tolist()}: {np.abs(unbalanced).max():.2g} N·m stay unbalanced")
+
+
+def _dofs(joints: Sequence) -> list[int]:
+    return [joint.dofadr[0] for joint in joints]
+
+
+def _ratio(model: mujoco.MjModel, driven: list[int], rotors: list[int]) -> Array:
+    """How far the rotors turn for each driven joint while no cable changes its length, (F, F)."""
+    moments = np.zeros((model.ntendon, model.nv))
+    for tendon in range(model.ntendon):
+        for wrap in range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon]):
+            if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
+                moments[tendon, model.jnt_dofadr[model.wrap_objid[wrap]]] = model.wrap_prm[wrap]
+    return np.linalg.lstsq(moments[:, rotors], -moments[:, driven])[0]

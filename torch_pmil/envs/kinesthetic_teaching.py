@@ -1,0 +1,172 @@
+"""Kinesthetic teaching of the BioRob (Section 5.2.2): a person leads the racket by hand, the motors are limp, states are recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BPoly
+
+Array = NDArray[np.float64]
+
+CONTROLLED = ("yaw", "shoulder", "elbow")
+MOTORS = ("yaw_motor", "shoulder_motor", "elbow_motor")
+HAND_STIFFNESS = 1500.0  # N/m
+HAND_DAMPING = 70.0  # N·s/m
+HAND_FORCE = 120.0  # N, the most
+SETTLING = 0.3  # s at the start, before the recording
+
+
+@dataclass(frozen=True)
+class Strike:
+    """Back, then fast up through the ball, then rest: what the teacher has in mind.
+
+    Angles of [yaw, shoulder, elbow] in rad, times in s after the start of the recording.
+
+    Args:
+        start: where the arm rests at first.
+        back: where it is drawn back to.
+        hit: where the racket meets the ball.
+        hit_velocity: with which it passes there, rad/s.
+        stop: where it comes to rest.
+        times: of back, hit and stop.
+        duration: of the recording.
+    """
+
+    start: tuple[float, ...] = (-0.15, 0.35, 1.2)
+    back: tuple[float, ...] = (-0.35, 0.05, 0.55)
+    hit: tuple[float, ...] = (0.1, 0.72, 1.35)
+    hit_velocity: tuple[float, ...] = (0.6, 2.0, 2.5)
+    stop: tuple[float, ...] = (0.2, 0.92, 1.7)
+    times: tuple[float, float, float] = (0.8, 1.25, 1.6)
+    duration: float = 1.8
+
+    def path(self) -> BPoly:
+        """Angles over time, (3,) at each: at rest at the start, drawn back and in the end; smooth in the acceleration between these."""
+        still = [0.0, 0.0, 0.0]
+        knots = [-SETTLING, 0.0, *self.times, max(self.duration, self.times[-1]) + 0.1]
+        rests = [[pose, still, still] for pose in (self.start, self.start, self.back, self.stop, self.stop)]
+        return BPoly.from_derivatives(knots, [*rests[:3], [self.hit, self.hit_velocity], *rests[3:]])
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How much a person varies from one demonstration to the next: standard deviations.
+
+    Args:
+        start, rest: of each angle at the start, and where the arm is drawn back and comes to rest, rad.
+        hit: of the racket's place at the ball, m along each axis.
+        time: of each of the three times, s.
+        speed: of the speed at the ball, as a fraction.
+    """
+
+    start: float = np.deg2rad(1.5)
+    rest: float = np.deg2rad(2.5)
+    hit: float = 0.008
+    time: float = 0.04
+    speed: float = 0.08
+
+    def of(self, strike: Strike, model: mujoco.MjModel, generator: np.random.Generator) -> Strike:
+        """A strike near the one that was meant."""
+        draw = generator.normal
+        return replace(
+            strike,
+            start=tuple(strike.start + draw(0, self.start, 3)),
+            back=tuple(strike.back + draw(0, self.rest, 3)),
+            hit=tuple(strike.hit + _angles_for(model, strike.hit, draw(0, self.hit, 3))),
+            hit_velocity=tuple(np.array(strike.hit_velocity) * (1 + draw(0, self.speed))),
+            stop=tuple(strike.stop + draw(0, self.rest, 3)),
+            times=tuple(np.array(strike.times) + draw(0, self.time, 3)),
+        )
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was recorded at every time step of the simulation.
+
+    Args:
+        time_step: s.
+        states: [q, dq] of yaw, shoulder and elbow from the start on, (n, 6), rad and rad/s.
+        hit_time: s, when the racket touched the ball; None if it did not.
+    """
+
+    time_step: float
+    states: Array
+    hit_time: float | None
+
+
+def record_strike(model: mujoco.MjModel, strike: Strike) -> Recording:
+    """Lead the racket along a strike with a compliant hand, the motors limp.
+
+    The hand pulls with a spring and a damper, and with 120 N at the most; the robot's weight, friction, rotors and cables do the rest.
+
+    Args:
+        model: of the robot and its ball.
+        strike: what to do.
+
+    Raises:
+        RuntimeError: the racket was lost: it ended more than 0.1 m from where it was led.
+
+    Example:
+        >>> from torch_pmil.envs.biorob import biorob_model
+        >>> recording = record_strike(biorob_model(), Strike())
+        >>> recording.states.shape, recording.hit_time is not None
+        ((1801, 6), True)
+    """
+    data = mujoco.MjData(model)
+    steps = round((strike.duration + SETTLING) / model.opt.timestep)
+    led = _racket_path(model, strike.path()(np.arange(steps + 1) * model.opt.timestep - SETTLING))
+    speeds = np.gradient(led, model.opt.timestep, axis=0)
+    _set_angles(model, data, strike.start)
+    joints = [data.joint(name) for name in CONTROLLED]
+    states, touched = [], []
+    for place, velocity in zip(led, speeds, strict=True):
+        mujoco.mj_step1(model, data)
+        states.append([joint.qpos[0] for joint in joints] + [joint.qvel[0] for joint in joints])
+        _pull(model, data, place, velocity)
+        mujoco.mj_step2(model, data)
+        touched.append(data.sensor("racket_ball_contact").data[0] > 0)
+    distance = np.linalg.norm(data.site("racket").xpos - led[-1])
+    if distance > 0.1:
+        raise RuntimeError(f"the hand must keep the racket within 0.1 m, it ended {distance:.2f} m away")
+    begun = round(SETTLING / model.opt.timestep)
+    hits = np.flatnonzero(touched[begun:])
+    return Recording(model.opt.timestep, np.array(states[begun:]), hits[0] * model.opt.timestep if len(hits) else None)
+
+
+def _pull(model: mujoco.MjModel, data: mujoco.MjData, place: Array, velocity: Array) -> None:
+    """The hand's force on the racket, in ``qfrc_applied``."""
+    racket = data.site("racket")
+    jacobian = np.empty((3, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian, None, racket.id)
+    force = HAND_STIFFNESS * (place - racket.xpos) + HAND_DAMPING * (velocity - jacobian @ data.qvel)
+    data.qfrc_applied[:] = jacobian.T @ force * (HAND_FORCE / max(np.linalg.norm(force), HAND_FORCE))
+
+
+def _set_angles(model: mujoco.MjModel, data: mujoco.MjData, angles: tuple[float, ...] | Array) -> None:
+    """Put the arm in a pose, the cables at equal tension."""
+    for name, angle in zip(CONTROLLED, angles, strict=True):
+        data.joint(name).qpos = angle
+    for name, angle in zip(MOTORS, (angles[0], angles[1], angles[2] + angles[1] / 2), strict=True):
+        data.joint(name).qpos = angle
+    mujoco.mj_kinematics(model, data)
+
+
+def _racket_path(model: mujoco.MjModel, angles: Array) -> Array:
+    """Where the racket's centre is, (n, 3) in m, at angles (n, 3)."""
+    data, path = mujoco.MjData(model), []
+    for each in angles:
+        _set_angles(model, data, each)
+        path.append(data.site("racket").xpos.copy())
+    return np.array(path)
+
+
+def _angles_for(model: mujoco.MjModel, angles: tuple[float, ...], shift: Array) -> Array:
+    """Change of the angles (3,) that shifts the racket by ``shift`` (3,), m, to first order."""
+    data, jacobian = mujoco.MjData(model), np.empty((3, model.nv))
+    _set_angles(model, data, angles)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_jacSite(model, data, jacobian, None, model.site("racket").id)
+    return np.linalg.solve(jacobian[:, [model.joint(name).dofadr[0] for name in CONTROLLED]], shift)

@@ -1,0 +1,68 @@
+"""Figure 9: the recordings are those that the paper describes, and the numbers are at their frequencies."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from scipy import stats
+
+from torch_pmil.envs.biorob import START, TORQUE_LIMIT, holding_torques
+from torch_pmil.experiments.paper.figure9 import biorob_states, pd_torques, recorded_movements, report
+from torch_pmil.sampling_frequency import Recording
+
+
+@pytest.fixture(scope="module")
+def movements() -> list[Recording]:
+    return recorded_movements(seed=0)
+
+
+def test_recordings_are_six_seconds_of_motion_around_the_start(movements: list[Recording]) -> None:
+    states, torques = torch.stack([part.states for part in movements]), torch.stack([part.actions for part in movements])
+    assert states.shape == (3, 201, 6) and torques.shape == (3, 200, 3)
+    away = (states[..., :3] - torch.tensor(START[:3])).abs().amax((0, 1)).rad2deg()
+    assert (away > torch.tensor([5.0, 10.0, 10.0])).all() and (away < torch.tensor([25.0, 50.0, 50.0])).all()
+    assert (torques.abs() <= torch.tensor(TORQUE_LIMIT)).all()
+
+
+def test_torques_are_held_for_a_control_period(movements: list[Recording]) -> None:
+    for _, torques in movements:
+        changes = torques.diff(dim=0).abs().amax(-1).nonzero().flatten() + 1
+        assert changes.tolist() == list(range(10, 200, 10))
+
+
+def test_recordings_of_two_seeds_differ_and_of_one_agree(movements: list[Recording]) -> None:
+    assert torch.equal(recorded_movements(seed=0)[1].states, movements[1].states)
+    assert not torch.equal(recorded_movements(seed=1)[1].states, movements[1].states)
+
+
+def test_torques_hold_the_weight_and_pull_to_the_target() -> None:
+    q, still = torch.tensor([0.1, 0.4, 1.0], dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
+    torch.testing.assert_close(pd_torques(torch.cat([q, still]), q), holding_torques(q))
+    pulled = pd_torques(torch.cat([q, still + 0.1]), q + 0.2) - holding_torques(q)
+    torch.testing.assert_close(pulled, torch.tensor([3.8, 7.6, 3.8], dtype=torch.float64))
+
+
+def test_numbers_are_means_over_recordings_at_their_frequency(monkeypatch: pytest.MonkeyPatch) -> None:
+    def values(inputs: torch.Tensor, targets: torch.Tensor, folds: int, max_iterations: int) -> torch.Tensor:
+        return torch.full((folds, 6), -abs(len(inputs) - 60.0)).double() + targets[0, 0]  # best where there are 60 transitions
+
+    monkeypatch.setattr("torch_pmil.sampling_frequency.held_out_log_likelihood", values)
+    monkeypatch.setattr("joblib.cpu_count", lambda: 1)
+    made = report([], quick=True)
+    assert made.headline["best_frequency_raw_hz"] == 10.0
+    assert made.details["transitions"] == [24, 60, 150]
+    first = [torch.stack([recorded_movements(seed)[0].states[10 * k] for k in (0, 1)])[:, 0].diff().item() for seed in (0, 1)]
+    assert made.headline["raw_10hz"] == pytest.approx(sum(first) / 2)
+    half_width = stats.t.ppf(0.975, 1) * torch.tensor(first).std().item() / 2**0.5
+    assert made.details["half_widths"]["raw"][1] == pytest.approx(half_width, rel=1e-4)
+    assert [panel.get_title() for panel in made.figures["figure9"].axes] == ["raw", "standardised"]
+
+
+@pytest.mark.slow
+def test_quick_scores_of_the_next_state_rise_with_frequency() -> None:
+    headline = report([], quick=True).headline
+    assert headline["raw_4hz"] < headline["raw_10hz"] < headline["raw_25hz"]
+
+
+def test_state_is_positions_then_velocities() -> None:
+    assert biorob_states().names == ("q_yaw", "q_shoulder", "q_elbow", "dq_yaw", "dq_shoulder", "dq_elbow")

@@ -90,8 +90,9 @@ def test_standardised_form_does_not_depend_on_units_and_raw_form_shifts_by_their
 
 
 def test_nothing_to_learn_scores_as_white_noise(draws: Draws) -> None:
-    values = held_out_log_likelihood(draws.normal(200, 2), draws.normal(200, 2))
-    assert values.mean().item() == pytest.approx(WHITE, abs=0.1)
+    targets = draws.normal(200, 2)
+    score = FrequencyScore(10.0, 200, held_out_log_likelihood(draws.normal(200, 2), targets), targets.std(0))
+    assert score.standardised.mean == pytest.approx(WHITE, abs=0.1)
 
 
 def test_held_forces_are_best_sampled_when_they_change_and_raw_form_keeps_rising() -> None:

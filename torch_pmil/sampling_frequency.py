@@ -44,10 +44,21 @@ class Recording(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """A mean over the folds and half the width of its t interval (``CONFIDENCE``); folds share training data, so take it as a guide."""
+    """A mean and half the width of its t interval (``CONFIDENCE``).
+
+    Example:
+        >>> Interval.of(torch.tensor([1.0, 2.0, 3.0])).mean
+        2.0
+    """
 
     mean: float
     half_width: float
+
+    @classmethod
+    def of(cls, values: Tensor) -> Interval:
+        """From independent values (n,); of one value alone the width is not a number."""
+        quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1))
+        return cls(values.mean().item(), quantile * values.std().item() / len(values) ** 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +81,17 @@ class FrequencyScore:
     def raw(self) -> Interval:
         """How sharply the next state is predicted, in its units. The shorter the step the less can happen in it: it rises with frequency.
 
-        Of nats for each transition and output.
+        Of nats for each transition and output, over the folds, which share training data: take the interval as a guide.
         """
-        return _interval(self.log_likelihood)
+        return Interval.of(self.log_likelihood.mean(1))
 
     @property
     def standardised(self) -> Interval:
         """How much of what changes is predicted: increments in units of their spread, so that frequencies can be compared.
 
-        Of nats for each transition and output; a model that knows nothing but mean and spread has about -1.42.
+        As the raw one; a model that knows nothing but mean and spread has about -1.42.
         """
-        return _interval(self.log_likelihood + self.spread.log())
+        return Interval.of((self.log_likelihood + self.spread.log()).mean(1))
 
 
 def score_frequencies(
@@ -217,10 +228,3 @@ def _check_recordings(recordings: Sequence[Recording], space: StateSpace, time_s
             )
         if not (states.isfinite().all() and actions.isfinite().all()):
             raise ValueError(f"recording {number} must be finite")
-
-
-def _interval(values: Tensor) -> Interval:
-    """Of the folds' means over the outputs; values (k, E)."""
-    of_folds = values.mean(1)
-    quantile = stats.t.ppf((1 + CONFIDENCE) / 2, len(of_folds) - 1)
-    return Interval(of_folds.mean().item(), quantile * of_folds.std().item() / len(of_folds) ** 0.5)

@@ -1,0 +1,57 @@
+"""Figure 9: the recordings are those that the paper describes, and the numbers are at their frequencies."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from scipy import stats
+
+from torch_pmil.envs.biorob import START, TORQUE_LIMIT
+from torch_pmil.experiments.paper.figure9 import recorded_movements, report
+from torch_pmil.sampling_frequency import Recording
+
+
+@pytest.fixture(scope="module")
+def movements() -> list[Recording]:
+    return recorded_movements(seed=0)
+
+
+def test_recordings_are_24_s_of_motion_around_the_start(movements: list[Recording]) -> None:
+    states, torques = torch.stack([part.states for part in movements]), torch.stack([part.actions for part in movements])
+    assert states.shape == (12, 201, 6) and torques.shape == (12, 200, 3)
+    away = (states[..., :3] - torch.tensor(START[:3])).abs().amax((0, 1)).rad2deg()
+    assert (away > torch.tensor([5.0, 10.0, 10.0])).all() and (away < torch.tensor([30.0, 60.0, 60.0])).all()
+    assert (torques.abs() <= torch.tensor(TORQUE_LIMIT)).all()
+
+
+def test_torques_are_held_for_a_control_period(movements: list[Recording]) -> None:
+    for _, torques in movements:
+        changes = torques.diff(dim=0).abs().amax(-1).nonzero().flatten() + 1
+        assert changes.tolist() == list(range(10, 200, 10))
+
+
+def test_recordings_of_two_seeds_differ_and_of_one_agree(movements: list[Recording]) -> None:
+    assert torch.equal(recorded_movements(seed=0)[1].states, movements[1].states)
+    assert not torch.equal(recorded_movements(seed=1)[1].states, movements[1].states)
+
+
+def test_numbers_are_means_over_recordings_at_their_frequency(monkeypatch: pytest.MonkeyPatch) -> None:
+    def values(inputs: torch.Tensor, targets: torch.Tensor, folds: int, max_iterations: int) -> torch.Tensor:
+        return torch.full((folds, 6), -abs(len(inputs) - 240.0)).double() + targets[0, 0]  # best where there are 240 transitions
+
+    monkeypatch.setattr("torch_pmil.sampling_frequency.held_out_log_likelihood", values)
+    monkeypatch.setattr("joblib.cpu_count", lambda: 1)
+    made = report([], quick=True)
+    assert made.headline["best_frequency_raw_hz"] == 10.0
+    assert made.details["transitions"] == [120, 240, 480]
+    first = [torch.stack([recorded_movements(seed)[0].states[10 * k] for k in (0, 1)])[:, 0].diff().item() for seed in (0, 1)]
+    assert made.headline["raw_10hz"] == pytest.approx(sum(first) / 2)
+    half_width = stats.t.ppf(0.975, 1) * torch.tensor(first).std().item() / 2**0.5
+    assert made.details["half_widths"]["raw"][1] == pytest.approx(half_width, rel=1e-4)
+    assert [panel.get_title() for panel in made.figures["figure9"].axes] == ["raw", "standardised"]
+
+
+@pytest.mark.slow
+def test_quick_scores_of_the_next_state_rise_with_frequency() -> None:
+    headline = report([], quick=True).headline
+    assert headline["raw_5hz"] < headline["raw_10hz"] < headline["raw_20hz"]

@@ -119,13 +119,16 @@ def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
 
 
 def film(env: MujocoRobotEnv, experiment: Experiment, result: RunResult, path: Path) -> None:
-    """The first executed rollout, as the simulator draws it; without OpenGL, as lines."""
+    """The first executed rollout, as the simulator draws it; without OpenGL, as lines, or not at all."""
     states = result.executed[0]
     with torch.no_grad():
         actions = result.policy(experiment.space.features(states[:-1]))
     try:
         write_video(path, render_rollout(env, states[0], actions), FRAMES_PER_SECOND)
     except RuntimeError as error:
+        if experiment.name not in SKETCHES:
+            print(f"there is no video, because {error}")
+            return
         print(f"{path} is a sketch, because {error}")
         positions = experiment.space.match(dense_states(env, states[0], actions))
         write_video(path, SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND), FRAMES_PER_SECOND)
@@ -141,6 +144,11 @@ def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None
         print(f"there is no video, because the environment gives no pictures: {str(error).partition(chr(10))[0]}")
 
 
+def by_entry(summary: dict) -> str:
+    """The coverage of each entry of the state."""
+    return ", ".join(f"{name} {coverage:.0%}" for name, coverage in summary["two_sigma_coverage_by_entry"].items())
+
+
 def print_summary(label: str, summary: dict, out: Path) -> None:
     """What the run came to, and where it is."""
     say(
@@ -148,7 +156,7 @@ def print_summary(label: str, summary: dict, out: Path) -> None:
         f"policy of trial {summary['saved_trial']}: success rate {summary['saved_success_rate']:.0%} of "
         f"{summary['saved_n_eval']} fresh starts after {summary['experience_s']:.1f} s of experience and "
         f"{summary['wall_seconds']:.0f} s of computing ({summary['stop_reason']})\n"
-        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations\n"
+        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations: {by_entry(summary)}\n"
         f"see {', '.join(str(out / name) for name in ('figures', 'video.mp4', 'summary.json') if (out / name).exists())}",
     )
 

@@ -19,7 +19,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"linearised_moments"},
     {"state_space"},
     {"demonstrations", "alignment", "expert", "evaluation"},
-    {"dynamics", "hyperparameters", "experience", "policy"},
+    {"dynamics", "hyperparameters", "experience", "policy", "sampling_frequency"},
     {"linearised_step", "state_policy", "saved_policy"},
     {"rollout", "particles"},
     {"trajectory_loss"},

@@ -7,6 +7,7 @@ if "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # headless pictures; MuJoCo reads it when it is first imported
 
 from torch_pmil import envs
+from torch_pmil.alignment import AlignmentError, align
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, load_demonstrations, shipped_demonstrations
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.expert import expert_distribution
@@ -20,6 +21,7 @@ from torch_pmil.particles import ParticlePrediction, sample_trajectories
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.rollout import PredictionError, predict_trajectory
+from torch_pmil.sampling_frequency import FrequencyScore, Recording, score_frequencies
 from torch_pmil.saturating_cost import expected_saturating_cost
 from torch_pmil.saved_policy import PolicyFileError, load_policy, save_policy
 from torch_pmil.state_policy import StatePolicy
@@ -30,9 +32,11 @@ from torch_pmil.trials import Trial
 __version__ = "0.1.0"
 
 __all__ = [
+    "AlignmentError",
     "DemonstrationError",
     "Demonstrations",
     "ExpectedSaturatingCost",
+    "FrequencyScore",
     "GPDynamics",
     "Gaussian",
     "KernelExpansion",
@@ -45,12 +49,14 @@ __all__ = [
     "PolicyFileError",
     "PredictionError",
     "RBFPolicy",
+    "Recording",
     "SearchResult",
     "SearchSettings",
     "StatePolicy",
     "StateSpace",
     "TrajectoryKLLoss",
     "Trial",
+    "align",
     "envs",
     "expected_saturating_cost",
     "expert_distribution",
@@ -62,6 +68,7 @@ __all__ = [
     "predict_trajectory",
     "sample_trajectories",
     "save_policy",
+    "score_frequencies",
     "search_policy",
     "shipped_demonstrations",
     "trajectory_kl",

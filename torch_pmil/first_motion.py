@@ -150,10 +150,10 @@ class _PDControl:
         self.step = 0
 
     def __call__(self, state: Tensor) -> Tensor:
-        movements = self.movements
+        movements, state = self.movements, state.double()
         if self.step % movements.hold == 0:
             offset = 2 * torch.rand(state.shape, dtype=torch.float64, generator=self.generator) - 1
             self.target = movements.pose + movements.reach * offset
         self.step += 1
-        torque = movements.feedforward(state) + (self.target - state) @ movements.gain.to(state).mT
+        torque = movements.feedforward(state) + (self.target - state) @ movements.gain.double().mT
         return torque.clamp(-movements.u_max, movements.u_max)

@@ -40,7 +40,7 @@ def test_missing_folder_is_reported_before_recording(record, tmp_path):
 def test_unknown_experiment_is_refused(record, tmp_path):
     with pytest.raises(SystemExit) as stop:
         record("experiment=triple", f"out={tmp_path / 'recorded.npz'}")
-    assert stop.value.code == "experiment must be one of ['double_pendulum', 'gym_pendulum', 'inverted_pendulum'], got triple"
+    assert stop.value.code == "experiment must be one of ['biorob', 'double_pendulum', 'gym_pendulum', 'inverted_pendulum'], got triple"
 
 
 @pytest.mark.slow
@@ -64,4 +64,21 @@ def test_seed_0_records_the_shipped_demonstrations_of_gymnasium(record, tmp_path
 def test_expert_that_fails_records_nothing(record, tmp_path):
     with pytest.raises(SystemExit, match=r"a demonstration must have an error of at most 0.1, got"):
         record("experiment=inverted_pendulum", "torque_noise=30", f"out={tmp_path / 'recorded.npz'}")
+    assert os.listdir(tmp_path) == []
+
+
+def test_seed_0_records_the_shipped_demonstrations_of_the_biorob_without_torques(record, tmp_path, capsys):
+    record("experiment=biorob", "seed=0", f"out={tmp_path / 'recorded.npz'}")
+    recorded, shipped = load_demonstrations(tmp_path / "recorded.npz"), shipped_demonstrations("biorob")
+    assert recorded.positions.shape == (3, 19, 6)
+    torch.testing.assert_close(recorded.positions, shipped.positions, rtol=0, atol=1e-4)
+    assert (recorded.names, recorded.time_step) == (shipped.names, 0.1)
+    assert "time of the hit (s)" in capsys.readouterr().out
+    with np.load(tmp_path / "recorded.npz") as arrays:
+        assert sorted(arrays.files) == ["names", "positions", "time_step"]
+
+
+def test_hand_has_no_noise_of_torques(record, tmp_path):
+    with pytest.raises(SystemExit, match=r"torque_noise must be null for biorob, which is led by hand, got 0.2"):
+        record("experiment=biorob", "torque_noise=0.2", f"out={tmp_path / 'recorded.npz'}")
     assert os.listdir(tmp_path) == []

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,13 +17,14 @@ import pytest
 from hydra.core.config_store import ConfigStore
 
 from tests.run_script import ROOT, run_script
-from tests.short_run import short_experiment
+from tests.short_run import quick_fits, short_experiment
 from torch_pmil import policy_search, search_stepper
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import EXPERIMENTS
 
 SCRIPT = "scripts/train.py"
-UNKNOWN = "experiment must be one of double_pendulum, double_pendulum_pilco, gym_pendulum, inverted_pendulum"
+UNKNOWN = "experiment must be one of biorob, double_pendulum, double_pendulum_pilco, gym_pendulum, inverted_pendulum"
 Script = Callable[..., None]
 
 
@@ -71,6 +73,23 @@ def test_run_of_the_baseline_tells_of_its_cost_and_draws_the_same(
     assert {path.name for path in (run / "figures").iterdir()} == {"trajectories.png", "learning_curve.png", "poses.png"}
     settings = json.loads((run / "summary.json").read_text())["settings"]
     assert (settings["cost_width"], settings["target"]) == (2.0, [0.0, 0.5, 0.0, 1.0])
+
+
+def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_says_so(
+    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(self: object) -> None:
+        raise RuntimeError("pictures need OpenGL")
+
+    short = replace(short_experiment(4), name="other")
+    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
+    monkeypatch.setattr(MujocoRobotEnv, "_open_renderer", broken)
+    quick_fits(monkeypatch)
+    script("trials=1", "seed=2", "out=run")
+    printed = capsys.readouterr().out
+    assert "there is no video, because pictures need OpenGL\n" in printed
+    assert "see run/figures, run/summary.json" in printed
+    assert re.search(r"within two predicted standard deviations: q1 \d+%, dq1 \d+%, q2 \d+%, dq2 \d+%\n", printed)
 
 
 @pytest.mark.usefixtures("short_double_pendulum")

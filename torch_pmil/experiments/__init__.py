@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.experiments.biorob import biorob
 from torch_pmil.experiments.double_pendulum import double_pendulum
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.gym_pendulum import gym_pendulum
@@ -10,6 +11,7 @@ from torch_pmil.experiments.inverted_pendulum import inverted_pendulum
 from torch_pmil.experiments.pilco import double_pendulum_pilco
 
 EXPERIMENTS = {
+    "biorob": biorob,
     "double_pendulum": double_pendulum,
     "double_pendulum_pilco": double_pendulum_pilco,
     "gym_pendulum": gym_pendulum,

@@ -2,6 +2,8 @@
 
 from matplotlib.figure import Figure
 
+from torch_pmil.plotting.errors import plot_errors_over_data
+from torch_pmil.plotting.frequencies import plot_frequencies
 from torch_pmil.plotting.gaussian_process import plot_gp, plot_moment_matching
 from torch_pmil.plotting.pendulum import pendulum_frames, plot_poses
 from torch_pmil.plotting.photos import plot_photo_series
@@ -24,6 +26,8 @@ __all__ = [
     "pendulum_frames",
     "plot_demonstrations",
     "plot_distributions",
+    "plot_errors_over_data",
+    "plot_frequencies",
     "plot_gp",
     "plot_learning_curve",
     "plot_moment_matching",

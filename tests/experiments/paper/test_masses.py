@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from torch_pmil.collection import rollout_of
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.double_pendulum import states_from_positions
@@ -64,7 +65,7 @@ def test_every_number_is_at_its_mass(monkeypatch: pytest.MonkeyPatch) -> None:
         return {"success_rate": mass_of(robot) / int(folder.name[-1])}
 
     def load_learned(folder: Path, robot: Experiment) -> SimpleNamespace:
-        return SimpleNamespace(executed=lambda robot, starts, seed: torch.zeros(starts, 26, 4, dtype=torch.float64))
+        return SimpleNamespace(rollouts=lambda robot, starts, seed: rollout_of(torch.zeros(starts, 26, 4, dtype=torch.float64)))
 
     monkeypatch.setattr(masses, "outcome", outcome)
     monkeypatch.setattr(masses, "load_learned", load_learned)

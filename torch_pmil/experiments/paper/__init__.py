@@ -1,10 +1,12 @@
 """The experiments of the paper, by name. Each is a file with its runs, its numbers and its figures."""
 
 from torch_pmil.experiments.paper.ablation import ABLATION
+from torch_pmil.experiments.paper.biorob import BIOROB
 from torch_pmil.experiments.paper.figure6 import FIGURE6
 from torch_pmil.experiments.paper.figure7a import FIGURE7A
 from torch_pmil.experiments.paper.figure7b import FIGURE7B
+from torch_pmil.experiments.paper.hidden_motors import HIDDEN_MOTORS
 from torch_pmil.experiments.paper.masses import MASSES
 from torch_pmil.experiments.paper.robustness import ROBUSTNESS
 
-PAPER = {experiment.name: experiment for experiment in (FIGURE6, FIGURE7A, FIGURE7B, MASSES, ROBUSTNESS, ABLATION)}
+PAPER = {experiment.name: experiment for experiment in (FIGURE6, FIGURE7A, FIGURE7B, MASSES, ROBUSTNESS, ABLATION, BIOROB, HIDDEN_MOTORS)}

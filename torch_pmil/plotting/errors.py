@@ -1,0 +1,42 @@
+"""Errors of models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import cycle
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from torch_pmil.plotting.style import BLUE, VERMILLION, style
+
+
+def plot_errors_over_data(seconds: Sequence[float], panels: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
+    """Errors of several models over the experience that they were fitted to, mean and range over runs.
+
+    Args:
+        seconds: of experience, (K,).
+        panels: by what the error is of, with its unit: errors of each model, (runs, K).
+
+    Raises:
+        ValueError: the errors are not of those seconds.
+
+    Example:
+        >>> figure = plot_errors_over_data([6.0, 12.0], {"error (rad)": {"a": np.ones((3, 2))}})
+        >>> figure.axes[0].get_ylabel()
+        'error (rad)'
+    """
+    figure = Figure(figsize=(0.8 + 3.2 * len(panels), 3.0), layout="constrained")
+    axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    for panel, (label, models) in zip(axes, panels.items(), strict=True):
+        for (name, errors), (colour, marker) in zip(models.items(), cycle(((VERMILLION, "s"), (BLUE, "o"))), strict=False):
+            if errors.shape[1:] != (len(seconds),):
+                raise ValueError(f"errors of {name} must be (runs, {len(seconds)}), got {errors.shape}")
+            mean = errors.mean(0)
+            bars = np.stack([mean - errors.min(0), errors.max(0) - mean])
+            panel.errorbar(seconds, mean, bars, color=colour, marker=marker, markersize=4, capsize=2, label=name)
+        panel.set(xlabel="experience (s)", ylabel=label, ylim=(0, None))
+        panel.set_xticks(seconds, [f"{second:g}" for second in seconds])
+        style(panel)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(models), frameon=False)
+    return figure

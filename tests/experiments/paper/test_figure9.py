@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 from scipy import stats
 
 from torch_pmil.envs.biorob import START, TORQUE_LIMIT
-from torch_pmil.experiments.paper.figure9 import recorded_movements, report
+from torch_pmil.experiments.paper.figure9 import needed_runs, read_score, recorded_movements, report
+from torch_pmil.experiments.runs import RunError
 from torch_pmil.sampling_frequency import Recording
 
 
@@ -35,23 +38,39 @@ def test_recordings_of_two_seeds_differ_and_of_one_agree(movements: list[Recordi
     assert not torch.equal(recorded_movements(seed=1)[1].states, movements[1].states)
 
 
-def test_numbers_are_means_over_recordings_at_their_frequency(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numbers_are_means_over_recordings_at_their_frequency_and_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def values(inputs: torch.Tensor, targets: torch.Tensor, folds: int, max_iterations: int) -> torch.Tensor:
-        return torch.full((folds, 6), -abs(len(inputs) - 240.0)).double() + targets[0, 0]  # best where there are 240 transitions
+        return torch.full((folds, 6), -abs(len(inputs) - 60.0)).double() + targets[0, 0]  # best where there are 60 transitions
 
     monkeypatch.setattr("torch_pmil.sampling_frequency.held_out_log_likelihood", values)
-    monkeypatch.setattr("joblib.cpu_count", lambda: 1)
-    made = report([], quick=True)
-    assert made.headline["best_frequency_raw_hz"] == 10.0
-    assert made.details["transitions"] == [120, 240, 480]
+    runs = needed_runs(tmp_path, quick=True)
+    for run in runs:
+        run.learn(run.out, "test")
+    made = report([run.out for run in runs], quick=True)
+    assert made.headline["best_frequency_raw_6s_hz"] == 10.0
+    assert made.details["6s"]["transitions"] == [30, 60, 120]
     first = [torch.stack([recorded_movements(seed)[0].states[10 * k] for k in (0, 1)])[:, 0].diff().item() for seed in (0, 1)]
-    assert made.headline["raw_10hz"] == pytest.approx(sum(first) / 2)
+    assert made.headline["raw_6s_10hz"] == pytest.approx(sum(first) / 2)
     half_width = stats.t.ppf(0.975, 1) * torch.tensor(first).std().item() / 2**0.5
-    assert made.details["half_widths"]["raw"][1] == pytest.approx(half_width, rel=1e-4)
-    assert [panel.get_title() for panel in made.figures["figure9"].axes] == ["raw", "standardised"]
+    assert made.details["6s"]["half_widths"]["raw"][1] == pytest.approx(half_width, rel=1e-4)
+    assert [panel.get_title() for panel in made.figures["figure9_6s"].axes] == ["raw", "standardised"]
+
+
+def test_each_score_has_a_folder_of_its_own(tmp_path: Path) -> None:
+    runs = needed_runs(tmp_path, quick=False)
+    assert len({run.out for run in runs}) == len(runs) == 2 * 10 * 3
+
+
+def test_damaged_score_is_named(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text("{}")
+    with pytest.raises(RunError, match=r"summary\.json is no score of a frequency: 'frequency'"):
+        read_score(tmp_path)
 
 
 @pytest.mark.slow
-def test_quick_scores_of_the_next_state_rise_with_frequency() -> None:
-    headline = report([], quick=True).headline
-    assert headline["raw_5hz"] < headline["raw_10hz"] < headline["raw_20hz"]
+def test_quick_scores_of_the_next_state_rise_with_frequency(tmp_path: Path) -> None:
+    runs = needed_runs(tmp_path, quick=True)
+    for run in runs:
+        run.learn(run.out, "test")
+    headline = report([run.out for run in runs], quick=True).headline
+    assert headline["raw_6s_5hz"] < headline["raw_6s_10hz"] < headline["raw_6s_20hz"]

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-import joblib
 import torch
 from tensordict import TensorDict
 
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run
+from torch_pmil.experiments.run_folder import provenance
+from torch_pmil.experiments.runs import RunError
+from torch_pmil.files import write_json
 from torch_pmil.plotting import plot_frequencies
 from torch_pmil.sampling_frequency import FrequencyScore, Interval, Recording, score_frequencies
 
@@ -20,7 +25,8 @@ FREQUENCIES = (2.0, 2.5, 4.0, 5.0, 6.25, 10.0, 12.5, 20.0, 25.0, 50.0)  # Hz
 QUICK_FREQUENCIES = (5.0, 10.0, 20.0)
 TIME_STEP = 0.01  # s, of the recordings
 HOLD = 10  # time steps for which a torque is held: the robot is controlled at 10 Hz
-PARTS, PART = 12, 2.0  # of a recording, and their length in s: 24 s together, about what the robot records until it has learned
+PARTS, PART = 12, 2.0  # of a recording, and their length in s
+LENGTHS = (6.0, 24.0)  # s, of what is used: that of the first movements, and about all that the paper's robot recorded
 FORMS = ("raw", "standardised")
 
 
@@ -37,36 +43,67 @@ def recorded_movements(seed: int) -> list[Recording]:
     return [Recording(*part) for part in zip(torch.stack(states, 1), torch.stack(torques, 1), strict=True)]
 
 
-def no_runs(root: Path, quick: bool) -> list[Run]:
-    """No policy is learned."""
-    return []
+def needed_runs(root: Path, quick: bool) -> list[Run]:
+    """The scores of each recording at each frequency, which take long where there are many transitions; no policy is learned."""
+    lengths, seeds, frequencies = size(quick)
+    return [
+        Run(root / "figure9" / f"{length:g}s_{frequency:g}hz_seed_{seed}", partial(_score, length=length, frequency=frequency, seed=seed))
+        for length in lengths
+        for frequency in frequencies
+        for seed in seeds
+    ]
+
+
+def size(quick: bool) -> tuple[Sequence[float], Sequence[int], Sequence[float]]:
+    """Lengths of what is used of the recordings in s, seeds and frequencies."""
+    return (LENGTHS[:1], SEEDS[:2], QUICK_FREQUENCIES) if quick else (LENGTHS, SEEDS, FREQUENCIES)
 
 
 def report(folders: Sequence[Path], quick: bool) -> Report:
-    """Mean score of each frequency over the recordings, with its t interval, and the best frequency."""
-    seeds, frequencies = (SEEDS[:2], QUICK_FREQUENCIES) if quick else (SEEDS, FREQUENCIES)
-    jobs = min(joblib.cpu_count(), len(seeds))
-    scores = joblib.Parallel(n_jobs=jobs)(joblib.delayed(scores_of_recording)(seed, frequencies) for seed in seeds)
-    forms = {form: _intervals([[getattr(score, form).mean for score in recording] for recording in scores]) for form in FORMS}
-    headline = {}
-    for form, intervals in forms.items():
-        headline[f"best_frequency_{form}_hz"] = max(zip(intervals, frequencies, strict=True))[1]
-        headline |= {f"{form}_{frequency:g}hz": interval.mean for frequency, interval in zip(frequencies, intervals, strict=True)}
-    half_widths = {form: [interval.half_width for interval in intervals] for form, intervals in forms.items()}
-    details = {"frequencies": frequencies, "transitions": [score.transitions for score in scores[0]], "half_widths": half_widths}
-    drawn = {form: tuple(zip(*intervals, strict=True)) for form, intervals in forms.items()}
-    return Report(headline, {"figure9": plot_frequencies(frequencies, drawn)}, details)
+    """Mean score at each frequency over the recordings, with its t interval, and the best frequency, for each length."""
+    lengths, seeds, frequencies = size(quick)
+    scores = iter([read_score(folder) for folder in folders])
+    headline, figures, details = {}, {}, {"frequencies": list(frequencies)}
+    for length in lengths:
+        of_length = [[next(scores) for _ in seeds] for _ in frequencies]
+        forms = {form: [_interval(of_seeds, form) for of_seeds in of_length] for form in FORMS}
+        for form, intervals in forms.items():
+            headline[f"best_frequency_{form}_{length:g}s_hz"] = max(zip(intervals, frequencies, strict=True))[1]
+            headline |= {f"{form}_{length:g}s_{f:g}hz": interval.mean for f, interval in zip(frequencies, intervals, strict=True)}
+        half_widths = {form: [interval.half_width for interval in intervals] for form, intervals in forms.items()}
+        details[f"{length:g}s"] = {"transitions": [of_seeds[0].transitions for of_seeds in of_length], "half_widths": half_widths}
+        drawn = {form: tuple(zip(*intervals, strict=True)) for form, intervals in forms.items()}
+        figures[f"figure9_{length:g}s"] = plot_frequencies(frequencies, drawn)
+    return Report(headline, figures, details)
 
 
-def scores_of_recording(seed: int, frequencies: Sequence[float]) -> list[FrequencyScore]:
-    """Of one recording, perhaps in another process."""
-    torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
-    return score_frequencies(recorded_movements(seed), TIME_STEP, frequencies, load_experiment("biorob").space)
+def read_score(folder: Path) -> FrequencyScore:
+    """What a run wrote.
+
+    Raises:
+        RunError: it cannot be read, or is not that of a score.
+    """
+    try:
+        summary = json.loads((folder / "summary.json").read_text())
+        values = (torch.tensor(summary[name], dtype=torch.float64) for name in ("log_likelihood", "spread"))
+        return FrequencyScore(summary["frequency"], summary["transitions"], *values)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{folder}: summary.json is no score of a frequency: {error}") from error
 
 
-def _intervals(scores: Sequence[Sequence[float]]) -> list[Interval]:
-    """Of each frequency, over recordings; scores are (recordings, frequencies)."""
-    return [Interval.of(column) for column in torch.tensor(scores, dtype=torch.float64).mT]
+def _score(out: Path, command: str, length: float, frequency: float, seed: int) -> None:
+    source, begun = provenance(command), time.perf_counter()
+    recordings = recorded_movements(seed)[: round(length / PART)]
+    (score,) = score_frequencies(recordings, TIME_STEP, [frequency], load_experiment("biorob").space)
+    out.mkdir(parents=True, exist_ok=True)
+    values = {"log_likelihood": score.log_likelihood.tolist(), "spread": score.spread.tolist(), "transitions": score.transitions}
+    run = {"experiment": "figure9", "seed": seed, **source, "length_s": length, "frequency": frequency, **values}
+    write_json(out / "summary.json", run | {"wall_seconds": round(time.perf_counter() - begun, 2)})
 
 
-FIGURE9 = PaperExperiment("figure9", "how well models of the BioRob predict at each sampling frequency", no_runs, report)
+def _interval(scores: Sequence[FrequencyScore], form: str) -> Interval:
+    """Over recordings."""
+    return Interval.of(torch.tensor([getattr(score, form).mean for score in scores], dtype=torch.float64))
+
+
+FIGURE9 = PaperExperiment("figure9", "how well models of the BioRob predict at each sampling frequency", needed_runs, report)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from tqdm import tqdm
 
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.run_folder import provenance
-from torch_pmil.experiments.runs import RunError, is_finished, read_summary
+from torch_pmil.experiments.runs import RunError, is_finished
 from torch_pmil.experiments.training import train
 from torch_pmil.files import write_json
 from torch_pmil.plotting import Figure, save_figure
@@ -64,6 +65,7 @@ class PaperExperiment:
 
     Example:
         >>> from torch_pmil.experiments import load_experiment
+        >>> from torch_pmil.experiments.runs import read_summary
         >>> def runs(root: Path, quick: bool) -> list[Run]:
         ...     return [learning_run(root, load_experiment("double_pendulum"), seed, trials=3 if quick else 12) for seed in range(2)]
         >>> def report(folders: Sequence[Path], quick: bool) -> Report:
@@ -110,7 +112,7 @@ def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[P
         The folder of the results, and what they are.
 
     Raises:
-        RunError: runs failed, or left something else than a run leaves.
+        RunError: runs failed, or the report found something else than they leave.
         OSError: the results cannot be written.
     """
     source, aside = provenance(command), ("quick",) if quick else ()
@@ -168,5 +170,5 @@ def tell_trial(out: Path, trial: Measurement) -> None:
 
 def _origin(folder: Path) -> dict[str, object]:
     """Where a run comes from."""
-    summary = read_summary(folder)
+    summary = json.loads((folder / "summary.json").read_text())
     return {"folder": str(folder), **{key: summary[key] for key in OF_RUN if key in summary}}

@@ -19,7 +19,8 @@ INPUT_WIDTHS = (0.2, 0.4, 0.6, 0.5, 2.0, 2.5)  # rad, rad/s
 REACH = (12.0, 25.0, 25.0)  # degrees around the start
 STIFFNESS = (20.0, 25.0, 10.0)  # N·m/rad
 DAMPING = (0.5, 1.0, 0.3)  # N·m·s/rad: more, held for 0.1 s, makes these light joints swing from limit to limit
-SEARCH = SearchSettings(mean_iterations=0, final_iterations=160, trusted=12.0)  # nats a step, of six dimensions; 4.5 stalls where the strike begins
+# nats a step, of six dimensions; with 4.5 the search stalls where the strike begins
+SEARCH = SearchSettings(mean_iterations=0, final_iterations=160, trusted=12.0)
 
 
 def biorob_space() -> StateSpace:

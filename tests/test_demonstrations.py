@@ -242,5 +242,5 @@ def test_shipped_demonstrations_have_links_of_constant_length():
 
 
 def test_unknown_shipped_demonstrations_are_refused():
-    shipped = ["double_pendulum", "gym_pendulum", "inverted_pendulum"]
+    shipped = ["biorob", "double_pendulum", "gym_pendulum", "inverted_pendulum"]
     assert f"must be one of {shipped}, got triple" in refused(shipped_demonstrations, "triple")

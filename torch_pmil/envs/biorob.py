@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrl.data import Binary, Unbounded
 
 from torch_pmil.envs.equilibrium import Equilibrium
-from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.mujoco import MujocoRobotEnv, state_columns
 
 JOINTS = ("yaw", "shoulder", "elbow")
 ROTORS = ("yaw_motor", "shoulder_motor", "elbow_motor")
@@ -97,7 +97,7 @@ class BioRobEnv(MujocoRobotEnv):
     def _physics_from_state(self, state: Tensor) -> Tensor:
         physics = super()._physics_from_state(state)
         positions, velocities = state.to(torch.float64).numpy().reshape(-1, 2, 3).swapaxes(0, 1)
-        speeds = [1 + self.model.nq + self.model.joint(name).dofadr[0] for name in ROTORS]
+        speeds = state_columns(self.model, ROTORS, positions_first=True)[len(ROTORS) :]
         physics[:, 1 : 1 + self.model.nq] = torch.from_numpy(self._equilibrium(positions)[0])
         physics[:, speeds] = torch.from_numpy(velocities @ self._equilibrium.ratio.T)
         return physics

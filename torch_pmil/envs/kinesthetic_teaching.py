@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
-from torch_pmil.envs.biorob import JOINTS, ROTORS
+from torch_pmil.envs.biorob import JOINTS, ROTORS, START
 from torch_pmil.envs.equilibrium import Equilibrium
 from torch_pmil.envs.mujoco import FULL_PHYSICS
 
@@ -38,7 +38,7 @@ class Strike:
         duration: of the recording.
     """
 
-    start: tuple[float, ...] = (-0.15, 0.35, 1.2)
+    start: tuple[float, ...] = START[: len(JOINTS)]
     back: tuple[float, ...] = (-0.35, 0.05, 0.55)
     hit: tuple[float, ...] = (0.1, 0.72, 1.35)
     hit_velocity: tuple[float, ...] = (0.6, 2.0, 2.5)
@@ -86,7 +86,7 @@ class Variation:
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordedStrike:
     """What was recorded at every time step of the simulation.
 
     Args:
@@ -102,7 +102,7 @@ class Recording:
     physics: Array
 
 
-def record_strike(model: mujoco.MjModel, strike: Strike) -> Recording:
+def record_strike(model: mujoco.MjModel, strike: Strike) -> RecordedStrike:
     """Lead the racket along a strike with a compliant hand, the motors limp.
 
     The hand pulls with a spring and a damper, and with 120 N at the most; the robot's weight, friction, rotors and cables do the rest.
@@ -141,7 +141,7 @@ def record_strike(model: mujoco.MjModel, strike: Strike) -> Recording:
     begun = round(SETTLING / model.opt.timestep)
     hits = np.flatnonzero(touched[begun:])
     hit_time = hits[0] * model.opt.timestep if len(hits) else None
-    return Recording(model.opt.timestep, np.array(states[begun:]), hit_time, physics[begun:])
+    return RecordedStrike(model.opt.timestep, np.array(states[begun:]), hit_time, physics[begun:])
 
 
 def _pull(model: mujoco.MjModel, data: mujoco.MjData, place: Array, velocity: Array) -> None:

@@ -81,7 +81,7 @@ class MujocoRobotEnv(RobotEnv):
         self.pixel_size = pixel_size
         self._data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
-        self._state_columns = _state_columns(self.model, joints, positions_first)
+        self._state_columns = state_columns(self.model, joints, positions_first)
         dim = 2 * len(joints)
         self.initial_mean = _state_vector("initial_mean", initial_mean, dim)
         self.initial_std = _deviations("initial_std", initial_std, dim)
@@ -301,8 +301,8 @@ def _limited_model(model: mujoco.MjModel, torque_limit: float | Sequence[float])
     return model
 
 
-def _state_columns(model: mujoco.MjModel, joints: Sequence[str], positions_first: bool) -> Tensor:
-    """Columns of the state vector in MuJoCo's full state [time, qpos, qvel, ...]."""
+def state_columns(model: mujoco.MjModel, joints: Sequence[str], positions_first: bool) -> Tensor:
+    """Columns of the joints' positions and velocities in MuJoCo's full state [time, qpos, qvel, ...]."""
     observed = [model.joint(name) for name in joints]
     columns = torch.tensor([[1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]] for joint in observed])
     return (columns.T if positions_first else columns).flatten()

@@ -8,7 +8,7 @@ from itertools import cycle
 import numpy as np
 from matplotlib.figure import Figure
 
-from torch_pmil.plotting.style import BLUE, VERMILLION, style
+from torch_pmil.plotting.style import BLUE, VERMILLION, draw_range, style
 
 
 def plot_errors_over_data(seconds: Sequence[float], panels: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
@@ -32,9 +32,7 @@ def plot_errors_over_data(seconds: Sequence[float], panels: Mapping[str, Mapping
         for (name, errors), (colour, marker) in zip(models.items(), cycle(((VERMILLION, "s"), (BLUE, "o"))), strict=False):
             if errors.shape[1:] != (len(seconds),):
                 raise ValueError(f"errors of {name} must be (runs, {len(seconds)}), got {errors.shape}")
-            mean = errors.mean(0)
-            bars = np.stack([mean - errors.min(0), errors.max(0) - mean])
-            panel.errorbar(seconds, mean, bars, color=colour, marker=marker, markersize=4, capsize=2, label=name)
+            draw_range(panel, seconds, errors, colour, marker, name)
         panel.set(xlabel="experience (s)", ylabel=label, ylim=(0, None))
         panel.set_xticks(seconds, [f"{second:g}" for second in seconds])
         style(panel)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -72,3 +73,13 @@ def draw_band(panel: Axes, time: np.ndarray, band: tuple[np.ndarray, np.ndarray,
     lower, mean, upper = band
     panel.fill_between(time, lower, upper, facecolor=(colour, 0.25), edgecolor=(colour, 0.8), linewidth=0.8, label=label)
     panel.plot(time, mean, color=colour, linewidth=1.4)
+
+
+def draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str, marker: str, label: str, size: int = 1) -> None:
+    """Mean of values (runs, K), with the range over the runs as error bars."""
+    mean = values.mean(0)
+    bars = np.stack([mean - values.min(0), values.max(0) - mean])
+    weight = {"markersize": 1 + 3 * size, "linewidth": 1.6 * size, "elinewidth": 0.8 * size, "capsize": 2 * size}
+    drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, label=label, **weight)
+    for artist in drawn.get_children():
+        artist.set_clip_on(False)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLION, style
+from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLION, draw_range, style
 
 SERIES = ((BLUE, "o"), (VERMILLION, "s"), (GREEN, "^"), (ORANGE, "D"))  # colours and markers of several methods
 
@@ -151,8 +151,8 @@ def plot_success_over_mass(
     _success_axis(upper)
     for index, ((name, values), (colour, marker)) in enumerate(zip(rates.items(), cycle(SERIES), strict=False)):
         size = len(rates) - index  # those below, drawn larger, are seen also where all agree
-        _draw_range(upper, masses, 100 * values, colour, marker, name, size)
-    _draw_range(lower, masses, torques, GREY, "o", "exact tracking")
+        draw_range(upper, masses, 100 * values, colour, marker, name, size)
+    draw_range(lower, masses, torques, GREY, "o", "exact tracking")
     lower.axhline(limit, color=DARK, linewidth=0.8, linestyle="--", label="limit of the motors")
     lower.set(xlabel="mass of the second link (kg)", ylabel="peak torque (N·m)", ylim=(0, None))
     for panel in (upper, lower):
@@ -186,7 +186,7 @@ def plot_success_over_settings(panels: Mapping[str, tuple[Sequence[float], np.nd
             raise ValueError(f"rates over {label} must be (runs, {len(levels)}) for {len(levels)} levels, got {rates.shape}")
         _success_axis(panel)
         line = panel.axvline(usual, color=GREY, linewidth=0.8, linestyle="--")
-        _draw_range(panel, levels, 100 * rates, BLUE, "o", f"mean of {len(rates)} runs, and their range")
+        draw_range(panel, levels, 100 * rates, BLUE, "o", f"mean of {len(rates)} runs, and their range")
         panel.set_xticks(levels, [f"{level:g}" for level in levels])
         panel.set(xlabel=label)
         panel.label_outer()
@@ -194,16 +194,6 @@ def plot_success_over_settings(panels: Mapping[str, tuple[Sequence[float], np.nd
     line.set_label("as in the other panels")
     figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
     return figure
-
-
-def _draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str, marker: str, label: str, size: int = 1) -> None:
-    """Mean of values (runs, K), with the range over the runs as error bars."""
-    mean = values.mean(0)
-    bars = np.stack([mean - values.min(0), values.max(0) - mean])
-    weight = {"markersize": 1 + 3 * size, "linewidth": 1.6 * size, "elinewidth": 0.8 * size, "capsize": 2 * size}
-    drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, label=label, **weight)
-    for artist in drawn.get_children():
-        artist.set_clip_on(False)
 
 
 def _success_axis(panel: Axes) -> None:

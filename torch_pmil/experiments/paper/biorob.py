@@ -42,15 +42,14 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     learned = load_learned(folders[0], experiment)
     rollouts = learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
     executed = states_of(rollouts)[:, 1:] @ IN_DEGREES.mT
-    expert, noise = experiment.expert, torch.as_tensor(experiment.noise_std) ** 2
-    predicted = learned.predicted(experiment).add_noise(noise)
+    predicted = learned.predicted(experiment).add_noise(experiment.noise_std**2)
     curve = success_over_experience(runs)
     figures = {
         "figure10": plot_distributions(
             [f"q {joint}" for joint in JOINTS],
             ["°"] * len(JOINTS),
             experiment.demonstrations.time_step,
-            expert.affine(IN_DEGREES),
+            experiment.expert.affine(IN_DEGREES),
             predicted.affine(IN_DEGREES),
             executed,
         ),

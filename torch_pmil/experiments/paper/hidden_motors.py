@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.envs.biorob import ROTORS, BioRobEnv
+from torch_pmil.envs.mujoco import state_columns
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run
 from torch_pmil.plotting import plot_errors_over_data
@@ -80,8 +81,7 @@ def record_movements(seed: int, rollouts: int) -> tuple[Tensor, Tensor, Tensor, 
     movements = experiment.first_motion
     motion, recorded = movements.motion(torch.Generator().manual_seed(seed)), []
     controller = TensorDictModule(motion, in_keys=["observation"], out_keys=["action"])
-    joints = [env.model.joint(name) for name in ROTORS]
-    columns = [1 + joint.qposadr[0] for joint in joints] + [1 + env.model.nq + joint.dofadr[0] for joint in joints]
+    columns = state_columns(env.model, ROTORS, positions_first=True)
     for _ in range(rollouts):
         motion.begin()
         rollout = env.rollout(movements.steps, controller)

@@ -41,8 +41,7 @@ class Learned:
     @torch.no_grad()
     def rollouts(self, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
         """Rollouts of the robot from fresh starts, (starts, T), as the environment gives them."""
-        env = experiment.make_env(num_envs=starts, seed=seed)
-        return env.rollout(experiment.horizon, self.policy.as_tensordict_module())
+        return _rollouts(self.policy, experiment, starts, seed)
 
 
 def load_learned(folder: Path, experiment: Experiment) -> Learned:
@@ -82,8 +81,7 @@ def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, s
     Returns:
         Fraction from 0 to 1.
     """
-    env = experiment.make_env(num_envs=starts, seed=seed)
-    rollouts = without_sensor_noise(env.rollout(experiment.horizon, policy.as_tensordict_module()))
+    rollouts = without_sensor_noise(_rollouts(policy, experiment, starts, seed))
     return success_rate(experiment.error(rollouts), experiment.tolerance)
 
 
@@ -108,3 +106,8 @@ def outcome(folder: Path, experiment: Experiment, starts: int, seed: int) -> dic
         "trials": len(learned.summary["trials"]),
         "stop_reason": learned.summary["stop_reason"],
     }
+
+
+def _rollouts(policy: StatePolicy, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
+    env = experiment.make_env(num_envs=starts, seed=seed)
+    return env.rollout(experiment.horizon, policy.as_tensordict_module())

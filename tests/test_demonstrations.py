@@ -244,3 +244,46 @@ def test_shipped_demonstrations_have_links_of_constant_length():
 def test_unknown_shipped_demonstrations_are_refused():
     shipped = ["biorob", "double_pendulum", "gym_pendulum", "inverted_pendulum"]
     assert f"must be one of {shipped}, got triple" in refused(shipped_demonstrations, "triple")
+
+
+def reaching(targets=((0.0, 1.0), (0.0, 1.0), (2.0, 3.0), (2.0, 3.0), (2.0, 3.0)), names=("y", "z")):
+    return Demonstrations(walk(5, 4, 2), 0.1, ("a", "b"), torch.tensor(targets), names)
+
+
+def test_demonstrations_of_several_targets_are_told_apart():
+    shown = reaching()
+    targets, sets = shown.by_target()
+    assert targets.tolist() == [[0.0, 1.0], [2.0, 3.0]] and targets.dtype == torch.float64
+    assert [one.positions.shape[0] for one in sets] == [2, 3]
+    assert torch.equal(torch.cat([one.positions for one in sets]), shown.positions)
+
+
+def test_saved_targets_are_loaded(tmp_path):
+    shown = reaching()
+    shown.save(tmp_path / "d.npz")
+    loaded = load_demonstrations(tmp_path / "d.npz")
+    assert torch.equal(loaded.targets, shown.targets) and loaded.target_names == ("y", "z")
+
+
+@pytest.mark.parametrize(
+    ("targets", "names", "message"),
+    [
+        (torch.zeros(4, 2), ("y", "z"), "targets must have shape (5, entries), one for each demonstration, got (4, 2)"),
+        (torch.zeros(5), ("y",), "targets must have shape (5, entries), one for each demonstration, got (5,)"),
+        (torch.zeros(5, 2), ("y", "y"), "target_names must be 2 different names, one per entry, got ('y', 'y')"),
+        (torch.full((5, 1), torch.nan), ("y",), "targets must be finite, got nan of demonstration 0"),
+        (torch.tensor([[0.0], [0], [0], [0], [1]]), ("y",), "each target must have at least two demonstrations, got one of [1.0]"),
+        (None, ("y",), "target_names must come with targets, got ('y',) alone"),
+    ],
+)
+def test_malformed_targets_are_refused(targets, names, message):
+    assert refused(Demonstrations, walk(5, 4, 2), 0.1, ("a", "b"), targets, names) == message
+
+
+def test_demonstrations_without_targets_cannot_be_told_apart_by_them():
+    assert refused(Demonstrations(walk(2, 5, 1), 0.1, ("x",)).by_target) == "demonstrations must have targets, got none"
+
+
+def test_targets_that_are_no_numbers_are_refused(tmp_path):
+    path = write_npz(tmp_path / "d.npz", targets=np.array([["a"], ["a"], ["a"]]), target_names=np.array(["y"]))
+    assert refused(load_demonstrations, path) == f"{path}: array targets must hold real numbers and target_names be a list"

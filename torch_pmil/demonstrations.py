@@ -32,7 +32,7 @@ class Demonstrations:
         positions: what was observed, (N, T+1, M), float64; for the double pendulum [x1, y1, x2, y2] in m.
         time_step: seconds between two samples.
         names: names of the M observed coordinates.
-        targets: what each demonstration was for, eta in Eq. 31, (N, K), float64: where the ball hung, say. None where all are for one thing.
+        targets: what each demonstration was for, (N, K), float64, as where the ball hung. None where all are for one thing.
         target_names: names of the K entries of a target.
 
     Raises:
@@ -123,7 +123,7 @@ class Demonstrations:
         return self.time_step * (self.positions.shape[1] - 1)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an NPZ file with the arrays positions, time_step and names, and targets and target_names if there are any, or nothing at all.
+        """Write an NPZ file with positions, time_step, names, and targets and target_names if there are any: wholly or not at all.
 
         Args:
             path: of the file; one that is there is replaced.

@@ -28,6 +28,7 @@ from tqdm import tqdm
 from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.experiments.experiment import Outcome
 from torch_pmil.experiments.sweep import register_launchers
 from torch_pmil.experiments.training import RunResult, train
 from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, save_figure
@@ -37,7 +38,7 @@ from torch_pmil.video import dense_states, film_rollout, render_rollout, write_v
 
 FRAMES_PER_SECOND = 50
 # pictures without OpenGL, from positions in the match space; these have poses too
-SKETCHES = dict.fromkeys(("double_pendulum", "double_pendulum_pilco"), pendulum_frames)
+SKETCHES = dict.fromkeys(("double_pendulum", "double_pendulum_pilco", "double_pendulum_targets"), pendulum_frames)
 
 
 @hydra.main(version_base="1.3", config_path="config", config_name="train")
@@ -93,13 +94,8 @@ def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> No
 
 def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
     """Figures and video of a run."""
-    match, objective = experiment.space.match, experiment.objective
-    predicted = match.belief(result.predicted).add_noise(experiment.noise_std**2)
-    executed = match(result.executed)
+    match, objective, first = experiment.space.match, experiment.objective, result.outcomes[0]
     figures = {
-        "trajectories": plot_distributions(
-            match.names, match.units, experiment.demonstrations.time_step, experiment.expert, predicted, executed[:, 1:]
-        ),
         "learning_curve": plot_learning_curve(
             [t.experience_s for t in result.trials],
             [t.success_rate for t in result.trials],
@@ -107,30 +103,33 @@ def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
             f"{objective.label} ({objective.unit})" if objective.unit else objective.label,
         ),
     }
+    for number, outcome in enumerate(result.outcomes):
+        predicted, executed = match.belief(outcome.predicted).add_noise(experiment.noise_std**2), match(outcome.executed)
+        figures["trajectories" if len(result.outcomes) == 1 else f"trajectories_target_{number}"] = plot_distributions(
+            match.names, match.units, experiment.demonstrations.time_step, outcome.expert, predicted, executed[:, 1:]
+        )
     if experiment.name in SKETCHES:
-        figures["poses"] = plot_poses(executed[0], experiment.demonstrations.time_step)
+        figures["poses"] = plot_poses(match(first.executed[0]), experiment.demonstrations.time_step)
     for name, figure in figures.items():
         save_figure(figure, out / "figures" / f"{name}.png")
-    env = experiment.make_env(seed=0)
+    env = experiment.first_robot(seed=0)
     if isinstance(env, MujocoRobotEnv):
-        film(env, experiment, result, out / "video.mp4")
+        film(env, experiment, first, out / "video.mp4")
     else:
         film_as_shown(experiment, result, out / "video.mp4")
 
 
-def film(env: MujocoRobotEnv, experiment: Experiment, result: RunResult, path: Path) -> None:
+def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Path) -> None:
     """The first executed rollout, as the simulator draws it; without OpenGL, as lines, or not at all."""
-    states = result.executed[0]
-    with torch.no_grad():
-        actions = result.policy(experiment.space.features(states[:-1]))
+    start, actions = outcome.executed[0, 0], outcome.rollouts["action"][0]
     try:
-        write_video(path, render_rollout(env, states[0], actions), FRAMES_PER_SECOND)
+        write_video(path, render_rollout(env, start, actions), FRAMES_PER_SECOND)
     except RuntimeError as error:
         if experiment.name not in SKETCHES:
             print(f"there is no video, because {error}")
             return
         print(f"{path} is a sketch, because {error}")
-        positions = experiment.space.match(dense_states(env, states[0], actions))
+        positions = experiment.space.match(dense_states(env, start, actions))
         write_video(path, SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND), FRAMES_PER_SECOND)
 
 
@@ -138,7 +137,7 @@ def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None
     """The policy from a fresh start, as the environment shows itself, if it does."""
     try:
         env = experiment.make_env(from_pixels=True, seed=0)
-        pictures = film_rollout(env, result.policy, experiment.space, experiment.horizon)
+        pictures = film_rollout(env, result.policy.policy, experiment.space, experiment.horizon)
         write_video(path, pictures, 1 / experiment.demonstrations.time_step)
     except Exception as error:  # every renderer fails with a type of its own
         print(f"there is no video, because the environment gives no pictures: {str(error).partition(chr(10))[0]}")

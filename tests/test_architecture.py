@@ -24,6 +24,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"rollout", "particles"},
     {"trajectory_loss"},
     {"objective", "conditioning"},
+    {"multi_target"},
     {"policy_search"},
     {"search_stepper", "lbfgs_stepper", "collection", "checkpoints", "trials"},
     {"trainer", "torchrl_interop", "run"},

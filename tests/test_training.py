@@ -93,14 +93,14 @@ def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> Non
 
 
 def test_summary_says_what_came_of_it(summary: dict, result: RunResult, experiment: Experiment) -> None:
-    successes = experiment.error(rollout_of(result.executed)) <= experiment.tolerance
+    successes = experiment.error(rollout_of(result.outcomes[0].executed)) <= experiment.tolerance
     assert summary["saved_success_rate"] == successes.double().mean().item()
-    assert summary["saved_n_eval"] == len(result.executed) == EVALUATION_STARTS
-    assert summary["two_sigma_coverage"] == two_sigma_coverage(result.predicted, result.executed)
+    assert summary["saved_n_eval"] == len(result.outcomes[0].executed) == EVALUATION_STARTS
+    assert summary["two_sigma_coverage"] == two_sigma_coverage(result.outcomes[0].predicted, result.outcomes[0].executed)
     space, demonstrations = experiment.space, experiment.demonstrations
-    by_entry = two_sigma_coverage_by_entry(result.predicted, result.executed)
+    by_entry = two_sigma_coverage_by_entry(result.outcomes[0].predicted, result.outcomes[0].executed)
     assert summary["two_sigma_coverage_by_entry"] == dict(zip(space.names, by_entry.tolist(), strict=True))
-    errors, spread = rms_error(demonstrations, space.match(result.executed)), demonstration_spread(demonstrations)
+    errors, spread = rms_error(demonstrations, space.match(result.outcomes[0].executed)), demonstration_spread(demonstrations)
     assert summary["rms_error"] == dict(zip(space.match.names, errors.tolist(), strict=True))
     assert summary["demonstration_spread"] == dict(zip(space.match.names, spread.tolist(), strict=True))
     assert summary["saved_trial"] in (1, 2)
@@ -143,13 +143,13 @@ def load_dynamics(folder: Path) -> GPDynamics:
 @torch.no_grad()
 def test_saved_policy_acts_as_the_learned_one(result: RunResult, folder: Path, draws: Draws) -> None:
     features = draws.normal(50, 6)
-    assert torch.equal(load_network(folder)(features), result.policy(features))
+    assert torch.equal(load_network(folder)(features), result.policy.policy(features))
 
 
 def test_saved_policy_and_model_predict_as_the_run_did(result: RunResult, folder: Path, experiment: Experiment) -> None:
     predicted = predict_trajectory(experiment.initial, load_network(folder), load_dynamics(folder), experiment.space, HORIZON)
-    assert torch.equal(predicted.mean, result.predicted.mean)
-    assert torch.equal(predicted.cov, result.predicted.cov)
+    assert torch.equal(predicted.mean, result.outcomes[0].predicted.mean)
+    assert torch.equal(predicted.cov, result.outcomes[0].predicted.cov)
 
 
 def test_saved_model_knows_all_experience(result: RunResult, folder: Path) -> None:
@@ -157,7 +157,7 @@ def test_saved_model_knows_all_experience(result: RunResult, folder: Path) -> No
 
 
 def test_executed_rollouts_are_those_of_the_saved_policy(result: RunResult, folder: Path, experiment: Experiment) -> None:
-    before, after = result.executed[:, :-1].flatten(0, 1), result.executed[:, 1:].flatten(0, 1)
+    before, after = result.outcomes[0].executed[:, :-1].flatten(0, 1), result.outcomes[0].executed[:, 1:].flatten(0, 1)
     actions = load_network(folder)(experiment.space.features(before)).detach()
     torch.testing.assert_close(experiment.make_env(seed=0).simulate(before, actions), after, rtol=0, atol=1e-9)
 

@@ -16,6 +16,7 @@ from torch_pmil.kernel_expansion import KernelExpansion
 from torch_pmil.kl import gaussian_kl, trajectory_kl
 from torch_pmil.lbfgs_stepper import LBFGSStepper
 from torch_pmil.moment_matching import Moments, moment_match
+from torch_pmil.multi_target import MultiTargetKLLoss
 from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.particles import ParticlePrediction, sample_trajectories
 from torch_pmil.policy import RBFPolicy
@@ -43,6 +44,7 @@ __all__ = [
     "LBFGSStepper",
     "MatchSpace",
     "Moments",
+    "MultiTargetKLLoss",
     "NotPositiveDefiniteError",
     "PMILTrainer",
     "ParticlePrediction",

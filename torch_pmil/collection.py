@@ -32,13 +32,16 @@ class RobotActor(torch.nn.Module):
         self.exploring = True
 
     @torch.no_grad()
-    def forward(self, observation: Tensor) -> Tensor:
-        """Torques (*batch, F), N·m, for states (*batch, D)."""
-        return self.motion(observation) if self.exploring else self.policy(self.space.features(observation))
+    def forward(self, observation: Tensor, target: Tensor | None = None) -> Tensor:
+        """Torques (*batch, F), N·m, for states (*batch, D), and what the robots are to do, (*batch, K), if the policy is of targets."""
+        if self.exploring:
+            return self.motion(observation)
+        features = self.space.features(observation)
+        return self.policy(features if target is None else torch.cat([features, target], -1))
 
 
 class RolloutCollector(Collector):
-    """TorchRL's collector of one rollout a batch, without end; the first batch is all rollouts of the first motion, one after the other.
+    """TorchRL's collector of one rollout of each robot a batch, without end; the first is all rollouts of the first motion in a row.
 
     Its state holds the batch that it handed out last: with a loaded state it begins with that one. A checkpoint that is written as
     soon as the robot has moved thus holds the motion, and a resumed loop learns from it as the first one did.
@@ -48,7 +51,7 @@ class RolloutCollector(Collector):
         policy: what it executes.
         actor: inside of the policy.
         first_motion: its rollouts and their steps.
-        horizon: steps of the other rollouts.
+        horizon: steps of the other rollouts of each robot.
     """
 
     _latest: TensorDictBase | None = None
@@ -56,11 +59,11 @@ class RolloutCollector(Collector):
 
     def __init__(self, env: EnvBase, policy: TensorDictModule, actor: RobotActor, first_motion: FirstMotion, horizon: int) -> None:
         settings = {"reset_at_each_iter": True, "auto_register_policy_transforms": False}
-        super().__init__(env, policy, frames_per_batch=horizon, total_frames=-1, **settings)
+        super().__init__(env, policy, frames_per_batch=horizon * env.batch_size.numel(), total_frames=-1, **settings)
         self._executed, self._actor, self._first_motion = policy, actor, first_motion
 
     def rollout(self) -> TensorDictBase:
-        """The next batch, (steps,)."""
+        """The next batch, (*robots, steps)."""
         if self._frames:
             return super().rollout()
         rollouts = []

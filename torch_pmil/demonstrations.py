@@ -258,7 +258,7 @@ def _load_npz(path: Path) -> Demonstrations:
     if arrays["time_step"].shape != () or arrays["names"].ndim != 1:
         raise DemonstrationError("array time_step must be one number and names a list")
     targets, target_names = arrays.get("targets"), arrays.get("target_names", np.array([]))
-    if targets is not None and targets.dtype.kind not in "fiu" or target_names.ndim != 1:
+    if (targets is not None and targets.dtype.kind not in "fiu") or target_names.ndim != 1:
         raise DemonstrationError("array targets must hold real numbers and target_names be a list")
     return Demonstrations(
         torch.from_numpy(arrays["positions"]),

@@ -65,8 +65,8 @@ def _products_with(exponents: Tensor, w: Tensor, z: Tensor, M: Tensor | None) ->
 class ExponentialSum(torch.autograd.Function):
     r"""S = sum_ij w_i M_ij z_j exp(l_i . r_j) for every belief and pair, (N, P); its gradient keeps thin products instead of n^2 numbers.
 
-    Arguments as in :func:`thin_products`, but with a single row w and z, (P, 1, n), of each pair; the entry ``one`` of every l_i
-    and the last of every r_j must be 1.
+    Arguments as in :func:`thin_products`, but with a single row w and z of each pair, (P, 1, n) or (N, P, 1, n); the entry ``one`` of
+    every l_i and the last of every r_j must be 1.
     """
 
     @staticmethod
@@ -74,7 +74,7 @@ class ExponentialSum(torch.autograd.Function):
         left_Q, Q_right = thin_products(left, right, w * left, (z * right).mT, M)
         ctx.one, ctx.own = one, 0 if M is None else len(M)
         ctx.save_for_backward(left, right, w, z, left_Q, Q_right)
-        return (z[:, 0] * left_Q[..., one, :]).sum(-1)
+        return (z[..., 0, :] * left_Q[..., one, :]).sum(-1)
 
     @staticmethod
     @once_differentiable
@@ -82,8 +82,8 @@ class ExponentialSum(torch.autograd.Function):
         left, right, w, z, left_Q, Q_right = ctx.saved_tensors
         scale = grad[..., None, None]
         d_left, d_right = w * (scale * Q_right.mT), z * (scale * left_Q)
-        d_w = (scale * Q_right.mT[..., -1:, :]).sum(0) if ctx.needs_input_grad[2] else None
-        d_z = (scale * left_Q[..., ctx.one : ctx.one + 1, :]).sum(0) if ctx.needs_input_grad[3] else None
+        d_w = (scale * Q_right.mT[..., -1:, :]).sum_to_size(w.shape) if ctx.needs_input_grad[2] else None
+        d_z = (scale * left_Q[..., ctx.one : ctx.one + 1, :]).sum_to_size(z.shape) if ctx.needs_input_grad[3] else None
         d_M = _sum_of_Q(left, right, w, z, scale, ctx.own) if ctx.needs_input_grad[4] else None
         return d_left, d_right, d_w, d_z, d_M, None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import gpytorch
@@ -89,7 +89,7 @@ class KernelExpansion:
 
     Args:
         inputs: (n, D).
-        weights: beta, (E, n).
+        weights: beta, (E, n); of a deterministic function also (N, E, n), its own for each of the N points or beliefs that it is asked at.
         lengthscales: square roots of the diagonal of Lambda_a, (E, D), in the units of the inputs.
         signal_variance: alpha_a^2, (E,), in the squared units of the outputs.
         gram_inverse: K_a^-1, (E, n, n), or None for a deterministic function.
@@ -113,7 +113,7 @@ class KernelExpansion:
     @property
     def num_outputs(self) -> int:
         """E."""
-        return self.weights.shape[0]
+        return self.weights.shape[-2]
 
     @property
     def num_inputs(self) -> int:
@@ -146,12 +146,12 @@ class KernelExpansion:
 
     @cached_property
     def pair_weights(self) -> tuple[Tensor, Tensor]:
-        """Weights of the two outputs of each product, (P, 1, n) each: Q_ij counts w_i z_j times."""
-        w, z = self.weights[self.products.first], self.weights[self.products.second]
+        """Weights of the two outputs of each product, (P, 1, n) or (N, P, 1, n) each: Q_ij counts w_i z_j times."""
+        w, z = self.weights[..., self.products.first, :], self.weights[..., self.products.second, :]
         if self.gram_inverse is not None:
             one = torch.ones_like(self.weights)  # of an output with itself: see self_weights
             w, z = (torch.cat([one, weights[self.num_outputs :]]) for weights in (w, z))
-        return w[:, None], z[:, None]
+        return w[..., None, :], z[..., None, :]
 
     @cached_property
     def self_weights(self) -> Tensor | None:
@@ -194,6 +194,27 @@ class KernelExpansion:
             return mean, torch.zeros_like(mean)
         explained = torch.einsum("...ei,eij,...ej->...e", k, self.gram_inverse, k)
         return mean, self.signal_variance - explained
+
+    def at_known(self, known: Tensor) -> KernelExpansion:
+        r"""A deterministic function of the first D - K inputs, the last K being known: N functions, for known inputs (N, K).
+
+        Without variance they take no part in any integral: :math:`\beta_{ai} \exp(-\tfrac12 \sum_k (\eta_k - x_{ik})^2 / \Lambda_{ak})`
+        are weights.
+
+        Example:
+            >>> f = KernelExpansion(torch.zeros(1, 2), torch.ones(1, 1), torch.ones(1, 2), torch.ones(1))
+            >>> f.at_known(torch.tensor([[0.0], [9.0]])).mean(torch.zeros(2, 1)).round()
+            tensor([[1.],
+                    [0.]])
+        """
+        D = self.num_inputs - known.shape[-1]
+        of_known = KernelExpansion(self.inputs[:, D:], self.weights, self.lengthscales[:, D:], torch.ones_like(self.signal_variance))
+        weights = self.weights * of_known.kernel(known)
+        return replace(self, inputs=self.inputs[:, :D], weights=weights, lengthscales=self.lengthscales[:, :D])
+
+    def repeated(self, times: int) -> KernelExpansion:
+        """The same for N points or beliefs, and the same N again, so many times."""
+        return self if self.weights.ndim == 2 else replace(self, weights=self.weights.repeat(times, 1, 1))
 
     @classmethod
     def from_exact_gp(cls, model: gpytorch.models.ExactGP) -> KernelExpansion:

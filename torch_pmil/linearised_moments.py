@@ -48,7 +48,7 @@ class RecordedMoments:
         """Moments at N beliefs, the same number in all calls."""
         products, moments = ThinProducts.at(self.f, belief, self.observation_noise)
         self._pending.append(products)
-        if len(self._pending) * products.left_Q.numel() > KEPT_NUMBERS:
+        if len(self._pending) * products.left.numel() > KEPT_NUMBERS:
             self._sum_up()
         return moments
 
@@ -72,15 +72,15 @@ class ThinProducts:
         mean: of the beliefs, (N, D).
         precision: B of :class:`GaussianIntegrals`, (N, E + P, D, D).
         beta_q: (N, E, n).
-        left_Q: sum_i w_i [nu_i, 1] Q_ij of each pair of outputs, (N, P, D + 1, n).
-        Q_z: sum_j Q_ij z_j, (N, P, n, 1).
+        left: sum_i w_i [nu_i, 1] Q_ij z_j of each pair of outputs, (N, P, D + 1, n).
+        right: sum_j w_i Q_ij z_j, (N, P, n).
     """
 
     mean: Tensor
     precision: Tensor
     beta_q: Tensor
-    left_Q: Tensor
-    Q_z: Tensor
+    left: Tensor
+    right: Tensor
 
     @classmethod
     def at(cls, f: KernelExpansion, belief: Gaussian, observation_noise: bool) -> tuple[ThinProducts, Moments]:
@@ -89,9 +89,10 @@ class ThinProducts:
         left, right, nu1 = integrals.left, integrals.right, integrals.nu1
         left_Q, Q_z = thin_products(left, right, w * left[:, :, :-1], z.mT.expand(len(nu1), -1, -1, -1), f.self_weights)
         beta_q = f.weights * integrals.q
+        row_sums = w.squeeze(-2) * Q_z.squeeze(-1)
         single, second = beta_q @ nu1.mT, (w @ Q_z).flatten(1)
         moments = combine(f, single[..., -1], first_slope(integrals.precision, single), second, observation_noise)
-        return cls(belief.mean, integrals.precision, beta_q, left_Q, Q_z), moments
+        return cls(belief.mean, integrals.precision, beta_q, left_Q * z, row_sums), moments
 
 
 @dataclass(frozen=True)
@@ -117,16 +118,14 @@ class MomentSums:
     @classmethod
     def of(cls, f: KernelExpansion, products: ThinProducts) -> MomentSums:
         """Summed over the data."""
-        D, E, (w, z) = f.num_inputs, f.num_outputs, f.pair_weights
+        D, E = f.num_inputs, f.num_outputs
         nu1, squares = centred(f, products.mean)
-        left_Q_z = products.left_Q * z
-        row_sums, column_sums = w[:, 0] * products.Q_z.squeeze(-1), left_Q_z[:, :, D]
         weighted_nu = (products.beta_q[:, :, None] * nu1[:, None, :D]).flatten(1, 2)
         return cls(
             precision=products.precision,
             single=products.beta_q @ nu1.mT,
-            pair=left_Q_z @ nu1[:, None].mT,
-            squares=(torch.cat([products.beta_q, row_sums, column_sums], 1) @ squares.mT).unflatten(2, (D, D)),
+            pair=products.left @ nu1[:, None].mT,
+            squares=(torch.cat([products.beta_q, products.right, products.left[:, :, D]], 1) @ squares.mT).unflatten(2, (D, D)),
             cubes=(weighted_nu @ squares.mT).view(-1, E, D, D, D),
         )
 

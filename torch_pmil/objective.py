@@ -82,7 +82,7 @@ class TrajectoryKLLoss(TrajectoryLoss):
         return mean_kl(self._expert(observed.shape[-2]), observed)
 
     def _expert(self, horizon: int) -> Gaussian:
-        return Gaussian(self.expert_mean, self.expert_cov)[:horizon]
+        return Gaussian(self.expert_mean[..., :horizon, :], self.expert_cov[..., :horizon, :, :])
 
 
 class ExpectedSaturatingCost(TrajectoryLoss):

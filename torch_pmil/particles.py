@@ -9,14 +9,14 @@ from torch import Tensor
 
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.gaussian import Gaussian, normal, symmetric
-from torch_pmil.policy import RBFPolicy
+from torch_pmil.policy import Policy
 from torch_pmil.rollout import check_finite
 from torch_pmil.state_space import StateSpace
 
 
 def sample_trajectories(
     initial: Gaussian,
-    policy: RBFPolicy,
+    policy: Policy,
     dynamics: GPDynamics,
     space: StateSpace,
     horizon: int,
@@ -89,7 +89,7 @@ class ParticlePrediction:
         if self.count < 2:
             raise ValueError(f"count must be at least 2, got {self.count}")
 
-    def __call__(self, initial: Gaussian, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int) -> Gaussian:
+    def __call__(self, initial: Gaussian, policy: Policy, dynamics: GPDynamics, space: StateSpace, horizon: int) -> Gaussian:
         """The predicted marginals p(x_1), ..., p(x_T), mean (*batch, T, D), observation noise included.
 
         Raises:

@@ -13,6 +13,7 @@ u_max (Eq. 27)        ``u_max`` (F,)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -23,6 +24,14 @@ from torch_pmil.moment_matching import Moments, moment_match
 from torch_pmil.trigonometry import squash
 
 MAX_SINE = 0.999  # of a torque that is taken back through Eq. 27: at the limit itself its slope is zero
+
+
+class Policy(Protocol):
+    """What a prediction takes for a policy."""
+
+    @property
+    def controller(self) -> Controller:
+        """Of the features of a state, or of N of them if it is of N targets."""
 
 
 class RBFPolicy(nn.Module):
@@ -96,6 +105,27 @@ class RBFPolicy(nn.Module):
 
 
 @dataclass(frozen=True)
+class PolicyAtTargets:
+    """A policy whose last K inputs are a target, at N targets: row i of a batch of N states is for target i.
+
+    A target is known exactly, so it has no variance and its part of the network is a factor of the weights (Eq. 31).
+
+    Args:
+        policy: sees the features of the state, then the target.
+        targets: (N, K).
+    """
+
+    policy: RBFPolicy
+    targets: Tensor
+
+    @property
+    def controller(self) -> Controller:
+        """Of the features of N states."""
+        controller = self.policy.controller
+        return Controller(controller.network.at_known(self.targets), controller.u_max)
+
+
+@dataclass(frozen=True)
 class Controller:
     """An RBF network and the torque limits that its output is squashed to (Eq. 27)."""
 
@@ -108,7 +138,7 @@ class Controller:
 
     @property
     def parameters(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Centres (m, D'), weights (F, m) and widths (F, D') of the network, in the units of its inputs."""
+        """Centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D') of the network, in the units of its inputs."""
         return self.network.inputs, self.network.weights, self.network.lengthscales
 
     def with_parameters(self, centres: Tensor, weights: Tensor, widths: Tensor) -> Controller:

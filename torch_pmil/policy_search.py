@@ -183,12 +183,12 @@ def renew_policy(loss: TrajectoryLoss, initial: Gaussian, new: RBFPolicy, settin
     """
     doubt = _evaluate(loss.doubt, initial, loss.horizon)
     trusted = min(_first_unmatched(doubt, settings) - 1, int(doubt.isfinite().sum()))
-    states = initial.sample(RENEWAL_SAMPLES, generator)[:, None]
+    states = loss.begin(initial)[0].sample(RENEWAL_SAMPLES, generator)[..., None, :]
     if trusted > 0:
         predicted = loss.predict_states(initial, trusted)
-        states = torch.cat([states, predicted.sample(RENEWAL_SAMPLES, generator)], 1)
-    features = loss.space.features(states.flatten(0, 1))
-    new.fit_weights(features, loss.actor_network(features))
+        states = torch.cat([states, predicted.sample(RENEWAL_SAMPLES, generator)], -2)
+    inputs = loss.policy_inputs(states).flatten(0, -2)
+    new.fit_weights(inputs, loss.actor_network(inputs))
     loss.actor_network.load_state_dict(new.state_dict())
 
 

@@ -12,7 +12,7 @@ from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, joint, symme
 from torch_pmil.linearised_moments import RecordedMoments
 from torch_pmil.linearised_step import LinearisedStep
 from torch_pmil.moment_matching import Moments, moment_match
-from torch_pmil.policy import Controller, RBFPolicy
+from torch_pmil.policy import Controller, Policy
 from torch_pmil.recurrence import unroll
 from torch_pmil.state_space import StateSpace
 
@@ -78,7 +78,7 @@ def successor_belief(state: Gaussian, input_slope: Tensor, moments: Moments, tar
 
 def predict_trajectory(
     initial: Gaussian,
-    policy: RBFPolicy,
+    policy: Policy,
     dynamics: GPDynamics,
     space: StateSpace,
     horizon: int,
@@ -140,7 +140,7 @@ class _MomentStep:
         d_network = [cotangent.squeeze(1) for cotangent in step.network_adjoint(d_mean, d_cov)]
         leaves = [parameter.detach().requires_grad_() for parameter in parameters]
         with torch.enable_grad():
-            moments = moment_match(self.controller.with_parameters(*leaves).network, step.features)
+            moments = moment_match(self.controller.with_parameters(*leaves).network.repeated(len(states)), step.features)
         return torch.autograd.grad((moments.mean, moments.cov, moments.inv_cov_cross_cov), leaves, d_network)
 
     def _linearised(self, states: Tensor) -> LinearisedStep:
@@ -158,7 +158,7 @@ def check_finite(trajectory: Gaussian, space: StateSpace) -> None:
         raise PredictionError(f"prediction of step {step + 1} of {horizon} failed: {space.names[output]} is not finite", step + 1)
 
 
-def predict_mean_trajectory(initial: Tensor, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int) -> Tensor:
+def predict_mean_trajectory(initial: Tensor, policy: Policy, dynamics: GPDynamics, space: StateSpace, horizon: int) -> Tensor:
     """The model's mean alone, step by step, as if nothing were uncertain: O(n) a step.
 
     Args:

@@ -10,8 +10,9 @@ entry               holds
 ``units``           of the same
 ``angles``          indices of the entries that are angles (rad), which the policy sees by sin and cos
 ``control_period``  for which the robot holds a torque, s
-``parameters``      ``RBFPolicy.state_dict()``: float64 tensors ``centres`` (m, D') and ``log_widths`` (F, D')
-                    in multiples of ``scale`` (D',), ``weights`` (m, F), torque limits ``u_max`` (F,) in N·m
+``target_names``    names of the K entries of a target, which the policy sees after the features; absent if it has none
+``parameters``      ``RBFPolicy.state_dict()``: float64 tensors ``centres`` (m, D' + K) and ``log_widths`` (F, D' + K)
+                    in multiples of ``scale`` (D' + K,), ``weights`` (m, F), torque limits ``u_max`` (F,) in N·m
 ==================  ==================================================================================
 """
 
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -31,21 +33,22 @@ from torch_pmil.state_policy import StatePolicy
 from torch_pmil.state_space import StateSpace, joint_match
 
 FORMAT, FORMAT_VERSION = "torch_pmil policy", 1
-LISTS = {"names": str, "units": str, "angles": int}
+LISTS = {"names": str, "units": str, "angles": int, "target_names": str}
 
 
 class PolicyFileError(ValueError):
     """A file holds no policy that can be used; the message says where, what was expected and what came, in one line."""
 
 
-def save_policy(path: Path | str, policy: RBFPolicy, space: StateSpace, control_period: float) -> None:
+def save_policy(path: Path | str, policy: RBFPolicy, space: StateSpace, control_period: float, target_names: Sequence[str] = ()) -> None:
     """Write a policy and what it needs to act, wholly or not at all.
 
     Args:
         path: of the file; one that is there is replaced.
-        policy: sees the features of the state.
+        policy: sees the features of the state, then the target if there is one.
         space: names, units and angles of the state. The match space is not saved.
         control_period: for which the robot holds a torque, s.
+        target_names: names of the K entries of a target.
 
     Raises:
         ValueError: the policy sees another number of features, or the control period is not positive.
@@ -53,7 +56,7 @@ def save_policy(path: Path | str, policy: RBFPolicy, space: StateSpace, control_
 
     Example: see :func:`load_policy`.
     """
-    StatePolicy(policy, space, control_period)
+    StatePolicy(policy, space, control_period, target_names)
     content = {
         "format": FORMAT,
         "version": FORMAT_VERSION,
@@ -62,6 +65,7 @@ def save_policy(path: Path | str, policy: RBFPolicy, space: StateSpace, control_
         "units": list(space.units),
         "angles": list(space.angles),
         "control_period": float(control_period),
+        **({"target_names": list(target_names)} if target_names else {}),
         "parameters": {name: tensor.detach().cpu() for name, tensor in policy.state_dict().items()},
     }
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -95,7 +99,9 @@ def load_policy(path: Path | str) -> StatePolicy:
         _check_entries(content)
         names, units = tuple(content["names"]), tuple(content["units"])
         space = StateSpace(names, units, tuple(content["angles"]), joint_match(names, units))
-        return StatePolicy(_network(content["parameters"], len(space.feature_names)), space, content["control_period"])
+        targets = content.get("target_names", [])
+        network = _network(content["parameters"], len(space.feature_names) + len(targets))
+        return StatePolicy(network, space, content["control_period"], targets)
     except ValueError as error:
         raise PolicyFileError(f"{path}: {error}") from error
 
@@ -120,7 +126,7 @@ def _check_entries(content: object) -> None:
         writer = f"torch_pmil {content.get('torch_pmil')}"
         raise PolicyFileError(f"format version must be {FORMAT_VERSION}, got {content.get('version')}, written by {writer}")
     for name, kind in LISTS.items():
-        value = content.get(name)
+        value = content.get(name, [] if name == "target_names" else None)
         if not isinstance(value, list) or {type(item) for item in value} - {kind}:
             raise PolicyFileError(f"entry {name} must be a list of {kind.__name__}, got {value!r}")
     if len(content["units"]) != len(content["names"]):

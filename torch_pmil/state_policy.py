@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,17 +23,20 @@ State = TypeVar("State", np.ndarray, Tensor)
 class StatePolicy(nn.Module):
     """Torques (*batch, F), N·m, at states (*batch, D): NumPy arrays for NumPy arrays, tensors for tensors, always float64.
 
-    Integers and floats of any precision are taken; a tensor must be on the device of the policy, and its gradient passes.
+    Integers and floats of any precision are taken; a tensor must be on the device of the policy, and its gradient passes. A policy of
+    targets is called with these too, (*batch, K): ``policy(state, target)``.
 
     Args:
-        policy: sees the features of the state.
+        policy: sees the features of the state, then the target if there is one.
         space: names, units and angles of the state.
         control_period: for which the robot holds a torque, s.
+        target_names: names of the K entries of a target.
 
     Raises:
-        ValueError: the policy sees another number of features, or the control period is not positive. When called: the state
+        ValueError: the policy sees another number of inputs, or the control period is not positive. When called: the state or the target
             has another shape, is not finite, or is on another device.
-        TypeError: when called: the state is no array or tensor, or does not hold real numbers.
+        TypeError: when called: the state or the target is no array or tensor, does not hold real numbers, or a target is missing or too
+            much.
 
     Example:
         >>> from torch_pmil.state_space import joint_match
@@ -45,41 +49,49 @@ class StatePolicy(nn.Module):
         torch.Size([7, 1])
     """
 
-    def __init__(self, policy: RBFPolicy, space: StateSpace, control_period: float) -> None:
+    def __init__(self, policy: RBFPolicy, space: StateSpace, control_period: float, target_names: Sequence[str] = ()) -> None:
         super().__init__()
-        if len(policy.scale) != len(space.feature_names):
-            raise ValueError(f"policy must see the features {', '.join(space.feature_names)}, got one of {len(policy.scale)} features")
+        inputs = (*space.feature_names, *target_names)
+        if len(policy.scale) != len(inputs):
+            raise ValueError(f"policy must see the features {', '.join(inputs)}, got one of {len(policy.scale)} features")
         if not 0 < control_period < math.inf:
             raise ValueError(f"control_period must be positive and finite, in seconds, got {control_period}")
-        self.policy, self.space, self.control_period = policy, space, control_period
+        self.policy, self.space, self.control_period, self.target_names = policy, space, control_period, tuple(target_names)
 
     def extra_repr(self) -> str:
         """State, torque limits and control period, in their units."""
         state = ", ".join(f"{name} ({unit})" for name, unit in zip(self.space.names, self.space.units, strict=True))
         limits = ", ".join(f"{limit:g}" for limit in self.policy.u_max)
-        return f"state {state}; torques up to {limits} N·m; every {self.control_period:g} s"
+        target = f"; target {', '.join(self.target_names)}" if self.target_names else ""
+        return f"state {state}{target}; torques up to {limits} N·m; every {self.control_period:g} s"
 
-    def forward(self, state: State) -> State:
-        """Torques (*batch, F), N·m, at states (*batch, D)."""
-        torque = self.policy(self.space.features(self._checked(state)))
+    def forward(self, state: State, target: State | None = None) -> State:
+        """Torques (*batch, F), N·m, at states (*batch, D), for targets (*batch, K) if the policy is of targets."""
+        if (target is None) == bool(self.target_names):
+            raise TypeError(f"policy must be called with a state{' and a target' if self.target_names else ' alone'}")
+        inputs = self.space.features(self._checked("state", state, self.space.names))
+        if target is not None:
+            known = self._checked("target", target, self.target_names)
+            inputs = torch.cat([inputs, known.expand(*inputs.shape[:-1], -1)], -1)
+        torque = self.policy(inputs)
         return torque.detach().cpu().numpy() if isinstance(state, np.ndarray) else torque
 
     def as_tensordict_module(self) -> TensorDictModule:
-        """The policy of TorchRL's environments and collectors: reads ``"observation"``, writes ``"action"``.
+        """The policy of TorchRL's environments and collectors: from ``"observation"``, and ``"target"`` of targets, to ``"action"``.
 
         Example: see ``docs/deploy.md``.
         """
-        return TensorDictModule(self, in_keys=["observation"], out_keys=["action"])
+        return TensorDictModule(self, in_keys=["observation", "target"][: 1 + bool(self.target_names)], out_keys=["action"])
 
     def export(self, path: Path | str, batch: bool = False) -> None:
         """Write a program that ``torch.export.load`` reads where there is nothing but PyTorch.
 
-        Its input, a float64 tensor on the CPU, has the number of dimensions that it was exported for. The program raises an error at
-        another shape or dtype, and at a number that is not finite.
+        Its inputs, the state and the target if there is one, are float64 tensors on the CPU with the number of dimensions that it was
+        exported for. The program raises an error at another shape or dtype, and at a number that is not finite.
 
         Args:
             path: of the file, ending in .pt2.
-            batch: whether the program takes states (N, D), any N, and not one state (D,).
+            batch: whether the program takes states (N, D), any N, and not one state (D,); targets alike.
 
         Raises:
             ValueError: the file has another ending.
@@ -91,30 +103,32 @@ class StatePolicy(nn.Module):
         if path.suffix != ".pt2":
             raise ValueError(f"an exported policy must be a .pt2 file, got {path}")
         program = _Program(_constant(self.policy.controller), self.space)
-        example = torch.zeros((2, self.space.dim) if batch else self.space.dim, dtype=torch.float64)
-        program(example)  # what space and network keep from their first call must not come from the tracer
-        exported = torch.export.export(program, (example,), dynamic_shapes=({0: torch.export.Dim("N", min=0)},) if batch else None)
+        dims = [self.space.dim, *([len(self.target_names)] if self.target_names else [])]
+        examples = tuple(torch.zeros((2, dim) if batch else dim, dtype=torch.float64) for dim in dims)
+        program(*examples)  # what space and network keep from their first call must not come from the tracer
+        shapes = tuple({0: torch.export.Dim("N", min=0)} for _ in dims) if batch else None
+        exported = torch.export.export(program, examples, dynamic_shapes=shapes)
         with replacing(path) as temporary, temporary.open("wb") as file:
             torch.export.save(exported, file)
 
-    def _checked(self, state: np.ndarray | Tensor) -> Tensor:
-        """The state as the policy takes it: float64, on its device."""
-        dim, device = self.space.dim, self.policy.u_max.device
+    def _checked(self, what: str, state: np.ndarray | Tensor, names: Sequence[str]) -> Tensor:
+        """The state or the target, of these entries, as the policy takes it: float64, on its device."""
+        dim, device = len(names), self.policy.u_max.device
         if not isinstance(state, np.ndarray | Tensor):
-            raise TypeError(f"state must be a NumPy array or a PyTorch tensor, got {type(state).__name__}")
+            raise TypeError(f"{what} must be a NumPy array or a PyTorch tensor, got {type(state).__name__}")
         if not _is_real(state):
-            raise TypeError(f"state must hold real numbers, got {state.dtype}")
+            raise TypeError(f"{what} must hold real numbers, got {state.dtype}")
         if state.ndim == 0 or state.shape[-1] != dim:
-            raise ValueError(f"state must have shape (*batch, {dim}) for {', '.join(self.space.names)}, got {tuple(state.shape)}")
+            raise ValueError(f"{what} must have shape (*batch, {dim}) for {', '.join(names)}, got {tuple(state.shape)}")
         if isinstance(state, np.ndarray):
             state = torch.from_numpy(np.array(state, dtype=np.float64, order="C")).to(device)
         elif state.device != device:
-            raise ValueError(f"state must be on {device} like the policy, got {state.device}")
+            raise ValueError(f"{what} must be on {device} like the policy, got {state.device}")
         finite = state.isfinite()
         if not finite.all():
             *element, entry = (~finite).nonzero()[0].tolist()
             where = f" at batch element {tuple(element)}" if element else ""
-            raise ValueError(f"state must be finite, got {self.space.names[entry]} = {state[*element, entry].item()}{where}")
+            raise ValueError(f"{what} must be finite, got {names[entry]} = {state[*element, entry].item()}{where}")
         return state.double()
 
 
@@ -139,7 +153,12 @@ class _Program(nn.Module):
         super().__init__()
         self.controller, self.space = controller, space
 
-    def forward(self, state: Tensor) -> Tensor:
-        state = state.double().view(state.shape)  # leaves checks of the dtype and of the number of dimensions in the graph
-        torch._assert_async(state.isfinite().all(), "state must be finite")
-        return self.controller(self.space.features(state))
+    def forward(self, state: Tensor, target: Tensor | None = None) -> Tensor:
+        inputs = self.space.features(_finite("state", state))
+        return self.controller(inputs if target is None else torch.cat([inputs, _finite("target", target)], -1))
+
+
+def _finite(what: str, given: Tensor) -> Tensor:
+    given = given.double().view(given.shape)  # leaves checks of the dtype and of the number of dimensions in the graph
+    torch._assert_async(given.isfinite().all(), f"{what} must be finite")
+    return given

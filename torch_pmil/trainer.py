@@ -47,7 +47,7 @@ class PMILTrainer(Trainer):
     :meth:`resume` goes on from there, and ends with the very same parameters.
 
     Args:
-        env: the robot, one of it.
+        env: the robot, one of it; or, for a policy of targets, one for each target, which says it under ``"target"``.
         evaluation_env: a batch of robots for the measurement.
         loss_module: the objective with policy and model.
         initial: p(x_0).
@@ -98,9 +98,10 @@ class PMILTrainer(Trainer):
         if confirmations < 1:
             raise ValueError(f"confirmations must be at least 1, got {confirmations}")
         horizon = loss_module.horizon
-        frames = first_motion.rollouts * first_motion.steps + trials * horizon
+        frames = env.batch_size.numel() * (first_motion.rollouts * first_motion.steps + trials * horizon)
         actor = RobotActor(loss_module.actor_network, loss_module.space, first_motion.motion(generator))
-        self.robot_policy = TensorDictModule(actor, in_keys=["observation"], out_keys=["action"])
+        in_keys = [key for key in ("observation", "target") if key in env.observation_spec]
+        self.robot_policy = TensorDictModule(actor, in_keys=in_keys, out_keys=["action"])
         super().__init__(
             collector=RolloutCollector(env, self.robot_policy, actor, first_motion, horizon),
             total_frames=frames,
@@ -220,7 +221,7 @@ class PMILTrainer(Trainer):
         self.experience.extend(batch)
         if self._pending is None:
             return batch
-        own_error = self.error(batch).item()
+        own_error = self.error(batch).max().item()
         trial = replace(self._pending, own_error=own_error, own_success=own_error <= self.tolerance)
         parameters = {k: v.clone() for k, v in self.loss_module.actor_network.state_dict().items()}
         self.trials.append(trial)

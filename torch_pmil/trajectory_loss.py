@@ -16,12 +16,12 @@ from torchrl.objectives import LossModule
 
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
-from torch_pmil.policy import RBFPolicy
+from torch_pmil.policy import Policy, RBFPolicy
 from torch_pmil.rollout import PredictionError, predict_mean_trajectory
 from torch_pmil.state_space import StateSpace
 
 Reduction = Literal["none", "mean", "sum"]
-Prediction = Callable[[Gaussian, RBFPolicy, GPDynamics, StateSpace, int], Gaussian]
+Prediction = Callable[[Gaussian, Policy, GPDynamics, StateSpace, int], Gaussian]
 
 
 class TrajectoryLoss(LossModule):
@@ -108,7 +108,15 @@ class TrajectoryLoss(LossModule):
 
     def predict_states(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
         """Predicted states at t = 1..horizon: mean (*batch, horizon, D). Raises PredictionError."""
-        return self.prediction(initial, self.actor_network, self.dynamics, self.space, horizon or self.horizon)
+        return self.prediction(*self.begin(initial), self.dynamics, self.space, horizon or self.horizon)
+
+    def begin(self, initial: Gaussian) -> tuple[Gaussian, Policy]:
+        """Where the trajectories begin that are predicted for p(x_0), and what acts there."""
+        return initial, self.actor_network
+
+    def policy_inputs(self, states: Tensor) -> Tensor:
+        """What the policy sees of states, a batch of the trajectories' shape before the last dimension."""
+        return self.space.features(states)
 
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Cost of each predicted marginal up to a horizon, (*batch, horizon). Raises PredictionError."""
@@ -116,7 +124,8 @@ class TrajectoryLoss(LossModule):
 
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """The same for the model's mean alone: cheap, and no local optimum of wide predictions."""
-        states = predict_mean_trajectory(initial.mean, self.actor_network, self.dynamics, self.space, horizon or self.horizon)
+        start, policy = self.begin(initial)
+        states = predict_mean_trajectory(start.mean, policy, self.dynamics, self.space, horizon or self.horizon)
         return self._mean_costs(self.space.match(states))
 
     def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:

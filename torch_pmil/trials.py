@@ -17,7 +17,7 @@ class Measurement:
         experience_s: seconds of experience that was learned from.
         success_rate: of ``n_eval`` rollouts from fresh starts; they are no experience.
         n_eval: their number.
-        own_error: error of the trial's own rollout (m in the double pendulum), which becomes experience.
+        own_error: error of the trial's own rollout (m in the double pendulum), which becomes experience; the largest of all targets.
         own_success: whether that is a success.
     """
 

@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from torch_pmil.collection import states_of
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
@@ -23,6 +24,30 @@ from torch_pmil.state_space import StateSpace
 from torch_pmil.trajectory_loss import TrajectoryLoss
 
 HELD_STARTS = 200  # at which a new policy is told to hold the robot
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a policy was predicted to do and did, beside what was demonstrated; of one target if there are several.
+
+    Args:
+        label: names the target; "" where there is one task alone.
+        demonstrations: of it.
+        expert: their marginals at t = 1..T, mean (T, M).
+        predicted: p(x_1..T), mean (T, D).
+        rollouts: from fresh starts, (N, T), as the environment gives them.
+    """
+
+    label: str
+    demonstrations: Demonstrations
+    expert: Gaussian
+    predicted: Gaussian
+    rollouts: TensorDictBase
+
+    @property
+    def executed(self) -> Tensor:
+        """States x_0..x_T of the rollouts, (N, T + 1, D)."""
+        return states_of(self.rollouts)
 
 
 @dataclass(frozen=True)
@@ -117,6 +142,22 @@ class Experiment:
             "search": asdict(self.search),
         }
 
+    def robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
+        """The robot that learns."""
+        return self.make_env(seed=seed)
+
+    def robots(self, starts: int, seed: int) -> MujocoRobotEnv | AdaptedEnv:
+        """Robots to measure a policy on, from so many fresh starts."""
+        return self.make_env(num_envs=starts, seed=seed)
+
+    def first_robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
+        """One robot for the first task, to be filmed."""
+        return self.make_env(seed=seed)
+
+    def outcomes(self, predicted: Gaussian, rollouts: TensorDictBase) -> list[Outcome]:
+        """What was predicted for the robot, and rollouts of :meth:`robots`, task by task."""
+        return [Outcome("", self.demonstrations, self.expert, predicted, rollouts)]
+
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""
         return GPDynamics(len(self.space.feature_names) + len(self.u_max), self.space.dim)
@@ -127,22 +168,30 @@ class Experiment:
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near demonstrated states, small random weights; it holds the robot at the start if the experiment can."""
-        return self.policy_near(self.demonstrated_states, generator)
+        return self.policy_near(self.demonstrated_inputs, generator)
 
-    def policy_near(self, states: Tensor, generator: torch.Generator) -> RBFPolicy:
-        """As :meth:`make_policy`: centres near some of the states (S, D), widths those of all unless the experiment says them."""
-        features = self.space.features(states)
-        std = features.std(0)
-        chosen = torch.randint(len(features), (self.num_centres,), generator=generator)
+    def policy_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
+        """As :meth:`make_policy`: centres near some of the inputs (S, D'), widths those of all unless the experiment says them."""
+        std = inputs.std(0)
+        chosen = torch.randint(len(inputs), (self.num_centres,), generator=generator)
         jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)
         widths = self.input_scale * std if self.input_widths is None else self.input_widths
-        policy = RBFPolicy(features[chosen] + 0.1 * std * jitter, self.u_max, widths)
+        policy = RBFPolicy(inputs[chosen] + 0.1 * std * jitter, self.u_max, widths)
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
         policy.weights.data.copy_(self.initial_weight_std * white)
         if self.holding_torques is not None:
             starts = self.initial.sample(HELD_STARTS, generator)
-            policy.fit_weights(self.space.features(starts), self.holding_torques(starts))
+            policy.fit_weights(self.start_inputs(starts), self.holding_torques(starts))
         return policy
+
+    @property
+    def demonstrated_inputs(self) -> Tensor:
+        """What a policy sees of the demonstrated states, (S, D')."""
+        return self.space.features(self.demonstrated_states)
+
+    def start_inputs(self, starts: Tensor) -> Tensor:
+        """What a policy sees of starts (S, D): (S, D')."""
+        return self.space.features(starts)
 
 
 def check_demonstrations(demonstrations: Demonstrations, space: StateSpace, env: MujocoRobotEnv | AdaptedEnv) -> None:

@@ -74,7 +74,7 @@ class PilcoExperiment(Experiment):
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near random states, small random weights."""
-        return self.policy_near(random_states(self.space, self.velocity_std, generator), generator)
+        return self.policy_near(self.space.features(random_states(self.space, self.velocity_std, generator)), generator)
 
 
 def random_states(space: StateSpace, velocity_std: float, generator: torch.Generator) -> Tensor:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import fmean
 
 import torch
 from tensordict import TensorDictBase
@@ -16,9 +17,8 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.record.loggers import Logger
 
 from torch_pmil.checkpoints import rotation_in
-from torch_pmil.collection import states_of
 from torch_pmil.evaluation import demonstration_spread, rms_error, two_sigma_coverage, two_sigma_coverage_by_entry
-from torch_pmil.experiments.experiment import Experiment
+from torch_pmil.experiments.experiment import Experiment, Outcome
 from torch_pmil.experiments.run_folder import (
     LOGGERS,
     check_whole,
@@ -31,8 +31,8 @@ from torch_pmil.experiments.run_folder import (
 )
 from torch_pmil.files import write_json
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.policy import RBFPolicy
 from torch_pmil.saved_policy import save_policy
+from torch_pmil.state_policy import StatePolicy
 from torch_pmil.trainer import PMILTrainer
 from torch_pmil.trials import Candidate, Trial, success_rate
 
@@ -46,16 +46,14 @@ class RunResult:
     Args:
         summary: what ``summary.json`` holds.
         trials: all of them.
-        predicted: p(x_1..T) of the saved policy under the newest model, mean (T, D).
-        executed: its rollouts from fresh starts, states x_0..x_T (N, T + 1, D).
+        outcomes: what the saved policy was predicted to do under the newest model, and did from fresh starts, task by task.
         policy: the saved policy.
     """
 
     summary: dict
     trials: list[Trial]
-    predicted: Gaussian
-    executed: Tensor
-    policy: RBFPolicy
+    outcomes: list[Outcome]
+    policy: StatePolicy
 
 
 def train(
@@ -117,21 +115,22 @@ def train(
     write_metrics(out / "metrics.csv", Trial, trainer.trials)
     trainer.train()
     best = trainer.best_policy()
-    policy, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
-    save_policy(out / "policy.pt", policy, experiment.space, trainer.control_period)
+    network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
+    policy = StatePolicy(network, experiment.space, trainer.control_period, experiment.demonstrations.target_names)
+    save_policy(out / "policy.pt", network, experiment.space, trainer.control_period, policy.target_names)
     save_tensors(out / "dynamics.pt", dynamics.state_dict())
-    predicted, rollouts = _predict_and_execute(trainer, experiment)
+    outcomes = experiment.outcomes(*_predict_and_execute(trainer, experiment))
     summary = {
         "experiment": experiment.name,
         "seed": seed,
         **source,
         "settings": {"trials": trials, **experiment.settings},
         "wall_seconds": round(trainer.seconds, 2),
-        **_outcome(trainer, best, experiment, predicted, rollouts),
+        **_measured(trainer, best, experiment, outcomes),
         "trials": [_plain(trial) for trial in trainer.trials],
     }
     write_json(out / "summary.json", summary)
-    return RunResult(summary, trainer.trials, predicted, states_of(rollouts), policy)
+    return RunResult(summary, trainer.trials, outcomes, policy)
 
 
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
@@ -163,8 +162,8 @@ def make_trainer(
     generators = [torch.Generator().manual_seed(seed + offset) for offset in (0, 1_000_000)]
     policy = experiment.make_policy(generators[0])
     return PMILTrainer(
-        env=experiment.make_env(seed=seed),
-        evaluation_env=experiment.make_env(num_envs=EVALUATION_STARTS, seed=seed + 2_000_000),
+        env=experiment.robot(seed),
+        evaluation_env=experiment.robots(EVALUATION_STARTS, seed + 2_000_000),
         loss_module=experiment.make_loss(policy, experiment.make_dynamics()),
         initial=experiment.initial,
         limits=experiment.limits,
@@ -191,21 +190,23 @@ def _predict_and_execute(trainer: PMILTrainer, experiment: Experiment) -> tuple[
     return loss.predict_states(experiment.initial), trainer.evaluation_env.rollout(loss.horizon, trainer.robot_policy)
 
 
-def _outcome(
-    trainer: PMILTrainer, best: Candidate, experiment: Experiment, predicted: Gaussian, rollouts: TensorDictBase
-) -> dict[str, object]:
-    """What the run came to; the saved policy is measured anew, from starts that no trial saw."""
-    executed, space, demonstrations = states_of(rollouts), experiment.space, experiment.demonstrations
+def _measured(trainer: PMILTrainer, best: Candidate, experiment: Experiment, outcomes: list[Outcome]) -> dict[str, object]:
+    """What the run came to; the saved policy is measured anew, from starts that no trial saw. Of several targets, the mean."""
+    rates = {outcome.label: success_rate(experiment.error(outcome.rollouts), experiment.tolerance) for outcome in outcomes}
+    covered = torch.stack([two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in outcomes]).mean(0)
+    spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in outcomes])
+    errors = torch.stack([rms_error(outcome.demonstrations, experiment.space.match(outcome.executed)) for outcome in outcomes])
     return {
         "stop_reason": trainer.stop_reason,
         "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
         "saved_trial": best.trial,
-        "saved_success_rate": success_rate(experiment.error(rollouts), experiment.tolerance),
-        "saved_n_eval": len(executed),
-        "two_sigma_coverage": two_sigma_coverage(predicted, executed),
-        "two_sigma_coverage_by_entry": _by_name(space.names, two_sigma_coverage_by_entry(predicted, executed)),
-        "rms_error": _by_name(space.match.names, rms_error(demonstrations, space.match(executed))),
-        "demonstration_spread": _by_name(space.match.names, demonstration_spread(demonstrations)),
+        "saved_success_rate": fmean(rates.values()),
+        "saved_n_eval": sum(len(outcome.executed) for outcome in outcomes),
+        **({"saved_success_rate_by_target": rates} if len(outcomes) > 1 else {}),
+        "two_sigma_coverage": fmean(two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in outcomes),
+        "two_sigma_coverage_by_entry": _by_name(experiment.space.names, covered),
+        "rms_error": _by_name(experiment.space.match.names, errors.square().mean(0).sqrt()),
+        "demonstration_spread": _by_name(experiment.space.match.names, spread.square().mean(0).sqrt()),
     }
 
 

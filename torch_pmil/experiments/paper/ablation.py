@@ -74,7 +74,7 @@ class Variation(Experiment):
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near demonstrated states or near random ones, small random weights."""
         if self.random_centres:
-            return self.policy_near(random_states(self.space, VELOCITY_STD, generator), generator)
+            return self.policy_near(self.space.features(random_states(self.space, VELOCITY_STD, generator)), generator)
         return super().make_policy(generator)
 
 

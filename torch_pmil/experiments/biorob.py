@@ -16,7 +16,7 @@ from torch_pmil.state_space import StateSpace, joint_match
 
 NOISE_STD = (0.03, 0.03, 0.03, 0.3, 0.3, 0.3)  # rad, rad/s
 INPUT_WIDTHS = (0.2, 0.4, 0.6, 0.5, 2.0, 2.5)  # rad, rad/s
-REACH = (12.0, 25.0, 25.0)  # degrees around the start
+REACH = (24.0, 34.0, 39.0)  # degrees around the start: as far as the demonstrations go
 STIFFNESS = (20.0, 25.0, 10.0)  # N·m/rad
 DAMPING = (0.5, 1.0, 0.3)  # N·m·s/rad: more, held for 0.1 s, makes these light joints swing from limit to limit
 # nats a step, of six dimensions; with 4.5 the search stalls where the strike begins

@@ -223,7 +223,9 @@ def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
             ``"gym_pendulum"``: five swing-ups of gymnasium's Pendulum-v1, its tip [x, y] in m, at 10 Hz from 0 to 4 s;
             ``"inverted_pendulum"``: ten recoveries of gymnasium's InvertedPendulum-v5, [x_cart, x_tip, z_tip] in m, at 25 Hz from 0 to 2 s;
             ``"biorob"``: three strikes of the BioRob, led by hand and aligned in time, [q, dq] of yaw, shoulder and elbow in rad and rad/s,
-            at 10 Hz from 0 to 1.8 s.
+            at 10 Hz from 0 to 1.8 s;
+            ``"biorob_targets"``: six strikes of the BioRob, two at each of three balls, all led by hand and aligned in time, as those; targets
+            are the balls' places [y, z] in the hitting plane, m.
 
     Returns:
         The demonstrations.
@@ -258,7 +260,7 @@ def _load_npz(path: Path) -> Demonstrations:
     if arrays["time_step"].shape != () or arrays["names"].ndim != 1:
         raise DemonstrationError("array time_step must be one number and names a list")
     targets, target_names = arrays.get("targets"), arrays.get("target_names", np.array([]))
-    if targets is not None and targets.dtype.kind not in "fiu" or target_names.ndim != 1:
+    if (targets is not None and targets.dtype.kind not in "fiu") or target_names.ndim != 1:
         raise DemonstrationError("array targets must hold real numbers and target_names be a list")
     return Demonstrations(
         torch.from_numpy(arrays["positions"]),

@@ -40,7 +40,10 @@ def test_missing_folder_is_reported_before_recording(record, tmp_path):
 def test_unknown_experiment_is_refused(record, tmp_path):
     with pytest.raises(SystemExit) as stop:
         record("experiment=triple", f"out={tmp_path / 'recorded.npz'}")
-    assert stop.value.code == "experiment must be one of ['biorob', 'double_pendulum', 'gym_pendulum', 'inverted_pendulum'], got triple"
+    assert (
+        stop.value.code
+        == "experiment must be one of ['biorob', 'biorob_targets', 'double_pendulum', 'gym_pendulum', 'inverted_pendulum'], got triple"
+    )
 
 
 @pytest.mark.slow

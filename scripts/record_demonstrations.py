@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import hydra
@@ -16,16 +17,18 @@ import numpy as np
 import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
+from torch import Tensor
 
 import torch_pmil.demonstrations
 from torch_pmil.alignment import align
 from torch_pmil.collection import states_of
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs import AdaptedEnv
-from torch_pmil.envs.biorob import BioRobEnv, biorob_model
+from torch_pmil.envs.biorob import BALL, BioRobEnv, biorob_model
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_experts import CART_STEPS, PENDULUM_STEPS, balancing_expert, pendulum_expert
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
+from torch_pmil.envs.hitting_plane import TARGET_NAMES, TRAINING_TARGETS, ball_at
 from torch_pmil.envs.kinesthetic_teaching import Strike, Variation, record_strike
 from torch_pmil.envs.swing_up import demonstrate_swing_up, swing_up_expert
 from torch_pmil.envs.trajectory_optimization import Array
@@ -38,6 +41,7 @@ from torch_pmil.state_space import StateSpace
 
 DEMONSTRATIONS = 5  # paper
 STRIKES = 3  # paper
+STRIKES_AT_A_TARGET = 2  # paper
 RECORDED_PERIOD = 0.01  # s, of what the robot's sensors record while it is led
 TORQUE_NOISE = 0.1  # of the experts that act by torques, in the unit of the action
 CART_DEMONSTRATIONS = 10  # of starts that differ in all four entries
@@ -106,14 +110,31 @@ def record_expert(
 
 def record_biorob(seed: int, torque_noise: None) -> Demonstrations:
     """Three strikes of the BioRob, led by hand, all hits, and aligned in time: people are never on time."""
-    model, generator = biorob_model(), np.random.default_rng(seed)
-    recordings = [record_strike(model, Variation().of(Strike(), model, generator)) for _ in range(STRIKES)]
+    return record_strikes(seed, torch.tensor([BALL] * STRIKES, dtype=torch.float64))
+
+
+def record_biorob_targets(seed: int, torque_noise: None) -> Demonstrations:
+    """Two strikes of the BioRob at each of three balls in the hitting plane, led by hand, all hits, all six aligned in time."""
+    targets = TRAINING_TARGETS.repeat_interleave(STRIKES_AT_A_TARGET, 0)
+    return replace(record_strikes(seed, ball_at(targets)), targets=targets, target_names=TARGET_NAMES)
+
+
+def record_strikes(seed: int, balls: Tensor) -> Demonstrations:
+    """Strikes of the BioRob, led by hand, at balls (N, 3), aligned in time.
+
+    Raises:
+        RuntimeError: a strike missed its ball.
+    """
+    generator, recordings = np.random.default_rng(seed), []
+    for ball in balls:
+        model = biorob_model(ball)
+        recordings.append(record_strike(model, Variation().of(Strike().towards(ball.numpy(), model), model, generator)))
     print("demonstration  time of the hit (s)")
     for number, recording in enumerate(recordings):
         print(f"{number:13d}  {recording.hit_time or float('nan'):19.3f}")
     if not all(recording.hit_time for recording in recordings):
         raise RuntimeError("every demonstration must hit the ball")
-    stride = round(RECORDED_PERIOD / model.opt.timestep)
+    stride = round(RECORDED_PERIOD / recordings[0].time_step)
     aligned = align([torch.from_numpy(recording.states[::stride]) for recording in recordings], velocities=(3, 4, 5))
     space, period = biorob_space(), BioRobEnv().control_period
     return Demonstrations(aligned[:, :: round(period / RECORDED_PERIOD)], period, space.match.names)
@@ -121,18 +142,20 @@ def record_biorob(seed: int, torque_noise: None) -> Demonstrations:
 
 EXPERIMENTS = {
     "biorob": record_biorob,
+    "biorob_targets": record_biorob_targets,
     "double_pendulum": record_double_pendulum,
     "gym_pendulum": record_gym_pendulum,
     "inverted_pendulum": record_inverted_pendulum,
 }
+LED_BY_HAND = {"biorob", "biorob_targets"}
 
 
 def torque_noise_of(config: DictConfig) -> float | None:
     """What the expert adds to its torques; None for a teacher who applies none."""
-    if config.experiment != "biorob":
+    if config.experiment not in LED_BY_HAND:
         return TORQUE_NOISE if config.torque_noise is None else config.torque_noise
     if config.torque_noise is not None:
-        raise ValueError(f"torque_noise must be null for biorob, which is led by hand, got {config.torque_noise}")
+        raise ValueError(f"torque_noise must be null for {config.experiment}, which is led by hand, got {config.torque_noise}")
     return None
 
 

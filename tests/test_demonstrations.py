@@ -242,7 +242,7 @@ def test_shipped_demonstrations_have_links_of_constant_length():
 
 
 def test_unknown_shipped_demonstrations_are_refused():
-    shipped = ["biorob", "double_pendulum", "gym_pendulum", "inverted_pendulum"]
+    shipped = ["biorob", "biorob_targets", "double_pendulum", "gym_pendulum", "inverted_pendulum"]
     assert f"must be one of {shipped}, got triple" in refused(shipped_demonstrations, "triple")
 
 

@@ -43,11 +43,13 @@ class BioRobEnv(MujocoRobotEnv):
     file and docs/biorob.md, and the start.
 
     Args:
-        ball: where the ball hangs, (3,) in m; x forwards, y to the left, z up from the floor.
+        ball: where the ball hangs, (3,) for all robots or (num_envs, 3) one for each, in m; x forwards, y to the left, z up from the floor.
         initial_mean: mean of the start state, length 6.
         initial_std: standard deviations of the start state, length 6.
         observation_std: standard deviations of the sensors' noise, length 6; None for exact sensors.
         control_period: seconds between two actions; a whole number of 1 ms steps.
+        targets: what each robot is to do, (num_envs, K) or (K,) for one robot, shown under ``"target"``; None for nothing. The ball
+            hangs where ``ball`` says, see ``ball_at`` of the hitting plane.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
         from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
         seed: of the generator of starts and noise; None takes entropy from the system.
@@ -70,12 +72,13 @@ class BioRobEnv(MujocoRobotEnv):
         initial_std: Sequence[float] | Tensor = START_STD,
         observation_std: Sequence[float] | Tensor | None = None,
         control_period: float = 0.1,
+        targets: Tensor | None = None,
         num_envs: int | None = None,
         from_pixels: bool = False,
         seed: int | None = None,
     ) -> None:
         super().__init__(
-            biorob_model(ball),
+            _models(ball, num_envs),
             JOINTS,
             initial_mean=initial_mean,
             initial_std=initial_std,
@@ -83,6 +86,7 @@ class BioRobEnv(MujocoRobotEnv):
             observation_std=observation_std,
             torque_limit=TORQUE_LIMIT,
             control_period=control_period,
+            targets=targets,
             num_envs=num_envs,
             from_pixels=from_pixels,
             pixel_size=(480, 480),
@@ -94,11 +98,11 @@ class BioRobEnv(MujocoRobotEnv):
     def _equilibrium(self) -> Equilibrium:
         return Equilibrium(self.model, JOINTS, ROTORS, HELD)
 
-    def _physics_from_state(self, state: Tensor) -> Tensor:
-        physics = super()._physics_from_state(state)
+    def _physics_from_state(self, state: Tensor, models: Sequence[mujoco.MjModel]) -> Tensor:
+        physics, arm = super()._physics_from_state(state, models), self.model.joint("ball").qposadr[0]
         positions, velocities = state.to(torch.float64).numpy().reshape(-1, 2, 3).swapaxes(0, 1)
         speeds = state_columns(self.model, ROTORS, positions_first=True)[len(ROTORS) :]
-        physics[:, 1 : 1 + self.model.nq] = torch.from_numpy(self._equilibrium(positions)[0])
+        physics[:, 1 : 1 + arm] = torch.from_numpy(self._equilibrium(positions)[0])[:, :arm]
         physics[:, speeds] = torch.from_numpy(velocities @ self._equilibrium.ratio.T)
         return physics
 
@@ -122,6 +126,19 @@ class BioRobEnv(MujocoRobotEnv):
             {name: value.reshape(*self.batch_size, 1) for name, value in info.items()}, batch_size=self.batch_size
         )
         return measured
+
+
+def _models(ball: Sequence[float] | Tensor, num_envs: int | None) -> mujoco.MjModel | list[mujoco.MjModel]:
+    """One model, or one for each robot where ``ball`` says a place for each; equal places share theirs."""
+    places = torch.as_tensor(ball, dtype=torch.float64)
+    if places.ndim != 2:
+        return biorob_model(ball)
+    if places.shape != (num_envs, 3):
+        each = "" if num_envs is None else f" or ({num_envs}, 3)"
+        raise ValueError(f"ball must have shape (3,){each}, got {tuple(places.shape)}")
+    distinct, robots = places.unique(dim=0, return_inverse=True)
+    models = [biorob_model(place) for place in distinct]
+    return [models[index] for index in robots]
 
 
 def biorob_model(ball: Sequence[float] | Tensor = BALL) -> mujoco.MjModel:

@@ -33,6 +33,7 @@ class DoublePendulumEnv(MujocoRobotEnv):
         initial_std: standard deviations of the start state, length 4.
         observation_std: standard deviations of the sensors' noise, length 4; None for exact sensors.
         control_period: seconds between two actions; a whole number of 2 ms steps.
+        targets: what each robot is to do, (num_envs, K) or (K,) for one robot, shown under ``"target"``; None for nothing.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
         from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
         seed: of the generator of starts and noise; None takes entropy from the system.
@@ -59,6 +60,7 @@ class DoublePendulumEnv(MujocoRobotEnv):
         initial_std: Sequence[float] | Tensor = (0.05, 0.1, 0.05, 0.1),
         observation_std: Sequence[float] | Tensor | None = None,
         control_period: float = 0.1,
+        targets: Tensor | None = None,
         num_envs: int | None = None,
         from_pixels: bool = False,
         seed: int | None = None,
@@ -71,6 +73,7 @@ class DoublePendulumEnv(MujocoRobotEnv):
             observation_std=observation_std,
             torque_limit=torque_limit,
             control_period=control_period,
+            targets=targets,
             num_envs=num_envs,
             from_pixels=from_pixels,
             pixel_size=(480, 480),

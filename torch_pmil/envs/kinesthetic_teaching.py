@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
-from torch_pmil.envs.biorob import JOINTS, ROTORS, START
+from torch_pmil.envs.biorob import BALL, JOINTS, ROTORS, START
 from torch_pmil.envs.equilibrium import Equilibrium
 from torch_pmil.envs.mujoco import FULL_PHYSICS
 
@@ -20,11 +20,13 @@ HAND_STIFFNESS = 1500.0  # N/m
 HAND_DAMPING = 70.0  # N·s/m
 HAND_FORCE = 120.0  # N, the most
 SETTLING = 0.3  # s at the start, before the recording
+MAX_ITERATIONS = 50  # of inverse kinematics
+NEAR = 1e-9  # m, from where the racket is to be
 
 
 @dataclass(frozen=True)
 class Strike:
-    """Back, then fast up through the ball, then rest: what the teacher has in mind.
+    """Back, then fast up through the ball, then rest: what the teacher has in mind, unless told with the ball at ``BALL``.
 
     Angles of [yaw, shoulder, elbow] in rad, times in s after the start of the recording.
 
@@ -52,6 +54,30 @@ class Strike:
         knots = [-SETTLING, 0.0, *self.times, max(self.duration, self.times[-1]) + 0.1]
         rests = [[pose, still, still] for pose in (self.start, self.start, self.back, self.stop, self.stop)]
         return BPoly.from_derivatives(knots, [*rests[:3], [self.hit, self.hit_velocity], *rests[3:]])
+
+    def towards(self, ball: Sequence[float] | Array, model: mujoco.MjModel) -> Strike:
+        """The same strike at a ball elsewhere: a smooth function of its place, and this strike itself if it is at ``BALL``.
+
+        The racket meets the ball as it did, by inverse kinematics of its centre; where the arm is drawn back to turns along with the yaw,
+        and where it comes to rest moves along in all angles. Start, times and speed are the same.
+
+        Args:
+            ball: where it hangs, (3,) in m.
+            model: of the robot.
+
+        Raises:
+            ValueError: the arm does not reach it.
+
+        Example:
+            >>> from torch_pmil.envs.biorob import biorob_model
+            >>> strike = Strike().towards((0.757, 0.276, 0.967), biorob_model())
+            >>> np.round(strike.hit, 2), np.round(strike.back, 2)
+            (array([0.35, 0.68, 1.13]), array([-0.1 ,  0.05,  0.55]))
+        """
+        place = _racket_path(model, np.array([self.hit]))[0] + (np.asarray(ball) - BALL)
+        turn = _angles_at(model, self.hit, place) - self.hit
+        moved = {name: tuple(getattr(self, name) + turn * along) for name, along in (("back", (1, 0, 0)), ("hit", 1), ("stop", 1))}
+        return replace(self, **moved)
 
 
 @dataclass(frozen=True)
@@ -176,3 +202,14 @@ def _angles_for(model: mujoco.MjModel, angles: tuple[float, ...], shift: Array) 
     mujoco.mj_comPos(model, data)
     mujoco.mj_jacSite(model, data, jacobian, None, model.site("racket").id)
     return np.linalg.solve(jacobian[:, [model.joint(name).dofadr[0] for name in JOINTS]], shift)
+
+
+def _angles_at(model: mujoco.MjModel, near: tuple[float, ...], place: Array) -> Array:
+    """Angles (3,) at which the racket's centre is at ``place`` (3,), m: Newton's method from ``near``."""
+    angles, limits = np.array(near), np.array([model.joint(name).range for name in JOINTS])
+    for _ in range(MAX_ITERATIONS):
+        rest = place - _racket_path(model, angles[None])[0]
+        if np.linalg.norm(rest) < NEAR and (limits[:, 0] <= angles).all() and (angles <= limits[:, 1]).all():
+            return angles
+        angles += _angles_for(model, tuple(angles), rest)
+    raise ValueError(f"the arm must reach the ball: no pose within the joints' ranges has the racket's centre at {place.round(3).tolist()}")

@@ -32,12 +32,14 @@ class MujocoRobotEnv(RobotEnv):
     Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all float64, and with
     ``from_pixels`` also ``"pixels"`` (*batch, height, width, 3), uint8. ``reset`` draws x_0 ~ N(initial_mean,
     diag(initial_std²)) from the generator of this environment, or starts at the ``"observation"`` it is given.
+    With ``targets`` each observation also shows what the robot is to do, ``"target"`` (*batch, K), float64.
     Sensors may be noisy: with ``observation_std`` each ``"observation"`` is the true state plus noise from the same
     generator, and ``"state"`` (*batch, D) is the true one, for measurements from outside.
     ``state_dict`` holds the physics and the generator, so that a checkpoint resumes bit for bit.
 
     Args:
-        model: the robot, with one motor per torque; it is copied. Pictures are taken by its camera ``"front"``.
+        model: the robot, with one motor per torque, or as many models as there are robots, all of one structure; they are copied. Pictures
+            are taken by the camera ``"front"``.
         joints: names of the D/2 observed hinge or slide joints, in the order of the state vector.
         initial_mean: mean of the start state, length D.
         initial_std: standard deviations of the start state, length D.
@@ -45,6 +47,7 @@ class MujocoRobotEnv(RobotEnv):
         observation_std: standard deviations of the sensors' noise, length D; None for exact sensors.
         torque_limit: largest absolute torque in N·m, one for all motors or one each.
         control_period: seconds between two actions; a whole number of simulation time steps.
+        targets: what each robot is to do, as where its ball hangs, (num_envs, K) or (K,) for one robot; None for nothing.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
         from_pixels: whether to draw a picture at each step; needs OpenGL (headless: ``MUJOCO_GL=egl``).
         pixel_size: height and width of a picture.
@@ -59,7 +62,7 @@ class MujocoRobotEnv(RobotEnv):
 
     def __init__(
         self,
-        model: mujoco.MjModel,
+        model: mujoco.MjModel | Sequence[mujoco.MjModel],
         joints: Sequence[str],
         *,
         initial_mean: Sequence[float] | Tensor,
@@ -68,6 +71,7 @@ class MujocoRobotEnv(RobotEnv):
         observation_std: Sequence[float] | Tensor | None = None,
         torque_limit: float | Sequence[float],
         control_period: float = 0.1,
+        targets: Tensor | None = None,
         num_envs: int | None = None,
         from_pixels: bool = False,
         pixel_size: tuple[int, int] = (240, 240),
@@ -75,8 +79,9 @@ class MujocoRobotEnv(RobotEnv):
     ) -> None:
         check_num_envs(num_envs)
         super().__init__(() if num_envs is None else (num_envs,), control_period, from_pixels, seed)
-        self.substeps = _substeps(control_period, model.opt.timestep)
-        self.model = _limited_model(model, torque_limit)
+        self._models = _limited_models(model, torque_limit, num_envs or 1)
+        self.model = self._models[0]
+        self.substeps = _substeps(control_period, self.model.opt.timestep)
         self.model.vis.global_.offheight, self.model.vis.global_.offwidth = pixel_size
         self.pixel_size = pixel_size
         self._data = mujoco.MjData(self.model)
@@ -86,17 +91,19 @@ class MujocoRobotEnv(RobotEnv):
         self.initial_mean = _state_vector("initial_mean", initial_mean, dim)
         self.initial_std = _deviations("initial_std", initial_std, dim)
         self.observation_std = None if observation_std is None else _deviations("observation_std", observation_std, dim)
-        self.register_buffer("_physics", self._physics_from_state(self.initial_mean.expand(num_envs or 1, -1)))
+        self.targets = None if targets is None else _targets(targets, self.batch_size)
+        self.register_buffer("_physics", self._physics_from_state(self.initial_mean.expand(num_envs or 1, -1), self._models))
         self._make_specs()
         if from_pixels:
             self._open_renderer()
 
-    def simulate(self, state: Tensor, action: Tensor) -> Tensor:
+    def simulate(self, state: Tensor, action: Tensor, robot: int = 0) -> Tensor:
         """States one control period later; the environment itself stays where it is.
 
         Args:
             state: state vectors (N, D); what they do not say is as after a reset.
             action: torques (N, F) in N·m, held for the period and clipped to the limit.
+            robot: whose model it is.
 
         Returns:
             State vectors (N, D), float64.
@@ -104,15 +111,17 @@ class MujocoRobotEnv(RobotEnv):
         Raises:
             RuntimeError: a simulation diverged.
         """
-        return self.state_of(self._integrate(self._physics_from_state(state), action)[0][:, -1])
+        models = self._models[robot : robot + 1]
+        return self.state_of(self._integrate(self._physics_from_state(state, models), action, models)[0][:, -1])
 
-    def substates(self, state: Tensor, action: Tensor, count: int) -> Tensor:
+    def substates(self, state: Tensor, action: Tensor, count: int, robot: int = 0) -> Tensor:
         """States at ``count`` equal steps inside one control period; the environment itself stays where it is.
 
         Args:
             state: state vector (D,); what it does not say is as after a reset.
             action: torques (F,) in N·m, held for the period and clipped to the limit.
             count: a divisor of ``substeps``, the number of simulation time steps in a period.
+            robot: whose model it is.
 
         Returns:
             State vectors (count, D), float64; the last one is that of ``simulate``.
@@ -121,9 +130,9 @@ class MujocoRobotEnv(RobotEnv):
             ValueError: the period does not split into ``count`` steps.
             RuntimeError: the simulation diverged.
         """
-        return self.state_of(self.replay(state, action[None], count)[1:])
+        return self.state_of(self.replay(state, action[None], count, robot)[1:])
 
-    def replay(self, start: Tensor, actions: Tensor, count: int) -> Tensor:
+    def replay(self, start: Tensor, actions: Tensor, count: int, robot: int = 0) -> Tensor:
         """Full simulation states along a rollout from a reset; the environment itself stays where it is.
 
         They are those that the environment went through, what its state vector does not say included.
@@ -132,6 +141,7 @@ class MujocoRobotEnv(RobotEnv):
             start: state vector (D,) of the reset.
             actions: torques (T, F) in N·m, each held for a control period and clipped to the limit.
             count: states in each control period, a divisor of ``substeps``, the number of its simulation time steps.
+            robot: whose model it is.
 
         Returns:
             Full simulation states (T · count + 1, P), float64, the first one that of the reset; ``state_of`` and ``draw`` take them.
@@ -142,21 +152,22 @@ class MujocoRobotEnv(RobotEnv):
         """
         if count < 1 or self.substeps % count:
             raise ValueError(f"count must divide the {self.substeps} time steps of a control period, got {count}")
-        stride = self.substeps // count
-        physics = [self._physics_from_state(start[None])]
+        stride, models = self.substeps // count, self._models[robot : robot + 1]
+        physics = [self._physics_from_state(start[None], models)]
         for action in actions:
-            physics.append(self._integrate(physics[-1][-1:], action[None])[0][0, stride - 1 :: stride])
+            physics.append(self._integrate(physics[-1][-1:], action[None], models)[0][0, stride - 1 :: stride])
         return torch.cat(physics)
 
     def state_of(self, physics: Tensor) -> Tensor:
         """State vectors (*batch, D) of full simulation states (*batch, P)."""
         return physics[..., self._state_columns]
 
-    def render(self, state: Tensor) -> np.ndarray:
+    def render(self, state: Tensor, robot: int = 0) -> np.ndarray:
         """Draw the robot in one state, seen by the fixed camera, without shadows.
 
         Args:
             state: state vector (D,).
+            robot: whose model it is.
 
         Returns:
             Picture (height, width, 3), uint8.
@@ -166,13 +177,13 @@ class MujocoRobotEnv(RobotEnv):
             RuntimeError: OpenGL is not available.
         """
         state = _state_vector("state", state, self._state_columns.numel())
-        return self.draw(self._physics_from_state(state[None])[0])
+        return self.draw(self._physics_from_state(state[None], self._models[robot : robot + 1])[0], robot)
 
-    def draw(self, physics: Tensor) -> np.ndarray:
-        """Draw the robot in one full simulation state (P,): a picture (height, width, 3), uint8. Raises RuntimeError without OpenGL."""
+    def draw(self, physics: Tensor, robot: int = 0) -> np.ndarray:
+        """Draw a robot in a full simulation state (P,): a picture (height, width, 3), uint8. Raises RuntimeError without OpenGL."""
         renderer = self._open_renderer()
-        mujoco.mj_setState(self.model, self._data, physics.numpy(), FULL_PHYSICS)
-        mujoco.mj_forward(self.model, self._data)
+        mujoco.mj_setState(self._models[robot], self._data, physics.numpy(), FULL_PHYSICS)
+        mujoco.mj_forward(self._models[robot], self._data)
         renderer.update_scene(self._data, camera=self.camera)
         return renderer.render()
 
@@ -183,11 +194,10 @@ class MujocoRobotEnv(RobotEnv):
             self._renderer = None
         super().close(**kwargs)
 
-    def _physics_from_state(self, state: Tensor) -> Tensor:
-        """Full simulation state (N, P) at time 0 of robots whose state vectors are (N, D); other joints at rest."""
-        at_rest = np.empty(mujoco.mj_stateSize(self.model, FULL_PHYSICS))
-        mujoco.mj_getState(self.model, mujoco.MjData(self.model), at_rest, FULL_PHYSICS)
-        physics = torch.from_numpy(at_rest).repeat(state.shape[0], 1)
+    def _physics_from_state(self, state: Tensor, models: Sequence[mujoco.MjModel]) -> Tensor:
+        """Full simulation state (N, P) at time 0 of robots, of N models or one, whose states are (N, D); other joints at rest."""
+        at_rest = {model: _at_rest(model) for model in set(models)}
+        physics = torch.stack([at_rest[model] for model in models]).expand(state.shape[0], -1).clone()
         physics[:, self._state_columns] = state.to(torch.float64)
         return physics
 
@@ -197,6 +207,8 @@ class MujocoRobotEnv(RobotEnv):
         dim, more = self._state_columns.numel(), dict[str, TensorSpec]()
         if self.observation_std is not None:
             more["state"] = Unbounded((*batch, dim), dtype=torch.float64)
+        if self.targets is not None:
+            more["target"] = Unbounded(self.targets.shape, dtype=torch.float64)
         if self.from_pixels:
             more["pixels"] = Bounded(0, 255, (*batch, *self.pixel_size, 3), dtype=torch.uint8)
         self._set_specs(dim, limit, more)
@@ -205,14 +217,14 @@ class MujocoRobotEnv(RobotEnv):
         given = None if tensordict is None else tensordict.get("observation", None)
         mask = None if tensordict is None else tensordict.get("_reset", None)
         start = self._draw_starts() if given is None else self._check_starts(given)
-        physics = self._physics_from_state(start)
+        physics = self._physics_from_state(start, self._models)
         if mask is not None:
             physics = torch.where(mask.reshape(-1, 1), physics, self._physics)
         self._physics = physics
-        return self._measure(self._simulate(physics, torch.zeros(1, self.model.nu), 1)[1])
+        return self._measure(self._simulate(physics, torch.zeros(1, self.model.nu), 1, self._models)[1])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        physics, sensors = self._integrate(self._physics, self._check_torque(tensordict["action"]))
+        physics, sensors = self._integrate(self._physics, self._check_torque(tensordict["action"]), self._models)
         self._physics = physics[:, -1].clone()
         return self._without_reward(self._measure(sensors))
 
@@ -223,8 +235,10 @@ class MujocoRobotEnv(RobotEnv):
         if self.observation_std is not None:
             noise = torch.randn(state.shape, generator=self._generator, dtype=torch.float64)
             measured = {"observation": state + self.observation_std * noise, "state": state}
+        if self.targets is not None:
+            measured["target"] = self.targets.clone()
         if self.from_pixels:
-            pixels = np.stack([self.draw(physics) for physics in self._physics])
+            pixels = np.stack([self.draw(physics, robot) for robot, physics in enumerate(self._physics)])
             measured["pixels"] = torch.from_numpy(pixels).reshape(*self.batch_size, *self.pixel_size, 3)
         return TensorDict(measured, batch_size=self.batch_size)
 
@@ -246,19 +260,19 @@ class MujocoRobotEnv(RobotEnv):
             raise ValueError(f"action must be finite, got {action.tolist()}")
         return action.reshape(self._physics.shape[0], -1)
 
-    def _integrate(self, physics: Tensor, torque: Tensor) -> tuple[Tensor, Tensor]:
-        """A control period under the torques (N, F).
+    def _integrate(self, physics: Tensor, torque: Tensor, models: Sequence[mujoco.MjModel]) -> tuple[Tensor, Tensor]:
+        """A control period of robots, of N models or one, under the torques (N, F).
 
         Returns:
             Full simulation states (N, substeps, P) after each time step, and sensor values (N, substeps + 1, S) at both ends of each.
         """
-        after, sensors = self._simulate(physics, torque, self.substeps + 1)  # MuJoCo senses before a step: one more for the end
+        after, sensors = self._simulate(physics, torque, self.substeps + 1, models)  # MuJoCo senses before a step: one more for the end
         self._check_physics(physics, after[:, -2])
         return after[:, :-1], sensors
 
-    def _simulate(self, physics: Tensor, torque: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+    def _simulate(self, physics: Tensor, torque: Tensor, steps: int, models: Sequence[mujoco.MjModel]) -> tuple[Tensor, Tensor]:
         """Full simulation states (N, steps, P) after, and sensor values (N, steps, S) before each time step, the torques held."""
-        states, sensors = rollout.rollout(self.model, self._data, physics.numpy(), torque[:, None].numpy(), nstep=steps)
+        states, sensors = rollout.rollout(models, self._data, physics.numpy(), torque[:, None].numpy(), nstep=steps)
         return torch.from_numpy(states), torch.from_numpy(sensors)
 
     def _check_physics(self, before: Tensor, after: Tensor) -> None:
@@ -288,6 +302,17 @@ def _substeps(control_period: float, timestep: float) -> int:
     return substeps
 
 
+def _limited_models(
+    models: mujoco.MjModel | Sequence[mujoco.MjModel], torque_limit: float | Sequence[float], count: int
+) -> tuple[mujoco.MjModel, ...]:
+    """Limited copies, one for each of ``count`` robots; what is one model stays one."""
+    models = [models] * count if isinstance(models, mujoco.MjModel) else list(models)
+    if len(models) != count:
+        raise ValueError(f"model must be one or {count} models, one for each robot, got {len(models)}")
+    limited = {model: _limited_model(model, torque_limit) for model in set(models)}
+    return tuple(limited[model] for model in models)
+
+
 def _limited_model(model: mujoco.MjModel, torque_limit: float | Sequence[float]) -> mujoco.MjModel:
     limit = np.asarray(torque_limit, dtype=np.float64)
     if limit.shape not in ((), (model.nu,)) or not (np.isfinite(limit) & (limit > 0)).all():
@@ -301,11 +326,27 @@ def _limited_model(model: mujoco.MjModel, torque_limit: float | Sequence[float])
     return model
 
 
+def _at_rest(model: mujoco.MjModel) -> Tensor:
+    """Full simulation state (P,) at time 0, where nothing has moved."""
+    physics = np.empty(mujoco.mj_stateSize(model, FULL_PHYSICS))
+    mujoco.mj_getState(model, mujoco.MjData(model), physics, FULL_PHYSICS)
+    return torch.from_numpy(physics)
+
+
 def state_columns(model: mujoco.MjModel, joints: Sequence[str], positions_first: bool) -> Tensor:
     """Columns of the joints' positions and velocities in MuJoCo's full state [time, qpos, qvel, ...]."""
     observed = [model.joint(name) for name in joints]
     columns = torch.tensor([[1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]] for joint in observed])
     return (columns.T if positions_first else columns).flatten()
+
+
+def _targets(values: Tensor, batch: Sequence[int]) -> Tensor:
+    targets = torch.as_tensor(values, dtype=torch.float64).clone()
+    if targets.shape[:-1] != tuple(batch) or targets.ndim != len(batch) + 1 or targets.shape[-1] < 1:
+        raise ValueError(f"targets must have shape ({', '.join(map(str, [*batch, 'entries']))}), got {tuple(targets.shape)}")
+    if not targets.isfinite().all():
+        raise ValueError(f"targets must be finite, got {targets.tolist()}")
+    return targets
 
 
 def _state_vector(name: str, values: Sequence[float] | Tensor, dim: int) -> Tensor:

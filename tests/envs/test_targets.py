@@ -1,0 +1,176 @@
+"""What each robot is to do is shown with every observation, and each robot has the ball that it is to hit."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.envs.utils import check_env_specs
+
+from torch_pmil.envs import BioRobEnv, DoublePendulumEnv, MujocoRobotEnv
+from torch_pmil.envs.biorob import BALL, TORQUE_LIMIT, biorob_model
+
+TARGETS = torch.tensor([[0.1, -0.2], [0.0, 0.0], [-0.3, 0.1]], dtype=torch.float64)
+BALLS = torch.tensor([BALL, (0.757, -0.1, 1.2), BALL], dtype=torch.float64)
+UNDER_THE_BALL = torch.tensor([0.1, 0.55, 1.35, 0.0, 0.0, 0.0], dtype=torch.float64)
+STRIKE = torch.tensor([0.0, 20.0, 10.0], dtype=torch.float64)
+each_robot = pytest.mark.parametrize("robot", [BioRobEnv, DoublePendulumEnv])
+
+
+def torques(env: MujocoRobotEnv, steps: int) -> Tensor:
+    draw = torch.rand(steps, *env.action_spec.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    return env.action_spec.space.high * (draw - 0.5)
+
+
+def run(env: MujocoRobotEnv, start: Tensor, actions: Tensor) -> TensorDict:
+    """What is measured (T+1, *batch) under torques (T, *batch, F)."""
+    measured = [env.reset(TensorDict({"observation": start}, env.batch_size))]
+    for action in actions:
+        measured.append(env.step(TensorDict({"action": action}, env.batch_size))["next"])
+    return torch.stack([each.exclude("reward", "done", "terminated") for each in measured])
+
+
+@each_robot
+@pytest.mark.parametrize("num_envs", [None, 3])
+def test_torchrl_accepts_an_environment_with_targets(robot: type[MujocoRobotEnv], num_envs: int | None) -> None:
+    targets = TARGETS if num_envs else TARGETS[0]
+    env = robot(targets=targets, num_envs=num_envs, seed=0)
+    check_env_specs(env)
+    rollout = env.rollout(3)
+    expected = targets[..., None, :].expand(*env.batch_size, 3, 2)
+    assert torch.equal(rollout["target"], expected) and torch.equal(rollout["next", "target"], expected)
+    assert rollout["target"].dtype == torch.float64
+
+
+@each_robot
+def test_targets_change_neither_the_motion_nor_what_is_saved(robot: type[MujocoRobotEnv]) -> None:
+    plain, aimed = robot(num_envs=3, seed=0), robot(num_envs=3, seed=0, targets=TARGETS)
+    starts, actions = plain.reset()["observation"], torques(plain, 5)
+    assert torch.equal(starts, aimed.reset()["observation"]) and "target" not in plain.observation_spec
+    without, shown = run(plain, starts, actions), run(aimed, starts, actions)
+    assert torch.equal(without["observation"], shown["observation"]) and "target" not in without
+    assert plain.state_dict().keys() == aimed.state_dict().keys()
+
+
+def test_partial_reset_leaves_all_targets() -> None:
+    env = DoublePendulumEnv(num_envs=3, targets=TARGETS, seed=0)
+    after = env.reset()
+    mask = torch.tensor([[True], [False], [False]])
+    assert torch.equal(env.reset(after.set("_reset", mask))["target"], TARGETS)
+
+
+def test_target_of_an_observation_is_a_copy() -> None:
+    given = TARGETS.clone()
+    env = DoublePendulumEnv(num_envs=3, targets=given, seed=0)
+    given.zero_()
+    env.reset()["target"].zero_()
+    assert torch.equal(env.reset()["target"], TARGETS)
+
+
+@each_robot
+@pytest.mark.parametrize(
+    ("num_envs", "targets", "message"),
+    [
+        (3, TARGETS[0], r"targets must have shape \(3, entries\), got \(2,\)"),
+        (2, TARGETS, r"targets must have shape \(2, entries\), got \(3, 2\)"),
+        (3, TARGETS[:, :0], r"targets must have shape \(3, entries\), got \(3, 0\)"),
+        (None, TARGETS, r"targets must have shape \(entries\), got \(3, 2\)"),
+        (None, TARGETS[0] / 0, "targets must be finite, got"),
+    ],
+)
+def test_malformed_targets_are_refused(robot: type[MujocoRobotEnv], num_envs: int | None, targets: Tensor, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        robot(num_envs=num_envs, targets=targets)
+    assert "\n" not in str(error.value)
+
+
+def test_robots_with_balls_of_their_own_are_single_robots_side_by_side() -> None:
+    env = BioRobEnv(BALLS, num_envs=3, seed=0)
+    actions = torch.cat([STRIKE.expand(4, 3, 3), torques(env, 4)])
+    together = run(env, UNDER_THE_BALL.expand(3, 6), actions)
+    for robot, ball in enumerate(BALLS):
+        alone = run(BioRobEnv(ball, seed=0), UNDER_THE_BALL, actions[:, robot])
+        assert (together[:, robot] == alone).all()
+    assert together["info", "hit"][-1].flatten().tolist() == [True, False, True]
+
+
+def test_one_ball_said_for_each_robot_is_one_ball_for_all() -> None:
+    one, each = BioRobEnv(num_envs=3, seed=0), BioRobEnv(BALLS[:1].expand(3, 3), num_envs=3, seed=0)
+    starts, actions = one.reset()["observation"], torques(one, 5)
+    assert (run(one, starts, actions) == run(each, starts, actions)).all()
+    assert torch.equal(one.state_dict()["_physics"], each.state_dict()["_physics"])
+
+
+def test_ball_of_each_robot_hangs_at_rest_where_it_is_said_to() -> None:
+    env = BioRobEnv(BALLS, num_envs=3, seed=0)
+    run(env, env.initial_mean.expand(3, 6), torch.zeros(5, 3, 3, dtype=torch.float64))
+    ball = slice(1 + env.model.nq - 7, 1 + env.model.nq - 4)
+    np.testing.assert_allclose(env.state_dict()["_physics"][:, ball], BALLS, atol=1e-5)
+
+
+def test_checkpoint_resumes_robots_with_balls_of_their_own() -> None:
+    env, strike = BioRobEnv(BALLS, num_envs=3, targets=TARGETS, seed=0), TensorDict({"action": STRIKE.expand(3, 3)}, [3])
+    run(env, UNDER_THE_BALL.expand(3, 6), STRIKE.expand(2, 3, 3))
+    file = io.BytesIO()
+    torch.save(env.state_dict(), file)
+    file.seek(0)
+    resumed = BioRobEnv(BALLS, num_envs=3, targets=TARGETS, seed=1)
+    resumed.load_state_dict(torch.load(file, weights_only=True))
+    for _ in range(3):
+        assert (env.step(strike.clone())["next"] == resumed.step(strike.clone())["next"]).all()
+
+
+def test_replay_and_simulation_know_whose_ball_it_is() -> None:
+    env = BioRobEnv(BALLS, num_envs=3, seed=0)
+    actions = STRIKE.expand(5, 3)
+    run(env, UNDER_THE_BALL.expand(3, 6), actions[:, None].expand(5, 3, 3))
+    for robot in range(3):
+        assert torch.equal(env.replay(UNDER_THE_BALL, actions, 1, robot)[-1], env.state_dict()["_physics"][robot])
+        alone = BioRobEnv(BALLS[robot], seed=0)
+        assert torch.equal(env.substates(UNDER_THE_BALL, STRIKE, 4, robot), alone.substates(UNDER_THE_BALL, STRIKE, 4))
+        assert torch.equal(env.simulate(UNDER_THE_BALL[None], STRIKE[None], robot), alone.simulate(UNDER_THE_BALL[None], STRIKE[None]))
+
+
+def test_bad_balls_are_refused_in_one_line() -> None:
+    for ball, num_envs, message in [
+        (BALLS, 2, r"ball must have shape \(3,\) or \(2, 3\), got \(3, 3\)"),
+        (BALLS, None, r"ball must have shape \(3,\), got \(3, 3\)"),
+        (BALLS / 0, 3, "ball must be 3 finite numbers in m, got"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            BioRobEnv(ball, num_envs=num_envs)
+
+
+def test_models_must_be_one_or_one_for_each_robot() -> None:
+    with pytest.raises(ValueError, match="model must be one or 3 models, one for each robot, got 2"):
+        MujocoRobotEnv([biorob_model()] * 2, ("yaw",), initial_mean=[0.0] * 2, initial_std=[0.0] * 2, torque_limit=TORQUE_LIMIT, num_envs=3)
+
+
+PICTURES = """
+import torch
+from torch_pmil.envs import BioRobEnv
+from torch_pmil.envs.biorob import BALL
+balls = torch.tensor([BALL, (0.757, -0.2, 1.3)])
+env = BioRobEnv(balls, num_envs=2, from_pixels=True, seed=0)
+start = env.initial_mean.expand(2, 6)
+shown = env.reset(env.reset().set("observation", start))["pixels"].int()
+assert (shown[0] - shown[1]).abs().max() > 100
+for robot, ball in enumerate(balls):
+    alone = torch.from_numpy(BioRobEnv(ball).render(env.initial_mean)).int()
+    again = torch.from_numpy(env.render(env.initial_mean, robot)).int()
+    assert (shown[robot] - alone).abs().max() <= 2 and torch.equal(shown[robot], again)
+"""
+
+
+@pytest.mark.slow
+def test_picture_of_each_robot_shows_its_own_ball() -> None:
+    command = [sys.executable, "-W", "ignore", "-c", PICTURES]
+    result = subprocess.run(command, env={**os.environ, "MUJOCO_GL": "egl"}, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
+from torch import Tensor
 
 import torch_pmil.demonstrations
 from torch_pmil.alignment import align
@@ -27,20 +28,23 @@ from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_experts import CART_STEPS, PENDULUM_STEPS, balancing_expert, pendulum_expert
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
 from torch_pmil.envs.kinesthetic_teaching import Strike, Variation, record_strike
-from torch_pmil.envs.swing_up import demonstrate_swing_up, swing_up_expert
+from torch_pmil.envs.reaching import TRAINING_TARGETS, demonstrate_reaching
+from torch_pmil.envs.swing_up import demonstrate, swing_up_expert
 from torch_pmil.envs.trajectory_optimization import Array
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.biorob import biorob_space
-from torch_pmil.experiments.double_pendulum import SUCCESS_DISTANCE, distance_from_upright
+from torch_pmil.experiments.double_pendulum import REACH_DISTANCE, SUCCESS_DISTANCE, distance_from_target, distance_from_upright
 from torch_pmil.experiments.gym_pendulum import gym_pendulum_space
 from torch_pmil.experiments.inverted_pendulum import inverted_pendulum_space
 from torch_pmil.state_space import StateSpace
 
 DEMONSTRATIONS = 5  # paper
 STRIKES = 3  # paper
+REACHES = 3  # of each target
 RECORDED_PERIOD = 0.01  # s, of what the robot's sensors record while it is led
 TORQUE_NOISE = 0.1  # of the experts that act by torques, in the unit of the action
 CART_DEMONSTRATIONS = 10  # of starts that differ in all four entries
+LINK_ENDS = ("x1", "y1", "x2", "y2")
 Expert = Callable[[int, Array], Array]
 
 
@@ -55,14 +59,32 @@ def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
         RuntimeError: a demonstration did not stay upright.
     """
     env = DoublePendulumEnv(num_envs=DEMONSTRATIONS, seed=seed)
-    states, torques = demonstrate_swing_up(env, swing_up_expert(), seed, torque_noise)
-    distances = distance_from_upright(states)
-    print("demonstration  largest distance from upright in the last 0.5 s (m)  peak torque (N·m)")
+    states, torques = demonstrate(env, swing_up_expert(), seed, torque_noise)
+    check_pendulums("upright", distance_from_upright(states), SUCCESS_DISTANCE, torques)
+    return Demonstrations(link_positions(states), env.control_period, LINK_ENDS)
+
+
+def record_double_pendulum_targets(seed: int, torque_noise: float) -> Demonstrations:
+    """Three motions to each training target, from starts drawn with the seed, all successful; see ``record_double_pendulum``."""
+    targets = TRAINING_TARGETS.repeat_interleave(REACHES, 0)
+    env = DoublePendulumEnv(num_envs=len(targets), seed=seed)
+    states, torques = demonstrate_reaching(env, targets, seed, torque_noise)
+    check_pendulums("the target", distance_from_target(states, targets), REACH_DISTANCE, torques)
+    return Demonstrations(link_positions(states), env.control_period, LINK_ENDS, targets, ("x", "y"))
+
+
+def check_pendulums(goal: str, distances: Tensor, tolerance: float, torques: Tensor) -> None:
+    """Print a row for each of N demonstrations, with distances (N,) in m and torques (N, T, 2) in N·m.
+
+    Raises:
+        RuntimeError: one did not stay at its goal.
+    """
+    title = f"largest distance from {goal} in the last 0.5 s (m)"
+    print(f"demonstration  {title}  peak torque (N·m)")
     for number, (distance, peak) in enumerate(zip(distances.tolist(), torques.abs().amax((1, 2)).tolist(), strict=True)):
-        print(f"{number:13d}  {distance:53.4f}  {peak:17.3f}")
-    if not (distances < SUCCESS_DISTANCE).all():
-        raise RuntimeError(f"a demonstration must stay within {SUCCESS_DISTANCE} m, got {distances.max():.3f} m")
-    return Demonstrations(link_positions(states), env.control_period, ("x1", "y1", "x2", "y2"))
+        print(f"{number:13d}  {distance:{len(title)}.4f}  {peak:17.3f}")
+    if not (distances < tolerance).all():
+        raise RuntimeError(f"a demonstration must stay within {tolerance} m, got {distances.max():.3f} m")
 
 
 def record_inverted_pendulum(seed: int, torque_noise: float) -> Demonstrations:
@@ -122,6 +144,7 @@ def record_biorob(seed: int, torque_noise: None) -> Demonstrations:
 EXPERIMENTS = {
     "biorob": record_biorob,
     "double_pendulum": record_double_pendulum,
+    "double_pendulum_targets": record_double_pendulum_targets,
     "gym_pendulum": record_gym_pendulum,
     "inverted_pendulum": record_inverted_pendulum,
 }

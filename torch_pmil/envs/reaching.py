@@ -1,9 +1,10 @@
 """Places that the double pendulum's tip reaches and holds: one task with many targets.
 
-A target eta is the place [x, y] of the tip in m, as ``link_positions`` gives it. All are below the base, the elbow always to their left, so that the
-pose is a smooth function of the target. Holding them takes up to 2.3 of the 3.5 N·m; in many of them the outer link points upward and falls
-without feedback. A place counts as reached within 0.1 m, and the training targets are 0.28 m to 0.4 m from each other: who goes to the nearest of
-them instead reaches no other place of the grid. The grid of test targets surrounds the triangle of the training targets and extends 0.1 m beyond it.
+A target eta is the place [x, y] of the tip in m, as ``link_positions`` gives it. All are below the base, the elbow always to their left,
+so that the pose is a smooth function of the target. Holding them takes up to 2.3 of the 3.5 N·m; in many of them the outer link points
+upward and falls without feedback. A place counts as reached within 0.1 m, and the training targets are 0.28 m to 0.4 m from each other:
+who goes to the nearest of them instead reaches no other place of the grid. The grid of test targets surrounds the triangle of the training
+targets and extends 0.1 m beyond it.
 """
 
 from __future__ import annotations

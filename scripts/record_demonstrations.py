@@ -23,18 +23,17 @@ import torch_pmil.demonstrations
 from torch_pmil.alignment import align
 from torch_pmil.collection import states_of
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.envs import AdaptedEnv
+from torch_pmil.envs import AdaptedEnv, hitting_plane, reaching
 from torch_pmil.envs.biorob import BALL, BioRobEnv, biorob_model
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_experts import CART_STEPS, PENDULUM_STEPS, balancing_expert, pendulum_expert
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
-from torch_pmil.envs.hitting_plane import TARGET_NAMES, TRAINING_TARGETS, ball_at
 from torch_pmil.envs.kinesthetic_teaching import Strike, Variation, record_strike
-from torch_pmil.envs.swing_up import demonstrate_swing_up, swing_up_expert
+from torch_pmil.envs.swing_up import demonstrate, swing_up_expert
 from torch_pmil.envs.trajectory_optimization import Array
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.biorob import biorob_space
-from torch_pmil.experiments.double_pendulum import SUCCESS_DISTANCE, distance_from_upright
+from torch_pmil.experiments.double_pendulum import REACH_DISTANCE, SUCCESS_DISTANCE, distance_from_target, distance_from_upright
 from torch_pmil.experiments.gym_pendulum import gym_pendulum_space
 from torch_pmil.experiments.inverted_pendulum import inverted_pendulum_space
 from torch_pmil.state_space import StateSpace
@@ -42,9 +41,11 @@ from torch_pmil.state_space import StateSpace
 DEMONSTRATIONS = 5  # paper
 STRIKES = 3  # paper
 STRIKES_AT_A_TARGET = 2  # paper
+REACHES = 3  # of each target
 RECORDED_PERIOD = 0.01  # s, of what the robot's sensors record while it is led
 TORQUE_NOISE = 0.1  # of the experts that act by torques, in the unit of the action
 CART_DEMONSTRATIONS = 10  # of starts that differ in all four entries
+LINK_ENDS = ("x1", "y1", "x2", "y2")
 Expert = Callable[[int, Array], Array]
 
 
@@ -59,14 +60,32 @@ def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
         RuntimeError: a demonstration did not stay upright.
     """
     env = DoublePendulumEnv(num_envs=DEMONSTRATIONS, seed=seed)
-    states, torques = demonstrate_swing_up(env, swing_up_expert(), seed, torque_noise)
-    distances = distance_from_upright(states)
-    print("demonstration  largest distance from upright in the last 0.5 s (m)  peak torque (N·m)")
+    states, torques = demonstrate(env, swing_up_expert(), seed, torque_noise)
+    check_pendulums("upright", distance_from_upright(states), SUCCESS_DISTANCE, torques)
+    return Demonstrations(link_positions(states), env.control_period, LINK_ENDS)
+
+
+def record_double_pendulum_targets(seed: int, torque_noise: float) -> Demonstrations:
+    """Three motions to each training target, from starts drawn with the seed, all successful; see ``record_double_pendulum``."""
+    targets = reaching.TRAINING_TARGETS.repeat_interleave(REACHES, 0)
+    env = DoublePendulumEnv(num_envs=len(targets), seed=seed)
+    states, torques = reaching.demonstrate_reaching(env, targets, seed, torque_noise)
+    check_pendulums("the target", distance_from_target(states, targets), REACH_DISTANCE, torques)
+    return Demonstrations(link_positions(states), env.control_period, LINK_ENDS, targets, ("x", "y"))
+
+
+def check_pendulums(goal: str, distances: Tensor, tolerance: float, torques: Tensor) -> None:
+    """Print a row for each of N demonstrations, with distances (N,) in m and torques (N, T, 2) in N·m.
+
+    Raises:
+        RuntimeError: one did not stay at its goal.
+    """
+    title = f"largest distance from {goal} in the last 0.5 s (m)"
+    print(f"demonstration  {title}  peak torque (N·m)")
     for number, (distance, peak) in enumerate(zip(distances.tolist(), torques.abs().amax((1, 2)).tolist(), strict=True)):
-        print(f"{number:13d}  {distance:53.4f}  {peak:17.3f}")
-    if not (distances < SUCCESS_DISTANCE).all():
-        raise RuntimeError(f"a demonstration must stay within {SUCCESS_DISTANCE} m, got {distances.max():.3f} m")
-    return Demonstrations(link_positions(states), env.control_period, ("x1", "y1", "x2", "y2"))
+        print(f"{number:13d}  {distance:{len(title)}.4f}  {peak:17.3f}")
+    if not (distances < tolerance).all():
+        raise RuntimeError(f"a demonstration must stay within {tolerance} m, got {distances.max():.3f} m")
 
 
 def record_inverted_pendulum(seed: int, torque_noise: float) -> Demonstrations:
@@ -115,8 +134,9 @@ def record_biorob(seed: int, torque_noise: None) -> Demonstrations:
 
 def record_biorob_targets(seed: int, torque_noise: None) -> Demonstrations:
     """Two strikes of the BioRob at each of three balls in the hitting plane, led by hand, all hits, all six aligned in time."""
-    targets = TRAINING_TARGETS.repeat_interleave(STRIKES_AT_A_TARGET, 0)
-    return replace(record_strikes(seed, ball_at(targets)), targets=targets, target_names=TARGET_NAMES)
+    targets = hitting_plane.TRAINING_TARGETS.repeat_interleave(STRIKES_AT_A_TARGET, 0)
+    strikes = record_strikes(seed, hitting_plane.ball_at(targets))
+    return replace(strikes, targets=targets, target_names=hitting_plane.TARGET_NAMES)
 
 
 def record_strikes(seed: int, balls: Tensor) -> Demonstrations:
@@ -144,6 +164,7 @@ EXPERIMENTS = {
     "biorob": record_biorob,
     "biorob_targets": record_biorob_targets,
     "double_pendulum": record_double_pendulum,
+    "double_pendulum_targets": record_double_pendulum_targets,
     "gym_pendulum": record_gym_pendulum,
     "inverted_pendulum": record_inverted_pendulum,
 }

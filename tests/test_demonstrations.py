@@ -13,6 +13,7 @@ from torch_pmil.demonstrations import (
     load_recordings,
     shipped_demonstrations,
 )
+from torch_pmil.envs.reaching import TRAINING_TARGETS
 
 
 def walk(*shape):
@@ -241,8 +242,20 @@ def test_shipped_demonstrations_have_links_of_constant_length():
     assert ((outer - inner).norm(dim=-1) - 0.5).abs().max() < 1e-12
 
 
+def test_shipped_demonstrations_with_targets_hold_the_tip_at_each_target_and_stand_still():
+    demonstrations = shipped_demonstrations("double_pendulum_targets")
+    assert (demonstrations.names, demonstrations.target_names) == (("x1", "y1", "x2", "y2"), ("x", "y"))
+    assert demonstrations.duration == pytest.approx(2.5)
+    targets, sets = demonstrations.by_target()
+    assert torch.equal(targets, TRAINING_TARGETS)
+    for target, reaches in zip(targets, sets, strict=True):
+        assert reaches.positions.shape == (3, 26, 4)
+        assert ((reaches.positions[:, 20:, 2:] - target).norm(dim=-1) < 0.1).all()
+        assert reaches.positions[:, 20:].diff(dim=1).abs().max() < 0.05
+
+
 def test_unknown_shipped_demonstrations_are_refused():
-    shipped = ["biorob", "biorob_targets", "double_pendulum", "gym_pendulum", "inverted_pendulum"]
+    shipped = ["biorob", "biorob_targets", "double_pendulum", "double_pendulum_targets", "gym_pendulum", "inverted_pendulum"]
     assert f"must be one of {shipped}, got triple" in refused(shipped_demonstrations, "triple")
 
 

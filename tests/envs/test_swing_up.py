@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
-from torch_pmil.envs.swing_up import STEPS, demonstrate_swing_up
+from torch_pmil.envs.swing_up import STEPS, demonstrate
 from torch_pmil.envs.trajectory_optimization import Plan, TrackingController
 
 COUNT = 40
@@ -20,7 +20,7 @@ def lazy_expert(torque: float) -> TrackingController:
 
 def record(seed: int, torque: float = 1.0, torque_noise: float = 0.1) -> tuple[torch.Tensor, torch.Tensor]:
     env = DoublePendulumEnv(num_envs=COUNT, seed=seed)
-    return demonstrate_swing_up(env, lazy_expert(torque), seed, torque_noise)
+    return demonstrate(env, lazy_expert(torque), seed, torque_noise)
 
 
 def test_demonstrations_start_where_the_environment_does() -> None:

@@ -30,6 +30,23 @@ def test_seed_0_records_the_shipped_demonstrations(record, tmp_path, capsys):
         assert sorted(arrays.files) == ["names", "positions", "time_step"]
 
 
+@pytest.mark.slow
+def test_seed_0_records_the_shipped_demonstrations_with_targets(record, tmp_path, capsys):
+    record("experiment=double_pendulum_targets", "seed=0", f"out={tmp_path / 'recorded.npz'}")
+    recorded, shipped = load_demonstrations(tmp_path / "recorded.npz"), shipped_demonstrations("double_pendulum_targets")
+    torch.testing.assert_close(recorded.positions, shipped.positions, rtol=0, atol=1e-6)
+    assert torch.equal(recorded.targets, shipped.targets)
+    assert (recorded.names, recorded.target_names, recorded.time_step) == (shipped.names, shipped.target_names, shipped.time_step)
+    assert "largest distance from the target" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_demonstrator_that_misses_a_target_records_nothing(record, tmp_path):
+    with pytest.raises(SystemExit, match=r"a demonstration must stay within 0.1 m, got"):
+        record("experiment=double_pendulum_targets", "torque_noise=3", f"out={tmp_path / 'recorded.npz'}")
+    assert os.listdir(tmp_path) == []
+
+
 def test_missing_folder_is_reported_before_recording(record, tmp_path):
     out = tmp_path / "nowhere" / "recorded.npz"
     with pytest.raises(SystemExit) as stop:
@@ -41,7 +58,7 @@ def test_missing_folder_is_reported_before_recording(record, tmp_path):
 def test_unknown_experiment_is_refused(record, tmp_path):
     with pytest.raises(SystemExit) as stop:
         record("experiment=triple", f"out={tmp_path / 'recorded.npz'}")
-    known = ["biorob", "biorob_targets", "double_pendulum", "gym_pendulum", "inverted_pendulum"]
+    known = ["biorob", "biorob_targets", "double_pendulum", "double_pendulum_targets", "gym_pendulum", "inverted_pendulum"]
     assert stop.value.code == f"experiment must be one of {known}, got triple"
 
 

@@ -36,22 +36,24 @@ MU_MIN, MU_MAX, MU_FACTOR = 1e-8, 1e8, 4.0
 
 @dataclass(frozen=True)
 class QuadraticCost:
-    """Cost of a trajectory: half the sum of state_weights (x - target)² and action_weights u².
+    """Cost of a trajectory: half the sum of state_weights (x - target)² and action_weights (u - hold_action)².
 
     Attributes:
         target: state to reach, (D,).
         state_weights: for the states at steps 0..T, (T+1, D).
         action_weights: (F,), positive.
+        hold_action: that keeps the robot at the target, (F,); 0 where it rests there without any.
     """
 
     target: Array  # (D,)
     state_weights: Array  # (T+1, D)
     action_weights: Array  # (F,)
+    hold_action: Array | float = 0.0
 
     def __call__(self, states: Array, actions: Array) -> Array:
         """Costs (*batch,) of trajectories with states (*batch, T+1, D) and actions (*batch, T, F)."""
         state_cost = (self.state_weights * (states - self.target) ** 2).sum((-2, -1))
-        return (state_cost + (self.action_weights * actions**2).sum((-2, -1))) / 2
+        return (state_cost + (self.action_weights * (actions - self.hold_action) ** 2).sum((-2, -1))) / 2
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ class TrackingController:
         hold_from: first step of holding.
         target: state to hold, (D,).
         action_limit: largest absolute action, (F,).
+        hold_action: that keeps the robot at the target, (F,); 0 where it rests there without any.
     """
 
     plan: Plan
@@ -90,13 +93,14 @@ class TrackingController:
     hold_from: int
     target: Array
     action_limit: Array
+    hold_action: Array | float = 0.0
 
     def __call__(self, step: int, states: Array) -> Array:
         """Actions (N, F) at a step for states (N, D)."""
         if step < self.hold_from:
             actions = self.plan.actions[step] - (states - self.plan.states[step]) @ self.gains[step].T
         else:
-            actions = -(states - self.target) @ self.hold_gain.T
+            actions = self.hold_action - (states - self.target) @ self.hold_gain.T
         return actions.clip(-self.action_limit, self.action_limit)
 
 
@@ -149,8 +153,9 @@ def tracking_controller(
     state_weights: Array,
     action_weights: Array,
     action_limit: Array,
+    hold_action: Array | float = 0.0,
 ) -> TrackingController:
-    """Time-varying LQR about a plan, then infinite-horizon LQR about the target, an equilibrium without action.
+    """Time-varying LQR about a plan, then infinite-horizon LQR about the target, an equilibrium under ``hold_action``.
 
     Args:
         dynamics: states (N, D) and actions (N, F) to next states (N, D).
@@ -160,6 +165,7 @@ def tracking_controller(
         state_weights: of the deviation from the plan or the target, (D,).
         action_weights: of the deviation from the planned action, (F,).
         action_limit: largest absolute action, (F,).
+        hold_action: that keeps the robot at the target, (F,); 0 where it rests there without any.
 
     Returns:
         The controller, a function of step and states.
@@ -168,27 +174,30 @@ def tracking_controller(
         numpy.linalg.LinAlgError: the dynamics about the target cannot be stabilised.
     """
     Q, R = np.diag(state_weights), np.diag(action_weights)
-    hold_gain, P = linear_regulator(dynamics, target, state_weights, action_weights)
+    hold_gain, P = linear_regulator(dynamics, target, state_weights, action_weights, hold_action)
     gains = []
     for A, B in reversed(list(zip(*linearize(dynamics, plan.states[:-1], plan.actions), strict=True))):
         gains.append(_lqr_gain(A, B, P, R))
         P = Q + A.T @ P @ (A - B @ gains[-1])
-    return TrackingController(plan, np.array(gains[::-1]), hold_gain, hold_from, target, action_limit)
+    return TrackingController(plan, np.array(gains[::-1]), hold_gain, hold_from, target, action_limit, hold_action)
 
 
-def linear_regulator(dynamics: Dynamics, target: Array, state_weights: Array, action_weights: Array) -> tuple[Array, Array]:
-    """Infinite-horizon LQR about a target that is an equilibrium without action: the feedback gain (F, D) and the cost to go (D, D).
+def linear_regulator(
+    dynamics: Dynamics, target: Array, state_weights: Array, action_weights: Array, hold_action: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Infinite-horizon LQR about a target that is an equilibrium under an action: the feedback gain (F, D) and the cost to go (D, D).
 
     Args:
         dynamics: states (N, D) and actions (N, F) to next states (N, D).
         target: (D,).
         state_weights, action_weights: of the deviation, (D,) and (F,).
+        hold_action: that keeps the robot at the target, (F,); 0 where it rests there without any.
 
     Raises:
         numpy.linalg.LinAlgError: the dynamics about the target cannot be stabilised.
     """
     Q, R = np.diag(state_weights), np.diag(action_weights)
-    A, B = (part[0] for part in linearize(dynamics, target[None], np.zeros((1, len(action_weights)))))
+    A, B = (part[0] for part in linearize(dynamics, target[None], np.full((1, len(action_weights)), hold_action)))
     P = solve_discrete_are(A, B, Q, R)
     return _lqr_gain(A, B, P, R), P
 
@@ -219,16 +228,17 @@ def _backward(
 ) -> tuple[Array, Array]:
     """Changes k (T, F) and gains K (T, F, D) of the actions that minimise the local model within the limits."""
     gradients, R = cost.state_weights * (states - cost.target), np.diag(cost.action_weights)
+    excess = actions - cost.hold_action
     V_x, V_xx = gradients[-1], np.diag(cost.state_weights[-1])
     k, K = np.zeros_like(actions), np.zeros((*actions.shape, states.shape[1]))
     for t in reversed(range(len(actions))):
-        Q_u = R @ actions[t] + B[t].T @ V_x
+        Q_u = R @ excess[t] + B[t].T @ V_x
         Q_uu = R + B[t].T @ V_xx @ B[t] + mu * B[t].T @ B[t]
         Q_ux = B[t].T @ V_xx @ A[t] + mu * B[t].T @ A[t]
         k[t], free = _box_minimum(Q_uu, Q_u, -action_limit - actions[t], action_limit - actions[t])
         K[t, free] = -np.linalg.solve(Q_uu[np.ix_(free, free)], Q_ux[free])
         closed = A[t] + B[t] @ K[t]
-        V_x = gradients[t] + K[t].T @ R @ (actions[t] + k[t]) + closed.T @ (V_x + V_xx @ B[t] @ k[t])
+        V_x = gradients[t] + K[t].T @ R @ (excess[t] + k[t]) + closed.T @ (V_x + V_xx @ B[t] @ k[t])
         V_xx = np.diag(cost.state_weights[t]) + K[t].T @ R @ K[t] + closed.T @ V_xx @ closed
     return k, K
 

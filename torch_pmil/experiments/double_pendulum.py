@@ -14,6 +14,7 @@ from torch_pmil.state_space import MatchSpace, StateSpace
 
 NOISE_STD = 0.05  # m
 SUCCESS_DISTANCE = 0.25  # m
+REACH_DISTANCE = 0.1  # m, of the tip that reaches a target
 FINAL_SAMPLES = 6  # samples of the last 0.5 s at 10 Hz, both ends included
 
 
@@ -51,6 +52,25 @@ def distance_from_upright(states: Tensor) -> Tensor:
     upright = torch.tensor([0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH], dtype=states.dtype)
     positions = double_pendulum_space().match(states[..., -FINAL_SAMPLES:, :])
     return (positions - upright).norm(dim=-1).amax(-1)
+
+
+def distance_from_target(states: Tensor, targets: Tensor) -> Tensor:
+    """Largest distance (m) of the tip from its target over the last 0.5 s.
+
+    Args:
+        states: x_0..x_T, (*batch, T + 1, 4).
+        targets: [x, y] of the tip, m, (*batch, 2); batches broadcast.
+
+    Returns:
+        (*batch).
+
+    Example:
+        >>> upright = torch.zeros(26, 4, dtype=torch.float64)
+        >>> distance_from_target(upright, torch.tensor([0.0, 0.9], dtype=torch.float64))
+        tensor(0.1000, dtype=torch.float64)
+    """
+    tips = double_pendulum_space().match(states[..., -FINAL_SAMPLES:, :])[..., 2:]
+    return (tips - targets[..., None, :]).norm(dim=-1).amax(-1)
 
 
 def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:

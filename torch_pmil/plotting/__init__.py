@@ -5,6 +5,7 @@ from matplotlib.figure import Figure
 from torch_pmil.plotting.errors import plot_errors_over_data
 from torch_pmil.plotting.frequencies import plot_frequencies
 from torch_pmil.plotting.gaussian_process import plot_gp, plot_moment_matching
+from torch_pmil.plotting.heat_maps import plot_heat_map
 from torch_pmil.plotting.pendulum import pendulum_frames, plot_poses
 from torch_pmil.plotting.photos import plot_photo_series
 from torch_pmil.plotting.style import BLUE, GREY, VERMILLION, save_figure, style
@@ -29,6 +30,7 @@ __all__ = [
     "plot_errors_over_data",
     "plot_frequencies",
     "plot_gp",
+    "plot_heat_map",
     "plot_learning_curve",
     "plot_moment_matching",
     "plot_photo_series",

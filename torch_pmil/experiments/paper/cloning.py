@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_pmil.baselines.behavioral_cloning import clone_behavior
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, double_pendulum_model
 from torch_pmil.envs.exact_tracking import motion_of, tracking_torques
-from torch_pmil.envs.swing_up import demonstrate_swing_up, swing_up_expert
+from torch_pmil.envs.swing_up import demonstrate, swing_up_expert
 from torch_pmil.experiments import load_experiment
 from torch_pmil.state_policy import StatePolicy
 
@@ -27,7 +27,7 @@ def record_pairs(seeds: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
     expert = swing_up_expert((FIRST_LINK, DEMONSTRATED))
     for seed in seeds:
         env = DoublePendulumEnv((FIRST_LINK, DEMONSTRATED), num_envs=DEMONSTRATIONS, seed=seed)
-        yield demonstrate_swing_up(env, expert, seed)
+        yield demonstrate(env, expert, seed)
 
 
 def clone_double_pendulum(states: Tensor, torques: Tensor) -> StatePolicy:

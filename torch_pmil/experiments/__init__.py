@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.biorob import biorob
+from torch_pmil.experiments.biorob_targets import biorob_targets
 from torch_pmil.experiments.double_pendulum import double_pendulum
+from torch_pmil.experiments.double_pendulum_targets import double_pendulum_targets
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.gym_pendulum import gym_pendulum
 from torch_pmil.experiments.inverted_pendulum import inverted_pendulum
@@ -12,8 +14,10 @@ from torch_pmil.experiments.pilco import double_pendulum_pilco
 
 EXPERIMENTS = {
     "biorob": biorob,
+    "biorob_targets": biorob_targets,
     "double_pendulum": double_pendulum,
     "double_pendulum_pilco": double_pendulum_pilco,
+    "double_pendulum_targets": double_pendulum_targets,
     "gym_pendulum": gym_pendulum,
     "inverted_pendulum": inverted_pendulum,
 }

@@ -194,8 +194,13 @@ class Experiment:
         return self.space.features(starts)
 
 
-def check_demonstrations(demonstrations: Demonstrations, space: StateSpace, env: MujocoRobotEnv | AdaptedEnv) -> None:
-    """Raise DemonstrationError unless the demonstrations are of the match space, at the robot's control rate."""
+def check_demonstrations(
+    demonstrations: Demonstrations, space: StateSpace, env: MujocoRobotEnv | AdaptedEnv, target_names: tuple[str, ...] = ()
+) -> None:
+    """Raise DemonstrationError unless the demonstrations are of the match space and these targets, at the robot's control rate."""
+    if demonstrations.target_names != target_names:
+        wanted, found = (", ".join(names) or "none" for names in (target_names, demonstrations.target_names))
+        raise DemonstrationError(f"targets of the demonstrations must be {wanted}, got {found}")
     if demonstrations.names != space.match.names:
         raise DemonstrationError(f"demonstrations must be of {', '.join(space.match.names)}, got {', '.join(demonstrations.names)}")
     if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:

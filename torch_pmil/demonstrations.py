@@ -224,8 +224,8 @@ def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
             ``"inverted_pendulum"``: ten recoveries of gymnasium's InvertedPendulum-v5, [x_cart, x_tip, z_tip] in m, at 25 Hz from 0 to 2 s;
             ``"biorob"``: three strikes of the BioRob, led by hand and aligned in time, [q, dq] of yaw, shoulder and elbow in rad and rad/s,
             at 10 Hz from 0 to 1.8 s;
-            ``"biorob_targets"``: six strikes of the BioRob, two at each of three balls, all led by hand and aligned in time, as those; targets
-            are the balls' places [y, z] in the hitting plane, m.
+            ``"biorob_targets"``: six strikes of the BioRob, two at each of three balls, all led by hand and aligned in time, as those;
+            targets are the balls' places [y, z] in the hitting plane, m.
 
     Returns:
         The demonstrations.

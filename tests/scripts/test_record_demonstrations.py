@@ -9,6 +9,7 @@ import torch
 
 from tests.run_script import run_script
 from torch_pmil.demonstrations import load_demonstrations, shipped_demonstrations
+from torch_pmil.envs.hitting_plane import TRAINING_TARGETS
 
 SCRIPT = "scripts/record_demonstrations.py"
 
@@ -40,10 +41,8 @@ def test_missing_folder_is_reported_before_recording(record, tmp_path):
 def test_unknown_experiment_is_refused(record, tmp_path):
     with pytest.raises(SystemExit) as stop:
         record("experiment=triple", f"out={tmp_path / 'recorded.npz'}")
-    assert (
-        stop.value.code
-        == "experiment must be one of ['biorob', 'biorob_targets', 'double_pendulum', 'gym_pendulum', 'inverted_pendulum'], got triple"
-    )
+    known = ["biorob", "biorob_targets", "double_pendulum", "gym_pendulum", "inverted_pendulum"]
+    assert stop.value.code == f"experiment must be one of {known}, got triple"
 
 
 @pytest.mark.slow
@@ -81,7 +80,25 @@ def test_seed_0_records_the_shipped_demonstrations_of_the_biorob_without_torques
         assert sorted(arrays.files) == ["names", "positions", "time_step"]
 
 
-def test_hand_has_no_noise_of_torques(record, tmp_path):
-    with pytest.raises(SystemExit, match=r"torque_noise must be null for biorob, which is led by hand, got 0.2"):
-        record("experiment=biorob", "torque_noise=0.2", f"out={tmp_path / 'recorded.npz'}")
+def test_seed_0_records_the_shipped_demonstrations_of_three_balls(record, tmp_path, capsys):
+    record("experiment=biorob_targets", "seed=0", f"out={tmp_path / 'recorded.npz'}")
+    recorded, shipped = load_demonstrations(tmp_path / "recorded.npz"), shipped_demonstrations("biorob_targets")
+    assert recorded.positions.shape == (6, 19, 6)
+    torch.testing.assert_close(recorded.positions, shipped.positions, rtol=0, atol=1e-4)
+    assert torch.equal(recorded.targets, shipped.targets) and recorded.target_names == shipped.target_names == ("y", "z")
+    assert (recorded.names, recorded.time_step) == (shipped_demonstrations("biorob").names, 0.1)
+    assert capsys.readouterr().out.count(" 1.") == 6, "each hits"
+
+
+def test_each_training_target_is_demonstrated_twice_and_alike():
+    targets, sets = shipped_demonstrations("biorob_targets").by_target()
+    assert torch.equal(targets, TRAINING_TARGETS) and [len(one.positions) for one in sets] == [2, 2, 2]
+    yaw = torch.stack([one.positions[:, 11:15, 0].mean(1) for one in sets])  # (targets, 2), around the hit
+    assert torch.pdist(yaw.mean(1, keepdim=True)).min() > 2 * yaw.diff(dim=1).abs().max()
+
+
+@pytest.mark.parametrize("experiment", ["biorob", "biorob_targets"])
+def test_hand_has_no_noise_of_torques(record, tmp_path, experiment):
+    with pytest.raises(SystemExit, match=f"torque_noise must be null for {experiment}, which is led by hand, got 0.2"):
+        record(f"experiment={experiment}", "torque_noise=0.2", f"out={tmp_path / 'recorded.npz'}")
     assert os.listdir(tmp_path) == []

@@ -58,8 +58,8 @@ class Strike:
     def towards(self, ball: Sequence[float] | Array, model: mujoco.MjModel) -> Strike:
         """The same strike at a ball elsewhere: a smooth function of its place, and this strike itself if it is at ``BALL``.
 
-        The racket meets the ball as it did, by inverse kinematics of its centre; where the arm is drawn back to turns along with the yaw, and
-        where it comes to rest moves along in all angles. Start, times and speed are the same.
+        The racket meets the ball as it did, by inverse kinematics of its centre; where the arm is drawn back to turns along with the yaw,
+        and where it comes to rest moves along in all angles. Start, times and speed are the same.
 
         Args:
             ball: where it hangs, (3,) in m.

@@ -3,8 +3,9 @@
 Example:
     python scripts/align_demonstrations.py recorded.csv demonstrations.npz --time-step 0.1 --velocities dq1 dq2
 
-The recording has the columns demonstration,time,NAME,...; its demonstrations may differ in length, and their samples may be uneven. All are
-sampled at the median time step that was recorded, aligned by dynamic time warping, and then sampled at the time step of the robot.
+The recording has the columns demonstration,time,NAME,... and, if there are several targets, "target NAME",... for what each demonstration
+was for. Its demonstrations may differ in length, and their samples may be uneven. All are sampled at the median time step that was
+recorded, aligned by dynamic time warping, and then sampled at the time step of the robot.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ def align_recordings(path: Path, time_step: float, velocities: list[str], moving
     kept = [crop(values) for values in even] if moving else even
     aligned = align(kept, [recordings.names.index(name) for name in velocities], window)
     times = recorded_step * torch.arange(aligned.shape[1], dtype=torch.float64)
-    return Demonstrations(resample(aligned, times, time_step), time_step, recordings.names)
+    positions = resample(aligned, times, time_step)
+    return Demonstrations(positions, time_step, recordings.names, recordings.targets, recordings.target_names)
 
 
 def main() -> None:

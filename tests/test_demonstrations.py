@@ -204,6 +204,57 @@ def test_malformed_csv_is_refused_naming_file_and_row(tmp_path, change, message)
     assert refused(load_demonstrations, path) == f"{path}: {message}"
 
 
+def reaching_lines():
+    header, *rows = csv_lines()
+    told = [f"{row},{label},0.5" for label in ("0", "2") for row in rows]
+    told = [f"{'ab'[index // 8]}{row}" for index, row in enumerate(told)]  # four demonstrations, two of each target
+    return [f"{header},target place,target height", *told]
+
+
+def test_csv_tells_what_each_demonstration_was_for(tmp_path):
+    path = write_csv(tmp_path / "reaches.csv", reaching_lines())
+    for loaded in (load_demonstrations(path), load_recordings(path)):
+        assert loaded.targets.tolist() == [[0, 0.5], [0, 0.5], [2, 0.5], [2, 0.5]] and loaded.targets.dtype == torch.float64
+        assert (loaded.names, loaded.target_names) == (("x", "y"), ("place", "height"))
+    plain = load_demonstrations(write_csv(tmp_path / "walks.csv", csv_lines()))
+    assert torch.equal(load_demonstrations(path).positions, plain.positions.repeat(2, 1, 1)) and plain.targets is None
+
+
+def test_columns_of_targets_may_stand_anywhere_after_the_time(tmp_path):
+    lines = [line.split(",") for line in reaching_lines()]
+    path = write_csv(tmp_path / "reaches.csv", [",".join([*line[:2], line[4], line[2], line[5], line[3]]) for line in lines])
+    moved, loaded = load_demonstrations(path), load_demonstrations(write_csv(tmp_path / "same.csv", reaching_lines()))
+    assert torch.equal(moved.positions, loaded.positions) and torch.equal(moved.targets, loaded.targets)
+    assert (moved.names, moved.target_names) == (loaded.names, loaded.target_names)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda lines: [*lines[:3], lines[3].replace(",0,0.5", ",0,0.7"), *lines[4:]],
+            "row 4, column target height must be 0.5 as in row 2 of the same demonstration, got 0.7",
+        ),
+        (
+            lambda lines: [lines[0].replace("height", "place"), *lines[1:]],
+            "target_names must be 2 different names, one per entry, got ('place', 'place')",
+        ),
+        (lambda lines: lines[:-4], "each target must have at least two demonstrations, got one of [2.0, 0.5]"),
+        (
+            lambda lines: [line.replace("time,x,y", "time,target x,target y") for line in lines],
+            "row 1 must be demonstration,time,NAME,..., got demonstration,time,target x,target y,target place,target height",
+        ),
+        (
+            lambda lines: [lines[0], f"{lines[1]}?", *lines[2:]],
+            "row 2, column target height must be a finite number, got '0.5?'",
+        ),
+    ],
+)
+def test_malformed_targets_of_a_csv_are_refused_naming_file_and_row(tmp_path, change, message):
+    path = write_csv(tmp_path / "reaches.csv", change(reaching_lines()))
+    assert refused(load_demonstrations, path) == f"{path}: {message}"
+
+
 def test_csv_that_is_not_text_is_refused(tmp_path):
     path = tmp_path / "walks.csv"
     path.write_bytes(b"\xff\xfe\x00demonstration")

@@ -18,6 +18,7 @@ from torch import Tensor
 from torch_pmil.files import replacing
 
 TIME_STEP_TOLERANCE = 1e-6  # relative difference between two time steps that count as equal
+TARGET_PREFIX = "target "  # of a CSV file's columns that hold a target
 
 
 class DemonstrationError(ValueError):
@@ -142,8 +143,8 @@ def load_demonstrations(path: str | os.PathLike[str], time_step: float | None = 
     """Load demonstrations from an NPZ file written by ``Demonstrations.save``, or from a CSV file.
 
     A CSV file starts with a header ``demonstration,time,NAME,...`` and has one row per sample: the number or name
-    of the demonstration, the time in s, and the observed coordinates. The samples of one demonstration follow each
-    other in time; all demonstrations have equally many of them, at one time step.
+    of the demonstration, the time in s, and the observed coordinates. Columns ``target NAME`` hold its target, the same in all of its
+    rows. The samples of one demonstration follow each other in time; all demonstrations have equally many of them, at one time step.
 
     Args:
         path: of the file, ending in .npz or .csv.
@@ -178,12 +179,16 @@ class Recordings:
         times: of the samples of each, increasing, in s, (T_n,), float64.
         values: what was observed, (T_n, M), float64.
         names: of the M observed coordinates.
+        targets: what each was for, (N, K), float64; None where the file has none.
+        target_names: of the K entries of a target.
     """
 
     labels: tuple[str, ...]
     times: tuple[Tensor, ...]
     values: tuple[Tensor, ...]
     names: tuple[str, ...]
+    targets: Tensor | None = None
+    target_names: tuple[str, ...] = ()
 
 
 def load_recordings(path: str | os.PathLike[str]) -> Recordings:
@@ -200,18 +205,19 @@ def load_recordings(path: str | os.PathLike[str]) -> Recordings:
         OSError: the file cannot be read.
     """
     try:
-        samples, row_numbers, header = _csv_samples(Path(path))
-        for label, rows in samples.items():
-            late = np.flatnonzero(np.diff([row[0] for row in rows]) <= 0)
+        table = _csv_table(Path(path))
+        for label, rows in table.rows.items():
+            late = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
             if len(late):
-                before, after = rows[late[0]][0], rows[late[0] + 1][0]
+                before, after = rows[late[0], 0], rows[late[0] + 1, 0]
                 raise DemonstrationError(
-                    f"row {row_numbers[label][late[0] + 1]}, column time must increase, got {after:g} s after {before:g} s"
+                    f"row {table.numbers[label][late[0] + 1]}, column time must increase, got {after:g} s after {before:g} s"
                 )
     except DemonstrationError as error:
         raise DemonstrationError(f"{path}: {error}") from error.__cause__
-    tables = [torch.tensor(rows, dtype=torch.float64) for rows in samples.values()]  # (T_n, 1 + M)
-    return Recordings(tuple(samples), tuple(table[:, 0] for table in tables), tuple(table[:, 1:] for table in tables), tuple(header[2:]))
+    samples = [torch.from_numpy(rows) for rows in table.rows.values()]  # (T_n, 1 + M)
+    times, values = (tuple(part) for part in zip(*((each[:, 0], each[:, 1:]) for each in samples), strict=True))
+    return Recordings(tuple(table.rows), times, values, table.names, table.targets, table.target_names)
 
 
 def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
@@ -274,32 +280,62 @@ def _load_npz(path: Path) -> Demonstrations:
 
 
 def _load_csv(path: Path) -> Demonstrations:
-    samples, row_numbers, header = _csv_samples(path)
-    _check_csv_lengths(samples)
-    table = np.array(list(samples.values()))  # (N, T+1, 1+M)
-    time_step = _csv_time_step(table[:, :, 0], list(row_numbers.values()))
-    return Demonstrations(torch.from_numpy(table[:, :, 1:]), time_step, tuple(header[2:]))
+    table = _csv_table(path)
+    _check_csv_lengths(table.rows)
+    samples = np.stack(list(table.rows.values()))  # (N, T+1, 1+M)
+    time_step = _csv_time_step(samples[:, :, 0], list(table.numbers.values()))
+    return Demonstrations(torch.from_numpy(samples[:, :, 1:]), time_step, table.names, table.targets, table.target_names)
 
 
-def _csv_samples(path: Path) -> tuple[dict[str, list[list[float]]], dict[str, list[int]], list[str]]:
-    """Rows [time, values] of each demonstration, the numbers of those rows, and the header."""
+@dataclass(frozen=True, eq=False)
+class _CsvTable:
+    rows: dict[str, np.ndarray]  # [time, values] of each demonstration, (T_n, 1+M)
+    numbers: dict[str, list[int]]  # of those rows in the file
+    names: tuple[str, ...]
+    targets: Tensor | None  # (N, K)
+    target_names: tuple[str, ...]
+
+
+def _csv_lines(path: Path) -> list[list[str]]:
     with open(path, newline="", encoding="utf-8-sig") as file:
         try:
-            rows = list(csv.reader(file, strict=True))
+            return list(csv.reader(file, strict=True))
         except (csv.Error, UnicodeDecodeError) as error:
             raise DemonstrationError(f"not a readable CSV file ({error})") from error
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    if header[:2] != ["demonstration", "time"] or len(header) < 3:
+
+
+def _csv_table(path: Path) -> _CsvTable:
+    lines = _csv_lines(path)
+    header = [cell.strip() for cell in lines[0]] if lines else []
+    of_target = np.array([name.startswith(TARGET_PREFIX) for name in header[1:]], dtype=bool)
+    if header[:2] != ["demonstration", "time"] or of_target[1:].all():
         raise DemonstrationError(f"row 1 must be demonstration,time,NAME,..., got {','.join(header)}")
     samples: dict[str, list[list[float]]] = {}
-    row_numbers: dict[str, list[int]] = {}
-    for number, row in enumerate(rows[1:], start=2):
-        if row:
-            samples.setdefault(row[0].strip(), []).append(_csv_numbers(row, header, number))
-            row_numbers.setdefault(row[0].strip(), []).append(number)
+    numbers: dict[str, list[int]] = {}
+    for number, line in enumerate(lines[1:], start=2):
+        if line:
+            samples.setdefault(line[0].strip(), []).append(_csv_numbers(line, header, number))
+            numbers.setdefault(line[0].strip(), []).append(number)
     if len(samples) < 2:
         raise DemonstrationError(f"at least two demonstrations are needed, got {len(samples)}")
-    return samples, row_numbers, header
+    rows, names = {label: np.array(cells) for label, cells in samples.items()}, np.array(header[1:])
+    observed, shown = ({label: table[:, columns] for label, table in rows.items()} for columns in (~of_target, of_target))
+    targets = _csv_targets(shown, numbers, names[of_target]) if of_target.any() else None
+    target_names = tuple(name.removeprefix(TARGET_PREFIX).strip() for name in names[of_target].tolist())
+    return _CsvTable(observed, numbers, tuple(names[~of_target][1:].tolist()), targets, target_names)
+
+
+def _csv_targets(columns: dict[str, np.ndarray], numbers: dict[str, list[int]], names: np.ndarray) -> Tensor:
+    """The target of each demonstration (N, K), of columns (T_n, K) that must each hold one number."""
+    for label, rows in columns.items():
+        other = np.argwhere(rows != rows[0])
+        if len(other):
+            step, entry = other[0]
+            raise DemonstrationError(
+                f"row {numbers[label][step]}, column {names[entry]} must be {rows[0, entry]:g} as in row {numbers[label][0]} of the same "
+                f"demonstration, got {rows[step, entry]:g}"
+            )
+    return torch.from_numpy(np.stack([rows[0] for rows in columns.values()]))
 
 
 def _csv_numbers(row: list[str], header: list[str], number: int) -> list[float]:
@@ -316,7 +352,7 @@ def _csv_numbers(row: list[str], header: list[str], number: int) -> list[float]:
     return numbers
 
 
-def _check_csv_lengths(samples: dict[str, list[list[float]]]) -> None:
+def _check_csv_lengths(samples: dict[str, np.ndarray]) -> None:
     lengths = {label: len(rows) for label, rows in samples.items()}
     first_label, expected = next(iter(lengths.items()))
     if expected < 2:

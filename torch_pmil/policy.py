@@ -103,6 +103,22 @@ class RBFPolicy(nn.Module):
         change = torch.linalg.solve(gram, basis.mT @ (raw - basis @ weights))
         self.weights.copy_((weights + change)[..., 0].mT)
 
+    @torch.no_grad()
+    def for_target(self, target: Tensor) -> RBFPolicy:
+        """The policy of the features alone that acts as this one does for a target (K,), the last of its inputs (Eq. 31).
+
+        Example:
+            >>> policy = RBFPolicy(torch.zeros(5, 8), torch.ones(3), torch.ones(8)).for_target(torch.zeros(2))
+            >>> policy(torch.zeros(6)).shape
+            torch.Size([3])
+        """
+        D = len(self.scale) - len(target)
+        network = self.controller.network.at_known(target.double()[None])
+        policy = RBFPolicy(network.inputs, self.u_max, self.scale[:D])
+        policy.weights.copy_(network.weights[0].mT)
+        policy.log_widths.copy_(self.log_widths[:, :D])
+        return policy
+
 
 @dataclass(frozen=True)
 class PolicyAtTargets:

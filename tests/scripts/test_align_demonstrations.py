@@ -49,6 +49,27 @@ def test_what_loading_refuses_is_aligned_as_its_message_says(script: Script, rec
     assert (torch.gradient(q, spacing=0.1, dim=-1)[0] - dq)[:, 1:-1].abs().max() < 0.15 * dq.max()
 
 
+def test_targets_are_carried_through_and_never_warped(script: Script, recorded: Path) -> None:
+    header, *rows = recorded.read_text().splitlines()
+    told = [f"{label}{row},{place}" for label, place in (("near", 0.25), ("far", 1.75)) for row in rows]
+    script(recorded, out := recorded.with_suffix(".npz"), "--velocities", "dq")
+    plain = load_demonstrations(out)
+    recorded.write_text("\n".join([f"{header},target place", *told]))
+    script(recorded, out, "--velocities", "dq")
+    aligned = load_demonstrations(out)
+    assert aligned.targets.tolist() == 3 * [[0.25]] + 3 * [[1.75]] and aligned.target_names == ("place",)
+    assert torch.equal(aligned.positions[:3], aligned.positions[3:]) and aligned.names == plain.names
+    torch.testing.assert_close(aligned.positions[:3], plain.positions, rtol=0, atol=1e-9)
+
+
+def test_target_with_one_demonstration_is_one_line_and_writes_nothing(script: Script, recorded: Path) -> None:
+    header, *rows = recorded.read_text().splitlines()
+    recorded.write_text("\n".join([f"{header},target place", *(f"{row},{int(row[0] == '2')}" for row in rows)]))
+    with pytest.raises(SystemExit, match=r"error: each target must have at least two demonstrations, got one of \[1.0\]"):
+        script(recorded, recorded.with_suffix(".npz"))
+    assert os.listdir(recorded.parent) == ["recorded.csv"]
+
+
 def test_rest_is_kept_unless_told(script: Script, recorded: Path) -> None:
     out = recorded.with_suffix(".npz")
     script(recorded, out)

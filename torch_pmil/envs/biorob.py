@@ -36,8 +36,9 @@ class BioRobEnv(MujocoRobotEnv):
     where cables and gravity balance, moving with their joints, and the ball at rest on its string.
 
     ``("info", "racket_ball_distance")`` (*batch, 1), float64, is the least distance between the surfaces of racket and ball
-    over the simulation time steps of the last step (m; at a reset: the distance now), ``("info", "hit")`` (*batch, 1), bool, whether
-    the racket has touched the ball since the reset. A hit ends nothing.
+    over the simulation time steps of the last step (m; at a reset: the distance now), ``("info", "centre_distance")`` the same from the
+    blade's centre to the ball's, ``("info", "hit")`` (*batch, 1), bool, whether the racket has touched the ball since the reset. A hit
+    ends nothing.
 
     Stated in the paper: the structure, the joints and what is controlled, the control rate. Estimates: all numbers of the model, see its
     file and docs/biorob.md, and the start.
@@ -110,6 +111,7 @@ class BioRobEnv(MujocoRobotEnv):
         super()._make_specs()
         shape = (*self.batch_size, 1)
         self.observation_spec["info", "racket_ball_distance"] = Unbounded(shape, dtype=torch.float64)
+        self.observation_spec["info", "centre_distance"] = Unbounded(shape, dtype=torch.float64)
         self.observation_spec["info", "hit"] = Binary(shape=shape, dtype=torch.bool)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
@@ -120,7 +122,9 @@ class BioRobEnv(MujocoRobotEnv):
     def _measure(self, sensors: Tensor) -> TensorDictBase:
         distance, contact = (sensors[..., self.model.sensor(f"racket_ball_{name}").adr[0]] for name in ("distance", "contact"))
         self._hit = self._hit | (contact > 0).any(-1)
-        info = {"racket_ball_distance": distance.amin(-1), "hit": self._hit}
+        first = self.model.sensor("ball_from_racket").adr[0]
+        between = sensors[..., first : first + 3].norm(dim=-1)
+        info = {"racket_ball_distance": distance.amin(-1), "centre_distance": between.amin(-1), "hit": self._hit}
         measured = super()._measure(sensors)
         measured["info"] = TensorDict(
             {name: value.reshape(*self.batch_size, 1) for name, value in info.items()}, batch_size=self.batch_size

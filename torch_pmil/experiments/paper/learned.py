@@ -109,5 +109,5 @@ def outcome(folder: Path, experiment: Experiment, starts: int, seed: int) -> dic
 
 
 def _rollouts(policy: StatePolicy, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
-    env = experiment.make_env(num_envs=starts, seed=seed)
+    env = experiment.robots(starts, seed)
     return env.rollout(experiment.horizon, policy.as_tensordict_module())

@@ -184,3 +184,9 @@ def test_shapes_that_do_not_fit_are_errors(draws: Draws, expert: tuple[int, ...]
     with pytest.raises(ValueError) as error:
         MultiTargetKLLoss(policy, GPDynamics(4, 2), SPACE, draws.belief(*expert), targets, NOISE_STD)
     assert message in str(error.value)
+
+
+def test_policy_for_a_target_is_the_policy_told_that_target(draws: Draws) -> None:
+    policy, features = make_policy(draws), draws.normal(7, 3)
+    for target in TARGETS:
+        torch.testing.assert_close(policy.for_target(target)(features), policy(torch.cat([features, target.expand(7, -1)], -1)))

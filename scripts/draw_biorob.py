@@ -1,4 +1,8 @@
-"""Draw the BioRob at its start, whole and its drives: ``MUJOCO_GL=egl python scripts/draw_biorob.py docs/biorob.png``."""
+"""Draw the BioRob: at its start, whole and its drives, and with the balls of several targets.
+
+Example:
+    MUJOCO_GL=egl python scripts/draw_biorob.py docs/biorob.png docs/biorob_targets.png
+"""
 
 from __future__ import annotations
 
@@ -9,24 +13,34 @@ import mujoco
 import numpy as np
 
 from torch_pmil.envs.biorob import biorob_model
+from torch_pmil.envs.mujoco import open_renderer
+from torch_pmil.envs.target_picture import draw_targets
 
 SIZE = 560  # pixels
 
 
-def main() -> None:
-    if len(sys.argv) != 2:
-        sys.exit(f"expected one argument, the picture's path, got {len(sys.argv) - 1}")
+def draw_start() -> np.ndarray:
+    """Two pictures side by side: the whole robot, and its drives."""
     model = biorob_model()
-    model.vis.global_.offheight = model.vis.global_.offwidth = SIZE
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
     mujoco.mj_forward(model, data)
     views = []
-    with mujoco.Renderer(model, SIZE, SIZE) as renderer:
+    with open_renderer(model, (SIZE, SIZE)) as renderer:
         for camera in ("front", "drives"):
             renderer.update_scene(data, camera=camera)
             views.append(renderer.render())
-    matplotlib.image.imsave(sys.argv[1], np.hstack(views))
+    return np.hstack(views)
+
+
+def main() -> None:
+    if len(sys.argv) != 3:
+        sys.exit(f"expected two arguments, the pictures' paths, got {len(sys.argv) - 1}")
+    try:
+        for path, picture in zip(sys.argv[1:], (draw_start(), draw_targets()), strict=True):
+            matplotlib.image.imsave(path, picture)
+    except (OSError, RuntimeError, ValueError) as error:
+        sys.exit(f"cannot draw: {error}")
 
 
 if __name__ == "__main__":

@@ -82,7 +82,6 @@ class MujocoRobotEnv(RobotEnv):
         self._models = _limited_models(model, torque_limit, num_envs or 1)
         self.model = self._models[0]
         self.substeps = _substeps(control_period, self.model.opt.timestep)
-        self.model.vis.global_.offheight, self.model.vis.global_.offwidth = pixel_size
         self.pixel_size = pixel_size
         self._data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
@@ -285,14 +284,18 @@ class MujocoRobotEnv(RobotEnv):
 
     def _open_renderer(self) -> mujoco.Renderer:
         if self._renderer is None:
-            try:
-                self._renderer = mujoco.Renderer(self.model, *self.pixel_size)
-            except Exception as error:  # every OpenGL platform fails with a type of its own
-                backend = os.environ.get("MUJOCO_GL", "not set")
-                raise RuntimeError(
-                    f"pictures need OpenGL, which failed with MUJOCO_GL {backend} ({error}); headless: MUJOCO_GL=egl"
-                ) from error
+            self._renderer = open_renderer(self.model, self.pixel_size)
         return self._renderer
+
+
+def open_renderer(model: mujoco.MjModel, pixel_size: tuple[int, int]) -> mujoco.Renderer:
+    """A renderer of pictures of a height and width. Raises RuntimeError without OpenGL."""
+    model.vis.global_.offheight, model.vis.global_.offwidth = pixel_size
+    try:
+        return mujoco.Renderer(model, *pixel_size)
+    except Exception as error:  # every OpenGL platform fails with a type of its own
+        backend = os.environ.get("MUJOCO_GL", "not set")
+        raise RuntimeError(f"pictures need OpenGL, which failed with MUJOCO_GL {backend} ({error}); headless: MUJOCO_GL=egl") from error
 
 
 def _substeps(control_period: float, timestep: float) -> int:

@@ -1,0 +1,82 @@
+"""The set-up of the experiment with several targets as a picture (Figure 11 (a)): the robot, the balls, the region they may hang in."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from torch import Tensor
+
+from torch_pmil.envs.biorob import STRING, biorob_model
+from torch_pmil.envs.hitting_plane import GRID, TRAINING_TARGETS, ball_at
+from torch_pmil.envs.mujoco import open_renderer
+
+BLUE, CLEAR_BLUE = (0.0, 0.447, 0.698, 1.0), (0.0, 0.447, 0.698, 0.25)
+FRAME = 0.005  # m, radius of the region's edges
+THICKNESS = 0.001  # m
+LOOK_AT, DISTANCE, AZIMUTH, ELEVATION = (0.42, 0.0, 0.86), 2.0, 140.0, -14.0  # m, m, degrees: from the front, to the robot's right
+
+
+def draw_targets(targets: Tensor = TRAINING_TARGETS, region: Tensor = GRID, pixel_size: tuple[int, int] = (600, 800)) -> np.ndarray:
+    """The robot at its start, a ball on its string at each target, and the rectangle around a region in the hitting plane.
+
+    Args:
+        targets: [y, z] of the balls, (N, 2), m.
+        region: points in the plane, (R, 2), m; the rectangle is the least one that holds all of them.
+        pixel_size: height and width of the picture.
+
+    Returns:
+        The picture (height, width, 3), uint8.
+
+    Raises:
+        RuntimeError: OpenGL is not available.
+
+    Example:
+        >>> draw_targets().shape  # doctest: +SKIP
+        (600, 800, 3)
+    """
+    first, *others = ball_at(targets)
+    model = biorob_model(first)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    data.joint("ball").qpos[:3] = first
+    mujoco.mj_forward(model, data)
+    with open_renderer(model, pixel_size) as renderer:
+        renderer.update_scene(data, _camera())
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        for place in others:
+            _add_ball(renderer.scene, model, place.numpy())
+        _add_rectangle(renderer.scene, *(ball_at(corner).numpy() for corner in (region.amin(0), region.amax(0))))
+        return renderer.render()
+
+
+def _camera() -> mujoco.MjvCamera:
+    camera = mujoco.MjvCamera()
+    camera.lookat, camera.distance, camera.azimuth, camera.elevation = LOOK_AT, DISTANCE, AZIMUTH, ELEVATION
+    return camera
+
+
+def _add_ball(scene: mujoco.MjvScene, model: mujoco.MjModel, place: np.ndarray) -> None:
+    """A ball as the model's own, and its string."""
+    radius, knot = model.geom("ball").size, place + model.site("knot").pos
+    _add(scene, mujoco.mjtGeom.mjGEOM_SPHERE, model.mat("ball").rgba, size=np.repeat(radius[:1], 3), place=place)
+    _add_line(scene, model.mat("string").rgba, model.tendon_width[model.tendon("string").id], knot, place + np.array([0.0, 0.0, STRING]))
+
+
+def _add_rectangle(scene: mujoco.MjvScene, low: np.ndarray, high: np.ndarray) -> None:
+    """A clear rectangle between two corners of the plane, and its edges."""
+    _add(scene, mujoco.mjtGeom.mjGEOM_BOX, CLEAR_BLUE, size=(high - low) / 2 + np.array([THICKNESS, 0.0, 0.0]), place=(low + high) / 2)
+    corners = np.array([low, [low[0], high[1], low[2]], high, [low[0], low[1], high[2]]])
+    for start, end in zip(corners, np.roll(corners, -1, 0), strict=True):
+        _add_line(scene, BLUE, FRAME, start, end)
+
+
+def _add(scene: mujoco.MjvScene, kind: mujoco.mjtGeom, colour: np.ndarray, size: np.ndarray, place: np.ndarray) -> mujoco.MjvGeom:
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(geom, kind, size, place, np.eye(3).flatten(), np.asarray(colour, dtype=np.float32))
+    scene.ngeom += 1
+    return geom
+
+
+def _add_line(scene: mujoco.MjvScene, colour: np.ndarray, radius: float, start: np.ndarray, end: np.ndarray) -> None:
+    geom = _add(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, colour, np.zeros(3), start)
+    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)

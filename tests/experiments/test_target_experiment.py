@@ -156,3 +156,10 @@ def test_demonstrations_without_targets_or_with_others_are_refused(experiment: T
         load_experiment(experiment.name, replace(shown, target_names=("a", "b")))
     with pytest.raises(DemonstrationError, match=f"targets of the demonstrations must be none, got {names}"):
         load_experiment(experiment.name.removesuffix("_targets"), shown)
+
+
+def test_basis_functions_are_wide_in_the_target_beside_the_distances_of_the_targets(experiment: TargetExperiment) -> None:
+    policy, D = experiment.make_policy(torch.Generator().manual_seed(0)), len(experiment.space.feature_names)
+    largest = max((a - b).norm().item() for a in experiment.targets for b in experiment.targets)
+    assert policy.scale[D:].tolist() == pytest.approx([experiment.target_scale * largest] * 2)
+    assert (policy.scale[:D] > 0).all()

@@ -175,14 +175,17 @@ class Experiment:
         std = inputs.std(0)
         chosen = torch.randint(len(inputs), (self.num_centres,), generator=generator)
         jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)
-        widths = self.input_scale * std if self.input_widths is None else self.input_widths
-        policy = RBFPolicy(inputs[chosen] + 0.1 * std * jitter, self.u_max, widths)
+        policy = RBFPolicy(inputs[chosen] + 0.1 * std * jitter, self.u_max, self.widths(std))
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
         policy.weights.data.copy_(self.initial_weight_std * white)
         if self.holding_torques is not None:
             starts = self.initial.sample(HELD_STARTS, generator)
             policy.fit_weights(self.start_inputs(starts), self.holding_torques(starts))
         return policy
+
+    def widths(self, std: Tensor) -> Tensor:
+        """Of a new policy's basis functions (D'), from the standard deviations of its demonstrated inputs."""
+        return self.input_scale * std if self.input_widths is None else self.input_widths
 
     @property
     def demonstrated_inputs(self) -> Tensor:

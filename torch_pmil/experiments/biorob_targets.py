@@ -23,8 +23,6 @@ from torch_pmil.experiments.experiment import check_demonstrations
 from torch_pmil.experiments.target_experiment import TargetExperiment
 from torch_pmil.gaussian import Gaussian
 
-TARGET_WIDTHS = (0.2, 0.2)  # m, about the distance of the training targets from each other
-
 
 def robots_before_balls(
     num_envs: int | None = None, targets: Tensor | None = None, from_pixels: bool = False, seed: int | None = None
@@ -64,7 +62,7 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
         tolerance=0.0,
         confirmations=4,
         pd_movements=replace(movements_around(env.initial_mean, u_max), rollouts=1),
-        input_widths=torch.tensor([*INPUT_WIDTHS, *TARGET_WIDTHS], dtype=torch.float64),
+        input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64),
         holding_torques=holding_torques_at,
         search=SEARCH,
     )

@@ -27,10 +27,17 @@ class TargetExperiment(Experiment):
 
     As :class:`Experiment`, with these differences: the demonstrations have targets (N, K), the states recovered from them are in the order
     of the demonstrations; ``make_env`` takes ``targets`` (num_envs, K), or (K,) for one robot, which the environment says under
-    ``"target"``; ``input_widths`` has K entries more. The robot that learns does every trial once for each target.
+    ``"target"``. The robot that learns does every trial once for each target.
+
+    Args:
+        target_scale: width of the policy's initial basis functions in the entries of the target, in largest distances between the
+            targets. Functions that are wide beside these distances make a policy that is nearly linear in the target, which carries
+            over to targets between and beyond; narrow ones fit each target by itself.
     """
 
     objective: ClassVar[type[TrajectoryLoss]] = MultiTargetKLLoss
+
+    target_scale: float = 2.5
 
     @cached_property
     def targets(self) -> Tensor:
@@ -50,7 +57,13 @@ class TargetExperiment(Experiment):
     @property
     def settings(self) -> dict[str, object]:
         """Those of :class:`Experiment`, and the targets."""
-        return {**super().settings, "targets": self.targets.tolist()}
+        return {**super().settings, "targets": self.targets.tolist(), "target_scale": self.target_scale}
+
+    def widths(self, std: Tensor) -> Tensor:
+        """Of a new policy's basis functions (D' + K): those of the features, and that of the target's entries."""
+        width = self.target_scale * torch.pdist(self.targets).amax()
+        K = self.targets.shape[-1]
+        return torch.cat([super().widths(std[:-K]), width.expand(K)])
 
     def robot(self, seed: int) -> MujocoRobotEnv:
         """The robot that learns, once for each target."""

@@ -1,0 +1,95 @@
+"""Time of the loss of several targets, and its policy gradient, beside that of one: the BioRob's policy of 250 basis functions.
+
+Targets are one batch (Eq. 31), so three need not take three times as long. The numbers of targets take turns in one process; CPU
+and wall seconds are the least of the repeats. The data are transitions of the robot's first movements.
+
+Example:
+    python -m benchmarks.targets --sizes 60 120 240 --threads 1 2
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from tensordict.nn import TensorDictModule
+
+from benchmarks.policy_step import timed
+from torch_pmil.collection import states_of
+from torch_pmil.dynamics import GPDynamics
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.run_folder import provenance
+from torch_pmil.experiments.target_experiment import TargetExperiment
+from torch_pmil.files import write_json
+from torch_pmil.multi_target import MultiTargetKLLoss
+
+SEED, STEPS = 0, 20  # steps of a rollout of the first movements
+COUNTS = (1, 3)  # of targets
+
+
+def main() -> None:
+    """Read the command line, measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--sizes", type=int, nargs="+", default=[60, 120, 240, 480], help="transitions that the model knows")
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--json", type=Path, default=Path("results/targets/summary.json"), help="file to write")
+    arguments = parser.parse_args()
+    if min(*arguments.sizes, *arguments.threads, arguments.repeats) < 1:
+        parser.error("sizes, threads and repeats must be at least 1")
+    source = provenance(shlex.join(["python", "-m", "benchmarks.targets", *sys.argv[1:]]))
+    rows = [row for size in arguments.sizes for row in measure(size, arguments.threads, arguments.repeats)]
+    headline = {f"three_over_one_{row['n']}_threads_{row['threads']}": row["wall_ratio"] for row in rows}
+    arguments.json.parent.mkdir(parents=True, exist_ok=True)
+    write_json(arguments.json, {**source, "repeats": arguments.repeats, "headline": headline, "rows": rows})
+    for row in rows:
+        print(
+            f"n = {row['n']:4d}, {row['threads']} threads: {row['wall_s'][0]:.3f} s for one, {row['wall_ratio']:.2f} times that for three"
+        )
+
+
+def measure(n: int, threads: list[int], repeats: int) -> list[dict[str, object]]:
+    """A row for each number of threads."""
+    experiment = load_experiment("biorob_targets")
+    dynamics, rows = make_dynamics(experiment, n), []
+    policy = experiment.make_policy(torch.Generator().manual_seed(SEED))
+    expert, targets = experiment.expert, experiment.targets
+    losses = [MultiTargetKLLoss(policy, dynamics, experiment.space, expert[:S], targets[:S], experiment.noise_std) for S in COUNTS]
+    for count in threads:
+        torch.set_num_threads(count)
+        evaluations = [evaluation(loss, experiment) for loss in losses]
+        times = [[timed(evaluate) for evaluate in evaluations] for _ in range(repeats + 1)][1:]
+        cpu, wall = torch.tensor(times, dtype=torch.float64).amin(0).T.tolist()
+        rows.append({"n": n, "threads": count, "targets": COUNTS, "cpu_s": cpu, "wall_s": wall, "wall_ratio": wall[1] / wall[0]})
+    return rows
+
+
+def evaluation(loss: MultiTargetKLLoss, experiment: TargetExperiment) -> Callable[[], object]:
+    """Value and gradient."""
+    parameters = list(loss.parameters())
+    return lambda: torch.autograd.grad(loss.per_step(experiment.initial).sum(), parameters)
+
+
+def make_dynamics(experiment: TargetExperiment, n: int) -> GPDynamics:
+    """The model of n transitions of the first movements, with PILCO's first hyper-parameters."""
+    env = experiment.robots_at(experiment.targets[:1].expand(-(-n // STEPS), -1), SEED)
+    motion = replace(experiment.first_motion, rollouts=1).motion(torch.Generator().manual_seed(SEED))
+    rollout = env.rollout(STEPS, TensorDictModule(motion, in_keys=["observation"], out_keys=["action"]))
+    states = states_of(rollout)
+    inputs = torch.cat([experiment.space.features(states[:, :-1]), rollout["action"]], -1).flatten(0, 1)[:n]
+    changes = states.diff(dim=1).flatten(0, 1)[:n]
+    dynamics = experiment.make_dynamics()
+    dynamics.set_data(inputs, changes)
+    dynamics.gp.covar_module.base_kernel.lengthscale = inputs.std(0)
+    dynamics.gp.covar_module.outputscale = changes.var(0)
+    dynamics.gp.likelihood.noise = 0.01 * changes.var(0)[:, None]
+    return dynamics
+
+
+if __name__ == "__main__":
+    main()

@@ -219,3 +219,18 @@ def test_single_kernel_has_the_derivatives_of_its_formula() -> None:
     d_mean, d_cov = recorded.linearised.adjoint(0 * one[None], 0 * one[None, None], one[None, None])
     assert d_mean.item() == pytest.approx((m * m / (1 + s) - 1) / (1 + s) * mean, rel=1e-12)
     assert d_cov.item() == pytest.approx((3 * m - m**3 / (1 + s)) / (1 + s) ** 2 / 2 * mean, rel=1e-12)
+
+
+def test_kept_products_are_those_that_the_gradient_is_made_of(draws: Draws) -> None:
+    """With them the moments and their gradient in the network cost no exponential, and are the same."""
+    f, beliefs = draws.network(9, 3, 2), draws.belief(6, 3)
+    recorded = RecordedMoments(f, keep_products=True)
+    for half in (beliefs[:3], beliefs[3:]):
+        recorded(half)
+    found = []
+    for products in (recorded.products, None):
+        leaves = tuple(tensor.clone().requires_grad_() for tensor in (f.inputs, f.weights, f.lengthscales))
+        moments = moment_match(KernelExpansion(*leaves, f.signal_variance), beliefs, products=products)
+        outputs = moments.mean, moments.cov, moments.inv_cov_cross_cov
+        found.append((*outputs, *torch.autograd.grad(sum(output.sin().sum() for output in outputs), leaves)))
+    torch.testing.assert_close(*found, rtol=1e-12, atol=1e-12)

@@ -62,16 +62,21 @@ def _products_with(exponents: Tensor, w: Tensor, z: Tensor, M: Tensor | None) ->
     return torch.bmm(w, Q), torch.bmm(Q, z)
 
 
+def products_for_gradient(left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None) -> tuple[Tensor, Tensor]:
+    """What :class:`ExponentialSum` and its gradient are made of, (N, P, d, n) and (N, P, n, d); the work is all in here."""
+    return thin_products(left, right, w * left, (z * right).mT, M)
+
+
 class ExponentialSum(torch.autograd.Function):
     r"""S = sum_ij w_i M_ij z_j exp(l_i . r_j) for every belief and pair, (N, P); its gradient keeps thin products instead of n^2 numbers.
 
     Arguments as in :func:`thin_products`, but with a single row w and z of each pair, (P, 1, n) or (N, P, 1, n); the entry ``one`` of
-    every l_i and the last of every r_j must be 1.
+    every l_i and the last of every r_j must be 1. ``products`` are :func:`products_for_gradient` of the same arguments, if they are known.
     """
 
     @staticmethod
-    def forward(ctx, left, right, w, z, M, one):
-        left_Q, Q_right = thin_products(left, right, w * left, (z * right).mT, M)
+    def forward(ctx, left, right, w, z, M, one, products=None):
+        left_Q, Q_right = products or products_for_gradient(left, right, w, z, M)
         ctx.one, ctx.own = one, 0 if M is None else len(M)
         ctx.save_for_backward(left, right, w, z, left_Q, Q_right)
         return (z[..., 0, :] * left_Q[..., one, :]).sum(-1)
@@ -85,7 +90,7 @@ class ExponentialSum(torch.autograd.Function):
         d_w = (scale * Q_right.mT[..., -1:, :]).sum_to_size(w.shape) if ctx.needs_input_grad[2] else None
         d_z = (scale * left_Q[..., ctx.one : ctx.one + 1, :]).sum_to_size(z.shape) if ctx.needs_input_grad[3] else None
         d_M = _sum_of_Q(left, right, w, z, scale, ctx.own) if ctx.needs_input_grad[4] else None
-        return d_left, d_right, d_w, d_z, d_M, None
+        return d_left, d_right, d_w, d_z, d_M, None, None
 
 
 def _sum_of_Q(left: Tensor, right: Tensor, w: Tensor, z: Tensor, scale: Tensor, own: int) -> Tensor:

@@ -20,7 +20,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from torch_pmil.exponential_sums import thin_products
+from torch_pmil.exponential_sums import products_for_gradient, thin_products
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.gaussian_integrals import GaussianIntegrals, centred
 from torch_pmil.kernel_expansion import KernelExpansion
@@ -36,17 +36,26 @@ class RecordedMoments:
     Args:
         f: the expansion.
         observation_noise: as in :func:`moment_match`.
+        keep_products: whether to keep what :func:`moment_match` takes for ``products``: for gradients in the expansion itself.
     """
 
-    def __init__(self, f: KernelExpansion, observation_noise: bool = False) -> None:
-        self.f, self.observation_noise = f, observation_noise
+    def __init__(self, f: KernelExpansion, observation_noise: bool = False, keep_products: bool = False) -> None:
+        self.f, self.observation_noise, self.keep_products = f, observation_noise, keep_products
+        self._kept: list[tuple[Tensor, Tensor]] = []
         self._sums: list[MomentSums] = []
         self._pending: list[ThinProducts] = []
 
     @torch.no_grad()
     def __call__(self, belief: Gaussian) -> Moments:
         """Moments at N beliefs, the same number in all calls."""
-        products, moments = ThinProducts.at(self.f, belief, self.observation_noise)
+        integrals = GaussianIntegrals.of(self.f, belief)
+        if self.keep_products:
+            whole = products_for_gradient(integrals.left, integrals.right, *self.f.pair_weights, self.f.self_weights)
+            self._kept.append(whole)
+            thin = whole[0][:, :, :-1], whole[1][..., -1:]
+        else:
+            thin = ThinProducts.needed(self.f, integrals)
+        products, moments = ThinProducts.at(self.f, belief, integrals, thin, self.observation_noise)
         self._pending.append(products)
         if len(self._pending) * products.left.numel() > KEPT_NUMBERS:
             self._sum_up()
@@ -56,6 +65,11 @@ class RecordedMoments:
         if self._pending:
             self._sums.append(MomentSums.of(self.f, _concatenated(self._pending)))
             self._pending = []
+
+    @cached_property
+    def products(self) -> tuple[Tensor, Tensor]:
+        """Those of all T calls, which were kept."""
+        return tuple(torch.cat(parts) for parts in zip(*self._kept, strict=True))
 
     @cached_property
     def linearised(self) -> LinearisedMoments:
@@ -82,12 +96,19 @@ class ThinProducts:
     left: Tensor
     right: Tensor
 
+    @staticmethod
+    def needed(f: KernelExpansion, integrals: GaussianIntegrals) -> tuple[Tensor, Tensor]:
+        """sum_i w_i [nu_i, 1] Q_ij, (N, P, D + 1, n), and sum_j Q_ij z_j, (N, P, n, 1)."""
+        w, z = f.pair_weights
+        columns = z.mT.expand(len(integrals.nu1), -1, -1, -1)
+        return thin_products(integrals.left, integrals.right, w * integrals.left[:, :, :-1], columns, f.self_weights)
+
     @classmethod
-    def at(cls, f: KernelExpansion, belief: Gaussian, observation_noise: bool) -> tuple[ThinProducts, Moments]:
-        """For N beliefs, with the moments as :func:`moment_match` gives them. Raises as :meth:`GaussianIntegrals.of`."""
-        integrals, (w, z) = GaussianIntegrals.of(f, belief), f.pair_weights
-        left, right, nu1 = integrals.left, integrals.right, integrals.nu1
-        left_Q, Q_z = thin_products(left, right, w * left[:, :, :-1], z.mT.expand(len(nu1), -1, -1, -1), f.self_weights)
+    def at(
+        cls, f: KernelExpansion, belief: Gaussian, integrals: GaussianIntegrals, thin: tuple[Tensor, Tensor], observation_noise: bool
+    ) -> tuple[ThinProducts, Moments]:
+        """For N beliefs from what :meth:`needed` gives, with the moments as :func:`moment_match` gives them."""
+        (w, z), nu1, (left_Q, Q_z) = f.pair_weights, integrals.nu1, thin
         beta_q = f.weights * integrals.q
         row_sums = w.squeeze(-2) * Q_z.squeeze(-1)
         single, second = beta_q @ nu1.mT, (w @ Q_z).flatten(1)

@@ -52,7 +52,12 @@ class Moments:
         return belief.cov @ self.inv_cov_cross_cov
 
 
-def moment_match(model: KernelExpansion | gpytorch.models.ExactGP, belief: Gaussian, observation_noise: bool = False) -> Moments:
+def moment_match(
+    model: KernelExpansion | gpytorch.models.ExactGP,
+    belief: Gaussian,
+    observation_noise: bool = False,
+    products: tuple[Tensor, Tensor] | None = None,
+) -> Moments:
     r"""Mean, covariance and input-output covariance of a GP or an RBF network at an uncertain input (Eqs. 14-18).
 
     Exact, no sampling: the true distribution of f(x) is not Gaussian, its first two moments are these. Differentiable
@@ -63,6 +68,7 @@ def moment_match(model: KernelExpansion | gpytorch.models.ExactGP, belief: Gauss
             :class:`KernelExpansion`, which keeps its Cholesky factors' results between calls.
         belief: over the input, D entries, any batch shape; its covariance may be singular or zero.
         observation_noise: add the likelihood's noise to the variances (Eq. 5), as for the distribution of an observation.
+        products: those that :class:`RecordedMoments` kept of the same model at the same beliefs, which saves nearly all of the work.
 
     Returns:
         Moments in the units of the outputs.
@@ -82,7 +88,7 @@ def moment_match(model: KernelExpansion | gpytorch.models.ExactGP, belief: Gauss
     beliefs = belief.flattened
     integrals = GaussianIntegrals.of(f, beliefs)
     sums = (f.weights * integrals.q) @ integrals.nu1.mT  # sum_i beta_i q_i [nu_i, 1], (N, E, D + 1)
-    second = ExponentialSum.apply(integrals.left, integrals.right, *f.pair_weights, f.self_weights, f.num_inputs)
+    second = ExponentialSum.apply(integrals.left, integrals.right, *f.pair_weights, f.self_weights, f.num_inputs, products)
     return combine(f, sums[..., -1], first_slope(integrals.precision, sums), second, observation_noise).unflatten(belief.batch_shape)
 
 

@@ -112,7 +112,10 @@ class _MomentStep:
 
     def __init__(self, controller: Controller, dynamics: GPDynamics, space: StateSpace, observation_noise: bool, horizon: int) -> None:
         self.controller, self.space, self.targets, self.horizon = controller, space, dynamics.targets, horizon
-        self.network, self.model = RecordedMoments(controller.network), RecordedMoments(dynamics.expansion, observation_noise)
+        self.network, self.model = (
+            RecordedMoments(controller.network, keep_products=True),
+            RecordedMoments(dynamics.expansion, observation_noise),
+        )
         self.taken = 0
 
     def advance(self, state: Tensor) -> Tensor:
@@ -140,7 +143,8 @@ class _MomentStep:
         d_network = [cotangent.squeeze(1) for cotangent in step.network_adjoint(d_mean, d_cov)]
         leaves = [parameter.detach().requires_grad_() for parameter in parameters]
         with torch.enable_grad():
-            moments = moment_match(self.controller.with_parameters(*leaves).network.repeated(len(states)), step.features)
+            network = self.controller.with_parameters(*leaves).network.repeated(len(states))
+            moments = moment_match(network, step.features, products=self.network.products)
         return torch.autograd.grad((moments.mean, moments.cov, moments.inv_cov_cross_cov), leaves, d_network)
 
     def _linearised(self, states: Tensor) -> LinearisedStep:

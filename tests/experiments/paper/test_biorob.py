@@ -40,6 +40,7 @@ def test_headline_counts_seeds_that_hit_in_time() -> None:
     assert headline["max_experience_s"] == pytest.approx(15.0)
     assert headline["joint_rms_error_deg"] == pytest.approx(math.sqrt((9 + 3 * 16) / 4))
     assert headline["worst_joint_rms_error_deg"] == pytest.approx(4.0)
+    assert headline["median_joint_rms_error_deg"] == pytest.approx(4.0)
     assert headline["demonstration_spread_deg"] == pytest.approx(2.0)
     assert headline["two_sigma_coverage_q_yaw"] == pytest.approx(0.95)
 

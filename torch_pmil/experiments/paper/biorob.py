@@ -72,6 +72,7 @@ def headline_of(runs: Sequence[dict]) -> dict[str, float | None]:
         "hit_rate": float(np.mean([run["saved_success_rate"] for run in runs])),
         "max_experience_s": max(run["experience_s"] for run in runs),
         "joint_rms_error_deg": math.sqrt(np.mean(np.square(errors))),
+        "median_joint_rms_error_deg": float(np.median(errors)),
         "worst_joint_rms_error_deg": max(errors),
         "demonstration_spread_deg": joint_degrees(runs[0]["demonstration_spread"]),
         "two_sigma_coverage": float(np.mean([run["two_sigma_coverage"] for run in runs])),

@@ -23,6 +23,8 @@ from torch_pmil.experiments.experiment import check_demonstrations
 from torch_pmil.experiments.target_experiment import TargetExperiment
 from torch_pmil.gaussian import Gaussian
 
+WIDENED = (2.0, 1.0, 1.0, 2.0, 1.0, 1.0)  # beside the widths for one ball: strikes at balls to the left and right differ in yaw
+
 
 def robots_before_balls(
     num_envs: int | None = None, targets: Tensor | None = None, from_pixels: bool = False, seed: int | None = None
@@ -62,7 +64,7 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
         tolerance=0.0,
         confirmations=4,
         pd_movements=replace(movements_around(env.initial_mean, u_max), rollouts=1),
-        input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64),
+        input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64) * torch.tensor(WIDENED, dtype=torch.float64),
         holding_torques=holding_torques_at,
-        search=SEARCH,
+        search=replace(SEARCH, final_iterations=60),
     )

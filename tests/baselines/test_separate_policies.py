@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 from tests.draws import Draws
 from torch_pmil.baselines.separate_policies import SeparatePolicies
@@ -42,11 +41,11 @@ def test_blended_torque_is_weighted_by_inverse_square_distances(draws: Draws) ->
 
 
 def test_nearest_policy_acts_alone(draws: Draws) -> None:
-    separate, seen = policies(draws), TensorDict({"observation": draws.normal(6, 2), "target": draws.normal(6, 2)}, [6])
-    action = SeparatePolicies(separate, TARGETS, nearest=True).as_tensordict_module()(seen)["action"]
+    separate, states, targets = policies(draws), draws.normal(6, 2), draws.normal(6, 2)
+    action = SeparatePolicies(separate, TARGETS, nearest=True)(states, targets)
     for i in range(6):
-        nearest = (seen["target"][i] - TARGETS).square().sum(-1).argmin()
-        torch.testing.assert_close(action[i], separate[nearest](seen["observation"][i]))
+        nearest = (targets[i] - TARGETS).square().sum(-1).argmin()
+        torch.testing.assert_close(action[i], separate[nearest](states[i]))
 
 
 def test_policies_that_are_not_one_for_each_target_are_refused(draws: Draws) -> None:

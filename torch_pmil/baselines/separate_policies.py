@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
 from torch_pmil.state_policy import StatePolicy
@@ -24,7 +23,7 @@ class SeparatePolicies(nn.Module):
     Raises:
         ValueError: there is not a policy for each target.
 
-    Example: see ``torch_pmil/experiments/paper/figure11.py``.
+    Example: see ``torch_pmil/experiments/paper/target_study.py``.
     """
 
     def __init__(self, policies: Sequence[StatePolicy], targets: Tensor, nearest: bool = False) -> None:
@@ -49,7 +48,3 @@ class SeparatePolicies(nn.Module):
             return own
         closeness = distance.clamp(min=torch.finfo(distance.dtype).tiny ** 0.25).pow(-2)
         return torch.where(distance.amin(-1, keepdim=True) == 0, own, closeness / closeness.sum(-1, keepdim=True))
-
-    def as_tensordict_module(self) -> TensorDictModule:
-        """The policy of TorchRL's environments: reads ``"observation"`` and ``"target"``, writes ``"action"``."""
-        return TensorDictModule(self, in_keys=["observation", "target"], out_keys=["action"])

@@ -12,7 +12,8 @@ import torch
 
 from tests.short_run import quick_fits, short_experiment
 from torch_pmil.envs import hitting_plane, reaching
-from torch_pmil.experiments.paper import figure11, target_study
+from torch_pmil.experiments.paper import figure11
+from torch_pmil.experiments.paper import reaching as reaching_study
 from torch_pmil.experiments.paper.figure11 import BALLS
 from torch_pmil.experiments.paper.reaching import PLACES
 from torch_pmil.experiments.paper.target_study import METHODS, TargetStudy, inside_triangle, read_measurement
@@ -68,9 +69,8 @@ def test_short_study_learns_measures_and_goes_on(
     study: TargetStudy, experiment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     short = short_experiment(STEPS, experiment, search=SearchSettings(0, 1, 1, first_horizon=STEPS))
-    monkeypatch.setattr(target_study, "load_experiment", lambda name: short)
     quick_fits(monkeypatch)
-    study = replace(study.quick, trials=1)
+    study = replace(study.quick, trials=1, experiment=lambda: short)
     (run,) = study.needed_runs(tmp_path)
     assert run.out == tmp_path / study.name / "seed_0"
     run.learn(run.out, "python scripts/reproduce.py")
@@ -83,6 +83,15 @@ def test_short_study_learns_measures_and_goes_on(
     report = study.report([run.out], picture=np.zeros((60, 80, 3), dtype=np.uint8))
     assert list(report.figures) == [study.name]
     assert report.headline["training_success_rate"] == 0.0  # in 0.4 s nothing is reached
+
+
+def test_narrow_functions_are_reported_beside_the_wide_ones(tmp_path: Path) -> None:
+    runs = reaching_study.needed_runs(tmp_path, quick=True)
+    assert [run.out.parent.name for run in runs] == ["reaching", "reaching_narrow"]
+    assert reaching_study.narrow().target_scale < reaching_study.double_pendulum_targets().target_scale
+    folders = [write(tmp_path / "wide", [1.0] * 3, [1.0] * G), write(tmp_path / "narrow", [1.0] * 3, [0.0] * G)]
+    headline = reaching_study.report(folders, quick=True).headline
+    assert (headline["grid_fraction"], headline["narrow_grid_fraction"]) == (1.0, 0.0)
 
 
 def test_missing_opengl_leaves_the_picture_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torch_pmil.envs.hitting_plane import COLUMNS, ROWS
 from torch_pmil.envs.target_picture import draw_targets
+from torch_pmil.experiments.biorob_targets import biorob_targets
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run
 from torch_pmil.experiments.paper.target_study import TargetStudy
 
@@ -23,7 +24,7 @@ def least_distance(rollouts: TensorDictBase) -> Tensor:
 
 BALLS = TargetStudy(
     name="figure11",
-    experiment="biorob_targets",
+    experiment=biorob_targets,
     columns=COLUMNS,
     rows=ROWS,
     trials=15,

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from torch_pmil.envs.reaching import COLUMNS, ROWS
-from torch_pmil.experiments.double_pendulum_targets import distance_of_tip
+from torch_pmil.experiments.double_pendulum_targets import distance_of_tip, double_pendulum_targets
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run
 from torch_pmil.experiments.paper.target_study import TargetStudy
+from torch_pmil.experiments.target_experiment import TargetExperiment
+
+NARROW = 0.5  # target_scale
+
+
+def narrow() -> TargetExperiment:
+    """The same with basis functions that are narrow in the target: half the largest distance between the training targets."""
+    return replace(double_pendulum_targets(), name="double_pendulum_targets_narrow", target_scale=NARROW)
+
 
 PLACES = TargetStudy(
     name="reaching",
-    experiment="double_pendulum_targets",
+    experiment=double_pendulum_targets,
     columns=COLUMNS.tolist(),
     rows=ROWS.tolist(),
     trials=12,
@@ -20,16 +30,21 @@ PLACES = TargetStudy(
     labels=("x (m)", "y (m)", "largest distance in the last 0.5 s (m)"),
     seeds=range(3),
 )
+NARROW_PLACES = replace(PLACES, name="reaching_narrow", experiment=narrow)
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """As ``scripts/train.py experiment=double_pendulum_targets`` learns, and what comes of each at every place."""
-    return (PLACES.quick if quick else PLACES).needed_runs(root)
+    """As ``scripts/train.py experiment=double_pendulum_targets`` learns, and with narrow functions, and what comes of each at every place."""
+    studies = [study.quick if quick else study for study in (PLACES, NARROW_PLACES)]
+    return [run for study in studies for run in study.needed_runs(root)]
 
 
 def report(folders: Sequence[Path], quick: bool) -> Report:
-    """What is reached."""
-    return PLACES.report(folders)
+    """What is reached, and what with narrow functions."""
+    half = len(folders) // 2
+    wide, thin = PLACES.report(folders[:half]), NARROW_PLACES.report(folders[half:])
+    kept = ("training_success_rate", "grid_fraction", "triangle_fraction")
+    return replace(wide, headline=wide.headline | {f"narrow_{name}": thin.headline[name] for name in kept})
 
 
 REACHING = PaperExperiment("reaching", "one policy of the double pendulum reaches places, as in Section 5.2.5", needed_runs, report)

@@ -16,7 +16,6 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from torch_pmil.baselines.separate_policies import SeparatePolicies
-from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.paper.learned import Learned, load_learned
 from torch_pmil.experiments.paper.reproduction import Report, Run, learning_run
 from torch_pmil.experiments.run_folder import provenance
@@ -40,7 +39,7 @@ class TargetStudy:
 
     Args:
         name: of the results.
-        experiment: name of the experiment.
+        experiment: makes it.
         columns, rows: coordinates of the grid, increasing.
         trials: largest number of trials.
         value: of rollouts (*batch, T): what is drawn, (*batch).
@@ -50,7 +49,7 @@ class TargetStudy:
     """
 
     name: str
-    experiment: str
+    experiment: Callable[[], TargetExperiment]
     columns: Sequence[float]
     rows: Sequence[float]
     trials: int
@@ -75,7 +74,7 @@ class TargetStudy:
         return [Run(root / self.name / f"seed_{seed}", partial(self._measure, root=root, seed=seed)) for seed in self.seeds]
 
     def _measure(self, out: Path, command: str, root: Path, seed: int) -> None:
-        source, begun, experiment = provenance(command), time.perf_counter(), load_experiment(self.experiment)
+        source, begun, experiment = provenance(command), time.perf_counter(), self.experiment()
         learning = learning_run(root, experiment, seed, self.trials)
         if not is_finished(learning.out):
             learning.learn(learning.out, command)
@@ -115,7 +114,7 @@ class TargetStudy:
     def report(self, folders: Sequence[Path], picture: np.ndarray | None = None) -> Report:
         """Success rates at the training targets, the fraction of the grid that is reached, and the heat maps of the first seed."""
         runs = [read_measurement(folder) for folder in folders]
-        targets = load_experiment(self.experiment).targets
+        targets = self.experiment().targets
         inside = inside_triangle(self.grid, targets)
         training = np.array([run["training"]["success"] for run in runs])  # (seeds, S)
         headline = {"training_success_rate": float(training.mean()), "worst_training_success_rate": float(training.min())}

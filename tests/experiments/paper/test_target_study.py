@@ -64,7 +64,9 @@ def test_measurement_of_something_else_is_an_error(tmp_path: Path) -> None:
         read_measurement(write(tmp_path / "run", [1.0] * 3, [1.0] * G, grid={"joint": {}}))
 
 
-@pytest.mark.parametrize(("study", "experiment"), [(PLACES, "double_pendulum_targets"), (BALLS, "biorob_targets")])
+@pytest.mark.parametrize(
+    ("study", "experiment"), [(PLACES, "double_pendulum_targets"), pytest.param(BALLS, "biorob_targets", marks=pytest.mark.slow)]
+)
 def test_short_study_learns_measures_and_goes_on(
     study: TargetStudy, experiment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

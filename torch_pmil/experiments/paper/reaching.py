@@ -34,7 +34,7 @@ NARROW_PLACES = replace(PLACES, name="reaching_narrow", experiment=narrow)
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """As ``scripts/train.py experiment=double_pendulum_targets`` learns, and with narrow functions, and what comes of each at every place."""
+    """As ``scripts/train.py experiment=double_pendulum_targets`` learns, and with narrow functions; and what comes of each everywhere."""
     studies = [study.quick if quick else study for study in (PLACES, NARROW_PLACES)]
     return [run for study in studies for run in study.needed_runs(root)]
 

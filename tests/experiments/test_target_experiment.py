@@ -163,3 +163,10 @@ def test_basis_functions_are_wide_in_the_target_beside_the_distances_of_the_targ
     largest = max((a - b).norm().item() for a in experiment.targets for b in experiment.targets)
     assert policy.scale[D:].tolist() == pytest.approx([experiment.target_scale * largest] * 2)
     assert (policy.scale[:D] > 0).all()
+
+
+def test_one_target_is_not_enough(experiment: TargetExperiment) -> None:
+    _, sets = experiment.demonstrations.by_target()
+    alone = replace(sets[0], targets=experiment.targets[:1].expand(len(sets[0].positions), -1), target_names=("y", "z"))
+    with pytest.raises(DemonstrationError, match="must be of two targets at least, got"):
+        replace(experiment, demonstrations=alone)

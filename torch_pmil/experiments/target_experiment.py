@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments.experiment import Experiment, Outcome
@@ -33,11 +33,18 @@ class TargetExperiment(Experiment):
         target_scale: width of the policy's initial basis functions in the entries of the target, in largest distances between the
             targets. Functions that are wide beside these distances make a policy that is nearly linear in the target, which carries
             over to targets between and beyond; narrow ones fit each target by itself.
+
+    Raises:
+        DemonstrationError: the demonstrations have no targets, or one alone.
     """
 
     objective: ClassVar[type[TrajectoryLoss]] = MultiTargetKLLoss
 
     target_scale: float = 2.5
+
+    def __post_init__(self) -> None:
+        if len(self.targets) < 2:
+            raise DemonstrationError(f"demonstrations must be of two targets at least, got {self.targets.tolist()}")
 
     @cached_property
     def targets(self) -> Tensor:

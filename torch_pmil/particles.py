@@ -73,7 +73,7 @@ class ParticlePrediction:
     Source: A. Y. Ng and M. Jordan (2000), PEGASUS: A policy search method for large MDPs and POMDPs, UAI.
 
     Example:
-        >>> from torch_pmil.state_space import joint_match
+        >>> from torch_pmil import RBFPolicy, joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> dynamics, policy = GPDynamics(2, 1), RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
         >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))

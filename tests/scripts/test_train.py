@@ -24,7 +24,7 @@ from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import EXPERIMENTS
 
 SCRIPT = "scripts/train.py"
-UNKNOWN = "experiment must be one of biorob, double_pendulum, double_pendulum_pilco, gym_pendulum, inverted_pendulum"
+UNKNOWN = f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}"
 Script = Callable[..., None]
 
 

@@ -103,7 +103,7 @@ def test_each_variation_learns_is_saved_and_loaded(
     task = short(varied[name])
     result = train(task, seed=0, trials=1, out=tmp_path, command="", progress_bar=False)
     loaded = load_learned(tmp_path, task)
-    torch.testing.assert_close(loaded.predicted(task).mean, result.predicted.mean, rtol=0, atol=1e-10)
+    torch.testing.assert_close(loaded.predicted(task).mean, result.outcomes[0].predicted.mean, rtol=0, atol=1e-10)
     assert loaded.dynamics.targets == task.targets
     assert json.loads((tmp_path / "summary.json").read_text())["experiment"] == varied[name].name
 

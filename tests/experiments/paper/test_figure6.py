@@ -35,8 +35,8 @@ def test_what_is_loaded_predicts_what_the_run_predicted(learned: tuple[Path, Run
     folder, result = learned
     loaded, experiment = load_learned(folder, short_experiment()), short_experiment()
     predicted = loaded.predicted(experiment)
-    torch.testing.assert_close(predicted.mean, result.predicted.mean, rtol=0, atol=1e-10)
-    torch.testing.assert_close(predicted.cov, result.predicted.cov, rtol=0, atol=1e-10)
+    torch.testing.assert_close(predicted.mean, result.outcomes[0].predicted.mean, rtol=0, atol=1e-10)
+    torch.testing.assert_close(predicted.cov, result.outcomes[0].predicted.cov, rtol=0, atol=1e-10)
     executed = states_of(loaded.rollouts(experiment, starts=3, seed=1))
     torch.testing.assert_close(executed[:, 0], experiment.make_env(num_envs=3, seed=1).reset()["observation"])
     assert executed.shape == (3, STEPS + 1, 4)

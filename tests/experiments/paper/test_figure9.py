@@ -9,6 +9,7 @@ import torch
 from scipy import stats
 
 from torch_pmil.envs.biorob import START, TORQUE_LIMIT
+from torch_pmil.experiments.biorob import REACH
 from torch_pmil.experiments.paper.figure9 import needed_runs, read_score, recorded_movements, report
 from torch_pmil.experiments.runs import RunError
 from torch_pmil.sampling_frequency import Recording

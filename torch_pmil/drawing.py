@@ -16,7 +16,7 @@ from reprlib import repr as short
 import numpy as np
 import torch
 from scipy.interpolate import PchipInterpolator
-from scipy.signal import savgol_filter
+from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
 from torch_pmil.alignment import align, crop, resample
@@ -30,7 +30,8 @@ SHORTEST, LONGEST = 0.3, 20.0  # s, of a stroke
 LEAST_EXTENT = 0.05  # of the square's side, of a stroke in its longer direction
 MOST_STROKES = 20
 STEP = 0.01  # s, of the samples that are smoothed, compared and aligned
-SMOOTHING = 11  # samples that a cubic is fitted to: keeps what a hand does, up to 15 Hz, not the steps from pixel to pixel
+CUTOFF = 10.0  # Hz, of the smoothing: keeps what a hand does, not the steps from pixel to pixel
+REST = 0.1  # of the largest speed: below it a pen trembles
 
 
 class DrawingError(ValueError):
@@ -176,9 +177,10 @@ def _moving(label: str, times: Tensor, values: Tensor) -> Tensor:
     A page hears of a pen only when it moves: where it rests there are no samples, and a spline that does not overshoot bridges the gap.
     """
     even = np.linspace(0, times[-1].item(), round(times[-1].item() / STEP) + 1)
-    smooth = torch.from_numpy(savgol_filter(PchipInterpolator(times.numpy(), values.numpy())(even), SMOOTHING, polyorder=3, axis=0))
+    sampled = PchipInterpolator(times.numpy(), values.numpy())(even)
+    smooth = torch.from_numpy(sosfiltfilt(butter(2, CUTOFF, fs=1 / STEP, output="sos"), sampled, axis=0).copy())
     axes = _evenly_spread_axes(smooth)
-    moving = crop(smooth @ axes) @ axes.mT
+    moving = crop(smooth @ axes, REST) @ axes.mT
     duration = STEP * (len(moving) - 1)
     if duration < SHORTEST:
         raise DrawingError(f"stroke {label} must move for {SHORTEST:g} s at least, got {duration:.2g} s")

@@ -12,7 +12,7 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from http.server import ThreadingHTTPServer
 from pathlib import Path
@@ -254,7 +254,22 @@ def test_page_undoes_starts_anew_and_tells_what_is_wrong(browser: object, server
     assert load_demonstrations(tmp_path / "wave.npz").positions.shape[0] == 5
 
 
-def test_finger_and_pen_draw_as_a_mouse_does(browser: object, server: object, tmp_path: Path) -> None:
+def touch(devices: object, phase: int, x: float, y: float) -> None:
+    """Puts down (0), moves (1) or lifts (2) a finger."""
+    kind = ("touchStart", "touchMove", "touchEnd")[phase]
+    devices.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [] if phase == 2 else [{"x": x, "y": y}]})
+
+
+def pen(devices: object, phase: int, x: float, y: float) -> None:
+    """Puts down (0), moves (1) or lifts (2) a pen."""
+    kind = ("mousePressed", "mouseMoved", "mouseReleased")[phase]
+    event = {"type": kind, "x": x, "y": y, "button": "left", "buttons": int(phase != 2), "clickCount": 1, "pointerType": "pen"}
+    devices.send("Input.dispatchMouseEvent", event)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", [touch, pen])
+def test_finger_and_pen_draw_as_a_mouse_does(browser: object, server: object, tmp_path: Path, device: Callable[..., None]) -> None:
     context = browser.new_context(viewport={"width": 375, "height": 667}, has_touch=True, color_scheme="dark")
     page = context.new_page()
     page.goto(server.address)
@@ -263,12 +278,14 @@ def test_finger_and_pen_draw_as_a_mouse_does(browser: object, server: object, tm
     for variation in range(5):
         for step in range(31):
             right, down = place(step / 30, variation)
-            points = [{"x": box["x"] + right * box["width"], "y": box["y"] + down * box["height"]}]
-            devices.send("Input.dispatchTouchEvent", {"type": "touchMove" if step else "touchStart", "touchPoints": points})
+            at = box["x"] + right * box["width"], box["y"] + down * box["height"]
+            device(devices, int(step > 0), *at)
             time.sleep(0.015)
-        devices.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-    assert page.locator("#counter").inner_text().endswith("5 of 5") and page.evaluate("document.body.dataset.kind") == "touch"
+        time.sleep(0.2)  # at rest: a browser does not take a tap right after a finger that left while it moved
+        device(devices, 2, *at)
+    assert page.locator("#counter").inner_text() == "5 of 5" and page.evaluate("document.body.dataset.kind") == device.__name__
     page.locator("#save").tap()
     page.get_by_text("Saved 5 strokes").wait_for()
     arc = SIDE * torch.tensor([[place(k / 200, 2)[0], 1 - place(k / 200, 2)[1]] for k in range(201)], dtype=torch.float64)
     assert off_the_line(load_demonstrations(tmp_path / "wave.npz").positions.reshape(-1, 2), arc) < 0.03 * SIDE
+    context.close()

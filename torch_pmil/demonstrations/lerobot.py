@@ -1,0 +1,114 @@
+"""LeRobot data sets: Parquet files with a row for each frame."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from torch_pmil.demonstrations.entries import choose, columns_of, names_of, natural_order
+from torch_pmil.demonstrations.errors import DemonstrationError, optional, readable
+from torch_pmil.demonstrations.recordings import Recordings
+
+OBSERVED = "observation"  # how the names of columns begin that may be read; no actions
+TOLERANCE = 1e-4  # s, by which LeRobot's timestamps, single precision, may be off the rate that its data set states
+
+
+def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
+    """What was observed in the episodes of a LeRobot data set, version 2 or 3.
+
+    Args:
+        path: the folder with ``meta/info.json`` and ``data/chunk-*/*.parquet``, or a single Parquet file.
+        keys: columns, which begin with ``observation``, or single entries by the names in ``info.json``, or as ``observation.state_0``
+            where it has none; none for ``observation.state``.
+
+    Raises:
+        DemonstrationError: the data set is malformed, or keys are not in it.
+        ImportError: pyarrow is missing.
+        OSError: a file cannot be read.
+    """
+    info = _info(path) if path.is_dir() else {}
+    files = sorted(path.glob("data/*/*.parquet"), key=lambda file: natural_order(str(file))) if path.is_dir() else [path]
+    if not files:
+        raise DemonstrationError("a LeRobot data set must hold files data/chunk-*/*.parquet, found none")
+    frames = _joined([_read(file, path) for file in files])
+    episodes, stamps = (frames.pop(name) for name in ("episode_index", "timestamp"))
+    groups = {key: _names(key, array.shape, info) for key, array in frames.items()}
+    entries = choose(groups, keys, ["observation.state"])
+    values, labels = columns_of(frames, entries), np.unique(episodes)
+    return Recordings(
+        tuple(str(label) for label in labels),
+        tuple(torch.from_numpy(_times(stamps[episodes == label], info.get("fps"))) for label in labels),
+        tuple(torch.from_numpy(values[episodes == label]) for label in labels),
+        tuple(entry.name for entry in entries),
+        format="LeRobot",
+    )
+
+
+def _info(folder: Path) -> dict[str, Any]:
+    with readable("LeRobot data set", ValueError):
+        info = json.loads((folder / "meta" / "info.json").read_text())
+    fps = info.get("fps") if isinstance(info, dict) else None
+    if not isinstance(fps, int | float) or not fps > 0 or not isinstance(info.get("features", {}), dict):
+        raise DemonstrationError(f"meta/info.json must hold a positive fps and features, got fps {fps}")
+    return info
+
+
+def _read(file: Path, root: Path) -> dict[str, np.ndarray]:
+    """Columns of a file that may be read: (T,) or (T, width) each."""
+    pyarrow, parquet = optional("pyarrow"), optional("pyarrow.parquet")
+    where = "" if file == root else f"{file.relative_to(root)}: "
+    failures = (pyarrow.ArrowException, OSError)
+    with file.open("rb") as opened, readable(f"Parquet file, {where or 'this one'}", *failures), parquet.ParquetFile(opened) as content:
+        schema = content.schema_arrow
+        missing = {"episode_index", "timestamp"} - set(schema.names)
+        if missing:
+            raise DemonstrationError(f"{where}column {min(missing)} is missing, found {', '.join(schema.names)}")
+        types = pyarrow.types
+        observed = [name for name in schema.names if name.startswith(OBSERVED) and _is_numeric(types, schema.field(name).type)]
+        table = content.read(columns=["episode_index", "timestamp", *observed])
+    return {name: _array(where, name, table[name]) for name in table.column_names}
+
+
+def _is_numeric(types: Any, kind: Any) -> bool:
+    if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
+        kind = kind.value_type
+    return types.is_floating(kind) or types.is_integer(kind)
+
+
+def _array(where: str, name: str, column: Any) -> np.ndarray:
+    rows = column.to_pylist()
+    try:
+        return np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        widths = [len(row) if isinstance(row, list) else row for row in rows]
+        odd = next((number for number, width in enumerate(widths) if width != widths[0]), 0)
+        raise DemonstrationError(f"{where}row {odd}, column {name} must hold numbers like row 0, got {rows[odd]}") from error
+
+
+def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The same columns of all files, one after the other."""
+    shared = [name for name in tables[0] if all(name in table and table[name].shape[1:] == tables[0][name].shape[1:] for table in tables)]
+    return {name: np.concatenate([table[name] for table in tables]) for name in shared}
+
+
+def _names(key: str, shape: Sequence[int], info: dict[str, Any]) -> Sequence[str]:
+    """Names of the entries of a column: those that the data set gives, if they are one for each."""
+    feature = info.get("features", {}).get(key)
+    given = feature.get("names") if isinstance(feature, dict) else None
+    if isinstance(given, dict):
+        given = [name for names in given.values() for name in names]
+    own = names_of(key, shape)
+    return [str(name) for name in given] if isinstance(given, list) and len(set(given)) == len(own) == len(given) else own
+
+
+def _times(stamps: np.ndarray, fps: float | None) -> np.ndarray:
+    """Times of an episode in double precision: even if the stamps are, but for their rounding."""
+    steps = np.arange(len(stamps))
+    step = 1 / fps if fps else (stamps[-1] - stamps[0]) / max(1, len(stamps) - 1)
+    even = stamps[0] + step * steps
+    return even if np.abs(even - stamps).max() <= TOLERANCE else stamps

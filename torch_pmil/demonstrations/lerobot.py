@@ -41,7 +41,7 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
     entries = choose(groups, keys, ["observation.state"])
     values, labels = columns_of(frames, entries), np.unique(episodes)
     return Recordings(
-        tuple(str(label) for label in labels),
+        tuple(f"{label:g}" for label in labels),
         tuple(torch.from_numpy(_times(stamps[episodes == label], info.get("fps"))) for label in labels),
         tuple(torch.from_numpy(values[episodes == label]) for label in labels),
         tuple(entry.name for entry in entries),

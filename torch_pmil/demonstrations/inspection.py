@@ -13,6 +13,7 @@ from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.recordings import ALIGN, Recordings
 
 SAMPLES = 101  # of a demonstration whose duration is 1
+ROUNDING = 1e-9  # of the largest number: what is smaller is shown as 0
 AGREEMENT = 0.3  # relative error of a rate of change that counts as the velocity
 
 
@@ -130,7 +131,8 @@ def _is_even(steps: np.ndarray) -> bool:
 
 def _table(recordings: Recordings) -> list[str]:
     everything = np.concatenate([values.numpy() for values in recordings.values])
-    numbers = zip(everything.min(0), everything.max(0), spread(recordings), strict=True)
+    columns = np.stack([everything.min(0), everything.max(0), spread(recordings)], 1)
+    numbers = np.where(np.abs(columns) < ROUNDING * np.abs(everything).max(0)[:, None], 0.0, columns)
     units = recordings.units or len(recordings.names) * ("?",)
     rows = [("entry", "unit", "least", "largest", "spread")]
     rows += [(name, unit, *(f"{n:.3g}" for n in three)) for name, unit, three in zip(recordings.names, units, numbers, strict=True)]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from torch import Tensor
 
 from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLION, style
@@ -15,14 +16,14 @@ from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLIO
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, DARK)
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1)))
 TOLD_APART = len(COLOURS) * len(DASHES)  # demonstrations; more are all of one colour
+ENDS = {"start": (0, "o"), "end": (-1, "x")}  # of a path: its sample and marker
+WIDTH, LINE = 10, 8  # characters in an inch of the legend, and those that a line in it takes
 
 
 def plot_recordings(
     labels: Sequence[str], times: Sequence[Tensor], values: Sequence[Tensor], names: Sequence[str], units: Sequence[str] = ()
 ) -> Figure:
     """Each entry of all demonstrations over the time since its start, and the path of each pair of entries x..., y... in their plane.
-
-    Paths start at a disc and end at a cross.
 
     Args:
         labels: of the N demonstrations.
@@ -53,7 +54,9 @@ def plot_recordings(
             _draw_path(plane, value[:, x].numpy(), value[:, y].numpy(), look)
     if len(labels) <= TOLD_APART:
         handles, told = panels[0].get_legend_handles_labels()
-        figure.legend(handles, told, title="demonstration", loc="outside upper center", ncols=min(8, len(told)), frameon=False)
+        rows = math.ceil(sum(len(label) + LINE for label in told) / (WIDTH * figure.get_figwidth()))
+        ncols = math.ceil(len(told) / rows)
+        figure.legend(handles, told, title="demonstration", loc="outside upper center", ncols=ncols, frameon=False)
     return figure
 
 
@@ -66,8 +69,7 @@ def _looks(count: int) -> list[dict[str, object]]:
     """Colours and dashes that are told apart, or one thin colour for all."""
     if count > TOLD_APART:
         return count * [{"color": GREY, "alpha": 0.4}]
-    colours = cycle(COLOURS)
-    return [{"color": next(colours), "linestyle": DASHES[number // len(COLOURS)]} for number in range(count)]
+    return [{"color": COLOURS[number % len(COLOURS)], "linestyle": DASHES[number // len(COLOURS)]} for number in range(count)]
 
 
 def _layout(texts: Sequence[str], pairs: Sequence[tuple[int, int]]) -> tuple[Figure, list[Axes], list[Axes]]:
@@ -92,11 +94,13 @@ def _layout(texts: Sequence[str], pairs: Sequence[tuple[int, int]]) -> tuple[Fig
     for plane, (x, y) in zip(planes, pairs, strict=True):
         style(plane)
         plane.set(xlabel=texts[x], ylabel=texts[y], aspect="equal", adjustable="datalim")
+        keys = [Line2D([], [], color=DARK, marker=marker, markersize=5, linestyle="none", label=end) for end, (_, marker) in ENDS.items()]
+        plane.legend(handles=keys, loc="best", fontsize="small", frameon=False, handletextpad=0.1)
     figure.align_ylabels(panels)
     return figure, panels, planes
 
 
 def _draw_path(plane: Axes, x: np.ndarray, y: np.ndarray, look: dict[str, object]) -> None:
     plane.plot(x, y, linewidth=1.1, **look)
-    for at, marker in ((0, "o"), (-1, "x")):
+    for at, marker in ENDS.values():
         plane.plot(x[at], y[at], marker=marker, markersize=5, linestyle="none", color=look["color"])

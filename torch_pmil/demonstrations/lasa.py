@@ -18,7 +18,18 @@ from torch_pmil.demonstrations.recordings import Recordings
 GROUPS = {"pos": ("x", "y"), "vel": ("dx", "dy")}
 UNITS = {"pos": "m", "vel": "m/s"}
 METRES = 1e-3  # of a unit of the files, which hold mm and mm/s
-FAILURES = (ValueError, TypeError, NotImplementedError, EOFError, LookupError, OverflowError, MemoryError, zlib.error, MatReadError)
+FAILURES = (
+    OSError,
+    ValueError,
+    TypeError,
+    NotImplementedError,
+    EOFError,
+    LookupError,
+    OverflowError,
+    MemoryError,
+    zlib.error,
+    MatReadError,
+)
 
 
 def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
@@ -38,7 +49,7 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
     with path.open("rb") as file, readable("MATLAB file", *FAILURES):
         content = loadmat(file, variable_names=["demos"], simplify_cells=True)
     strokes = content.get("demos", [])
-    strokes = [strokes] if isinstance(strokes, dict) else list(strokes)
+    strokes = strokes if isinstance(strokes, list) else [strokes]
     if not strokes:
         raise DemonstrationError("a LASA file must hold a list demos, found none")
     entries = choose(GROUPS, keys, ["pos"])

@@ -137,6 +137,6 @@ def test_malformed_information_is_refused(data_set: Path) -> None:
 def test_damaged_or_missing_frames_are_refused(data_set: Path) -> None:
     file = file_of(data_set)
     file.write_bytes(file.read_bytes()[:-40])
-    assert refused(load_recordings, data_set).startswith(f"{data_set}: not a readable Parquet file, data/chunk-000/file-000.parquet")
+    assert refused(load_recordings, data_set).startswith(f"{data_set}: data/chunk-000/file-000.parquet: not a readable Parquet file (")
     file.unlink()
     assert refused(load_recordings, data_set) == f"{data_set}: a LeRobot data set must hold files data/chunk-*/*.parquet, found none"

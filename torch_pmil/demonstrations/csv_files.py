@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.demonstrations.entries import choose, natural_order
-from torch_pmil.demonstrations.errors import DemonstrationError, readable
+from torch_pmil.demonstrations.errors import DemonstrationError, readable, within
 from torch_pmil.demonstrations.recordings import Recordings
 
 TARGET_PREFIX = "target "  # of the columns that hold a target
@@ -63,7 +63,7 @@ def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
 
 def _file(path: Path, leading: tuple[str, ...]) -> tuple[list[str], list[_Row]]:
     """Header and rows of a file whose header begins with those names."""
-    with path.open(newline="", encoding="utf-8-sig") as file, readable("CSV file", csv.Error, UnicodeDecodeError):
+    with path.open(newline="", encoding="utf-8-sig") as file, readable("CSV file", csv.Error):
         lines = list(csv.reader(file, strict=True))
     header = [cell.strip() for cell in lines[0]] if lines else []
     if tuple(header[: len(leading)]) != leading or all(name.startswith(TARGET_PREFIX) for name in header[len(leading) :]):
@@ -80,13 +80,11 @@ def _folder(path: Path) -> tuple[list[str], list[_Row]]:
     header: list[str] = []
     rows: list[_Row] = []
     for file in sorted(path.glob("*.csv"), key=lambda file: natural_order(file.name)):
-        try:
+        with within(file.name):
             own, lines = _file(file, ("time",))
-        except DemonstrationError as error:
-            raise DemonstrationError(f"{file.name}: {error}") from error.__cause__
-        header = header or own
-        if own != header:
-            raise DemonstrationError(f"{file.name}: row 1 must be {','.join(header)} as in the files before it, got {','.join(own)}")
+            header = header or own
+            if own != header:
+                raise DemonstrationError(f"row 1 must be {','.join(header)} as in the files before it, got {','.join(own)}")
         rows += [_Row(f"{file.name}: {line.place}", [file.stem, *line.cells]) for line in lines]
     return ["demonstration", *header], rows
 

@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
+# what parsers raise at bytes that make no sense; UnicodeDecodeError is a ValueError, NotImplementedError a RuntimeError
+DAMAGE = (OSError, ValueError, TypeError, AttributeError, LookupError, OverflowError, RuntimeError, MemoryError, EOFError)
+
 
 class DemonstrationError(ValueError):
     """Demonstrations are malformed; the message says where, what was expected and what came, in one line."""
@@ -18,13 +21,13 @@ def readable(kind: str, *failures: type[Exception]) -> Iterator[None]:
 
     Args:
         kind: what the file must be, as in "not a readable <kind>".
-        failures: exceptions of the library.
+        failures: exceptions that only this library has.
 
     Raises:
-        DemonstrationError: one of those was raised.
+        DemonstrationError: one of those was raised, or a common one.
 
     Example:
-        >>> with readable("number", ValueError):
+        >>> with readable("number"):
         ...     float("five")
         Traceback (most recent call last):
         torch_pmil.demonstrations.errors.DemonstrationError: not a readable number (could not convert string to float: 'five')
@@ -33,9 +36,25 @@ def readable(kind: str, *failures: type[Exception]) -> Iterator[None]:
         yield
     except DemonstrationError:
         raise
-    except failures as error:
+    except (*DAMAGE, *failures) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DemonstrationError(f"not a readable {kind} ({reason})") from error
+
+
+@contextmanager
+def within(where: object) -> Iterator[None]:
+    """Say in which file something is wrong.
+
+    Example:
+        >>> with within("walks.csv"):
+        ...     raise DemonstrationError("row 3 must have 4 columns, got 3")
+        Traceback (most recent call last):
+        torch_pmil.demonstrations.errors.DemonstrationError: walks.csv: row 3 must have 4 columns, got 3
+    """
+    try:
+        yield
+    except DemonstrationError as error:
+        raise DemonstrationError(f"{where}: {error}") from error.__cause__
 
 
 def optional(module: str) -> ModuleType:

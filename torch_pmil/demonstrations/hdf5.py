@@ -41,7 +41,7 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
     """
     path = _main_file(path) if path.is_dir() else path
     h5py = optional("h5py")
-    with path.open("rb") as file, readable("HDF5 file", OSError, KeyError, RuntimeError, TypeError, ValueError), h5py.File(file) as content:
+    with path.open("rb") as file, readable("HDF5 file"), h5py.File(file) as content:
         layout = _layout(content)
         root = content[layout.root]
         labels = sorted((name for name in root if name.startswith(layout.prefix)), key=natural_order)
@@ -58,7 +58,7 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
 def _main_file(folder: Path) -> Path:
     """The file of a Minari data set."""
     folder = folder / "data" if (folder / "data").is_dir() else folder
-    with readable("Minari data set", ValueError):
+    with readable("Minari data set"):
         metadata = json.loads((folder / "metadata.json").read_text())
     kept = metadata.get("data_format") if isinstance(metadata, dict) else None
     if kept != "hdf5":

@@ -32,7 +32,7 @@ def describe(recordings: Recordings) -> str:
         targets         none
         <BLANKLINE>
         entry  unit  least  largest  spread
-        x      ?     0      2        0.29
+        x      ?     0      2        0.409
         <BLANKLINE>
         spread: standard deviation between demonstrations of one duration, root mean square over time
     """
@@ -120,8 +120,8 @@ def _stretched(recordings: Recordings) -> np.ndarray:
     """Each demonstration at ``SAMPLES`` even times from its start to its end, (N, SAMPLES, M)."""
     stretched = []
     for times, values in zip(recordings.times, recordings.values, strict=True):
-        own = np.linspace(times[0], times[-1], SAMPLES)
-        stretched.append(np.stack([np.interp(own, times, column) for column in values.T], 1))
+        own = np.linspace(times[0].item(), times[-1].item(), SAMPLES)
+        stretched.append(np.stack([np.interp(own, times.numpy(), column) for column in values.numpy().T], 1))
     return np.stack(stretched)
 
 

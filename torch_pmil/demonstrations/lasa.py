@@ -18,18 +18,6 @@ from torch_pmil.demonstrations.recordings import Recordings
 GROUPS = {"pos": ("x", "y"), "vel": ("dx", "dy")}
 UNITS = {"pos": "m", "vel": "m/s"}
 METRES = 1e-3  # of a unit of the files, which hold mm and mm/s
-FAILURES = (
-    OSError,
-    ValueError,
-    TypeError,
-    NotImplementedError,
-    EOFError,
-    LookupError,
-    OverflowError,
-    MemoryError,
-    zlib.error,
-    MatReadError,
-)
 
 
 def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
@@ -46,7 +34,7 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
     if path.is_dir():
         shapes = ", ".join(sorted(file.stem for file in path.glob("*.mat")))
         raise DemonstrationError(f"a folder of shapes: name one of them, as {path / 'NAME'}; found {shapes}")
-    with path.open("rb") as file, readable("MATLAB file", *FAILURES):
+    with path.open("rb") as file, readable("MATLAB file", zlib.error, MatReadError):
         content = loadmat(file, variable_names=["demos"], simplify_cells=True)
     strokes = content.get("demos", [])
     strokes = strokes if isinstance(strokes, list) else [strokes]

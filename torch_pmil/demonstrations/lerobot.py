@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import torch
 
 from torch_pmil.demonstrations.entries import choose, columns_of, names_of, natural_order
-from torch_pmil.demonstrations.errors import DemonstrationError, optional, readable
+from torch_pmil.demonstrations.errors import DemonstrationError, optional, readable, within
 from torch_pmil.demonstrations.recordings import Recordings
 
 OBSERVED = "observation"  # how the names of columns begin that may be read; no actions
@@ -50,7 +51,7 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
 
 
 def _info(folder: Path) -> dict[str, Any]:
-    with readable("LeRobot data set", ValueError):
+    with readable("LeRobot data set"):
         info = json.loads((folder / "meta" / "info.json").read_text())
     fps = info.get("fps") if isinstance(info, dict) else None
     if not isinstance(fps, int | float) or not fps > 0 or not isinstance(info.get("features", {}), dict):
@@ -60,18 +61,20 @@ def _info(folder: Path) -> dict[str, Any]:
 
 def _read(file: Path, root: Path) -> dict[str, np.ndarray]:
     """Columns of a file that may be read: (T,) or (T, width) each."""
+    with within(file.relative_to(root)) if file != root else nullcontext():
+        table = _table(file)
+        return {name: _array(name, table[name]) for name in table.column_names}
+
+
+def _table(file: Path) -> Any:
     pyarrow, parquet = optional("pyarrow"), optional("pyarrow.parquet")
-    where = "" if file == root else f"{file.relative_to(root)}: "
-    failures = (pyarrow.ArrowException, OSError)
-    with file.open("rb") as opened, readable(f"Parquet file, {where or 'this one'}", *failures), parquet.ParquetFile(opened) as content:
+    with file.open("rb") as opened, readable("Parquet file", pyarrow.ArrowException), parquet.ParquetFile(opened) as content:
         schema = content.schema_arrow
         missing = {"episode_index", "timestamp"} - set(schema.names)
         if missing:
-            raise DemonstrationError(f"{where}column {min(missing)} is missing, found {', '.join(schema.names)}")
-        types = pyarrow.types
-        observed = [name for name in schema.names if name.startswith(OBSERVED) and _is_numeric(types, schema.field(name).type)]
-        table = content.read(columns=["episode_index", "timestamp", *observed])
-    return {name: _array(where, name, table[name]) for name in table.column_names}
+            raise DemonstrationError(f"column {min(missing)} is missing, found {', '.join(schema.names)}")
+        observed = [name for name in schema.names if name.startswith(OBSERVED) and _is_numeric(pyarrow.types, schema.field(name).type)]
+        return content.read(columns=["episode_index", "timestamp", *observed])
 
 
 def _is_numeric(types: Any, kind: Any) -> bool:
@@ -80,14 +83,14 @@ def _is_numeric(types: Any, kind: Any) -> bool:
     return types.is_floating(kind) or types.is_integer(kind)
 
 
-def _array(where: str, name: str, column: Any) -> np.ndarray:
+def _array(name: str, column: Any) -> np.ndarray:
     rows = column.to_pylist()
     try:
         return np.array(rows, dtype=np.float64)
     except (TypeError, ValueError) as error:
         widths = [len(row) if isinstance(row, list) else row for row in rows]
         odd = next((number for number, width in enumerate(widths) if width != widths[0]), 0)
-        raise DemonstrationError(f"{where}row {odd}, column {name} must hold numbers like row 0, got {rows[odd]}") from error
+        raise DemonstrationError(f"row {odd}, column {name} must hold numbers like row 0, got {rows[odd]}") from error
 
 
 def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from torch_pmil.demonstrations.csv_files import read_csv
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE, Demonstrations
-from torch_pmil.demonstrations.errors import DemonstrationError
+from torch_pmil.demonstrations.errors import DemonstrationError, within
 from torch_pmil.demonstrations.hdf5 import read_hdf5
 from torch_pmil.demonstrations.lasa import read_lasa
 from torch_pmil.demonstrations.lerobot import read_lerobot
@@ -57,11 +57,9 @@ def load_recordings(
         OSError: the file cannot be read.
     """
     path = _found(Path(path))
-    try:
+    with within(path):
         recordings = _read(path, keys, time_step)
         return replace(recordings, names=tuple(names)) if names else recordings
-    except DemonstrationError as error:
-        raise DemonstrationError(f"{path}: {error}") from error.__cause__
 
 
 def load_demonstrations(
@@ -84,17 +82,14 @@ def load_demonstrations(
         OSError: the file cannot be read.
     """
     path = _found(Path(path))
-    try:
+    with within(path):
         if path.suffix == ".npz":
             demonstrations = load_npz(path, keys)
         else:
             demonstrations = _read(path, keys, time_step if _reader(path) is read_hdf5 else None).demonstrations()
-        demonstrations = replace(demonstrations, names=tuple(names)) if names else demonstrations
-    except DemonstrationError as error:
-        raise DemonstrationError(f"{path}: {error}") from error.__cause__
-    if time_step is not None and not math.isclose(demonstrations.time_step, time_step, rel_tol=TIME_STEP_TOLERANCE):
-        raise DemonstrationError(f"{path}: time_step must be {time_step} s, got {demonstrations.time_step} s")
-    return demonstrations
+        if time_step is not None and not math.isclose(demonstrations.time_step, time_step, rel_tol=TIME_STEP_TOLERANCE):
+            raise DemonstrationError(f"time_step must be {time_step} s, got {demonstrations.time_step} s")
+        return replace(demonstrations, names=tuple(names)) if names else demonstrations
 
 
 def _found(path: Path) -> Path:

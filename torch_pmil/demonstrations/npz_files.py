@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -27,7 +29,7 @@ def read_npz(path: Path, keys: Sequence[str] = ()) -> Recordings:
 
 def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
     """The demonstrations of an NPZ file; of their entries those that keys name, if any."""
-    failures = (ValueError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError, TypeError)
+    failures = (zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError)
     with path.open("rb") as file, readable("NPZ file without object arrays", *failures), np.load(file, allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
     _check(arrays)

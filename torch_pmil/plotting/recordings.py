@@ -97,6 +97,7 @@ def _layout(texts: Sequence[str], pairs: Sequence[tuple[int, int]]) -> tuple[Fig
         keys = [Line2D([], [], color=DARK, marker=marker, markersize=5, linestyle="none", label=end) for end, (_, marker) in ENDS.items()]
         plane.legend(handles=keys, loc="best", fontsize="small", frameon=False, handletextpad=0.1)
     figure.align_ylabels(panels)
+    figure.get_layout_engine().set(w_pad=0.08)
     return figure, panels, planes
 
 

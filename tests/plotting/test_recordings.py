@@ -54,7 +54,7 @@ def test_demonstrations_are_told_apart_while_they_can_be() -> None:
 @pytest.mark.parametrize("count", [3, 9, 15])
 def test_legend_is_no_wider_than_the_figure_and_panels_do_not_overlap(count: int) -> None:
     figure, _, _ = drawn(count, ("x", "y"), ("m", "m"))
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     box, frame = figure.legends[0].get_window_extent(), figure.bbox
     assert frame.x0 <= box.x0 and box.x1 <= frame.x1 and box.y1 <= frame.y1
     assert not any(panel.get_window_extent().overlaps(box) for panel in figure.axes)

@@ -86,6 +86,14 @@ def test_damaged_structure_names_demonstration_and_key(robomimic: Path) -> None:
     assert refused(load_recordings, robomimic, keys=["robot0_eef_pos"]) == f"{robomimic}: {message}"
 
 
+def test_demonstration_without_samples_is_refused(robomimic: Path) -> None:
+    with h5py.File(robomimic, "a") as file:
+        del file["data/demo_1/obs/robot0_eef_pos"]
+        file["data/demo_1/obs/robot0_eef_pos"] = np.zeros((0, 3))
+    message = "demonstration demo_1 must hold 3 entries at each of at least one time, got (0, 3) at 0 times"
+    assert refused(load_recordings, robomimic, keys=["robot0_eef_pos"]) == f"{robomimic}: {message}"
+
+
 def test_other_hdf5_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "other.h5"
     with h5py.File(path, "w") as file:

@@ -77,6 +77,18 @@ def test_entries_are_chosen_by_name_and_number(data_set: Path) -> None:
     assert (recordings.values[1][:, 1] == 2).all() and torch.equal(recordings.values[1][:, 0], load_recordings(data_set).values[1][:, 1])
 
 
+def test_names_that_two_columns_share_are_those_of_the_first(data_set: Path) -> None:
+    information = data_set / "meta" / "info.json"
+    content = json.loads(information.read_text())
+    content["features"]["observation.object"]["names"] = {"left": ["shoulder.pos"], "right": ["elbow.pos", "wrist.pos"]}
+    information.write_text(json.dumps(content))
+    recordings = load_recordings(data_set, keys=["observation.state", "observation.object"])
+    assert recordings.names == ("shoulder.pos", "elbow.pos", *(f"observation.object_{number}" for number in range(3)))
+    content["features"]["observation.object"]["names"] = {"left": ["a"], "right": ["b", "c"]}
+    information.write_text(json.dumps(content))
+    assert load_recordings(data_set, keys=["observation.object"]).names == ("a", "b", "c")
+
+
 def test_actions_are_never_read(data_set: Path) -> None:
     held = (
         "observation.state (shoulder.pos, elbow.pos), observation.object (observation.object_0, observation.object_1, observation.object_2)"
@@ -109,6 +121,7 @@ def test_episodes_of_one_length_are_demonstrations(data_set: Path) -> None:
     [
         ("timestamp", None, "data/chunk-000/file-000.parquet: column timestamp is missing, found "),
         ("observation.state", None, "keys must be some of observation.object ("),
+        ("episode_index", pa.array([0] * 20 + [None] * 42), "row 20, column episode_index must hold a number, got none"),
         (
             "observation.state",
             pa.array([[0.0, 1.0]] * 61 + [[0.0]]),
@@ -132,6 +145,11 @@ def test_malformed_information_is_refused(data_set: Path) -> None:
     assert refused(load_recordings, data_set) == f"{data_set}: meta/info.json must hold a positive fps and features, got fps fast"
     info.write_text("{")
     assert refused(load_recordings, data_set).startswith(f"{data_set}: not a readable LeRobot data set (")
+
+
+def test_data_set_without_frames_is_refused(data_set: Path) -> None:
+    pq.write_table(pq.read_table(file_of(data_set)).slice(0, 0), file_of(data_set))
+    assert refused(load_recordings, data_set).startswith(f"{data_set}: ")
 
 
 def test_damaged_or_missing_frames_are_refused(data_set: Path) -> None:

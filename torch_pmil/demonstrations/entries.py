@@ -59,7 +59,8 @@ def choose(groups: Groups, keys: Sequence[str], default: Sequence[str]) -> list[
 
 def columns_of(arrays: Mapping[str, np.ndarray], entries: Sequence[Entry]) -> np.ndarray:
     """The chosen entries side by side, (T, M), float64, of arrays (T,) or (T, width)."""
-    return np.stack([arrays[entry.key].reshape(len(arrays[entry.key]), -1)[:, entry.column] for entry in entries], 1).astype(np.float64)
+    tables = {key: array if array.ndim == 2 else array[:, None] for key, array in arrays.items()}
+    return np.stack([tables[entry.key][:, entry.column] for entry in entries], 1).astype(np.float64)
 
 
 def natural_order(name: str) -> list[tuple[int, str]]:

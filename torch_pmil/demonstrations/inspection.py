@@ -52,7 +52,7 @@ def describe(recordings: Recordings) -> str:
 
 
 def advice(recordings: Recordings, path: str, control_period: float, options: Sequence[str] = ()) -> list[str]:
-    """What is missing for training, a line each; none if the file is loaded as it is.
+    """What is missing for training, a line each.
 
     Args:
         recordings: of the file.
@@ -60,9 +60,10 @@ def advice(recordings: Recordings, path: str, control_period: float, options: Se
         control_period: of the robot, in s.
         options: with which the file was read, for that command.
     """
-    found = list(_faults(recordings, control_period))
+    found, late = list(_too_few(recordings)), list(_timing(recordings, control_period))
+    found += late
     velocities = velocities_of(recordings)
-    if found and len(recordings.labels) > 1:
+    if late and len(recordings.labels) > 1:
         named = [recordings.names[column] for column in velocities]
         command = ["python", ALIGN, path, "demonstrations.npz", "--time-step", f"{control_period:g}", *options]
         found.append(f"align them: {shlex.join([*command, *(['--velocities', *named] if named else [])])}")
@@ -77,9 +78,8 @@ def spread(recordings: Recordings) -> np.ndarray:
     It is NaN where no two demonstrations are for the same target.
     """
     stretched = _stretched(recordings)  # (N, SAMPLES, M)
-    owners = (
-        np.zeros(len(stretched)) if recordings.targets is None else np.unique(recordings.targets.numpy(), axis=0, return_inverse=True)[1]
-    )
+    targets = np.zeros((len(stretched), 1)) if recordings.targets is None else recordings.targets.numpy()
+    owners = np.unique(targets, axis=0, return_inverse=True)[1]
     parts = [stretched[owners == owner] for owner in np.unique(owners)]
     squares = sum(((part - part.mean(0)) ** 2).sum(0) for part in parts)
     freedom = len(stretched) - len(parts)
@@ -99,12 +99,15 @@ def velocities_of(recordings: Recordings) -> dict[int, int]:
     return {int(velocity): int(error[:, velocity].argmin()) for velocity in np.flatnonzero(fits.any(0))}
 
 
-def _faults(recordings: Recordings, control_period: float) -> Iterator[str]:
+def _too_few(recordings: Recordings) -> Iterator[str]:
     if len(recordings.labels) < 2:
         yield "one demonstration: training needs two at least, better three to five"
     if recordings.targets is not None:
         targets, counts = np.unique(recordings.targets.numpy(), axis=0, return_counts=True)
         yield from (f"one demonstration of target {targets[lonely].tolist()}: each needs two" for lonely in np.flatnonzero(counts < 2)[:1])
+
+
+def _timing(recordings: Recordings, control_period: float) -> Iterator[str]:
     lengths = [len(times) for times in recordings.times]
     if len(set(lengths)) > 1:
         yield f"lengths differ: {_range(lengths)} samples"

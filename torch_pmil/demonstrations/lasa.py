@@ -46,7 +46,7 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
     arrays = [_stroke(label, stroke, read) for label, stroke in zip(labels, strokes, strict=True)]
     return Recordings(
         labels,
-        tuple(torch.from_numpy(arrays["t"]) for arrays in arrays),
+        tuple(torch.from_numpy(stroke["t"]) for stroke in arrays),
         tuple(torch.from_numpy(METRES * np.stack([stroke[entry.key][entry.column] for entry in entries], 1)) for stroke in arrays),
         tuple(entry.name for entry in entries),
         units=tuple(UNITS[entry.key] for entry in entries),

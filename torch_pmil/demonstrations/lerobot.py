@@ -38,11 +38,12 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
         raise DemonstrationError("a LeRobot data set must hold files data/chunk-*/*.parquet, found none")
     frames = _joined([_read(file, path) for file in files])
     episodes, stamps = (frames.pop(name) for name in ("episode_index", "timestamp"))
-    groups = {key: _names(key, array.shape, info) for key, array in frames.items()}
-    entries = choose(groups, keys, ["observation.state"])
+    for row in np.flatnonzero(~np.isfinite(episodes))[:1]:
+        raise DemonstrationError(f"row {row}, column episode_index must hold a number, got none")
+    entries = choose(_groups(frames, info), keys, ["observation.state"])
     values, labels = columns_of(frames, entries), np.unique(episodes)
     return Recordings(
-        tuple(f"{label:g}" for label in labels),
+        tuple(f"{label:.0f}" for label in labels),
         tuple(torch.from_numpy(_times(stamps[episodes == label], info.get("fps"))) for label in labels),
         tuple(torch.from_numpy(values[episodes == label]) for label in labels),
         tuple(entry.name for entry in entries),
@@ -99,14 +100,22 @@ def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([table[name] for table in tables]) for name in shared}
 
 
-def _names(key: str, shape: Sequence[int], info: dict[str, Any]) -> Sequence[str]:
-    """Names of the entries of a column: those that the data set gives, if they are one for each."""
-    feature = info.get("features", {}).get(key)
-    given = feature.get("names") if isinstance(feature, dict) else None
-    if isinstance(given, dict):
-        given = [name for names in given.values() for name in names]
-    own = names_of(key, shape)
-    return [str(name) for name in given] if isinstance(given, list) and len(set(given)) == len(own) == len(given) else own
+def _groups(frames: dict[str, np.ndarray], info: dict[str, Any]) -> dict[str, Sequence[str]]:
+    """Names of the entries of each column: those that the data set gives, if they are one for each and no other column has them."""
+    groups: dict[str, Sequence[str]] = {}
+    taken: set[str] = set()
+    for key, array in frames.items():
+        own, given = names_of(key, array.shape), _given_names(info.get("features", {}).get(key))
+        groups[key] = given if len(set(given) - taken) == len(own) == len(given) else own
+        taken.update(groups[key])
+    return groups
+
+
+def _given_names(feature: object) -> list[str]:
+    """A list, or lists under the names of the parts of a robot."""
+    names = feature.get("names") if isinstance(feature, dict) else None
+    parts = names.values() if isinstance(names, dict) else [names]
+    return [str(name) for part in parts if isinstance(part, list) for name in part]
 
 
 def _times(stamps: np.ndarray, fps: float | None) -> np.ndarray:

@@ -102,8 +102,10 @@ def test_missing_file_is_an_os_error(tmp_path):
 
 
 def test_other_kind_of_file_is_refused(tmp_path):
-    path = tmp_path / "walks.mat"
-    assert refused(load_demonstrations, path) == f"{path}: demonstrations must be a .npz or .csv file"
+    path = tmp_path / "walks.txt"
+    path.touch()
+    expected = f"{path}: demonstrations must be a .npz, .csv, .mat, .hdf5, .h5 or .parquet file, or a folder of them"
+    assert refused(load_demonstrations, path) == refused(load_recordings, path) == expected
 
 
 @pytest.mark.parametrize("content", [b"", b"not a zip archive", b"PK\x03\x04 cut"])
@@ -177,7 +179,7 @@ def test_csv_holds_one_sample_per_row(tmp_path):
         (lambda lines: lines[:5], "at least two demonstrations are needed, got 1"),
         (
             lambda lines: lines[:-1],
-            "demonstration 2 must have 4 rows like demonstration 1, got 3; scripts/align_demonstrations.py makes them one length",
+            "demonstration 2 must have 4 samples like demonstration 1, got 3; scripts/align_demonstrations.py makes them one length",
         ),
         (lambda lines: [*lines[:2], "1,0.1,5", *lines[3:]], "row 3 must have 4 columns, got 3"),
         (
@@ -187,11 +189,11 @@ def test_csv_holds_one_sample_per_row(tmp_path):
         (lambda lines: [*lines[:2], "1,0.1,5,nan", *lines[3:]], "row 3, column y must be a finite number, got 'nan'"),
         (
             lambda lines: [*lines[:-1], "2,0.4,5,0"],
-            "row 9, column time must follow the row before it by 0.1 s, got 0.2 s",
+            "row 9, time must follow the sample before it by 0.1 s, got 0.2 s; scripts/align_demonstrations.py makes steps one length",
         ),
         (
             lambda lines: [*lines[:2], "1,0.0,5,0", *lines[3:]],
-            "row 3, column time must increase, got a step of 0 s",
+            "row 3, time must increase, got 0 s after 0 s",
         ),
         (
             lambda lines: [line.replace("time,x,y", "time,x,x") for line in lines],
@@ -274,7 +276,7 @@ def test_recordings_whose_time_goes_back_are_refused_naming_file_and_row(tmp_pat
     lines = csv_lines()
     lines[3] = "1,0.1,2,2"
     path = write_csv(tmp_path / "walks.csv", lines)
-    assert refused(load_recordings, path) == f"{path}: row 4, column time must increase, got 0.1 s after 0.1 s"
+    assert refused(load_recordings, path) == f"{path}: row 4, time must increase, got 0.1 s after 0.1 s"
 
 
 def test_shipped_demonstrations_swing_up_and_balance():

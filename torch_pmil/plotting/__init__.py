@@ -8,6 +8,7 @@ from torch_pmil.plotting.gaussian_process import plot_gp, plot_moment_matching
 from torch_pmil.plotting.heat_maps import plot_heat_map
 from torch_pmil.plotting.pendulum import pendulum_frames, plot_poses
 from torch_pmil.plotting.photos import plot_photo_series
+from torch_pmil.plotting.recordings import plot_recordings
 from torch_pmil.plotting.style import BLUE, GREY, VERMILLION, save_figure, style
 from torch_pmil.plotting.success import (
     plot_learning_curve,
@@ -35,6 +36,7 @@ __all__ = [
     "plot_moment_matching",
     "plot_photo_series",
     "plot_poses",
+    "plot_recordings",
     "plot_success_of_methods",
     "plot_success_over_experience",
     "plot_success_over_mass",

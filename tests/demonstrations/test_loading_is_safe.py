@@ -1,0 +1,99 @@
+"""Loading executes nothing that a file carries, and says which library is missing."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from tests.demonstrations.refusal import refused
+from torch_pmil.demonstrations import load_demonstrations, load_recordings
+
+
+class Malicious:
+    """Makes a file where it is unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[object, tuple[Path]]:
+        return Path.touch, (self.mark,)
+
+
+@pytest.fixture
+def mark(tmp_path: Path) -> Path:
+    return tmp_path / "executed"
+
+
+@pytest.fixture
+def payload(mark: Path) -> bytes:
+    payload = pickle.dumps(Malicious(mark))
+    pickle.loads(payload)
+    assert mark.exists()
+    mark.unlink()
+    return payload
+
+
+@pytest.mark.parametrize("load", [load_recordings, load_demonstrations])
+@pytest.mark.parametrize("suffix", ["npz", "csv", "mat", "hdf5", "h5", "parquet"])
+def test_pickle_under_any_suffix_is_refused_and_not_executed(tmp_path: Path, mark: Path, payload: bytes, suffix: str, load: object) -> None:
+    if suffix in ("hdf5", "h5", "parquet"):
+        pytest.importorskip({"parquet": "pyarrow"}.get(suffix, "h5py"))
+    path = tmp_path / f"walks.{suffix}"
+    path.write_bytes(payload)
+    assert refused(load, path).startswith(f"{path}: not a readable ")
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize("name", ["positions", "names", "time_step", "targets"])
+def test_pickle_inside_an_npz_is_refused_and_not_executed(tmp_path: Path, mark: Path, payload: bytes, name: str) -> None:
+    held = np.empty((), dtype=object)
+    held[()] = Malicious(mark)
+    arrays = {"positions": np.zeros((2, 3, 1)), "time_step": 0.1, "names": np.array(["x"]), name: held}
+    np.savez(tmp_path / "walks.npz", **arrays)
+    for load in (load_recordings, load_demonstrations):
+        assert "not a readable NPZ file without object arrays" in refused(load, tmp_path / "walks.npz")
+    assert not mark.exists()
+
+
+def test_pickle_inside_a_matlab_file_stays_bytes(tmp_path: Path, mark: Path, payload: bytes) -> None:
+    demo = {"pos": np.frombuffer(payload, np.uint8), "t": np.arange(3.0)[None]}
+    savemat(tmp_path / "shape.mat", {"demos": np.array([[demo, demo]], dtype=object)})
+    refused(load_recordings, tmp_path / "shape.mat")
+    assert not mark.exists()
+
+
+def test_pickle_inside_hdf5_stays_bytes(tmp_path: Path, mark: Path, payload: bytes) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "demo.hdf5", "w") as file:
+        for number in range(2):
+            file[f"data/demo_{number}/obs/x"] = np.void(payload)
+        file["data"].attrs["env_args"] = np.void(payload)
+    refused(load_recordings, tmp_path / "demo.hdf5", keys=["x"])
+    refused(load_recordings, tmp_path / "demo.hdf5", keys=["x"], time_step=0.1)
+    assert not mark.exists()
+
+
+def test_pickle_inside_parquet_stays_bytes(tmp_path: Path, mark: Path, payload: bytes) -> None:
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    metadata = {b"ARROW:extension:name": b"arrow.py_extension_type", b"ARROW:extension:metadata": payload}
+    columns = {"episode_index": pa.array([0, 1]), "timestamp": pa.array([0.0, 0.0]), "observation.state": pa.array([payload, payload])}
+    schema = pa.schema([pa.field(name, column.type, metadata=metadata) for name, column in columns.items()], metadata={b"pandas": payload})
+    pq.write_table(pa.table(columns, schema=schema), tmp_path / "walks.parquet")
+    refused(load_recordings, tmp_path / "walks.parquet")
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(("suffix", "library"), [("hdf5", "h5py"), ("parquet", "pyarrow")])
+def test_missing_library_is_one_line_that_says_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, library: str
+) -> None:
+    (tmp_path / f"walks.{suffix}").touch()
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ImportError) as error:
+        load_recordings(tmp_path / f"walks.{suffix}")
+    assert str(error.value) == f"reading this format needs {library}: pip install 'torch_pmil[formats]'"

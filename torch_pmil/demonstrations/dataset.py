@@ -1,0 +1,131 @@
+"""Demonstrations of one length and one time step: what training takes."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_pmil.demonstrations.errors import DemonstrationError
+from torch_pmil.files import replacing
+
+TIME_STEP_TOLERANCE = 1e-6  # relative difference between two time steps that count as equal
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstrations:
+    """Observed trajectories of N demonstrations of one task, sampled at the same times, time 0 included.
+
+    Attributes:
+        positions: what was observed, (N, T+1, M), float64; for the double pendulum [x1, y1, x2, y2] in m.
+        time_step: seconds between two samples.
+        names: names of the M observed coordinates.
+        targets: what each demonstration was for, (N, K), float64, as where the ball hung. None where all are for one thing.
+        target_names: names of the K entries of a target.
+
+    Raises:
+        DemonstrationError: a shape is wrong, there are fewer than two demonstrations (of each target) or samples, a number is not
+            finite, or the time step is not positive.
+
+    Example:
+        >>> Demonstrations(torch.zeros(2, 26, 1), time_step=0.1, names=("x",)).duration
+        2.5
+    """
+
+    positions: Tensor  # (N, T+1, M)
+    time_step: float
+    names: tuple[str, ...]
+    targets: Tensor | None = None  # (N, K)
+    target_names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "positions", torch.as_tensor(self.positions).to(torch.float64))
+        object.__setattr__(self, "time_step", float(self.time_step))
+        object.__setattr__(self, "names", tuple(str(name) for name in self.names))
+        object.__setattr__(self, "target_names", tuple(str(name) for name in self.target_names))
+        self._check_shapes()
+        if not (math.isfinite(self.time_step) and self.time_step > 0):
+            raise DemonstrationError(f"time_step must be positive and finite, in seconds, got {self.time_step}")
+        bad = (~self.positions.isfinite()).nonzero()
+        if len(bad):
+            demonstration, step, column = bad[0].tolist()
+            raise DemonstrationError(
+                f"positions must be finite, got {self.positions[demonstration, step, column].item()} in "
+                f"demonstration {demonstration}, step {step}, column {self.names[column]}"
+            )
+        if self.targets is not None:
+            object.__setattr__(self, "targets", torch.as_tensor(self.targets).to(torch.float64))
+            self._check_targets()
+        elif self.target_names:
+            raise DemonstrationError(f"target_names must come with targets, got {self.target_names} alone")
+
+    def _check_targets(self) -> None:
+        N, shape, names = len(self.positions), tuple(self.targets.shape), self.target_names
+        if len(shape) != 2 or shape[0] != N or shape[1] < 1:
+            raise DemonstrationError(f"targets must have shape ({N}, entries), one for each demonstration, got {shape}")
+        if len(names) != shape[1] or len(set(names)) != shape[1]:
+            raise DemonstrationError(f"target_names must be {shape[1]} different names, one per entry, got {names}")
+        bad = (~self.targets.isfinite()).nonzero()
+        if len(bad):
+            demonstration, entry = bad[0].tolist()
+            raise DemonstrationError(
+                f"targets must be finite, got {self.targets[demonstration, entry].item()} of demonstration {demonstration}"
+            )
+        distinct, counts = self.targets.unique(dim=0, return_counts=True)
+        if (counts < 2).any():
+            lonely = distinct[counts.argmin()].tolist()
+            raise DemonstrationError(f"each target must have at least two demonstrations, got one of {lonely}")
+
+    def by_target(self) -> tuple[Tensor, tuple[Demonstrations, ...]]:
+        """The S different targets (S, K), in the order in which they came, and the demonstrations of each.
+
+        Raises:
+            DemonstrationError: they have no targets.
+
+        Example:
+            >>> two = torch.tensor([[0.0], [0.0], [1.0], [1.0]])
+            >>> targets, sets = Demonstrations(torch.zeros(4, 26, 1), 0.1, ("x",), two, ("place",)).by_target()
+            >>> targets.tolist(), sets[1].positions.shape
+            ([[0.0], [1.0]], torch.Size([2, 26, 1]))
+        """
+        if self.targets is None:
+            raise DemonstrationError("demonstrations must have targets, got none")
+        distinct = torch.tensor(list(dict.fromkeys(map(tuple, self.targets.tolist()))), dtype=torch.float64)
+        of_target = [self.positions[(self.targets == target).all(-1)] for target in distinct]
+        return distinct, tuple(Demonstrations(positions, self.time_step, self.names) for positions in of_target)
+
+    def _check_shapes(self) -> None:
+        shape = tuple(self.positions.shape)
+        if len(shape) != 3:
+            raise DemonstrationError(f"positions must have shape (demonstrations, steps, columns), got {shape}")
+        if shape[0] < 2:
+            raise DemonstrationError(f"positions must hold at least two demonstrations, got {shape[0]}")
+        if shape[1] < 2:
+            raise DemonstrationError(f"positions must hold at least two steps, got {shape[1]}")
+        if shape[2] < 1 or len(self.names) != shape[2] or len(set(self.names)) != shape[2]:
+            raise DemonstrationError(f"names must be {shape[2]} different names, one per column, got {self.names}")
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample in seconds; the first is at 0."""
+        return self.time_step * (self.positions.shape[1] - 1)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an NPZ file with positions, time_step, names, and targets and target_names if there are any: wholly or not at all.
+
+        Args:
+            path: of the file; one that is there is replaced.
+
+        Raises:
+            OSError: the folder is missing or not writable.
+        """
+        with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+            np.savez(file, positions=self.positions.numpy(), time_step=self.time_step, names=np.array(self.names), **self._target_arrays())
+
+    def _target_arrays(self) -> dict[str, np.ndarray]:
+        return {} if self.targets is None else {"targets": self.targets.numpy(), "target_names": np.array(self.target_names)}

@@ -1,0 +1,77 @@
+"""What a file's entries are called, and which of them are read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from torch_pmil.demonstrations.errors import DemonstrationError
+
+Groups = Mapping[str, Sequence[str]]  # names of the entries that a key of a file holds
+
+
+class Entry(NamedTuple):
+    """One number of each sample: the key that it stands under in the file, its place there, and its name."""
+
+    key: str
+    column: int
+    name: str
+
+
+def names_of(key: str, shape: Sequence[int]) -> tuple[str, ...]:
+    """Names of what a key holds where the file says none: the key, or the key and a number.
+
+    Example:
+        >>> names_of("gap", (100,)), names_of("hand", (100, 2))
+        (('gap',), ('hand_0', 'hand_1'))
+    """
+    return (key,) if len(shape) == 1 else tuple(f"{key}_{column}" for column in range(shape[1]))
+
+
+def choose(groups: Groups, keys: Sequence[str], default: Sequence[str]) -> list[Entry]:
+    """The entries that were asked for, in that order.
+
+    Args:
+        groups: all that can be read.
+        keys: each a key of the file, for all that it holds, or the name of one entry.
+        default: what to read if there are no keys.
+
+    Raises:
+        DemonstrationError: a key is not there, or nothing is asked for and there is no default.
+
+    Example:
+        >>> [entry.name for entry in choose({"pos": ("x", "y"), "vel": ("dx", "dy")}, ["vel", "x"], ())]
+        ['dx', 'dy', 'x']
+    """
+    entries = {key: [Entry(key, column, name) for column, name in enumerate(names)] for key, names in groups.items()}
+    single = {entry.name: [entry] for held in entries.values() for entry in held}
+    wanted = keys or default
+    if not wanted:
+        raise DemonstrationError(f"keys must say what to read: some of {_listed(groups)}")
+    unknown = [key for key in wanted if key not in entries and key not in single]
+    if unknown:
+        raise DemonstrationError(f"keys must be some of {_listed(groups)}, got {unknown[0]}")
+    return [entry for key in wanted for entry in entries.get(key, single.get(key, []))]
+
+
+def columns_of(arrays: Mapping[str, np.ndarray], entries: Sequence[Entry]) -> np.ndarray:
+    """The chosen entries side by side, (T, M), float64, of arrays (T,) or (T, width)."""
+    tables = {key: array if array.ndim == 2 else array[:, None] for key, array in arrays.items()}
+    return np.stack([tables[entry.key][:, entry.column] for entry in entries], 1).astype(np.float64)
+
+
+def natural_order(name: str) -> list[tuple[int, str]]:
+    """Sorts names with the numbers in them by size: demo_9 comes before demo_10.
+
+    Example:
+        >>> sorted(["demo_10", "demo_9"], key=natural_order)
+        ['demo_9', 'demo_10']
+    """
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]
+
+
+def _listed(groups: Groups) -> str:
+    return ", ".join(key if tuple(names) == (key,) else f"{key} ({', '.join(names)})" for key, names in groups.items()) or "nothing"

@@ -1,0 +1,76 @@
+"""What is wrong with a file, in one line."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import ModuleType
+
+# what parsers raise at bytes that make no sense; UnicodeDecodeError is a ValueError, NotImplementedError a RuntimeError
+DAMAGE = (OSError, ValueError, TypeError, AttributeError, LookupError, OverflowError, RuntimeError, MemoryError, EOFError)
+
+
+class DemonstrationError(ValueError):
+    """Demonstrations are malformed; the message says where, what was expected and what came, in one line."""
+
+
+@contextmanager
+def readable(kind: str, *failures: type[Exception]) -> Iterator[None]:
+    """Turn what a library raises at a damaged file into a line of ours.
+
+    Args:
+        kind: what the file must be, as in "not a readable <kind>".
+        failures: exceptions that only this library has.
+
+    Raises:
+        DemonstrationError: one of those was raised, or a common one.
+
+    Example:
+        >>> with readable("number"):
+        ...     float("five")
+        Traceback (most recent call last):
+        torch_pmil.demonstrations.errors.DemonstrationError: not a readable number (could not convert string to float: 'five')
+    """
+    try:
+        yield
+    except DemonstrationError:
+        raise
+    except (*DAMAGE, *failures) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise DemonstrationError(f"not a readable {kind} ({reason})") from error
+
+
+@contextmanager
+def within(where: object) -> Iterator[None]:
+    """Say in which file something is wrong.
+
+    Example:
+        >>> with within("walks.csv"):
+        ...     raise DemonstrationError("row 3 must have 4 columns, got 3")
+        Traceback (most recent call last):
+        torch_pmil.demonstrations.errors.DemonstrationError: walks.csv: row 3 must have 4 columns, got 3
+    """
+    try:
+        yield
+    except DemonstrationError as error:
+        raise DemonstrationError(f"{where}: {error}") from error.__cause__
+
+
+def optional(module: str) -> ModuleType:
+    """Import a library that not everybody has.
+
+    Args:
+        module: dotted name.
+
+    Raises:
+        ImportError: it is missing; the message says how to get it.
+
+    Example:
+        >>> optional("json").loads("[1]")
+        [1]
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ImportError(f"reading this format needs {module.partition('.')[0]}: pip install 'torch_pmil[formats]'") from error

@@ -1,0 +1,113 @@
+"""Demonstrations as they were recorded: of lengths and at times of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE, Demonstrations
+from torch_pmil.demonstrations.errors import DemonstrationError
+
+ALIGN = "scripts/align_demonstrations.py"
+
+
+@dataclass(frozen=True, eq=False)
+class Recordings:
+    """Demonstrations as they were recorded: of lengths and at times of their own.
+
+    Attributes:
+        labels: number or name of each of the N demonstrations.
+        times: of the samples of each, increasing, in s, (T_n,), float64.
+        values: what was observed, (T_n, M), float64.
+        names: of the M observed entries.
+        targets: what each was for, (N, K), float64; None where the file has none.
+        target_names: of the K entries of a target.
+        units: of the M entries; empty where the file's format has none.
+        format: of the file.
+        places: what a message calls each sample, as "row 3"; empty for demonstration and number.
+
+    Raises:
+        DemonstrationError: there is nothing, a shape does not fit, a name comes twice, a number is not finite, or a time does not increase.
+
+    Example:
+        >>> time = torch.arange(3, dtype=torch.float64)
+        >>> Recordings(("1", "2"), (0.1 * time, 0.2 * time), (time[:, None], time[:, None]), ("x",)).durations
+        [0.2, 0.4]
+    """
+
+    labels: tuple[str, ...]
+    times: tuple[Tensor, ...]
+    values: tuple[Tensor, ...]
+    names: tuple[str, ...]
+    targets: Tensor | None = None
+    target_names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    format: str = ""
+    places: tuple[tuple[str, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        entries = len(self.names)
+        if not (self.labels and entries):
+            raise DemonstrationError(f"a recording must hold demonstrations and entries, got {len(self.labels)} and {entries}")
+        if self.values[0].shape[1] != entries or len(set(self.names)) != entries:
+            width = self.values[0].shape[1]
+            raise DemonstrationError(f"names must be {width} different names, one per column, got {self.names}")
+        for demonstration, (times, values) in enumerate(zip(self.times, self.values, strict=True)):
+            if values.shape != (len(times), entries) or not len(times):
+                raise DemonstrationError(
+                    f"demonstration {self.labels[demonstration]} must hold {entries} entries at each of at least one time, "
+                    f"got {tuple(values.shape)} at {len(times)} times"
+                )
+            self._check_numbers(demonstration, times, values)
+
+    def _check_numbers(self, demonstration: int, times: Tensor, values: Tensor) -> None:
+        for sample, entry in (~values.isfinite()).nonzero().tolist()[:1]:
+            name, number = self.names[entry], values[sample, entry].item()
+            raise DemonstrationError(f"{self.place(demonstration, sample)}, {name} must be a finite number, got {number}")
+        for sample in (~(times.diff() > 0)).nonzero().flatten().tolist()[:1]:
+            before, after = times[sample : sample + 2].tolist()
+            raise DemonstrationError(f"{self.place(demonstration, sample + 1)}, time must increase, got {after:g} s after {before:g} s")
+
+    @property
+    def durations(self) -> list[float]:
+        """From the first to the last sample of each, in s."""
+        return [(times[-1] - times[0]).item() for times in self.times]
+
+    def place(self, demonstration: int, sample: int) -> str:
+        """What a message calls a sample."""
+        return self.places[demonstration][sample] if self.places else f"demonstration {self.labels[demonstration]}, sample {sample}"
+
+    def demonstrations(self) -> Demonstrations:
+        """The same as demonstrations, where they have one length and one time step.
+
+        Raises:
+            DemonstrationError: they have not, or there are fewer than two (of each target).
+        """
+        if len(self.labels) < 2:
+            raise DemonstrationError(f"at least two demonstrations are needed, got {len(self.labels)}")
+        self._check_lengths()
+        times = torch.stack(self.times)  # (N, T+1)
+        self._check_steps(times.diff())
+        time_step = ((times[:, -1] - times[:, 0]).mean() / (times.shape[1] - 1)).item()
+        return Demonstrations(torch.stack(self.values), time_step, self.names, self.targets, self.target_names)
+
+    def _check_lengths(self) -> None:
+        lengths = [len(times) for times in self.times]
+        if lengths[0] < 2:
+            raise DemonstrationError(f"demonstration {self.labels[0]} must have at least two samples, got {lengths[0]}")
+        for label, length in zip(self.labels, lengths, strict=True):
+            if length != lengths[0]:
+                raise DemonstrationError(
+                    f"demonstration {label} must have {lengths[0]} samples like demonstration {self.labels[0]}, got {length}; "
+                    f"{ALIGN} makes them one length"
+                )
+
+    def _check_steps(self, steps: Tensor) -> None:
+        expected = steps[0, 0].item()
+        for demonstration, step in ((steps - expected).abs() > TIME_STEP_TOLERANCE * expected).nonzero().tolist()[:1]:
+            raise DemonstrationError(
+                f"{self.place(demonstration, step + 1)}, time must follow the sample before it by {expected:g} s, "
+                f"got {steps[demonstration, step].item():g} s; {ALIGN} makes steps one length"
+            )

@@ -65,7 +65,7 @@ def test_training_targets_are_discs_and_their_hull_is_a_closed_line(targets: np.
 def test_several_maps_share_one_colour_scale_from_zero() -> None:
     figure = draw({"ours": (VALUES, REACHED), "nearest": (3 * VALUES, REACHED)})
     *panels, _ = figure.axes
-    assert [panel.get_title() for panel in panels] == ["ours", "nearest"]
+    assert [panel.get_title(loc="left") for panel in panels] == ["ours", "nearest"]
     assert [panel.collections[0].get_clim() for panel in panels] == [(0, 33), (0, 33)]
 
 
@@ -73,12 +73,12 @@ def test_picture_is_on_the_left_and_the_panels_are_lettered(tmp_path: Path) -> N
     figure = draw({"ours": (VALUES, REACHED), "nearest": (VALUES, REACHED)}, picture=PICTURE)
     *panels, _ = figure.axes
     assert (panels[0].images[0].get_array() == PICTURE).all()
-    assert [panel.get_title(loc="left") for panel in panels] == ["(a)", "(b)", "(c)"]
+    assert [panel.get_title(loc="left")[:3] for panel in panels] == ["(a)", "(b)", "(c)"]
     save_figure(figure, tmp_path / "map.png")
 
 
 def test_without_a_picture_there_are_no_letters() -> None:
-    assert draw().axes[0].get_title(loc="left") == ""
+    assert not draw().axes[0].get_title(loc="left").startswith("(")
 
 
 def test_map_on_which_all_is_zero_and_reached_is_drawn(tmp_path: Path) -> None:

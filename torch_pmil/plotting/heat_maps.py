@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,6 +17,7 @@ from torch_pmil.plotting.style import DARK
 
 COLOURS = "viridis"  # which colour-blind readers can read, and in grey
 PANEL_WIDTH = 2.8  # inches
+LABEL_WIDTH = 22  # characters, beside a colour bar of that height
 
 
 def plot_heat_map(
@@ -48,7 +50,7 @@ def plot_heat_map(
         >>> figure = plot_heat_map(
         ...     [0.0, 0.5], [0.0, 0.5], {"ours": (near, near < 0.25)}, np.zeros((1, 2)), labels=("x (m)", "y (m)"), value="distance (m)"
         ... )
-        >>> figure.axes[0].get_title()
+        >>> figure.axes[0].get_title(loc="left")
         'ours'
     """
     x, y, training_targets = np.asarray(x, dtype=float), np.asarray(y, dtype=float), np.asarray(training_targets, dtype=float)
@@ -66,12 +68,11 @@ def plot_heat_map(
         _draw_training_targets(panel, training_targets)
         _draw_successes(panel, x, y, reached)
         panel.set(xlabel=labels[0], aspect="equal")
-        panel.set_title(title)
-        panel.set_title(next(letters), loc="left", fontweight="bold")
+        panel.set_title(f"{next(letters)} {title}".strip(), loc="left")
     panels[0].set_ylabel(labels[1])
     for panel in panels[1:]:
         panel.tick_params(labelleft=False, left=False)
-    figure.colorbar(ScalarMappable(scale, COLOURS), ax=panels, label=value, shrink=0.9)
+    figure.colorbar(ScalarMappable(scale, COLOURS), ax=panels, label=fill(value, LABEL_WIDTH), shrink=0.9)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
 
@@ -111,7 +112,7 @@ def _draw_picture(panel: Axes, picture: np.ndarray, letter: str) -> None:
     panel.imshow(picture)
     panel.set(xticks=[], yticks=[])
     panel.spines[:].set_visible(False)
-    panel.set_title(letter, loc="left", fontweight="bold")
+    panel.set_title(letter, loc="left")
 
 
 def _letters() -> Iterator[str]:

@@ -28,7 +28,7 @@ from torch_pmil.policy_search import search_policy
 from torch_pmil.state_policy import StatePolicy
 
 START_SEED = 8_000_000  # no start that a run has seen
-METHODS = {"joint": "one policy", "blended": "policies of single targets, blended", "nearest": "policy of the nearest target"}
+METHODS = {"joint": "one policy", "blended": "one each, blended", "nearest": "one each, the nearest"}
 REACHED = 0.5  # of the starts at a grid point: more than this counts as reached
 EDGE = 1e-9  # of what a corner counts, beside 1: the triangle's corners may be grid points
 

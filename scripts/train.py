@@ -55,7 +55,7 @@ def main(config: DictConfig) -> None:
     try:
         os.chdir(job.runtime.cwd)  # where the sweep was started: a cluster's worker may be elsewhere
         demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
-        experiment = load_experiment(config.experiment, demonstrations)
+        experiment = load_experiment(config.experiment, demonstrations, config.shape, config.robot)
         told = partial(print_trial, label, experiment.objective)
         result = train(experiment, config.seed, config.trials, out, command, alone, told, config.resume, config.logger)
     except KeyboardInterrupt:

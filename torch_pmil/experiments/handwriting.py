@@ -22,7 +22,9 @@ NUM_CENTRES = 50
 START_STD = 0.01, 0.02  # rad, rad/s: as a servo holds a joint
 SUCCESS_RATIO = 1.25  # of the error to the writers' own spread
 SPEED_WIDTH, ANGLE_WIDTH = 1.8, 0.42  # rad/s, rad: of a policy's basis functions, at least
-SEARCH = SearchSettings(mean_iterations=30, stage_iterations=20, final_iterations=20, trusted=1.0)  # trusted: nats a step, of two dimensions
+SEARCH = SearchSettings(
+    mean_iterations=30, stage_iterations=20, final_iterations=20, trusted=1.0
+)  # trusted: nats a step, of two dimensions
 
 
 def handwriting(demonstrations: Demonstrations | None = None, shape: str | None = None, robot: str | None = None) -> Experiment:

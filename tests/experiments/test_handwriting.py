@@ -37,7 +37,7 @@ def wave(count: int = 5, steps: int = 30, spread: float = 0.01) -> Demonstration
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_placed_strokes_fill_their_box(shape: str) -> None:
-    strokes = placed(conditioned(lasa_strokes(shape)), centre=(0.1, -0.65), extent=0.3)
+    strokes = placed(conditioned(lasa_strokes(shape), duration=3.0), centre=(0.1, -0.65), extent=0.3)
     lowest, highest = strokes.positions.amin((0, 1)), strokes.positions.amax((0, 1))
     torch.testing.assert_close((highest - lowest).max().item(), 0.3)
     torch.testing.assert_close((highest + lowest) / 2, torch.tensor([0.1, -0.65], dtype=torch.float64))
@@ -71,7 +71,7 @@ def test_alignment_leaves_less_spread_than_the_same_share_of_each_stroke() -> No
     recordings = lasa_strokes("GShape")
     plain = Recordings(recordings.labels, recordings.times, recordings.values, recordings.names)
     shares = torch.stack([values[torch.linspace(0, len(values) - 1, 31).long()] for values in plain.values])
-    assert distance_spread(conditioned(recordings)) < 0.8 * distance_spread(Demonstrations(shares, 0.1, ("x", "y")))
+    assert distance_spread(conditioned(recordings, duration=3.0)) < 0.8 * distance_spread(Demonstrations(shares, 0.1, ("x", "y")))
 
 
 def test_a_held_out_stroke_is_as_far_from_the_mean_as_the_spread_says() -> None:
@@ -101,7 +101,7 @@ def test_tip_of_the_demonstrated_states_is_on_the_strokes(robot: str, shape: str
 @each_robot
 def test_poses_are_smooth_along_a_stroke(robot: str, shape: str) -> None:
     writer = WRITERS[robot]()
-    pose = writer.pose(on_board(conditioned(lasa_strokes(shape)), writer).positions)
+    pose = writer.pose(on_board(conditioned(lasa_strokes(shape), duration=3.0), writer).positions)
     assert pose.diff(dim=1).abs().max() < 0.4
 
 

@@ -20,8 +20,6 @@ NAMES = ("x", "y")
 MILLIMETRE = 1e-3  # m, the unit of the LASA files
 FINE_STEP = 0.01  # s, at which strokes are cropped and aligned
 TIME_STEP = 0.1  # s, of the robots
-DURATION = 3.0  # s, in which a stroke is written
-EXTENT = 0.3  # m, of what is written
 
 
 class ShapeError(ValueError):
@@ -54,7 +52,7 @@ def lasa_strokes(shape: str) -> Recordings:
     return Recordings(tuple(map(str, range(len(demos)))), times, values, NAMES)
 
 
-def conditioned(recordings: Recordings, duration: float = DURATION, time_step: float = TIME_STEP) -> Demonstrations:
+def conditioned(recordings: Recordings, duration: float, time_step: float = TIME_STEP) -> Demonstrations:
     """Strokes on one time base: each cropped to the part that moves, aligned by dynamic time warping, and resampled.
 
     People write as slowly as they like, 2.5 to 7 s for these shapes: all are written in the same time here.
@@ -73,12 +71,12 @@ def conditioned(recordings: Recordings, duration: float = DURATION, time_step: f
     return Demonstrations(resample(aligned, times, time_step), time_step, recordings.names)
 
 
-def placed(strokes: Demonstrations, centre: Sequence[float], extent: float = EXTENT) -> Demonstrations:
+def placed(strokes: Demonstrations, centre: Sequence[float], extent: float) -> Demonstrations:
     """Strokes scaled and shifted: the box around all of them has this largest side (m) and this centre (m).
 
     Example:
         >>> strokes = Demonstrations(torch.tensor([[[0.0, 0.0], [2.0, 1.0]], [[0.0, 0.0], [2.0, 1.0]]]), 0.1, ("x", "y"))
-        >>> placed(strokes, centre=(0.0, -0.65)).positions[0]
+        >>> placed(strokes, centre=(0.0, -0.65), extent=0.3).positions[0]
         tensor([[-0.1500, -0.7250],
                 [ 0.1500, -0.5750]], dtype=torch.float64)
     """

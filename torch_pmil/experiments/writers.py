@@ -14,9 +14,10 @@ from torch_pmil.envs.biorob import BioRobEnv, holding_torques
 from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv, double_pendulum_model
 from torch_pmil.envs.exact_tracking import tracking_torques
 from torch_pmil.envs.reaching import pose_at
-from torch_pmil.experiments.biorob import DAMPING, STIFFNESS, biorob_space
+from torch_pmil.experiments.biorob import biorob_space
 from torch_pmil.experiments.double_pendulum import double_pendulum_space
 from torch_pmil.first_motion import PDMovements
+from torch_pmil.policy_search import SearchSettings
 from torch_pmil.state_space import StateSpace
 from torch_pmil.trigonometric_polynomial import cosine, match_of, sine
 
@@ -35,23 +36,31 @@ class Writer:
         make_env: as in :class:`Experiment`; takes ``initial_mean`` and ``initial_std``.
         space: its match space holds the tip's place.
         centre: [x, y] of the middle of what is written, m.
+        extent: of what is written, m.
+        duration: in which a shape is written, s.
         to_board: from [x, y] of the pen (*batch, 2) to the match space, m.
         pose: joint positions (*batch, J), rad, with the tip at a place (*batch, M) of the match space.
         positions_first: whether the state has all positions first.
         torques: that it takes (S, F), N·m, from positions, velocities and accelerations (S, J) of the joints.
         stiffness, damping: of the PD controller of its first motion, N·m/rad and N·m·s/rad.
+        reach: of that motion, in half ranges of the demonstrated positions.
+        search: for its policy.
     """
 
     name: str
     make_env: Callable[..., MujocoRobotEnv]
     space: StateSpace
     centre: tuple[float, float]
+    extent: float
+    duration: float
     to_board: Callable[[Tensor], Tensor]
     pose: Callable[[Tensor], Tensor]
     positions_first: bool
     torques: Callable[[Tensor, Tensor, Tensor], Tensor]
     stiffness: tuple[float, ...]
     damping: tuple[float, ...]
+    reach: float
+    search: SearchSettings
 
     def state(self, positions: Tensor, velocities: Tensor) -> Tensor:
         """States (*batch, D) of joints (*batch, J)."""
@@ -73,7 +82,7 @@ class Writer:
     def movements(self, states: Tensor, u_max: Tensor, steps: int) -> PDMovements:
         """The robot's first motion: simple movements all over the demonstrated states (S, D), gravity compensated (Section 5.2.4)."""
         lowest, highest = (getattr(self.positions(states), end)(0) for end in ("amin", "amax"))
-        pose, reach = (self.state(part, torch.zeros_like(part)) for part in ((highest + lowest) / 2, (highest - lowest) / 2))
+        pose, reach = (self.state(part, torch.zeros_like(part)) for part in ((highest + lowest) / 2, self.reach * (highest - lowest) / 2))
         gain = self.state(*(torch.tensor(gains, dtype=torch.float64).diag() for gains in (self.stiffness, self.damping)))
         return PDMovements(pose, reach, gain, u_max, hold=HOLD, rollouts=ROLLOUTS, steps=steps, feedforward=self.holding_torques)
 
@@ -93,12 +102,16 @@ def pendulum_writer() -> Writer:
         make_env=DoublePendulumEnv,
         space=replace(double_pendulum_space(), match=match),
         centre=(0.0, -0.65),
+        extent=0.3,
+        duration=3.0,
         to_board=lambda pen: pen,
         pose=pose_at,
         positions_first=False,
         torques=_pendulum_torques,
         stiffness=(2.0, 0.5),
         damping=(0.6, 0.12),
+        reach=1.0,
+        search=SearchSettings(mean_iterations=30, stage_iterations=20, final_iterations=20, trusted=1.0),
     )
 
 
@@ -122,12 +135,16 @@ def biorob_writer() -> Writer:
         make_env=BioRobEnv,
         space=replace(biorob_space(), match=match),
         centre=(0.0, 0.9),
+        extent=0.5,
+        duration=2.0,
         to_board=lambda pen: torch.stack([torch.full_like(pen[..., 0], BOARD), -pen[..., 0], pen[..., 1]], -1),
         pose=biorob_pose,
         positions_first=True,
         torques=lambda positions, velocities, accelerations: holding_torques(positions),
-        stiffness=STIFFNESS,
-        damping=DAMPING,
+        stiffness=(8.0, 20.0, 10.0),
+        damping=(0.3, 0.5, 0.2),
+        reach=1.5,
+        search=SearchSettings(mean_iterations=0, stage_iterations=30, final_iterations=60, trusted=2.0),
     )
 
 

@@ -16,7 +16,7 @@ from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Record
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import link_positions
 from torch_pmil.experiments import Experiment, load_experiment, run_name
-from torch_pmil.experiments.handwriting import handwriting, on_board
+from torch_pmil.experiments.handwriting import handwriting
 from torch_pmil.experiments.strokes import conditioned, distance_from_mean, distance_spread, lasa_strokes, placed
 from torch_pmil.experiments.training import train
 from torch_pmil.experiments.writers import WRITERS, states_of_strokes
@@ -37,15 +37,15 @@ def wave(count: int = 5, steps: int = 30, spread: float = 0.01) -> Demonstration
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_placed_strokes_fill_their_box(shape: str) -> None:
-    strokes = placed(conditioned(lasa_strokes(shape), duration=3.0), centre=(0.1, -0.65), extent=0.3)
+    strokes = placed(conditioned(lasa_strokes(shape), duration=3.0), extent=0.3)
     lowest, highest = strokes.positions.amin((0, 1)), strokes.positions.amax((0, 1))
     torch.testing.assert_close((highest - lowest).max().item(), 0.3)
-    torch.testing.assert_close((highest + lowest) / 2, torch.tensor([0.1, -0.65], dtype=torch.float64))
+    torch.testing.assert_close((highest + lowest) / 2, torch.zeros(2, dtype=torch.float64))
 
 
 def test_placing_keeps_the_proportions() -> None:
     strokes = wave()
-    there = placed(strokes, centre=(0.0, 0.0), extent=0.3).positions.flatten(0, 1)
+    there = placed(strokes, extent=0.3).positions.flatten(0, 1)
     here = strokes.positions.flatten(0, 1)
     ratio = torch.pdist(there) / torch.pdist(here)
     torch.testing.assert_close(ratio, ratio[:1].expand_as(ratio))
@@ -101,7 +101,7 @@ def test_tip_of_the_demonstrated_states_is_on_the_strokes(robot: str, shape: str
 @each_robot
 def test_poses_are_smooth_along_a_stroke(robot: str, shape: str) -> None:
     writer = WRITERS[robot]()
-    pose = writer.pose(on_board(conditioned(lasa_strokes(shape), duration=3.0), writer).positions)
+    pose = writer.pose(writer.on_board(conditioned(lasa_strokes(shape), writer.duration)).positions)
     assert pose.diff(dim=1).abs().max() < 0.4
 
 

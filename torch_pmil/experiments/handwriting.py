@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import partial
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
-from torch_pmil.collection import of_states
+from torch_pmil.collection import of_states, states_of
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.experiments.experiment import Experiment
-from torch_pmil.experiments.strokes import NAMES, TIME_STEP, conditioned, distance_from_mean, distance_spread, lasa_strokes, placed
+from torch_pmil.experiments.strokes import NAMES, TIME_STEP, conditioned, distance_from_mean, distance_spread, lasa_strokes
 from torch_pmil.experiments.writers import WRITERS, Writer, states_of_strokes
 from torch_pmil.gaussian import Gaussian
+from torch_pmil.plotting import Writing
 from torch_pmil.state_space import StateSpace
 
 ROBOT = "double_pendulum"
@@ -23,7 +26,26 @@ SUCCESS_RATIO = 1.25  # of the error to the writers' own spread
 SPEED_WIDTH, ANGLE_WIDTH = 1.8, 0.42  # rad/s, rad: of a policy's basis functions, at least
 
 
-def handwriting(demonstrations: Demonstrations | None = None, shape: str | None = None, robot: str | None = None) -> Experiment:
+@dataclass(frozen=True)
+class Handwriting(Experiment):
+    """An imitation task in a plane.
+
+    As :class:`Experiment`; its match space holds the tip's place.
+
+    Args:
+        plane: in which it writes (2, M): to the right, and up.
+    """
+
+    plane: Tensor = field(default_factory=lambda: torch.eye(2, dtype=torch.float64))
+
+    def writing(self, predicted: Gaussian, rollouts: TensorDictBase) -> Writing:
+        """Strokes of the demonstrations, of p(x_1..T) and of rollouts (B, T), in the plane."""
+        match, up = self.space.match, self.plane.mT
+        shown, written = self.demonstrations.positions @ up, match(states_of(rollouts)) @ up
+        return Writing(shown, match.belief(predicted).affine(self.plane), written)
+
+
+def handwriting(demonstrations: Demonstrations | None = None, shape: str | None = None, robot: str | None = None) -> Handwriting:
     """A shape of the LASA handwriting set, or one's own strokes, written by a robot: 0.3 m large in 3 s (the BioRob: 0.5 m in 2 s).
 
     A rollout's error is its root mean square distance from the mean stroke; it succeeds up to 1.25 times the writers' own spread.
@@ -46,12 +68,12 @@ def handwriting(demonstrations: Demonstrations | None = None, shape: str | None 
         30
     """
     writer = _writer(robot or ROBOT)
-    strokes = on_board(_strokes(demonstrations, shape, writer), writer)
+    strokes = writer.on_board(_strokes(demonstrations, shape, writer))
     states = states_of_strokes(writer, strokes)
     start, start_std = _start(states, writer)
     make_env = partial(writer.make_env, initial_mean=start.tolist(), initial_std=start_std.tolist())
     u_max, demonstrated = make_env().action_spec.space.high, states.flatten(0, 1)
-    return Experiment(
+    return Handwriting(
         name=handwriting_name(shape, robot),
         make_env=make_env,
         space=writer.space,
@@ -67,18 +89,13 @@ def handwriting(demonstrations: Demonstrations | None = None, shape: str | None 
         input_widths=input_widths(demonstrated, writer.space),
         holding_torques=writer.holding_torques,
         search=writer.search,
+        plane=writer.plane,
     )
 
 
 def handwriting_name(shape: str | None, robot: str | None) -> str:
     """Names the experiment by its shape, or own, and its robot."""
     return f"handwriting_{shape or 'own'}_{robot or ROBOT}"
-
-
-def on_board(pen: Demonstrations, writer: Writer) -> Demonstrations:
-    """Strokes of a pen, placed where a robot writes, in its match space."""
-    positions = writer.to_board(placed(pen, writer.centre, writer.extent).positions)
-    return Demonstrations(positions, pen.time_step, writer.space.match.names)
 
 
 def distance_of_tip(states: Tensor, space: StateSpace, strokes: Demonstrations) -> Tensor:

@@ -5,7 +5,6 @@ The LASA handwriting set (Khansari-Zadeh and Billard 2011) holds seven strokes o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -71,18 +70,17 @@ def conditioned(recordings: Recordings, duration: float, time_step: float = TIME
     return Demonstrations(resample(aligned, times, time_step), time_step, recordings.names)
 
 
-def placed(strokes: Demonstrations, centre: Sequence[float], extent: float) -> Demonstrations:
-    """Strokes scaled and shifted: the box around all of them has this largest side (m) and this centre (m).
+def placed(strokes: Demonstrations, extent: float) -> Demonstrations:
+    """Strokes scaled and shifted: the box around all of them has this largest side (m), its middle is the origin.
 
     Example:
         >>> strokes = Demonstrations(torch.tensor([[[0.0, 0.0], [2.0, 1.0]], [[0.0, 0.0], [2.0, 1.0]]]), 0.1, ("x", "y"))
-        >>> placed(strokes, centre=(0.0, -0.65), extent=0.3).positions[0]
-        tensor([[-0.1500, -0.7250],
-                [ 0.1500, -0.5750]], dtype=torch.float64)
+        >>> placed(strokes, extent=0.3).positions[0]
+        tensor([[-0.1500, -0.0750],
+                [ 0.1500,  0.0750]], dtype=torch.float64)
     """
     lowest, highest = (getattr(strokes.positions, end)((0, 1)) for end in ("amin", "amax"))
-    scale = extent / (highest - lowest).max()
-    positions = scale * (strokes.positions - (lowest + highest) / 2) + torch.as_tensor(centre, dtype=torch.float64)
+    positions = extent / (highest - lowest).max() * (strokes.positions - (lowest + highest) / 2)
     return Demonstrations(positions, strokes.time_step, strokes.names)
 
 

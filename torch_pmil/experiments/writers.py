@@ -16,6 +16,7 @@ from torch_pmil.envs.exact_tracking import tracking_torques
 from torch_pmil.envs.reaching import pose_at
 from torch_pmil.experiments.biorob import biorob_space
 from torch_pmil.experiments.double_pendulum import double_pendulum_space
+from torch_pmil.experiments.strokes import placed
 from torch_pmil.first_motion import PDMovements
 from torch_pmil.policy_search import SearchSettings
 from torch_pmil.state_space import StateSpace
@@ -35,10 +36,10 @@ class Writer:
         name: of the robot.
         make_env: as in :class:`Experiment`; takes ``initial_mean`` and ``initial_std``.
         space: its match space holds the tip's place.
-        centre: [x, y] of the middle of what is written, m.
+        origin: of the match space (M,), m: the middle of what is written.
+        plane: in which it is written (2, M): to the right, and up.
         extent: of what is written, m.
         duration: in which a shape is written, s.
-        to_board: from [x, y] of the pen (*batch, 2) to the match space, m.
         pose: joint positions (*batch, J), rad, with the tip at a place (*batch, M) of the match space.
         positions_first: whether the state has all positions first.
         torques: that it takes (S, F), N·m, from positions, velocities and accelerations (S, J) of the joints.
@@ -50,10 +51,10 @@ class Writer:
     name: str
     make_env: Callable[..., MujocoRobotEnv]
     space: StateSpace
-    centre: tuple[float, float]
+    origin: Tensor
+    plane: Tensor
     extent: float
     duration: float
-    to_board: Callable[[Tensor], Tensor]
     pose: Callable[[Tensor], Tensor]
     positions_first: bool
     torques: Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -67,6 +68,11 @@ class Writer:
         if self.positions_first:
             return torch.cat([positions, velocities], -1)
         return torch.stack([positions, velocities], -1).flatten(-2)
+
+    def on_board(self, pen: Demonstrations) -> Demonstrations:
+        """Strokes of a pen, [x, y] in m, in the match space: where this robot writes them, as large as it does."""
+        positions = self.origin + placed(pen, self.extent).positions @ self.plane
+        return Demonstrations(positions, pen.time_step, self.space.match.names)
 
     def positions(self, states: Tensor) -> Tensor:
         """Joint positions (*batch, J) of states (*batch, D)."""
@@ -101,10 +107,10 @@ def pendulum_writer() -> Writer:
         name="double_pendulum",
         make_env=DoublePendulumEnv,
         space=replace(double_pendulum_space(), match=match),
-        centre=(0.0, -0.65),
+        origin=torch.tensor([0.0, -0.65], dtype=torch.float64),
+        plane=torch.eye(2, dtype=torch.float64),
         extent=0.3,
         duration=3.0,
-        to_board=lambda pen: pen,
         pose=pose_at,
         positions_first=False,
         torques=_pendulum_torques,
@@ -134,10 +140,10 @@ def biorob_writer() -> Writer:
         name="biorob",
         make_env=BioRobEnv,
         space=replace(biorob_space(), match=match),
-        centre=(0.0, 0.9),
+        origin=torch.tensor([BOARD, 0.0, 0.9], dtype=torch.float64),
+        plane=torch.tensor([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64),
         extent=0.5,
         duration=2.0,
-        to_board=lambda pen: torch.stack([torch.full_like(pen[..., 0], BOARD), -pen[..., 0], pen[..., 1]], -1),
         pose=biorob_pose,
         positions_first=True,
         torques=lambda positions, velocities, accelerations: holding_torques(positions),
@@ -159,7 +165,7 @@ def biorob_pose(places: Tensor) -> Tensor:
 
     Example:
         >>> pose = biorob_pose(torch.tensor([0.6, 0.0, 0.73], dtype=torch.float64))  # the upper arm hangs, the forearm is level
-        >>> (pose.rad2deg() + 0.0).round()
+        >>> pose.rad2deg().round() + 0.0
         tensor([ 0., 0., 90.], dtype=torch.float64)
     """
     upper, lower = BIOROB_LINKS

@@ -73,10 +73,13 @@ def _draw(panel: Axes, writing: Writing) -> None:
             facecolor=(VERMILLION, 0.12),
             edgecolor=(VERMILLION, 0.7),
             linewidth=0.7,
-            label=f"predicted ± {BAND} std",
         )
     )
-    strokes = (writing.shown, BLUE, "-", 1.2, "people"), (writing.written, DARK, (0, (4, 2)), 0.8, "robot")
+    strokes = (
+        (writing.shown, BLUE, "-", 1.2, "people"),
+        (writing.predicted.mean[None], VERMILLION, "-", 1.4, f"predicted ± {BAND} std"),
+        (writing.written, DARK, (0, (4, 2)), 0.8, "robot"),
+    )
     for paths, colour, line, width, label in strokes:
         drawn = panel.plot(*paths.detach().numpy().transpose(2, 1, 0), color=colour, linestyle=line, linewidth=width, alpha=0.8)
         drawn[0].set_label(label)

@@ -7,21 +7,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-import torch
-
-from torch_pmil.collection import states_of
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.experiment import Experiment
+from torch_pmil.experiments.handwriting import Handwriting, handwriting
 from torch_pmil.experiments.paper.learned import load_learned
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run, learning_run
 from torch_pmil.experiments.runs import read_summary
 from torch_pmil.plotting import Writing, plot_writing
 
-SHAPES = {"double_pendulum": ("Angle", "Sshape", "GShape", "Sine"), "biorob": ("Angle", "Sine")}  # those that it was developed on
+SHAPES = {"double_pendulum": ("Angle", "Sshape", "GShape", "Sine"), "biorob": ("Angle", "GShape")}  # those that it was developed on
 SEEDS, TRIALS = range(3), 12
 QUICK_SHAPES, QUICK_TRIALS = {"double_pendulum": ("Angle",)}, 2
 STARTS, START_SEED = 10, 7_000_000  # drawn strokes of the robot, from starts that no run has seen
-IN_PLANE = {"double_pendulum": [[1.0, 0.0], [0.0, 1.0]], "biorob": [[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]}  # to the right, up
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
@@ -67,15 +62,12 @@ def measured_run(shape: str, robot: str, run: dict) -> dict[str, object]:
 def writing(folder: Path, shape: str, robot: str) -> Writing:
     """The people's strokes and those of a run's policy, in the plane."""
     experiment = _experiment(shape, robot)
-    learned, match = load_learned(folder, experiment), experiment.space.match
-    plane = torch.tensor(IN_PLANE[robot], dtype=torch.float64)
-    executed = match(states_of(learned.rollouts(experiment, STARTS, START_SEED)))
-    predicted = match.belief(learned.predicted(experiment)).affine(plane)
-    return Writing(experiment.demonstrations.positions @ plane.mT, predicted, executed @ plane.mT)
+    learned = load_learned(folder, experiment)
+    return experiment.writing(learned.predicted(experiment), learned.rollouts(experiment, STARTS, START_SEED))
 
 
-def _experiment(shape: str, robot: str) -> Experiment:
-    return load_experiment("handwriting", shape=shape, robot=robot)
+def _experiment(shape: str, robot: str) -> Handwriting:
+    return handwriting(shape=shape, robot=robot)
 
 
 def _tasks(quick: bool) -> list[tuple[str, str]]:

@@ -166,7 +166,7 @@ def biorob_pose(places: Tensor) -> Tensor:
     Example:
         >>> pose = biorob_pose(torch.tensor([0.6, 0.0, 0.73], dtype=torch.float64))  # the upper arm hangs, the forearm is level
         >>> pose.rad2deg().round() + 0.0
-        tensor([ 0., 0., 90.], dtype=torch.float64)
+        tensor([ 0.,  0., 90.], dtype=torch.float64)
     """
     upper, lower = BIOROB_LINKS
     x, y, z = places.unbind(-1)

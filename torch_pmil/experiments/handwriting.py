@@ -19,7 +19,7 @@ from torch_pmil.plotting import Writing
 from torch_pmil.state_space import StateSpace
 
 ROBOT = "double_pendulum"
-NOISE_SHARE = 0.05  # of the extent of what is written: the observation noise
+NOISE_SHARE = 1 / 30  # of the extent of what is written: the observation noise
 NUM_CENTRES = 50
 START_STD = 0.01, 0.02  # rad, rad/s: as a servo holds a joint
 SUCCESS_RATIO = 1.25  # of the error to the writers' own spread

@@ -117,7 +117,7 @@ def pendulum_writer() -> Writer:
         stiffness=(2.0, 0.5),
         damping=(0.6, 0.12),
         reach=1.0,
-        search=SearchSettings(mean_iterations=30, stage_iterations=20, final_iterations=20, trusted=1.0),
+        search=SearchSettings(mean_iterations=30, stage_iterations=20, final_iterations=60, trusted=1.0),
     )
 
 
@@ -146,7 +146,7 @@ def biorob_writer() -> Writer:
         duration=2.0,
         pose=biorob_pose,
         positions_first=True,
-        torques=lambda positions, velocities, accelerations: holding_torques(positions),
+        torques=_biorob_torques,
         stiffness=(8.0, 20.0, 10.0),
         damping=(0.3, 0.5, 0.2),
         reach=1.5,
@@ -215,3 +215,8 @@ def _check_torques(writer: Writer, strokes: Demonstrations, motion: list[Tensor]
 def _pendulum_torques(positions: Tensor, velocities: Tensor, accelerations: Tensor) -> Tensor:
     states = torch.stack([positions, velocities], -1).flatten(-2)
     return tracking_torques(double_pendulum_model(), states, accelerations)
+
+
+def _biorob_torques(positions: Tensor, velocities: Tensor, accelerations: Tensor) -> Tensor:
+    """Against gravity alone: what elastic cables and friction take beside that is not known."""
+    return holding_torques(positions)

@@ -116,6 +116,18 @@ def test_racket_is_where_mujoco_says() -> None:
         torch.testing.assert_close(match(torch.cat([q, torch.zeros(3)])), expected, atol=1e-9, rtol=0)
 
 
+def test_wrist_gives_way_by_less_than_a_millimetre() -> None:
+    experiment = handwriting(wave(), robot="biorob")
+    env = experiment.robot(seed=0)
+    data = mujoco.MjData(env.model)
+    for state in experiment.demonstrated_states[::5]:
+        at_rest = torch.cat([state[:3], torch.zeros(3, dtype=torch.float64)])
+        physics = env.replay(at_rest, torch.zeros(0, 3), 1)[0]
+        mujoco.mj_setState(env.model, data, physics.numpy(), mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco.mj_kinematics(env.model, data)
+        assert (experiment.space.match(at_rest) - torch.from_numpy(data.site("racket").xpos)).norm() < 1e-3
+
+
 def test_pendulum_tip_is_where_the_environment_says() -> None:
     states = torch.randn(20, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(WRITERS["double_pendulum"]().space.match(states), link_positions(states)[:, 2:])

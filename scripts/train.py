@@ -29,9 +29,10 @@ from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.experiment import Outcome
+from torch_pmil.experiments.handwriting import Handwriting
 from torch_pmil.experiments.sweep import register_launchers
 from torch_pmil.experiments.training import RunResult, train
-from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, save_figure
+from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, plot_writing, save_figure
 from torch_pmil.trajectory_loss import TrajectoryLoss
 from torch_pmil.trials import Trial
 from torch_pmil.video import dense_states, film_rollout, render_rollout, write_video
@@ -55,7 +56,7 @@ def main(config: DictConfig) -> None:
     try:
         os.chdir(job.runtime.cwd)  # where the sweep was started: a cluster's worker may be elsewhere
         demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
-        experiment = load_experiment(config.experiment, demonstrations)
+        experiment = load_experiment(config.experiment, demonstrations, config.shape, config.robot)
         told = partial(print_trial, label, experiment.objective)
         result = train(experiment, config.seed, config.trials, out, command, alone, told, config.resume, config.logger)
     except KeyboardInterrupt:
@@ -110,6 +111,8 @@ def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
         )
     if experiment.name in SKETCHES:
         figures["poses"] = plot_poses(match(first.executed[0]), experiment.demonstrations.time_step)
+    if isinstance(experiment, Handwriting):
+        figures["writing"] = plot_writing({experiment.name: experiment.writing(first.predicted, first.rollouts)})
     for name, figure in figures.items():
         save_figure(figure, out / "figures" / f"{name}.png")
     env = experiment.first_robot(seed=0)

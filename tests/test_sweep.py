@@ -60,6 +60,12 @@ def test_a_single_run_is_where_it_was() -> None:
     assert (config.hydra.run.dir, config.hydra.output_subdir) == (".", None)
 
 
+def test_runs_of_handwriting_are_apart_by_shape_and_robot() -> None:
+    config = compose("train", ["experiment=handwriting", "shape=Sine", "robot=biorob", "seed=3"])
+    assert config.out == "runs/handwriting_Sine_biorob/seed_3"
+    assert shared_folder(sweep_over("experiment=handwriting", "shape=Sine,Angle", "robot=biorob,double_pendulum", "seed=range(2)")) is None
+
+
 def test_runs_are_the_product_of_what_is_swept() -> None:
     assert list(runs_of(sweep_over("seed=range(2)", "trials=3", "demonstrations=a.npz,b.npz"))) == [
         [f"seed={seed}", "trials=3", f"demonstrations={file}.npz"] for seed in (0, 1) for file in "ab"

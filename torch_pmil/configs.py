@@ -24,6 +24,7 @@ class PMILTrainerConfig(TrainerConfig):
     Args:
         experiment: name of the task.
         demonstrations: NPZ or CSV file with one's own; None for those that come with the package.
+        shape, robot: of handwriting; None for all others.
         seed: of all random numbers.
         trials: largest number of trials.
         progress_bar: whether to show progress.
@@ -34,6 +35,8 @@ class PMILTrainerConfig(TrainerConfig):
 
     experiment: str = "double_pendulum"
     demonstrations: str | None = None
+    shape: str | None = None
+    robot: str | None = None
     seed: int = 0
     trials: int = 12
     progress_bar: bool = True
@@ -47,6 +50,8 @@ class PMILTrainerConfig(TrainerConfig):
 def make_pmil_trainer(
     experiment: str,
     demonstrations: str | None,
+    shape: str | None,
+    robot: str | None,
     seed: int,
     trials: int,
     progress_bar: bool,
@@ -55,7 +60,7 @@ def make_pmil_trainer(
     hooks: list[TrainerHookBase] | None,
 ) -> PMILTrainer:
     """What ``hydra.utils.instantiate`` makes of :class:`PMILTrainerConfig`."""
-    task = load_experiment(experiment, None if demonstrations is None else load_demonstrations(demonstrations))
+    task = load_experiment(experiment, None if demonstrations is None else load_demonstrations(demonstrations), shape, robot)
     trainer = make_trainer(task, seed, trials, progress_bar, lambda trial: None, logger, checkpoint_rotation)
     for hook in hooks or []:
         hook.register(trainer)

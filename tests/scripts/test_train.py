@@ -131,6 +131,8 @@ def error_of(script: Script, *overrides: str) -> str:
 
 def test_unknown_experiment_is_refused_with_those_there_are(script: Script, tmp_path: Path) -> None:
     assert error_of(script, "experiment=triple", "out=run") == f"{UNKNOWN}, got 'triple'"
+    robot = error_of(script, "experiment=handwriting", "shape=Sine", "robot=pr2", "out=run")
+    assert robot == "robot must be one of biorob, double_pendulum, got 'pr2'"
     assert os.listdir(tmp_path) == []
 
 

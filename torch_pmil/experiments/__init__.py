@@ -9,6 +9,7 @@ from torch_pmil.experiments.double_pendulum import double_pendulum
 from torch_pmil.experiments.double_pendulum_targets import double_pendulum_targets
 from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.gym_pendulum import gym_pendulum
+from torch_pmil.experiments.handwriting import handwriting, handwriting_name
 from torch_pmil.experiments.inverted_pendulum import inverted_pendulum
 from torch_pmil.experiments.pilco import double_pendulum_pilco
 
@@ -19,19 +20,24 @@ EXPERIMENTS = {
     "double_pendulum_pilco": double_pendulum_pilco,
     "double_pendulum_targets": double_pendulum_targets,
     "gym_pendulum": gym_pendulum,
+    "handwriting": handwriting,
     "inverted_pendulum": inverted_pendulum,
 }
 
 
-def load_experiment(name: str, demonstrations: Demonstrations | None = None) -> Experiment:
+def load_experiment(
+    name: str, demonstrations: Demonstrations | None = None, shape: str | None = None, robot: str | None = None
+) -> Experiment:
     """The experiment of that name.
 
     Args:
         name: as on the command line.
         demonstrations: one's own; those that come with the package if None.
+        shape, robot: of handwriting, see :func:`handwriting`; None in all others.
 
     Raises:
         ValueError: there is none; the message lists those there are. Or the demonstrations are not of that robot.
+        ImportError: it needs another library.
 
     Example:
         >>> load_experiment("double_pendulum").horizon
@@ -39,4 +45,18 @@ def load_experiment(name: str, demonstrations: Demonstrations | None = None) -> 
     """
     if name not in EXPERIMENTS:
         raise ValueError(f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}, got {name!r}")
+    if name == "handwriting":
+        return handwriting(demonstrations, shape, robot)
+    if shape is not None or robot is not None:
+        raise ValueError(f"shape and robot are settings of experiment=handwriting, got shape={shape} and robot={robot} for {name}")
     return EXPERIMENTS[name](demonstrations)
+
+
+def run_name(experiment: str, shape: str | None, robot: str | None) -> str:
+    """What the folder of an experiment's runs is called.
+
+    Example:
+        >>> run_name("handwriting", "Angle", None), run_name("biorob", None, None)
+        ('handwriting_Angle_double_pendulum', 'biorob')
+    """
+    return handwriting_name(shape, robot) if experiment == "handwriting" else experiment

@@ -18,7 +18,11 @@ from hydra.errors import CompactHydraException
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
+from torch_pmil.experiments import run_name
+
 EXTRAS = {"hydra_ray_launcher": "ray", "hydra_submitit_launcher": "slurm"}  # of setup.cfg, by the launcher's module
+
+OmegaConf.register_new_resolver("run_name", run_name, replace=True)
 
 
 def register_launchers(folder: Path) -> None:

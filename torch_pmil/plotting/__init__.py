@@ -9,6 +9,7 @@ from torch_pmil.plotting.heat_maps import plot_heat_map
 from torch_pmil.plotting.pendulum import pendulum_frames, plot_poses
 from torch_pmil.plotting.photos import plot_photo_series
 from torch_pmil.plotting.recordings import plot_recordings
+from torch_pmil.plotting.strokes import Writing, plot_writing
 from torch_pmil.plotting.style import BLUE, GREY, VERMILLION, save_figure, style
 from torch_pmil.plotting.success import (
     plot_learning_curve,
@@ -25,6 +26,7 @@ __all__ = [
     "GREY",
     "VERMILLION",
     "Figure",
+    "Writing",
     "pendulum_frames",
     "plot_demonstrations",
     "plot_distributions",
@@ -42,6 +44,7 @@ __all__ = [
     "plot_success_over_mass",
     "plot_success_over_settings",
     "plot_variants",
+    "plot_writing",
     "save_figure",
     "style",
 ]

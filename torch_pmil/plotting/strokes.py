@@ -1,0 +1,95 @@
+"""Strokes in the plane in which they were written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+from torch import Tensor
+
+from torch_pmil.gaussian import Gaussian
+from torch_pmil.plotting.style import BAND, BLUE, DARK, VERMILLION, style
+
+
+@dataclass(frozen=True)
+class Writing:
+    """What was written, m, in the plane: x to the right, y up.
+
+    Args:
+        shown: strokes of people, (N, T + 1, 2).
+        predicted: marginals of the tip at t = 1..T, mean (T, 2).
+        written: strokes of the robot, (B, T + 1, 2).
+    """
+
+    shown: Tensor
+    predicted: Gaussian
+    written: Tensor
+
+
+def plot_writing(panels: Mapping[str, Writing]) -> Figure:
+    """Human strokes, the prediction for the learned policy, and what the robot wrote, one panel for each.
+
+    The prediction is an ellipse of two standard deviations at each step.
+
+    Args:
+        panels: by title.
+
+    Example:
+        >>> import torch
+        >>> line = torch.linspace(0, 0.3, 5)[:, None].expand(5, 2)
+        >>> writing = Writing(line[None], Gaussian(line[1:], 1e-4 * torch.eye(2).expand(4, 2, 2)), line[None])
+        >>> plot_writing({"line": writing}).axes[0].get_title()
+        'line'
+    """
+    columns = math.ceil(math.sqrt(len(panels)))
+    rows = math.ceil(len(panels) / columns)
+    figure = Figure(figsize=(0.8 + 3.6 * columns, 0.9 + 3.4 * rows), layout="constrained")
+    for index, (title, writing) in enumerate(panels.items()):
+        panel = figure.add_subplot(rows, columns, index + 1)
+        _draw(panel, writing)
+        panel.set_title(title)
+        panel.set(xlabel="x (m)" if index + columns >= len(panels) else "", ylabel="y (m)" if index % columns == 0 else "")
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
+def _draw(panel: Axes, writing: Writing) -> None:
+    style(panel)
+    widths, heights, angles = _ellipses(writing.predicted)
+    panel.add_collection(
+        EllipseCollection(
+            widths,
+            heights,
+            angles,
+            units="xy",
+            offsets=writing.predicted.mean.detach().numpy(),
+            offset_transform=panel.transData,
+            facecolor=(VERMILLION, 0.12),
+            edgecolor=(VERMILLION, 0.7),
+            linewidth=0.7,
+        )
+    )
+    strokes = (
+        (writing.shown, BLUE, "-", 1.2, "people"),
+        (writing.predicted.mean[None], VERMILLION, "-", 1.4, f"predicted ± {BAND} std"),
+        (writing.written, DARK, (0, (4, 2)), 0.8, "robot"),
+    )
+    for paths, colour, line, width, label in strokes:
+        drawn = panel.plot(*paths.detach().numpy().transpose(2, 1, 0), color=colour, linestyle=line, linewidth=width, alpha=0.8)
+        drawn[0].set_label(label)
+    panel.set_aspect("equal", adjustable="datalim")
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(MultipleLocator(0.1))
+
+
+def _ellipses(belief: Gaussian) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Diameters and angle (degrees) of ``BAND`` standard deviations, (T,) each."""
+    variances, axes = np.linalg.eigh(belief.cov.detach().numpy())
+    diameters = 2 * BAND * np.sqrt(np.maximum(variances, 0.0))
+    return diameters[:, 1], diameters[:, 0], np.degrees(np.arctan2(axes[:, 1, 1], axes[:, 0, 1]))

@@ -218,6 +218,15 @@ def test_rest_is_cut_off_but_one_sample(swing_ups: Tensor) -> None:
     torch.testing.assert_close(crop(resting, 0.0), reach)
 
 
+def test_noise_of_velocities_is_no_motion(swing_ups: Tensor) -> None:
+    reach = swing_ups[0, :18]
+    resting = torch.cat([reach[:1].expand(9, -1), reach, reach[-1:].expand(6, -1)])
+    noise = torch.randn(len(resting), 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    kept = crop(torch.cat([resting, noise], 1), 0.0, velocities=[-2, -1])
+    torch.testing.assert_close(kept, torch.cat([reach, noise[9:-6]], 1))
+    assert len(crop(torch.cat([resting, noise], 1), 0.0)) == len(resting)
+
+
 def test_what_cannot_be_cropped_is_refused() -> None:
     with pytest.raises(AlignmentError, match=r"trajectories must move: every coordinate is constant"):
         crop(torch.ones(5, 2))

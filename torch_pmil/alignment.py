@@ -114,18 +114,19 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
     return torch.from_numpy(spline(np.minimum(even, times[-1].item())))
 
 
-def crop(trajectory: Tensor, threshold: float = 0.05) -> Tensor:
+def crop(trajectory: Tensor, threshold: float = 0.05, velocities: Sequence[int] = ()) -> Tensor:
     """The part that moves: from the last sample at rest before the motion to the first one after it.
 
     Args:
         trajectory: at one time step, (T, M).
         threshold: speed above which it moves, as a fraction of the largest one; coordinates are in units of their spread.
+        velocities: columns that are rates of change, which say nothing of where the motion begins: their noise is larger.
 
     Returns:
         Some consecutive samples of it, (T', M).
 
     Raises:
-        AlignmentError: the shape does not fit, a number is not finite, nothing moves, or the threshold is not in [0, 1).
+        AlignmentError: the shape or a column does not fit, a number is not finite, nothing moves, or the threshold is not in [0, 1).
 
     Example:
         >>> crop(torch.tensor([0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])[:, None]).flatten()
@@ -134,7 +135,7 @@ def crop(trajectory: Tensor, threshold: float = 0.05) -> Tensor:
     _check_trajectory("the trajectory", trajectory)
     if not 0 <= threshold < 1:
         raise AlignmentError(f"threshold must be in [0, 1), got {threshold}")
-    (scaled,) = _in_units_of_spread([trajectory.double().numpy()])
+    (scaled,) = _in_units_of_spread([trajectory[:, _positions(velocities, trajectory.shape[1])].double().numpy()])
     speed = np.linalg.norm(np.diff(scaled, axis=0), axis=1)
     moving = np.flatnonzero(speed > threshold * speed.max())
     return trajectory[moving[0] : moving[-1] + 2]

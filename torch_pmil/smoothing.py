@@ -2,8 +2,8 @@ r"""Smoothing of recorded positions, and the velocities that no sensor recorded.
 
 A cubic smoothing spline (Reinsch 1967) minimises :math:`\int (y - f)^2 \, dt + \lambda \int \ddot f^2 \, dt` over the recording. What
 oscillates with period :math:`P` passes it with the gain :math:`1 / (1 + \lambda (2 \pi / P)^4)`, whatever the rate of the samples. The
-rule is therefore a period in seconds, of what passes at half its height, :math:`\lambda = (\text{period} / 2 \pi)^4`: of what takes twice as
-long 94 % pass, of what takes half as long 6 %.
+rule is therefore a period in seconds, of what passes at half its height, :math:`\lambda = (\text{period} / 2 \pi)^4`: of what takes twice
+as long 94 % pass, of what takes half as long 6 %.
 """
 
 from __future__ import annotations

@@ -46,10 +46,10 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     conditioned = [conditioned_one(*one, recordings.names, options) for one in zip(recordings.times, recordings.values, strict=True)]
     recorded_step = torch.cat([times.diff() for times in recordings.times]).median().item()
     even = [resample(values, times, recorded_step) for times, values in conditioned]
-    columns = [names.index(name) for name in rates]
-    kept = [crop(values, velocities=columns) for values in even] if options.crop else even
+    derived = range(len(recordings.names), len(names))
+    kept = [crop(values, velocities=derived) for values in even] if options.crop else even
     reference = None if options.reference is None else number_of(options.reference, recordings.labels)
-    aligned = align(kept, columns, options.window, reference)
+    aligned = align(kept, [names.index(name) for name in rates], options.window, reference)
     times = recorded_step * torch.arange(aligned.shape[1], dtype=torch.float64)
     positions = resample(aligned, times, options.time_step)
     return Demonstrations(positions, options.time_step, tuple(names), recordings.targets, recordings.target_names)

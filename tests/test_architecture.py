@@ -18,7 +18,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"moment_matching"},
     {"linearised_moments"},
     {"state_space"},
-    {"demonstrations", "alignment", "smoothing", "jumps", "camera", "expert", "evaluation"},
+    {"demonstrations", "alignment", "smoothing", "jumps", "camera", "modes", "demonstration_checks", "expert", "evaluation"},
     {"dynamics", "hyperparameters", "experience", "policy", "sampling_frequency"},
     {"linearised_step", "state_policy", "saved_policy"},
     {"rollout", "particles"},

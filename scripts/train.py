@@ -25,9 +25,11 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from torch_pmil.demonstrations import load_demonstrations
+from torch_pmil.demonstration_checks import Finding
+from torch_pmil.demonstrations import DemonstrationError, load_demonstrations
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.experiments.checks import check
 from torch_pmil.experiments.experiment import Outcome
 from torch_pmil.experiments.handwriting import Handwriting
 from torch_pmil.experiments.sweep import register_launchers
@@ -57,6 +59,7 @@ def main(config: DictConfig) -> None:
         os.chdir(job.runtime.cwd)  # where the sweep was started: a cluster's worker may be elsewhere
         demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
         experiment = load_experiment(config.experiment, demonstrations, config.shape, config.robot)
+        warn_of(label, check(experiment))
         told = partial(print_trial, label, experiment.objective)
         result = train(experiment, config.seed, config.trials, out, command, alone, told, config.resume, config.logger)
     except KeyboardInterrupt:
@@ -80,6 +83,15 @@ def say(label: str, text: str) -> None:
     """Print lines above the progress bar, each with the label: the runs of a sweep print to one terminal."""
     tqdm.write("\n".join(label + line for line in text.splitlines()))
     sys.stdout.flush()
+
+
+def warn_of(label: str, findings: list[Finding]) -> None:
+    """Print what may go wrong with the demonstrations, once. Raises DemonstrationError at what must."""
+    for finding in findings:
+        if finding.fatal:
+            raise DemonstrationError(finding.message)
+    for finding in findings:
+        say(label, f"warning: {finding.message}")
 
 
 def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> None:

@@ -138,6 +138,15 @@ def test_one_column_is_aligned_as_it_is_among_copies_of_itself(shown: list[Tenso
     torch.testing.assert_close(align([one[:, :1] for one in shown]), align([one[:, [0, 0]] for one in shown])[..., :1], rtol=0, atol=0.02)
 
 
+@pytest.mark.parametrize("reference", range(5))
+def test_reference_keeps_its_timing_and_the_others_take_it_over(swing_ups: Tensor, reference: int) -> None:
+    copies = shown_by_people(swing_ups[:1].expand(5, -1, -1), seed=0)
+    aligned = align(copies, VELOCITIES, reference=reference)
+    torch.testing.assert_close(aligned[reference], copies[reference], rtol=0, atol=1e-9)
+    largest_step = max(copy[:, :4].diff(dim=0).abs().max().item() for copy in copies)
+    assert (aligned[..., :4] - copies[reference][:, :4]).abs().max() < 1.5 * largest_step
+
+
 def test_window_limits_the_shift() -> None:
     time = torch.linspace(0, 1, 201, dtype=torch.float64)
     far = [torch.sigmoid(60 * (time - at))[:, None] for at in (0.3, 0.7)]
@@ -159,6 +168,7 @@ def test_window_limits_the_shift() -> None:
             "trajectory 1 must be finite, got nan in sample 2, column 0",
         ),
         ([torch.rand(5, 2)] * 2, {"window": 0.0}, "window must be in (0, 1], a fraction of the longest trajectory, got 0.0"),
+        ([torch.rand(5, 2)] * 2, {"reference": 2}, "reference must be the number of a trajectory, 0 to 1, got 2"),
         ([torch.rand(5, 2)] * 2, {"velocities": [2]}, "velocities must be columns of 2, got 2"),
         ([torch.rand(5, 2)] * 2, {"velocities": [0, 1]}, "at least one of the 2 columns must be a position, got velocities [0, 1]"),
         ([torch.ones(5, 2), torch.ones(6, 2)], {}, "trajectories must move: every coordinate is constant"),
@@ -206,6 +216,15 @@ def test_rest_is_cut_off_but_one_sample(swing_ups: Tensor) -> None:
     reach = swing_ups[0, :18]
     resting = torch.cat([reach[:1].expand(9, -1), reach, reach[-1:].expand(6, -1)])
     torch.testing.assert_close(crop(resting, 0.0), reach)
+
+
+def test_noise_of_velocities_is_no_motion(swing_ups: Tensor) -> None:
+    reach = swing_ups[0, :18]
+    resting = torch.cat([reach[:1].expand(9, -1), reach, reach[-1:].expand(6, -1)])
+    noise = torch.randn(len(resting), 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    kept = crop(torch.cat([resting, noise], 1), 0.0, velocities=[-2, -1])
+    torch.testing.assert_close(kept, torch.cat([reach, noise[9:-6]], 1))
+    assert len(crop(torch.cat([resting, noise], 1), 0.0)) == len(resting)
 
 
 def test_what_cannot_be_cropped_is_refused() -> None:

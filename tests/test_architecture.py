@@ -18,7 +18,8 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"moment_matching"},
     {"linearised_moments"},
     {"state_space"},
-    {"demonstrations", "alignment", "drawing", "expert", "evaluation", "trigonometric_polynomial"},
+    {"demonstrations", "alignment", "drawing", "smoothing", "jumps", "camera", "modes", "demonstration_checks"}
+    | {"expert", "evaluation", "trigonometric_polynomial"},
     {"dynamics", "hyperparameters", "experience", "policy", "sampling_frequency"},
     {"linearised_step", "state_policy", "saved_policy"},
     {"rollout", "particles"},

@@ -23,14 +23,14 @@ class AlignmentError(ValueError):
     """Trajectories cannot be aligned; the message says in one line what was expected and what came."""
 
 
-def align(trajectories: Sequence[Tensor], velocities: Sequence[int] = (), window: float = 0.2) -> Tensor:
+def align(trajectories: Sequence[Tensor], velocities: Sequence[int] = (), window: float = 0.2, reference: int | None = None) -> Tensor:
     r"""Trajectories that differ in timing and length, on one time base.
 
     Each is matched to the medoid, the one with the least sum of warping distances to all, by dynamic time warping on positions in units
     of their spread over all trajectories (not on velocities: a slower copy of a motion has others). The common time is the mean of the
     times at which the same moment comes: the motion begins and ends where each demonstration does and lasts as long as they do on
     average. Warps :math:`w_n` from common time to that of a demonstration are smooth and monotone, a cubic through ``KNOTS`` averages of
-    the path, which has plateaus and jumps itself.
+    the path, which has plateaus and jumps itself. With a ``reference``, all are matched to that one and take over its timing and length.
 
     Positions are warped, :math:`x_n(w_n(s))`; velocities must be those of the warped positions, :math:`\dot x_n(w_n(s)) \, \dot w_n(s)`,
     so say which columns they are. They are in the unit that they had: the time step does not change but by rounding the duration
@@ -40,13 +40,14 @@ def align(trajectories: Sequence[Tensor], velocities: Sequence[int] = (), window
         trajectories: N of them, (T_n, M) each, at one time step.
         velocities: columns that are rates of change; negative ones count from the end.
         window: how far times may be shifted, as a fraction of the longest trajectory, beyond what a difference in length needs.
+        reference: number of the trajectory whose timing is taken over; None for the mean timing.
 
     Returns:
-        (N, T, M), float64, where T - 1 is the mean of T_n - 1.
+        (N, T, M), float64, where T - 1 is the mean of T_n - 1, or that of the reference.
 
     Raises:
         AlignmentError: fewer than two trajectories, a shape or a column that does not fit, no column of positions, a number that is
-            not finite, nothing that moves, or a window that is not in (0, 1].
+            not finite, nothing that moves, a window that is not in (0, 1], or a reference that there is not.
 
     Example:
         >>> time = torch.linspace(0, 1, 101, dtype=torch.float64)
@@ -58,15 +59,17 @@ def align(trajectories: Sequence[Tensor], velocities: Sequence[int] = (), window
         True
     """
     values = _checked(trajectories, window)
+    if reference is not None and not 0 <= reference < len(values):
+        raise AlignmentError(f"reference must be the number of a trajectory, 0 to {len(values) - 1}, got {reference}")
     positions = _positions(velocities, values[0].shape[1])
     lengths = np.array([len(one) - 1 for one in values])
     refinement = max(1, round(RESOLUTION / lengths.max()))
     compared = _in_units_of_spread([_refined(one[:, positions], refinement) for one in values])
     settings = {"window": max(2, round(window * refinement * lengths.max())), "penalty": PENALTY}
-    reference = _medoid(compared, settings)
-    knots = np.stack([_matched_times(compared[reference], one, settings) for one in compared]) / refinement  # (N, KNOTS + 2), samples
+    template = compared[_medoid(compared, settings) if reference is None else reference]
+    knots = np.stack([_matched_times(template, one, settings) for one in compared]) / refinement  # (N, KNOTS + 2), samples
     knots[:, -1] = lengths
-    common = knots.mean(0)
+    common = knots.mean(0) if reference is None else knots[reference]
     steps = round(common[-1])
     times, scale = np.linspace(0, common[-1], steps + 1), common[-1] / steps
     aligned = [_warped(one, PchipInterpolator(common, own), times, scale, list(velocities)) for one, own in zip(values, knots, strict=True)]
@@ -111,18 +114,19 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
     return torch.from_numpy(spline(np.minimum(even, times[-1].item())))
 
 
-def crop(trajectory: Tensor, threshold: float = 0.05) -> Tensor:
+def crop(trajectory: Tensor, threshold: float = 0.05, velocities: Sequence[int] = ()) -> Tensor:
     """The part that moves: from the last sample at rest before the motion to the first one after it.
 
     Args:
         trajectory: at one time step, (T, M).
         threshold: speed above which it moves, as a fraction of the largest one; coordinates are in units of their spread.
+        velocities: columns that are rates of change, which say nothing of where the motion begins: their noise is larger.
 
     Returns:
         Some consecutive samples of it, (T', M).
 
     Raises:
-        AlignmentError: the shape does not fit, a number is not finite, nothing moves, or the threshold is not in [0, 1).
+        AlignmentError: the shape or a column does not fit, a number is not finite, nothing moves, or the threshold is not in [0, 1).
 
     Example:
         >>> crop(torch.tensor([0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])[:, None]).flatten()
@@ -131,7 +135,7 @@ def crop(trajectory: Tensor, threshold: float = 0.05) -> Tensor:
     _check_trajectory("the trajectory", trajectory)
     if not 0 <= threshold < 1:
         raise AlignmentError(f"threshold must be in [0, 1), got {threshold}")
-    (scaled,) = _in_units_of_spread([trajectory.double().numpy()])
+    (scaled,) = _in_units_of_spread([trajectory[:, _positions(velocities, trajectory.shape[1])].double().numpy()])
     speed = np.linalg.norm(np.diff(scaled, axis=0), axis=1)
     moving = np.flatnonzero(speed > threshold * speed.max())
     return trajectory[moving[0] : moving[-1] + 2]

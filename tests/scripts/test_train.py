@@ -148,7 +148,12 @@ def test_number_out_of_range_is_refused_before_there_is_a_folder(script: Script,
     ("names", "time_step", "complaint"),
     [
         (("x1", "y1", "x2", "z2"), 0.1, "demonstrations must be of x1, y1, x2, y2, got x1, y1, x2, z2"),
-        (("x1", "y1", "x2", "y2"), 0.05, "demonstrations must have a time step of 0.1 s, got 0.05 s"),
+        (
+            ("x1", "y1", "x2", "y2"),
+            0.05,
+            "demonstrations must have a time step of 0.1 s, the robot's control period, got 0.05 s; "
+            "scripts/align_demonstrations.py --time-step 0.1 resamples a recording",
+        ),
     ],
 )
 def test_demonstrations_of_something_else_are_refused(

@@ -107,6 +107,10 @@ class BioRobEnv(MujocoRobotEnv):
         physics[:, speeds] = torch.from_numpy(velocities @ self._equilibrium.ratio.T)
         return physics
 
+    def _inverse_dynamics(self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
+        """As if the cables kept their length from the equilibrium on: the rotors move along with the joints."""
+        return self._equilibrium.moving_torques(positions, velocities, accelerations)
+
     def _make_specs(self) -> None:
         super()._make_specs()
         shape = (*self.batch_size, 1)

@@ -59,6 +59,28 @@ class Equilibrium:
         places, torques = zip(*map(self._solve, positions), strict=True)
         return np.array(places), np.array(torques)
 
+    def moving_torques(self, positions: Array, velocities: Array, accelerations: Array) -> Array:
+        """Torques of the rotors with which the robot moves as if its cables did not stretch from their equilibrium on.
+
+        Args:
+            positions, velocities, accelerations: of the driven joints, (N, F).
+
+        Returns:
+            (N, F); friction of joints and rotors included.
+
+        Raises:
+            RuntimeError: no equilibrium was found.
+        """
+        model, data, places = self._model, self._data, self(positions)[0]
+        along = np.zeros((model.nv, len(self._driven)))  # how all move with the driven joints
+        along[_dofs(self._driven)], along[_dofs(self._rotors)] = np.eye(len(self._driven)), self.ratio
+        torques = np.empty_like(positions)
+        for row, (place, velocity, acceleration) in enumerate(zip(places, velocities, accelerations, strict=True)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = place, along @ velocity, along @ acceleration
+            mujoco.mj_inverse(model, data)
+            torques[row] = np.linalg.solve(self.ratio.T, along.T @ data.qfrc_inverse)
+        return torques
+
     def _solve(self, positions: Array) -> tuple[Array, Array]:
         model, data = self._model, self._data
         balanced, free = _dofs(self._driven + self._passive), _dofs(self._rotors + self._passive)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import torch
 from mujoco import rollout
+from scipy.interpolate import CubicSpline
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
@@ -17,6 +18,7 @@ from torchrl.data import Bounded, TensorSpec, Unbounded
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
 
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
+MOMENTS = 5  # of a control period, at which inverse dynamics are averaged
 
 
 class MujocoRobotEnv(RobotEnv):
@@ -85,6 +87,7 @@ class MujocoRobotEnv(RobotEnv):
         self.pixel_size = pixel_size
         self._data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
+        self._joints = tuple(joints)
         self._state_columns = state_columns(self.model, joints, positions_first)
         dim = 2 * len(joints)
         self.initial_mean = _state_vector("initial_mean", initial_mean, dim)
@@ -160,6 +163,49 @@ class MujocoRobotEnv(RobotEnv):
     def state_of(self, physics: Tensor) -> Tensor:
         """State vectors (*batch, D) of full simulation states (*batch, P)."""
         return physics[..., self._state_columns]
+
+    def needed_torques(self, states: Tensor) -> Tensor | None:
+        """Torques that lead along a motion, limits or not, by inverse dynamics of a cubic spline through the positions.
+
+        Torques that are held for a control period are met to about 5 % of the double pendulum's limit and 10 % of the BioRob's.
+
+        Args:
+            states: x_0..x_T at the control rate, (T + 1, D), T >= 2.
+
+        Returns:
+            Mean over each control period, (T, F), N·m. None where not every joint has its motor and is in the state: then it is not
+            the joints alone that say what the motors do.
+        """
+        times = self.control_period * np.arange(len(states))
+        motion = CubicSpline(times, states[:, self._position_entries].numpy())
+        between = (times[:-1, None] + self.control_period * (np.arange(MOMENTS) + 0.5) / MOMENTS).ravel()
+        torques = self._inverse_dynamics(motion(between), motion(between, 1), motion(between, 2))
+        return None if torques is None else torch.from_numpy(torques.reshape(len(times) - 1, MOMENTS, -1).mean(1))
+
+    def beyond_range(self, states: Tensor) -> Tensor:
+        """How far the joints would be beyond their stops in states (*batch, D): (*batch, J), 0 within, rad or m."""
+        joints = [self.model.joint(name) for name in self._joints]
+        stops = np.array([joint.range if joint.limited[0] else (-np.inf, np.inf) for joint in joints])
+        low, high = torch.from_numpy(stops).unbind(-1)
+        positions = states[..., self._position_entries]
+        return torch.maximum(positions - high, low - positions).clamp_min(0)
+
+    @property
+    def _position_entries(self) -> Tensor:
+        """Entries of the state vector that are positions, in the order of the joints, (J,)."""
+        return (self._state_columns <= self.model.nq).nonzero().flatten()
+
+    def _inverse_dynamics(self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray) -> np.ndarray | None:
+        """Torques (S, F) of joints (S, J) that move so; None where the motors do not move them directly."""
+        if not self.model.nu == self.model.nv == len(self._joints):
+            return None
+        data, dofs = mujoco.MjData(self.model), [self.model.joint(name).dofadr[0] for name in self._joints]
+        torques = np.empty_like(positions)
+        for row, parts in enumerate(zip(positions, velocities, accelerations, strict=True)):
+            data.qpos[dofs], data.qvel[dofs], data.qacc[dofs] = parts
+            mujoco.mj_inverse(self.model, data)
+            torques[row] = data.qfrc_inverse[dofs]
+        return torques
 
     def render(self, state: Tensor, robot: int = 0) -> np.ndarray:
         """Draw the robot in one state, seen by the fixed camera, without shadows.

@@ -35,6 +35,14 @@ class RobotEnv(EnvBase):
         """Restore what ``get_extra_state`` returned."""
         self._generator.set_state(state)
 
+    def needed_torques(self, states: Tensor) -> Tensor | None:
+        """Torques (T, F) of each control period on the way through states x_0..x_T, (T + 1, D); None where the model is not known."""
+        return None
+
+    def beyond_range(self, states: Tensor) -> Tensor | None:
+        """How far the joints would be beyond their stops in states (*batch, D): (*batch, J), 0 within; None where that is not known."""
+        return None
+
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:
             self._generator.seed()

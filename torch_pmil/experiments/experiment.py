@@ -207,4 +207,7 @@ def check_demonstrations(
     if demonstrations.names != space.match.names:
         raise DemonstrationError(f"demonstrations must be of {', '.join(space.match.names)}, got {', '.join(demonstrations.names)}")
     if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
-        raise DemonstrationError(f"demonstrations must have a time step of {env.control_period} s, got {demonstrations.time_step} s")
+        raise DemonstrationError(
+            f"demonstrations must have a time step of {env.control_period} s, the robot's control period, "
+            f"got {demonstrations.time_step} s; scripts/align_demonstrations.py --time-step {env.control_period} resamples a recording"
+        )

@@ -2,6 +2,7 @@
 
 from matplotlib.figure import Figure
 
+from torch_pmil.plotting.before_after import plot_before_after
 from torch_pmil.plotting.errors import plot_errors_over_data
 from torch_pmil.plotting.frequencies import plot_frequencies
 from torch_pmil.plotting.gaussian_process import plot_gp, plot_moment_matching
@@ -28,6 +29,7 @@ __all__ = [
     "Figure",
     "Writing",
     "pendulum_frames",
+    "plot_before_after",
     "plot_demonstrations",
     "plot_distributions",
     "plot_errors_over_data",

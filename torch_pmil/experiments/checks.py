@@ -1,0 +1,60 @@
+"""What may go wrong with an experiment's demonstrations, before anything is learned from them."""
+
+from __future__ import annotations
+
+import torch
+
+from torch_pmil.demonstration_checks import (
+    Finding,
+    check_count,
+    check_duplicates,
+    check_jumps,
+    check_modes,
+    check_reach,
+    check_start,
+    check_stops,
+    check_torques,
+)
+from torch_pmil.experiments.experiment import Experiment
+
+
+def check(experiment: Experiment) -> list[Finding]:
+    """Check the demonstrations of an experiment; those shipped have no finding.
+
+    Modes, jumps and the number are those of each target. Reach and torques are told where the experiment's states were recovered sample by
+    sample, and as far as the robot knows its stops and its inverse dynamics.
+
+    Example:
+        >>> from torch_pmil.experiments import load_experiment
+        >>> check(load_experiment("double_pendulum"))
+        []
+    """
+    demonstrations, noise_std = experiment.demonstrations, torch.as_tensor(experiment.noise_std, dtype=torch.float64)
+    if demonstrations.targets is None:
+        sets, numbers = [demonstrations], [range(len(demonstrations.positions))]
+    else:
+        targets, sets = demonstrations.by_target()
+        numbers = [(demonstrations.targets == target).all(-1).nonzero().flatten().tolist() for target in targets]
+    return [
+        *_check_robot(experiment, noise_std),
+        *check_start(demonstrations, experiment.space.match.belief(experiment.initial), noise_std),
+        *check_jumps(sets, numbers, noise_std),
+        *check_modes(sets, numbers, noise_std),
+        *check_duplicates(demonstrations, noise_std),
+        *check_count(sets),
+    ]
+
+
+def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Finding]:
+    """What the robot itself cannot do."""
+    demonstrations, (N, samples, _) = experiment.demonstrations, experiment.demonstrations.positions.shape
+    if len(experiment.demonstrated_states) != N * samples:
+        return []
+    states, env = experiment.demonstrated_states.reshape(N, samples, -1), experiment.first_robot(seed=0)
+    findings = check_reach(demonstrations, experiment.space.match(states), noise_std)
+    if (excess := env.beyond_range(states)) is not None:
+        findings += check_stops(excess, demonstrations.time_step)
+    torques = [env.needed_torques(each) for each in states] if samples > 2 and not findings else [None]
+    if torques[0] is not None:
+        findings += check_torques(torch.stack(torques), experiment.u_max, demonstrations.time_step)
+    return findings

@@ -61,7 +61,8 @@ def check_modes(sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]]
             findings.append(
                 Finding(
                     f"demonstrations {first} and {second} are two different ways "
-                    f"({100 * split.explained:.0f} % of the spread is between them, p = {split.p_value:.4f}); their mean is neither: train on one of them alone"
+                    f"({100 * split.explained:.0f} % of the spread is between them, p = {split.p_value:.4f}); "
+                    "their mean is neither: train on one of them alone"
                 )
             )
     return findings

@@ -96,3 +96,58 @@ def test_missing_file_and_other_suffix_are_one_line(script: Script, tmp_path: Pa
         script(tmp_path / "none.csv", tmp_path / "out.npz")
     with pytest.raises(SystemExit, match=r"out.csv: demonstrations are written to a .npz file"):
         script(tmp_path / "none.csv", tmp_path / "out.csv")
+
+
+@pytest.fixture
+def tracked(tmp_path: Path) -> Path:
+    """Three strokes of a point that a camera saw from the side, in pixels at 60 Hz with noise, one of them with a jump."""
+    draws, rows = np.random.default_rng(0), ["demonstration,time,x,y"]
+    for label, duration in (("slow", 1.2), ("fast", 0.9), ("middle", 1.0)):
+        times = np.arange(0, duration, 1 / 60)
+        x, y = 0.4 * times / duration, 0.2 * np.sin(np.pi * times / duration)
+        pixels = np.stack([200 + 1000 * x, 800 - 1000 * y], 1) + draws.normal(size=(len(times), 2))
+        if label == "middle":
+            pixels[20:22] = 900.0, 100.0
+        rows += [f"{label},{time},{place[0]},{place[1]}" for time, place in zip(times, pixels, strict=True)]
+    path = tmp_path / "tracked.csv"
+    path.write_text("\n".join(rows))
+    return path
+
+
+MARKERS = [("200", "800", "0", "0"), ("600", "800", "0.4", "0"), ("600", "600", "0.4", "0.2"), ("200", "600", "0", "0.2")]
+
+
+def test_pixels_with_jumps_become_metres_and_velocities(script: Script, tracked: Path) -> None:
+    out, picture = tracked.with_suffix(".npz"), tracked.with_suffix(".png")
+    markers = [word for marker in MARKERS for word in ("--marker", *marker)]
+    steps = ["--fastest", "2", "--smooth", "0.3", "--derive", "dx=x", "dy=y", "--draw", picture, "--window", "0.3"]
+    script(tracked, out, *markers, *steps, "--reference", "fast")
+    demonstrations = load_demonstrations(out, time_step=0.1)
+    assert demonstrations.names == ("x", "y", "dx", "dy") and demonstrations.positions.shape[1] == 9
+    times = 0.1 * torch.arange(9, dtype=torch.float64)
+    phase = torch.pi * times / 0.9
+    expected = torch.stack(
+        [0.4 * times / 0.9, 0.2 * phase.sin(), torch.full_like(times, 0.4 / 0.9), 0.2 * torch.pi / 0.9 * phase.cos()], -1
+    )
+    error = (demonstrations.positions - expected)[:, 1:-1].abs().amax((0, 1))
+    assert (error[:2] < 0.015).all() and (error[2:] < 0.12).all()
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--derive", "dx=x"], "--derive needs --smooth PERIOD: velocities are those of smoothed positions"),
+        (["--smooth", "0.2", "--derive", "dz=z"], "velocities must be columns of x, y, got z"),
+        (["--smooth", "-1"], "period must be positive and at most the duration"),
+        (["--fastest", "0"], "fastest must be positive, got"),
+        (["--reference", "quick"], "reference must be one of the demonstrations slow, fast, middle, got quick"),
+        (["--marker", *MARKERS[0]], "markers and places must be (K, 2) with K >= 4"),
+        (["--marker", *MARKERS[0], "--velocities", "y"], "with markers the columns must be x and y of each point in turn, got 1 columns"),
+    ],
+)
+def test_wrong_step_is_one_line_and_writes_nothing(script: Script, tracked: Path, options: list[str], message: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        script(tracked, tracked.with_suffix(".npz"), *options)
+    assert stop.value.code.startswith(f"error: {message}") and "\n" not in stop.value.code
+    assert os.listdir(tracked.parent) == ["tracked.csv"]

@@ -164,6 +164,32 @@ def test_demonstrations_of_something_else_are_refused(
     assert os.listdir(tmp_path) == ["own.npz"]
 
 
+def test_demonstrations_that_the_robot_cannot_follow_are_refused(script: Script, tmp_path: Path) -> None:
+    positions = shipped_demonstrations().positions.clone()
+    positions[3] *= 1.3
+    Demonstrations(positions, 0.1, ("x1", "y1", "x2", "y2")).save(tmp_path / "own.npz")
+    assert error_of(script, "demonstrations=own.npz", "out=run").startswith("demonstration 3 leaves the workspace: at ")
+    assert os.listdir(tmp_path) == ["own.npz"]
+
+
+def test_doubtful_demonstrations_are_warned_of_once_and_learned_from(
+    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    positions = shipped_demonstrations().positions
+    Demonstrations(positions[[0, 1, 2, 3, 4, 1]], 0.1, ("x1", "y1", "x2", "y2")).save(tmp_path / "own.npz")
+
+    def stopped(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(policy_search, "minimise", stopped)
+    quick_fits(monkeypatch)
+    with pytest.raises(SystemExit):
+        script("demonstrations=own.npz", "trials=1", "out=run")
+    printed = capsys.readouterr().out
+    assert printed.count("warning: ") == 1
+    assert "warning: demonstrations 1 and 5 are the same; leave one of them out\n" in printed
+
+
 def test_missing_demonstrations_are_named(script: Script, tmp_path: Path) -> None:
     assert "own.csv" in error_of(script, "demonstrations=own.csv", "out=run")
     assert os.listdir(tmp_path) == []

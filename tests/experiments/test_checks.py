@@ -12,6 +12,7 @@ from torch import Tensor
 from torch_pmil.demonstration_checks import check_jumps, check_start
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import BioRobEnv, DoublePendulumEnv
+from torch_pmil.envs.swing_up import demonstrate, swing_up_expert
 from torch_pmil.experiments import EXPERIMENTS, load_experiment
 from torch_pmil.experiments.checks import check
 from torch_pmil.gaussian import Gaussian
@@ -91,15 +92,11 @@ def test_swing_in_half_the_time_needs_torque_that_there_is_not() -> None:
             assert found[0].startswith("demonstration 0 needs ") and "of motor 0 at " in found[0] and "which has 3.5 N·m" in found[0]
 
 
-def test_torques_of_a_known_motion_are_found_again() -> None:
-    """Of 2 s of swinging, torques held for 0.1 s."""
-    env, time = DoublePendulumEnv(num_envs=4, seed=0), torch.arange(20, dtype=torch.float64) / 10
-    phases = torch.rand(4, 2, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    torques = (2 * (2 * math.pi * (time / 1.2 + phases)).sin()).mT  # (4, 20, 2)
-    states = [env.reset()["observation"]]
-    for step in range(20):
-        states.append(env.simulate(states[-1], torques[:, step]))
-    found = torch.stack([env.needed_torques(each) for each in torch.stack(states, 1)])
+@pytest.mark.slow
+def test_torques_of_known_swing_ups_are_found_again() -> None:
+    env = DoublePendulumEnv(num_envs=5, seed=0)
+    states, torques = demonstrate(env, swing_up_expert(), 0, 0.1)
+    found = torch.stack([env.needed_torques(each) for each in states])
     assert (found - torques).square().mean((0, 1)).sqrt().max() < 0.05 * 3.5
 
 

@@ -167,7 +167,8 @@ class MujocoRobotEnv(RobotEnv):
     def needed_torques(self, states: Tensor) -> Tensor | None:
         """Torques that lead along a motion, limits or not, by inverse dynamics of a cubic spline through the positions.
 
-        Torques that are held for a control period are met to about 5 % of the double pendulum's limit and 10 % of the BioRob's.
+        The samples must resolve the motion. Those of the double pendulum's swing-ups do, and their torques are met to 5 % of the limit (rms);
+        where a joint turns by a radian and more from sample to sample, as in a whipping motion, the spline and so the torques are wrong.
 
         Args:
             states: x_0..x_T at the control rate, (T + 1, D), T >= 2.

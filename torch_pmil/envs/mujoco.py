@@ -167,8 +167,8 @@ class MujocoRobotEnv(RobotEnv):
     def needed_torques(self, states: Tensor) -> Tensor | None:
         """Torques that lead along a motion, limits or not, by inverse dynamics of a cubic spline through the positions.
 
-        The samples must resolve the motion. Those of the double pendulum's swing-ups do, and their torques are met to 5 % of the limit (rms);
-        where a joint turns by a radian and more from sample to sample, as in a whipping motion, the spline and so the torques are wrong.
+        The samples must resolve the motion. Those of the double pendulum's swing-ups do, and their torques are met to 5 % of the limit
+        (rms); where a joint turns by a radian and more from sample to sample, as in a whip's motion, the spline and the torques are wrong.
 
         Args:
             states: x_0..x_T at the control rate, (T + 1, D), T >= 2.

@@ -100,7 +100,7 @@ class RBFPolicy(nn.Module):
         raw = torch.asin((actions / self.u_max).clamp(-MAX_SINE, MAX_SINE)).mT[..., None]  # (F, S, 1)
         weights = self.weights.mT[..., None]
         gram = basis.mT @ basis + ridge * torch.eye(len(self.centres)).to(basis)
-        change = torch.linalg.solve(gram, basis.mT @ (raw - basis @ weights))
+        change = torch.cholesky_solve(basis.mT @ (raw - basis @ weights), torch.linalg.cholesky(gram))
         self.weights.copy_((weights + change)[..., 0].mT)
 
     @torch.no_grad()

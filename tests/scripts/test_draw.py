@@ -9,7 +9,6 @@ import os
 import re
 import runpy
 import shutil
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -152,7 +151,10 @@ def test_script_tells_where_to_draw_and_how_to_train(
 
 
 def test_interrupt_ends_in_one_line_and_writes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(ThreadingHTTPServer, "serve_forever", lambda _: signal.raise_signal(signal.SIGINT))
+    def interrupt(_: ThreadingHTTPServer) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ThreadingHTTPServer, "serve_forever", interrupt)
     with pytest.raises(SystemExit, match="\nended, nothing was saved"):
         run_script(monkeypatch, "scripts/draw.py", tmp_path / "wave.npz")
     assert not os.listdir(tmp_path)

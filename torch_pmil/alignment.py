@@ -101,17 +101,22 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
         raise AlignmentError(
             f"values must be (*batch, T, M) and times (T,) with T >= 2, got {tuple(values.shape)} and {tuple(times.shape)}"
         )
-    if not (values.isfinite().all() and times.isfinite().all()):
-        raise AlignmentError("values and times must be finite")
-    if (late := (times.diff() <= 0).nonzero()).numel():
-        at = late[0].item()
-        raise AlignmentError(f"times must increase, got {times[at + 1]:g} s after {times[at]:g} s at sample {at + 1}")
+    check_samples(values, times)
     duration = (times[-1] - times[0]).item()
     if not 0 < time_step <= duration * (1 + 1e-9):
         raise AlignmentError(f"time_step must be positive and at most the duration, {duration:g} s, got {time_step} s")
     even = times[0].item() + time_step * np.arange(int(duration / time_step + 1e-6) + 1)
     spline = CubicSpline(times.numpy(), values.numpy(), axis=-2)
     return torch.from_numpy(spline(np.minimum(even, times[-1].item())))
+
+
+def check_samples(values: Tensor, times: Tensor) -> None:
+    """Raise AlignmentError unless values and times are finite, and the times (T,) increase."""
+    if not (values.isfinite().all() and times.isfinite().all()):
+        raise AlignmentError("values and times must be finite")
+    if (late := (times.diff() <= 0).nonzero()).numel():
+        at = late[0].item()
+        raise AlignmentError(f"times must increase, got {times[at + 1]:g} s after {times[at]:g} s at sample {at + 1}")
 
 
 def crop(trajectory: Tensor, threshold: float = 0.05, velocities: Sequence[int] = ()) -> Tensor:

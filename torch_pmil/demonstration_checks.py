@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -151,34 +151,26 @@ def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor
         noise_std: observation noise, () or (M,).
     """
     apart = (demonstrations.positions - shown).abs()
-    findings = []
-    for number, (distance, scaled) in enumerate(zip(apart, apart / noise_std, strict=True)):
-        step, entry = divmod(int(scaled.argmax()), scaled.shape[1])
-        if scaled[step, entry] > OUT_OF_REACH:
-            findings.append(
-                Finding(
-                    f"demonstration {number} leaves the workspace: at {step * demonstrations.time_step:.2f} s the robot is no nearer than "
-                    f"{distance[step, entry]:.3g} in {demonstrations.names[entry]}; scale it or place it elsewhere",
-                    fatal=True,
-                )
-            )
-    return findings
+    return [
+        Finding(
+            f"demonstration {number} leaves the workspace: at {step * demonstrations.time_step:.2f} s the robot is no nearer than "
+            f"{apart[number, step, entry]:.3g} in {demonstrations.names[entry]}; scale it or place it elsewhere",
+            fatal=True,
+        )
+        for number, step, entry in _worst(apart / noise_std, OUT_OF_REACH)
+    ]
 
 
 def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
     """Joints beyond their stops: excess (N, T + 1, J) in rad or m, 0 within."""
-    findings = []
-    for number, beyond in enumerate(excess):
-        step, joint = divmod(int(beyond.argmax()), beyond.shape[1])
-        if beyond[step, joint] > STOP_MARGIN:
-            findings.append(
-                Finding(
-                    f"demonstration {number} leaves the workspace: at {step * time_step:.2f} s joint {joint} would be "
-                    f"{beyond[step, joint]:.3g} beyond its stop; scale it or place it elsewhere",
-                    fatal=True,
-                )
-            )
-    return findings
+    return [
+        Finding(
+            f"demonstration {number} leaves the workspace: at {step * time_step:.2f} s joint {joint} would be "
+            f"{excess[number, step, joint]:.3g} beyond its stop; scale it or place it elsewhere",
+            fatal=True,
+        )
+        for number, step, joint in _worst(excess, STOP_MARGIN)
+    ]
 
 
 def check_torques(torques: Tensor, limits: Tensor, time_step: float) -> list[Finding]:
@@ -189,14 +181,18 @@ def check_torques(torques: Tensor, limits: Tensor, time_step: float) -> list[Fin
         limits: (F,), N·m.
         time_step: the control period, s.
     """
-    findings = []
-    for number, used in enumerate(torques.abs() / limits):
-        step, motor = divmod(int(used.argmax()), used.shape[1])
-        if used[step, motor] > TORQUE_MARGIN:
-            findings.append(
-                Finding(
-                    f"demonstration {number} needs {used[step, motor] * limits[motor]:.1f} N·m of motor {motor} "
-                    f"at {step * time_step:.2f} s, which has {limits[motor]:g} N·m; show it more slowly or smaller, or smooth it"
-                )
-            )
-    return findings
+    return [
+        Finding(
+            f"demonstration {number} needs {torques[number, step, motor].abs():.1f} N·m of motor {motor} "
+            f"at {step * time_step:.2f} s, which has {limits[motor]:g} N·m; show it more slowly or smaller, or smooth it"
+        )
+        for number, step, motor in _worst(torques.abs() / limits, TORQUE_MARGIN)
+    ]
+
+
+def _worst(sizes: Tensor, bound: float) -> Iterator[tuple[int, int, int]]:
+    """Demonstration, step and entry of the largest size (N, T, K) of each demonstration in which it is more than a bound."""
+    for number, size in enumerate(sizes):
+        step, entry = divmod(int(size.argmax()), size.shape[1])
+        if size[step, entry] > bound:
+            yield number, step, entry

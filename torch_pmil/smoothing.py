@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
 from torch import Tensor, from_numpy
 
-from torch_pmil.alignment import AlignmentError
+from torch_pmil.alignment import AlignmentError, check_samples
 
 FEWEST_SAMPLES = 5  # that a smoothing spline takes
 
@@ -86,11 +86,7 @@ def _check(values: Tensor, times: Tensor, period: float) -> None:
         raise AlignmentError(
             f"values must be (T, M) and times (T,) with T >= {FEWEST_SAMPLES}, got {tuple(values.shape)} and {tuple(times.shape)}"
         )
-    if not (values.isfinite().all() and times.isfinite().all()):
-        raise AlignmentError("values and times must be finite")
-    if (late := (times.diff() <= 0).nonzero()).numel():
-        at = late[0].item()
-        raise AlignmentError(f"times must increase, got {times[at + 1]:g} s after {times[at]:g} s at sample {at + 1}")
+    check_samples(values, times)
     duration = (times[-1] - times[0]).item()
     if not 0 < period <= duration:
         raise AlignmentError(f"period must be positive and at most the duration, {duration:g} s, got {period} s")

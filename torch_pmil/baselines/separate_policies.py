@@ -46,5 +46,5 @@ class SeparatePolicies(nn.Module):
         own = nn.functional.one_hot(distance.argmin(-1), len(self.targets)).to(distance)
         if self.nearest:
             return own
-        closeness = distance.clamp(min=torch.finfo(distance.dtype).tiny ** 0.25).pow(-2)
+        closeness = distance.pow(-2)
         return torch.where(distance.amin(-1, keepdim=True) == 0, own, closeness / closeness.sum(-1, keepdim=True))

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torch_pmil.envs.inverse_dynamics import inverse_dynamics
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 
 
@@ -60,9 +61,4 @@ def tracking_torques(model: mujoco.MjModel, states: Tensor, accelerations: Tenso
         >>> tracking_torques(double_pendulum_model((0.5, 0.5)), stretched, torch.zeros(1, 2)).round(decimals=3)
         tensor([[-4.9050, -1.2260]], dtype=torch.float64)
     """
-    data, result = mujoco.MjData(model), np.empty((len(states), model.nv))
-    for row, (state, acceleration) in enumerate(zip(states.numpy(), accelerations.numpy(), strict=True)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = state[::2], state[1::2], acceleration
-        mujoco.mj_inverse(model, data)
-        result[row] = data.qfrc_inverse
-    return torch.from_numpy(result)
+    return torch.from_numpy(inverse_dynamics(model, states[:, ::2].numpy(), states[:, 1::2].numpy(), accelerations.numpy()))

@@ -15,6 +15,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 
+from torch_pmil.envs.inverse_dynamics import inverse_dynamics
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
 
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -200,13 +201,9 @@ class MujocoRobotEnv(RobotEnv):
         """Torques (S, F) of joints (S, J) that move so; None where the motors do not move them directly."""
         if not self.model.nu == self.model.nv == len(self._joints):
             return None
-        data, dofs = mujoco.MjData(self.model), [self.model.joint(name).dofadr[0] for name in self._joints]
-        torques = np.empty_like(positions)
-        for row, parts in enumerate(zip(positions, velocities, accelerations, strict=True)):
-            data.qpos[dofs], data.qvel[dofs], data.qacc[dofs] = parts
-            mujoco.mj_inverse(self.model, data)
-            torques[row] = data.qfrc_inverse[dofs]
-        return torques
+        dofs = [self.model.joint(name).dofadr[0] for name in self._joints]
+        in_model_order = (part[:, np.argsort(dofs)] for part in (positions, velocities, accelerations))
+        return inverse_dynamics(self.model, *in_model_order)[:, dofs]
 
     def render(self, state: Tensor, robot: int = 0) -> np.ndarray:
         """Draw the robot in one state, seen by the fixed camera, without shadows.

@@ -145,10 +145,10 @@ class TargetStudy:
 
 def separate_policies(learned: Learned, experiment: TargetExperiment) -> list[StatePolicy]:
     """A policy for each target: what the joint one does there, searched further for this target alone, on the same model."""
-    policies = []
+    policies, experts = [], experiment.expert
     for i, target in enumerate(experiment.targets):
         policy = learned.policy.policy.for_target(target)
-        loss = TrajectoryKLLoss(policy, learned.dynamics, experiment.space, experiment.expert[i], experiment.noise_std)
+        loss = TrajectoryKLLoss(policy, learned.dynamics, experiment.space, experts[i], experiment.noise_std)
         search_policy(loss, experiment.initial, experiment.search)
         policies.append(StatePolicy(policy.requires_grad_(False), experiment.space, experiment.demonstrations.time_step))
     return policies

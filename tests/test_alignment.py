@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -125,6 +127,16 @@ def test_units_do_not_matter(shown: list[Tensor]) -> None:
     units = torch.ones(8, dtype=torch.float64)
     units[1] = 1000.0
     torch.testing.assert_close(align([one * units for one in shown], VELOCITIES) / units, align(shown, VELOCITIES), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("turn", [0.5, 2.0])
+def test_places_on_a_page_may_be_turned(shown: list[Tensor], turn: float) -> None:
+    axes = torch.tensor([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]], dtype=torch.float64)
+    places = [one[:, :2] * torch.tensor([1.0, 0.2], dtype=torch.float64) for one in shown]
+    aligned, turned = align(places, isotropic=True), align([one @ axes for one in places], isotropic=True)
+    torch.testing.assert_close(turned, aligned @ axes, rtol=0, atol=1e-9)
+    torch.testing.assert_close(crop(places[0] @ axes, isotropic=True), crop(places[0], isotropic=True) @ axes)
+    assert (align([one @ axes for one in places]) - align(places) @ axes).abs().max() > 1e-3  # each coordinate by its own spread
 
 
 def test_constant_columns_stay_and_decide_nothing(shown: list[Tensor]) -> None:

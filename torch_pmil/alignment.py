@@ -23,7 +23,13 @@ class AlignmentError(ValueError):
     """Trajectories cannot be aligned; the message says in one line what was expected and what came."""
 
 
-def align(trajectories: Sequence[Tensor], velocities: Sequence[int] = (), window: float = 0.2, reference: int | None = None) -> Tensor:
+def align(
+    trajectories: Sequence[Tensor],
+    velocities: Sequence[int] = (),
+    window: float = 0.2,
+    reference: int | None = None,
+    isotropic: bool = False,
+) -> Tensor:
     r"""Trajectories that differ in timing and length, on one time base.
 
     Each is matched to the medoid, the one with the least sum of warping distances to all, by dynamic time warping on positions in units
@@ -41,6 +47,7 @@ def align(trajectories: Sequence[Tensor], velocities: Sequence[int] = (), window
         velocities: columns that are rates of change; negative ones count from the end.
         window: how far times may be shifted, as a fraction of the longest trajectory, beyond what a difference in length needs.
         reference: number of the trajectory whose timing is taken over; None for the mean timing.
+        isotropic: the positions are coordinates of one place, as on a page, and share one spread: the result turns with the axes.
 
     Returns:
         (N, T, M), float64, where T - 1 is the mean of T_n - 1, or that of the reference.
@@ -64,7 +71,7 @@ def align(trajectories: Sequence[Tensor], velocities: Sequence[int] = (), window
     positions = _positions(velocities, values[0].shape[1])
     lengths = np.array([len(one) - 1 for one in values])
     refinement = max(1, round(RESOLUTION / lengths.max()))
-    compared = _in_units_of_spread([_refined(one[:, positions], refinement) for one in values])
+    compared = _in_units_of_spread([_refined(one[:, positions], refinement) for one in values], isotropic)
     settings = {"window": max(2, round(window * refinement * lengths.max())), "penalty": PENALTY}
     template = compared[_medoid(compared, settings) if reference is None else reference]
     knots = np.stack([_matched_times(template, one, settings) for one in compared]) / refinement  # (N, KNOTS + 2), samples
@@ -119,13 +126,14 @@ def check_samples(values: Tensor, times: Tensor) -> None:
         raise AlignmentError(f"times must increase, got {times[at + 1]:g} s after {times[at]:g} s at sample {at + 1}")
 
 
-def crop(trajectory: Tensor, threshold: float = 0.05, velocities: Sequence[int] = ()) -> Tensor:
+def crop(trajectory: Tensor, threshold: float = 0.05, velocities: Sequence[int] = (), isotropic: bool = False) -> Tensor:
     """The part that moves: from the last sample at rest before the motion to the first one after it.
 
     Args:
         trajectory: at one time step, (T, M).
         threshold: speed above which it moves, as a fraction of the largest one; coordinates are in units of their spread.
         velocities: columns that are rates of change, which say nothing of where the motion begins: their noise is larger.
+        isotropic: the positions share one spread, as in ``align``.
 
     Returns:
         Some consecutive samples of it, (T', M).
@@ -140,7 +148,7 @@ def crop(trajectory: Tensor, threshold: float = 0.05, velocities: Sequence[int] 
     _check_trajectory("the trajectory", trajectory)
     if not 0 <= threshold < 1:
         raise AlignmentError(f"threshold must be in [0, 1), got {threshold}")
-    (scaled,) = _in_units_of_spread([trajectory[:, _positions(velocities, trajectory.shape[1])].double().numpy()])
+    (scaled,) = _in_units_of_spread([trajectory[:, _positions(velocities, trajectory.shape[1])].double().numpy()], isotropic)
     speed = np.linalg.norm(np.diff(scaled, axis=0), axis=1)
     moving = np.flatnonzero(speed > threshold * speed.max())
     return trajectory[moving[0] : moving[-1] + 2]
@@ -174,13 +182,15 @@ def _refined(trajectory: np.ndarray, refinement: int) -> np.ndarray:
     return CubicSpline(np.arange(steps + 1), trajectory)(np.linspace(0, steps, refinement * steps + 1))
 
 
-def _in_units_of_spread(trajectories: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Coordinates over their spread in all trajectories together; those that never change are zero."""
+def _in_units_of_spread(trajectories: Sequence[np.ndarray], isotropic: bool) -> list[np.ndarray]:
+    """Coordinates over their spread in all trajectories together, or over the one of all coordinates; those that never change are zero."""
     everything = np.concatenate(trajectories)
     mean, spread = everything.mean(0), everything.std(0)
     changes = spread > 1e-9 * np.abs(everything).max(0)
     if not changes.any():
         raise AlignmentError("trajectories must move: every coordinate is constant")
+    if isotropic:
+        spread = np.full_like(spread, np.sqrt(np.mean(spread**2)))
     return [np.ascontiguousarray(np.where(changes, one - mean, 0.0) / np.where(changes, spread, 1.0)) for one in trajectories]
 
 

@@ -99,8 +99,7 @@ def drawn_demonstrations(strokes: Recordings, time_step: float = 0.1) -> Demonst
     """
     check_time_step(time_step)
     moving = [_moving(*stroke) for stroke in zip(strokes.labels, strokes.times, strokes.values, strict=True)]
-    axes = _evenly_spread_axes(torch.cat(moving))
-    aligned = align([stroke @ axes for stroke in moving]) @ axes.mT
+    aligned = align(moving, isotropic=True)
     steps = round((aligned.shape[1] - 1) * STEP / time_step)
     times = torch.linspace(0, steps * time_step, aligned.shape[1], dtype=torch.float64)
     return Demonstrations(resample(aligned, times, time_step), time_step, strokes.names)
@@ -179,20 +178,8 @@ def _moving(label: str, times: Tensor, values: Tensor) -> Tensor:
     even = np.linspace(0, times[-1].item(), round(times[-1].item() / STEP) + 1)
     sampled = PchipInterpolator(times.numpy(), values.numpy())(even)
     smooth = torch.from_numpy(sosfiltfilt(butter(2, CUTOFF, fs=1 / STEP, output="sos"), sampled, axis=0).copy())
-    axes = _evenly_spread_axes(smooth)
-    moving = crop(smooth @ axes, REST) @ axes.mT
+    moving = crop(smooth, REST, isotropic=True)
     duration = STEP * (len(moving) - 1)
     if duration < SHORTEST:
         raise DrawingError(f"stroke {label} must move for {SHORTEST:g} s at least, got {duration:.2g} s")
     return moving
-
-
-def _evenly_spread_axes(points: Tensor) -> Tensor:
-    """Axes (2, 2) halfway between the principal ones of points (K, 2): these have one spread along both.
-
-    Alignment compares coordinates in units of their spread. Along these axes that is one unit, so that distances are those on the page.
-    """
-    cov = points.mT.cov()
-    principal = torch.atan2(2 * cov[0, 1], cov[0, 0] - cov[1, 1]) / 2
-    angles = principal + math.pi / 4 * torch.tensor([1.0, -1.0], dtype=torch.float64)
-    return torch.stack([angles.cos(), angles.sin()])

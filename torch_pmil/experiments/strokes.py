@@ -60,8 +60,8 @@ def conditioned(recordings: Recordings, duration: float, time_step: float = TIME
     Raises:
         AlignmentError: a stroke does not move or its times do not increase.
     """
-    moving = [crop(resample(values, times, FINE_STEP)) for times, values in zip(recordings.times, recordings.values, strict=True)]
-    aligned = align(moving)
+    even = [resample(values, times, FINE_STEP) for times, values in zip(recordings.times, recordings.values, strict=True)]
+    aligned = align([crop(stroke, isotropic=True) for stroke in even], isotropic=True)
     times = torch.linspace(0, duration, aligned.shape[1], dtype=torch.float64)
     return Demonstrations(resample(aligned, times, time_step), time_step, recordings.names)
 

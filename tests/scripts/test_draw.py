@@ -8,7 +8,10 @@ import math
 import os
 import re
 import runpy
+import shlex
 import shutil
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -291,3 +294,21 @@ def test_finger_and_pen_draw_as_a_mouse_does(browser: object, server: object, tm
     arc = SIDE * torch.tensor([[place(k / 200, 2)[0], 1 - place(k / 200, 2)[1]] for k in range(201)], dtype=torch.float64)
     assert off_the_line(load_demonstrations(tmp_path / "wave.npz").positions.reshape(-1, 2), arc) < 0.03 * SIDE
     context.close()
+
+
+@pytest.mark.slow
+def test_what_is_drawn_trains_with_the_command_that_was_printed(browser: object, tmp_path: Path) -> None:
+    out, environment = tmp_path / "arc.npz", os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    draw = subprocess.Popen([sys.executable, "scripts/draw.py", out], cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True)
+    with draw, browser.new_page(viewport={"width": 900, "height": 800}) as page:
+        page.goto(re.search(r"http\S+", draw.stdout.readline())[0])
+        for variation in range(5):
+            draw_arc(page, variation, 2.0 + 0.1 * variation)
+        page.locator("#save").click()
+        printed = draw.stdout.read()
+    command = shlex.split(re.search(r"train with: (.*)", printed)[1])
+    arguments = [sys.executable, *command[1:], "trials=3", f"out={tmp_path / 'run'}"]
+    told = subprocess.run(arguments, cwd=ROOT, env=environment, capture_output=True, text=True, check=True).stdout
+    summary = json.loads((tmp_path / "run/summary.json").read_text())
+    assert "warning" not in told and summary["experiment"] == "handwriting_own_double_pendulum"
+    assert math.hypot(*summary["rms_error"].values()) < 0.2 * SIDE  # as large as it was drawn

@@ -1,0 +1,55 @@
+"""Settings of the documentation: ``make docs``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+sys.path[:0] = [str(DOCS.parent), str(DOCS / "_ext")]
+
+import torch_pmil  # noqa: E402
+
+project = "torch_pmil"
+author = "the torch_pmil authors"
+copyright = author
+release = version = torch_pmil.__version__
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "code_links",
+    "docstrings",
+    "equations",
+    "whole_links",
+]
+exclude_patterns = ["_build", "_ext", "figures"]
+nitpicky = True
+nitpick_ignore_regex = [  # what other packages document, and type variables
+    (r"py:.*", r"(torch|tensordict|torchrl|gpytorch|numpy|matplotlib|mujoco|gymnasium|hydra|omegaconf|Figure|Axes)\b.*"),
+    (r"py:.*", r"(collections|pathlib|typing|argparse|nn|np|Path|Callable|Sequence|Mapping|Iterator|Iterable)\b.*"),
+]
+
+autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+add_module_names = False
+maximum_signature_line_length = 100
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_rtype = False
+
+myst_enable_extensions = ["dollarmath", "amsmath"]
+myst_heading_anchors = 4
+nb_execution_mode = "cache"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+
+html_theme = "furo"
+html_title = f"torch_pmil {release}"
+html_static_path = ["_static"]
+html_css_files = ["custom.css"]
+html_theme_options = {"source_edit_link": ""}

@@ -28,12 +28,13 @@ extensions = [
 ]
 exclude_patterns = ["_build", "_ext", "figures"]
 nitpicky = True
-nitpick_ignore_regex = [  # what other packages document, and type variables
-    (r"py:.*", r"(torch|tensordict|torchrl|gpytorch|numpy|matplotlib|mujoco|gymnasium|hydra|omegaconf|Figure|Axes)\b.*"),
-    (r"py:.*", r"(collections|pathlib|typing|argparse|nn|np|Path|Callable|Sequence|Mapping|Iterator|Iterable)\b.*"),
+nitpick_ignore_regex = [  # what other packages document
+    (r"py:.*", r"(torch|tensordict|torchrl|gpytorch|numpy|matplotlib|scipy|mujoco|gymnasium|hydra|omegaconf|functools|os|types)\b.*"),
+    (r"py:.*", r"(torch_pmil\.state_policy\.State$|collections|pathlib|typing|argparse|nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError)\b.*"),
 ]
 
 autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
+autodoc_inherit_docstrings = False
 autodoc_preserve_defaults = True
 python_use_unqualified_type_names = True
 add_module_names = False

@@ -1,4 +1,4 @@
-"""What lets docstrings read well as plain text and as pages: no escapes for shapes, no module names in references."""
+"""What lets docstrings read well as plain text and as pages: shapes without escapes, references without module names."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 
-STAR = re.compile(r"(?<![\\\w*])\*(?=batch\b|E\b|B\b)")  # shapes as (*batch, D); a star would begin emphasis
+STAR = re.compile(r"(?<![\\\w*])\*(?=[A-Za-z]+\b[,)])")  # shapes as (*batch, D); a star would begin emphasis
 
 
 def escape_shapes(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Escape the star of a shape, but in code."""
+    """Escape the star of a shape, but in code. Of a property, napoleon takes what stands before a colon for its type: an empty comment goes first."""
+    if what in ("property", "attribute"):
+        lines[:0] = ["..", ""]
     lines[:] = [line if line.lstrip().startswith((">>>", "...")) else STAR.sub(r"\\*", line) for line in lines]
 
 
@@ -27,6 +29,6 @@ def find_by_name(app: Sphinx, env: BuildEnvironment, node: pending_xref, content
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Called by Sphinx."""
-    app.connect("autodoc-process-docstring", escape_shapes)
+    app.connect("autodoc-process-docstring", escape_shapes, priority=400)  # before napoleon
     app.connect("missing-reference", find_by_name)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

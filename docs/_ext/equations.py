@@ -10,6 +10,7 @@ from sphinx.application import Sphinx
 TAG = re.compile(r"\\tag\{(\d+)\}")
 CITED = re.compile(r"\bEqs?\. \d+(?:(?:-|, | and | or )\d+)*(?![.\d])")
 OF_ANOTHER = re.compile(r"(Rasmussen|Williams|Deisenroth)[^.]*,\s*$")  # "Deisenroth and Rasmussen (2011), Eqs. 24 and 25"
+NO_TEXT = re.compile(r"^\s*(>>>|\.\.\.)|\S {2,}\S")  # code, or a row of a table, whose columns have their widths
 PAGE = "method"
 
 
@@ -26,14 +27,14 @@ def name_targets(app: Sphinx, doctree: nodes.document) -> None:
 
 def link_citations(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
     """Make links of "Eq. 19" and of the numbers in "Eqs. 14-18" or "Eqs. 6 and 7"."""
-    lines[:] = [line if line.lstrip().startswith((">>>", "...")) else CITED.sub(_link, line) for line in lines]
+    lines[:] = [line if NO_TEXT.search(line) else CITED.sub(_link, line) for line in lines]
 
 
 def _link(cited: re.Match[str]) -> str:
     if OF_ANOTHER.search(cited.string[: cited.start()]):
         return cited.group()
     word, _, numbers = cited.group().partition(" ")
-    if word == "Eq.":
+    if numbers.isdecimal():
         return f":ref:`Eq. {numbers} <eq-{numbers}>`"
     return f"{word} " + re.sub(r"\d+", r":ref:`\g<0> <eq-\g<0>>`", numbers).replace("`-:", "`\\ -\\ :")
 

@@ -9,7 +9,7 @@ LEARNED := $(patsubst %,results/%/summary.json,double_pendulum gym_pendulum inve
 TORCH_ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-all lint demonstrations results reproduce benchmark benchmark-steps clean
+.PHONY: help train test test-all lint demonstrations results reproduce docs benchmark benchmark-steps clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -44,6 +44,9 @@ runs/%/summary.json: | .venv/.installed
 reproduce: .venv/.installed  ## reproduce an experiment of the paper, as ARGS="figure6" or ARGS="figure6 --quick"
 	@.venv/bin/python scripts/reproduce.py $(ARGS)
 
+docs: .venv/.docs  ## build the documentation into docs/_build/html, its notebooks executed
+	@OMP_NUM_THREADS=1 .venv/bin/python -m sphinx -b html -q -W --keep-going -E docs docs/_build/html
+
 benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's), of fits and of a policy's step, into results
 	@.venv/bin/python benchmarks/prediction.py $(ARGS)
 	@.venv/bin/python -m benchmarks.breakdown
@@ -54,7 +57,7 @@ benchmark-steps: .venv/.benchmark  ## time of single steps
 	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest benchmarks/test_single_steps.py $(ARGS)
 
 clean:  ## remove what make and the tests built, not runs/
-	@rm -rf .venv .pytest_cache .ruff_cache build dist *.egg-info
+	@rm -rf .venv .pytest_cache .ruff_cache docs/_build build dist *.egg-info
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/.installed: setup.cfg pyproject.toml constraints.txt
@@ -62,6 +65,10 @@ clean:  ## remove what make and the tests built, not runs/
 	@$(PYTHON) -m venv .venv
 	@$(PIP) $(TORCH_ARGS) -c constraints.txt torch==2.13.0
 	@$(PIP) -c constraints.txt -e ".[test]"
+	@touch $@
+
+.venv/.docs: .venv/.installed
+	@$(PIP) -c constraints.txt -e ".[docs]"
 	@touch $@
 
 .venv/.benchmark: .venv/.installed

@@ -30,7 +30,10 @@ exclude_patterns = ["_build", "_ext", "figures"]
 nitpicky = True
 nitpick_ignore_regex = [  # what other packages document
     (r"py:.*", r"(torch|tensordict|torchrl|gpytorch|numpy|matplotlib|scipy|mujoco|gymnasium|hydra|omegaconf|functools|os|types)\b.*"),
-    (r"py:.*", r"(torch_pmil\.state_policy\.State$|collections|pathlib|typing|argparse|nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError)\b.*"),
+    (
+        r"py:.*",
+        r"(torch_pmil\.(state_policy\.State|trajectory_loss\.TrajectoryLoss\._AcceptedKeys)$|collections|pathlib|typing|argparse|nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError)\b.*",
+    ),
 ]
 
 autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
@@ -51,6 +54,3 @@ nb_execution_timeout = 300
 
 html_theme = "furo"
 html_title = f"torch_pmil {release}"
-html_static_path = ["_static"]
-html_css_files = ["custom.css"]
-html_theme_options = {"source_edit_link": ""}

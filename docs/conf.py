@@ -28,12 +28,14 @@ extensions = [
 ]
 exclude_patterns = ["_build", "_ext", "figures"]
 nitpicky = True
-nitpick_ignore_regex = [  # what other packages document
-    (r"py:.*", r"(torch|tensordict|torchrl|gpytorch|numpy|matplotlib|scipy|mujoco|gymnasium|hydra|omegaconf|functools|os|types)\b.*"),
-    (
-        r"py:.*",
-        r"(torch_pmil\.(state_policy\.State|trajectory_loss\.TrajectoryLoss\._AcceptedKeys)$|collections|pathlib|typing|argparse|nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError)\b.*",
-    ),
+nitpick_ignore_regex = [
+    (r"py:.*", rf"({name})\b.*")
+    for name in (
+        "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",  # their objects are not ours
+        "argparse|collections|functools|os|pathlib|types|typing",
+        "nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError",  # by the names that annotations and docstrings have for them
+        r"torch_pmil\.(state_policy\.State|trajectory_loss\.TrajectoryLoss\._AcceptedKeys)",  # a type variable and a private class
+    )
 ]
 
 autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
@@ -50,7 +52,7 @@ myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 4
 nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 300
+nb_execution_timeout = 1800  # s, for a cell
 
 html_theme = "furo"
 html_title = f"torch_pmil {release}"

@@ -13,7 +13,10 @@ STAR = re.compile(r"(?<![\\\w*])\*(?=[A-Za-z]+\b[,)])")  # shapes as (*batch, D)
 
 
 def escape_shapes(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Escape the star of a shape, but in code. Of a property, napoleon takes what stands before a colon for its type: an empty comment goes first."""
+    """Escape the star of a shape, but in code.
+
+    Of a property's docstring napoleon takes what stands before a colon for a type: an empty comment goes first.
+    """
     if what in ("property", "attribute"):
         lines[:0] = ["..", ""]
     lines[:] = [line if line.lstrip().startswith((">>>", "...")) else STAR.sub(r"\\*", line) for line in lines]

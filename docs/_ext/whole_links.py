@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from html_links import broken_links
 from sphinx.application import Sphinx
 from sphinx.util import logging
-
-from html_links import broken_links
 
 logger = logging.getLogger(__name__)
 

@@ -23,7 +23,7 @@ from torch_pmil.plotting.success import (
     plot_success_over_mass,
     plot_success_over_settings,
 )
-from torch_pmil.plotting.trajectories import plot_demonstrations, plot_distributions
+from torch_pmil.plotting.trajectories import plot_demonstrations, plot_distributions, plot_prediction
 from torch_pmil.plotting.variants import plot_variants
 
 __all__ = [
@@ -48,6 +48,7 @@ __all__ = [
     "plot_photo_series",
     "plot_policy",
     "plot_poses",
+    "plot_prediction",
     "plot_recordings",
     "plot_success_of_methods",
     "plot_success_over_experience",

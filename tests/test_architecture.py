@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "torch_pmil"
 FLOORS = (  # bottom first; modules of one floor may import each other
     {"envs", "files"},  # know nothing of the mathematics, see below
     {"functions", "gaussian", "lbfgs", "first_motion"},
-    {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "saturating_cost", "marginal_likelihood"},
+    {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "saturating_cost", "marginal_likelihood", "writing"},
     {"gaussian_integrals"},
     {"moment_matching"},
     {"linearised_moments"},
@@ -21,7 +21,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"demonstrations", "alignment", "drawing", "smoothing", "jumps", "camera", "modes", "demonstration_checks"}
     | {"expert", "evaluation", "trigonometric_polynomial"},
     {"dynamics", "hyperparameters", "experience", "policy", "sampling_frequency"},
-    {"linearised_step", "state_policy", "saved_policy"},
+    {"linearised_step", "state_policy", "saved_policy", "calibration"},
     {"rollout", "particles"},
     {"trajectory_loss"},
     {"objective", "conditioning"},

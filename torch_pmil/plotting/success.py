@@ -9,9 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLION, draw_range, style
-
-SERIES = ((BLUE, "o"), (VERMILLION, "s"), (GREEN, "^"), (ORANGE, "D"))  # colours and markers of several methods
+from torch_pmil.plotting.style import BLUE, DARK, GREY, SERIES, VERMILLION, draw_range, style
 
 
 def plot_learning_curve(

@@ -24,9 +24,10 @@ extensions = [
     "code_links",
     "docstrings",
     "equations",
+    "notebooks",
     "whole_links",
 ]
-exclude_patterns = ["_build", "_ext", "figures"]
+exclude_patterns = ["_build", "_ext", "figures", "**/.ipynb_checkpoints"]
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", rf"({name})\b.*")

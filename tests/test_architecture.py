@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -111,3 +113,8 @@ def test_matplotlib_is_imported_in_plotting_alone(path: Path) -> None:
 def test_functions_import_nothing(path: Path) -> None:
     functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))]
     assert not {name for function in functions for name in imports(function)}
+
+
+def test_importing_the_experiments_draws_nothing() -> None:
+    told = "import sys, torch_pmil.experiments; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", told], cwd=PACKAGE.parent, check=False).returncode == 0

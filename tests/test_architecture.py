@@ -33,12 +33,13 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"trainer", "torchrl_interop", "run"},
     {"baselines", "plotting"},  # plots draw numbers and know no experiment
     {"experiments"},
-    {"video", "configs", "__main__"},  # command lines may use everything
+    {"video", "report", "configs", "__main__"},  # command lines may use everything
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}
 ABOVE_SEARCH = {room for room in LEVEL if LEVEL[room] > LEVEL["policy_search"]}
-OF_TORCHRL = {"envs", "experience", "state_policy", "trajectory_loss", "objective"} | ABOVE_SEARCH - {"baselines", "plotting", "video"}
+DRAWN = {"plotting", "video", "report"}
+OF_TORCHRL = {"envs", "experience", "state_policy", "trajectory_loss", "objective"} | ABOVE_SEARCH - {"baselines"} - DRAWN
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 

@@ -18,7 +18,7 @@ from torch_pmil.plotting.style import DARK
 from torch_pmil.state_policy import StatePolicy
 
 COLOURS = ListedColormap(
-    mpl.colormaps["RdBu_r"](np.linspace(0.1, 0.9, 257))
+    mpl.colormaps["RdBu_r"](np.linspace(0.1, 0.9, 21))
 )  # white at no torque, without the darkest, on which arrows fade
 CELLS, ARROWS = 61, 13  # on each axis
 Successor = Callable[[Tensor], Tensor]

@@ -15,7 +15,7 @@ from torch_pmil.report.tables import tables
 from torch_pmil.report.words import headline, next_steps, percent, say
 
 PNG = b"\x89PNG\r\n\x1a\n"
-DENSITY, DENSEST = 1.5, 2.2  # pixels of a picture to one of the page: as it is shown, and so that its text can still be read
+DENSITY, DENSEST = 1.5, 2.8  # pixels of a picture to one of the page: as it is shown, and so that its text can still be read
 
 
 @dataclass(frozen=True)

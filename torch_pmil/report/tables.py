@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from torch_pmil.report.words import percent, say
 
-TRIAL = {  # a field, what its column is called, and how its value is said
+TRIAL = {  # columns that can be read at a glance (metrics.csv has all): a field, what its column is called, and how its value is said
     "trial": ("trial", say),
     "experience_s": ("experience (s)", "{:.1f}".format),
     "kl": ("objective", say),
@@ -16,10 +16,8 @@ TRIAL = {  # a field, what its column is called, and how its value is said
     "own_success": ("own rollout", lambda success: "succeeded" if success else "failed"),
     "own_error": ("own error", say),
     "horizon": ("steps searched", say),
-    "renewed": ("policy renewed", say),
     "gp_seconds": ("model (s)", "{:.1f}".format),
     "search_seconds": ("search (s)", "{:.1f}".format),
-    "evaluations": ("evaluations", say),
     "stop_reason": ("search ended by", say),
 }
 
@@ -58,7 +56,7 @@ def tables(summary: Mapping) -> Iterator[Table]:
         yield Table("Coverage", ["entry of the state", "within"], rows, text)
     yield Table("Settings", ["setting", "value"], list(_flat(summary.get("settings", {}))))
     origin = {name: summary[name] for name in ("command", "date", "commit") if name in summary}
-    yield Table("Where it comes from", ["", ""], list(_flat({**origin, **summary.get("versions", {})})))
+    yield Table("Where it comes from", ["what", "value"], list(_flat({**origin, **summary.get("versions", {})})))
 
 
 def _trials(trials: list[Mapping]) -> Table:

@@ -55,17 +55,25 @@ def percent(fraction: float) -> str:
 
 def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
     """What can be done with the run: a sentence, and the command or the lines of Python for it."""
-    words = shlex.split(summary["command"])
+    words = _words(summary["command"])
     if words[1:2] == ["scripts/train.py"]:
-        further = [*_without(words, "trials=", "resume="), f"trials={2 * len(summary['trials'])}", "resume=true"]
-        yield "Go on where it stopped, up to twice as many trials:", shlex.join(further)
+        if summary["stop_reason"] == "limit of trials":
+            further = [*_without(words, "trials=", "resume="), f"trials={2 * len(summary['trials'])}", "resume=true"]
+            yield "Go on where it stopped, with twice as many trials:", shlex.join(further)
         anew = [*_without(words, "seed=", "out=", "resume="), f"seed={summary['seed'] + 1}"]
         yield "Learn it anew, from another random motion:", shlex.join(anew)
-    else:
-        yield "Repeat it:", summary["command"]
+    yield "Repeat it:", shlex.join(_without(words, "resume="))
     if (folder / "policy.pt").exists():
         lines = "from torch_pmil import load_policy", f"policy = load_policy({str(folder / 'policy.pt')!r})", "torque = policy(state)"
         yield "Use the policy:", "\n".join(lines)
+
+
+def _words(command: str) -> list[str]:
+    """Of a command line; one that no shell would take is one word."""
+    try:
+        return shlex.split(command)
+    except ValueError:
+        return [command]
 
 
 def _without(words: list[str], *beginnings: str) -> list[str]:

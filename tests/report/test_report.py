@@ -88,7 +88,7 @@ def test_pictures_come_in_reading_order_and_say_of_which_target_they_are(tmp_pat
 )
 def test_headline_says_in_words_whether_it_learned(tmp_path: Path, rate: float, said: str) -> None:
     page = page_of(run_of(tmp_path / "run", OLD | {"saved_success_rate": rate}))
-    assert f">It {said} 20 fresh starts succeed, after 5 s of experience.</h1>" in page
+    assert f">{said} 20 fresh starts succeed, after 5 s of experience.</h1>" in page
 
 
 def test_diagnosis_is_said_if_there_is_one(tmp_path: Path) -> None:

@@ -171,7 +171,8 @@ def print_summary(label: str, summary: dict, out: Path) -> None:
         f"{summary['saved_n_eval']} fresh starts after {summary['experience_s']:.1f} s of experience and "
         f"{summary['wall_seconds']:.0f} s of computing ({summary['stop_reason']})\n"
         f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations: {by_entry(summary)}\n"
-        f"see {', '.join(str(out / name) for name in ('figures', 'video.mp4', 'summary.json') if (out / name).exists())}",
+        + "".join(f"likely reason: {reason['cause']}: {reason['message']}\n" for reason in summary["diagnosis"])
+        + f"see {', '.join(str(out / name) for name in ('figures', 'video.mp4', 'summary.json') if (out / name).exists())}",
     )
 
 

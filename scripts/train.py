@@ -41,6 +41,7 @@ from torch_pmil.trials import Trial
 from torch_pmil.video import dense_states, film_rollout, render_rollout, write_video
 
 FRAMES_PER_SECOND = 50
+LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what a run may leave for the eye
 
 
 @hydra.main(version_base="1.3", config_path="config", config_name="train")
@@ -153,7 +154,8 @@ def print_summary(label: str, summary: dict, out: Path) -> None:
         f"{summary['saved_n_eval']} fresh starts after {summary['experience_s']:.1f} s of experience and "
         f"{summary['wall_seconds']:.0f} s of computing ({summary['stop_reason']})\n"
         f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations: {by_entry(summary)}\n"
-        f"see {', '.join(str(out / name) for name in ('report.html', 'figures', 'video.mp4', 'summary.json') if (out / name).exists())}",
+        + "".join(f"likely reason: {reason['cause']}: {reason['message']}\n" for reason in summary["diagnosis"])
+        + f"see {', '.join(str(out / name) for name in LEFT if (out / name).exists())}",
     )
 
 

@@ -20,7 +20,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"moment_matching"},
     {"linearised_moments"},
     {"state_space"},
-    {"demonstrations", "alignment", "drawing", "smoothing", "jumps", "camera", "modes", "demonstration_checks"}
+    {"demonstrations", "alignment", "drawing", "smoothing", "jumps", "camera", "modes", "demonstration_checks", "diagnosis"}
     | {"expert", "evaluation", "trigonometric_polynomial"},
     {"dynamics", "hyperparameters", "experience", "policy", "sampling_frequency"},
     {"linearised_step", "state_policy", "saved_policy", "calibration"},

@@ -14,7 +14,6 @@ from torch_pmil.plotting.style import BAND, DARK, GREY, VERMILLION, style
 
 POINTS = 200  # of each slice
 BEYOND = 0.15  # how far a slice goes beyond the data, in their range
-FAINTEST = 0.05  # correlation with the slice below which data are left out
 
 
 @torch.no_grad()
@@ -28,8 +27,9 @@ def plot_gp_slices(
 ) -> Figure:
     """Each output of a model over one of its inputs, the others held at a point: a row for each output, a column for each input.
 
-    Drawn are the mean and two standard deviations of the next observation, the noise included, and the data: the fainter, the less the
-    model correlates them with the slice, because their other inputs are far from the point.
+    Drawn are the mean and two standard deviations of the next observation, the noise included, and the data as partial residuals: each
+    as far above the mean as the model leaves it, at its own place on the axis. Their opacity is the correlation that the model sees
+    between them and the slice: faint data have other inputs that are far from the point.
 
     Args:
         dynamics: fitted to data.
@@ -71,10 +71,8 @@ def plot_gp_slices(
 def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, output: int) -> None:
     """One output over one input."""
     style(panel)
-    grid = _grid(dynamics.train_inputs[:, entry])
-    inputs = point.repeat(POINTS, 1)
-    inputs[:, entry] = grid
-    mean, variance = dynamics.expansion.predict(inputs)
+    grid = _grid(dynamics.expansion.inputs[:, entry])
+    mean, variance = dynamics.expansion.predict(_along(point, entry, grid))
     x, centre = grid.numpy(), mean[:, output].numpy()
     reach = BAND * (variance + dynamics.expansion.noise_variance)[:, output].sqrt().numpy()
     panel.fill_between(x, centre - reach, centre + reach, color=GREY, alpha=0.25, linewidth=0, label=f"± {BAND} std", zorder=1)
@@ -85,15 +83,21 @@ def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, ou
 
 
 def _draw_data(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, output: int) -> None:
-    """Data whose other inputs are near, as opaque as the model correlates them with the slice."""
+    """Partial residuals, as opaque as the model correlates the data with the slice."""
+    inputs, targets, model = dynamics.train_inputs, dynamics.train_targets, dynamics.expansion
     others = torch.arange(dynamics.num_inputs) != entry
-    distance = ((dynamics.train_inputs - point) / dynamics.expansion.lengthscales[output])[:, others]
+    distance = ((inputs - point) / model.lengthscales[output])[:, others]
     nearness = distance.square().sum(-1).div(-2).exp()
-    near = nearness > FAINTEST
-    x, y = dynamics.train_inputs[near, entry].numpy(), dynamics.train_targets[near, output].numpy()
-    panel.scatter(
-        x, y, s=9, color=VERMILLION, alpha=nearness[near].numpy(), linewidth=0, label="data, fainter if far from the slice", zorder=2
-    )
+    residuals = targets - model.mean(inputs) + model.mean(_along(point, entry, inputs[:, entry]))
+    look = {"s": 9, "color": VERMILLION, "linewidth": 0, "zorder": 4}
+    panel.scatter(inputs[:, entry], residuals[:, output], alpha=nearness.numpy(), label="data, fainter if far from the slice", **look)
+
+
+def _along(point: Tensor, entry: int, values: Tensor) -> Tensor:
+    """The point with other values (K,) of one input, (K, D' + F)."""
+    inputs = point.repeat(len(values), 1)
+    inputs[:, entry] = values
+    return inputs
 
 
 def _grid(data: Tensor) -> Tensor:

@@ -47,19 +47,19 @@ def plot_kl_per_step(names: Sequence[str], time_step: float, expert: Gaussian, p
     figure = Figure(figsize=(6.4, 4.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
     _draw_stack(upper, time, {"means differ": mean.sum(1), "spreads differ": spread.sum(1)}, (VERMILLION, BLUE))
-    _draw_stack(lower, time, dict(zip(names, (mean + spread).T, strict=True)), COLOURS)
+    _draw_stack(lower, time, dict(zip(names, (mean + spread).T, strict=True)), COLOURS, "given those below")
     upper.set_title(f"KL of the trajectory: {(mean + spread).sum():.1f} nats", loc="left", fontsize="medium")
     lower.set_xlabel("time (s)")
     return figure
 
 
-def _draw_stack(panel: Axes, time: np.ndarray, parts: Mapping[str, np.ndarray], colours: Sequence[str]) -> None:
-    """Bars, one part on the other."""
+def _draw_stack(panel: Axes, time: np.ndarray, parts: Mapping[str, np.ndarray], colours: Sequence[str], heading: str = "") -> None:
+    """Bars at every multiple of the first time, one part on the other."""
     style(panel)
-    below, width = np.zeros_like(time), 0.85 * (time[0])
+    below, width = np.zeros_like(time), 0.85 * time[0]
     for index, (name, heights) in enumerate(parts.items()):
         look = {"color": colours[index % len(colours)], "hatch": HATCHES[index // len(colours)], "edgecolor": "white", "linewidth": 0.4}
         panel.bar(time, heights, width, bottom=below, label=name, **look)
         below = below + heights
     panel.set(ylabel="KL (nats)", xlim=(time[0] / 2, time[-1] + time[0] / 2))
-    panel.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, reverse=True)
+    panel.legend(loc="upper left", bbox_to_anchor=(1, 1), title=heading, alignment="left", frameon=False, reverse=True)

@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import matplotlib as mpl
 import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.plotting.style import DARK
 from torch_pmil.state_policy import StatePolicy
 
-COLOURS = "RdBu_r"  # red and blue, which colour-blind readers can tell apart, white at no torque
+COLOURS = ListedColormap(
+    mpl.colormaps["RdBu_r"](np.linspace(0.1, 0.9, 21))
+)  # white at no torque, without the darkest, on which arrows fade
 CELLS, ARROWS = 61, 13  # on each axis
 Successor = Callable[[Tensor], Tensor]
 
@@ -101,9 +104,9 @@ def _draw_flow(panel: Axes, successor: Successor, plane: Plane, state: Tensor) -
     change = (successor(states.flatten(0, 1)).view_as(states) - states)[..., [plane.x, plane.y]].numpy()
     widths = np.ptp(np.asarray(plane.span), axis=1)
     right, up = (change / widths).transpose(2, 0, 1)
-    longest = max(np.hypot(right, up).max(), np.finfo(float).tiny)
-    look = {"angles": "uv", "scale_units": "width", "scale": ARROWS * longest, "pivot": "mid", "color": DARK, "alpha": 0.75}
-    panel.quiver(x, y, right, up, width=0.006, headwidth=4, **look)
+    longest = np.hypot(right, up).max() or 1.0
+    look = {"angles": "uv", "scale_units": "width", "scale": ARROWS * longest, "pivot": "mid", "color": DARK, "alpha": 0.85}
+    panel.quiver(x, y, right, up, width=0.007, headwidth=4, **look)
 
 
 def _grid(plane: Plane, state: Tensor, count: int) -> tuple[np.ndarray, np.ndarray, Tensor]:

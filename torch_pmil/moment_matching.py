@@ -28,8 +28,11 @@ from torch_pmil.kernel_expansion import KernelExpansion
 class Moments:
     """Moments of f(x) when x is Gaussian and f an expansion of E outputs.
 
-    ``inv_cov_cross_cov`` is Sigma_x^-1 cov(x, f), (*batch, D, E): multiply by Sigma_x for the covariance itself, see
-    :meth:`cross_cov`. It stays finite where Sigma_x is singular.
+    Args:
+        mean: (*batch, E), in the units of the outputs.
+        cov: (*batch, E, E).
+        inv_cov_cross_cov: Sigma_x^-1 cov(x, f), (*batch, D, E): multiply by Sigma_x for the covariance itself, see
+            :meth:`cross_cov`. It stays finite where Sigma_x is singular.
     """
 
     mean: Tensor  # (*batch, E)

@@ -33,9 +33,11 @@ def build(source: Path, out: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_documentation_builds_without_a_warning(tmp_path: Path) -> None:
+def test_documentation_builds_without_a_warning_and_equations_and_code_point_to_each_other(tmp_path: Path) -> None:
     built = build(ROOT / "docs", tmp_path)
     assert (built.returncode, built.stderr) == (0, "")
+    assert 'href="_modules/torch_pmil/kl.html#gaussian_kl"' in (tmp_path / "method.html").read_text()
+    assert 'href="../method.html#eq-19"' in (tmp_path / "api" / "mathematics.html").read_text()
 
 
 @pytest.mark.slow

@@ -130,6 +130,15 @@ def test_learning_curve_leaves_out_what_has_no_logarithm(kl: list[float], tmp_pa
     save_figure(plot_learning_curve([2.5, 5.0], [0.0, 0.5], kl), tmp_path / "curve.png")
 
 
+@pytest.mark.parametrize(("losses", "told"), [([40.0, 14.0], {"20", "30", "40"}), ([1000.0, 2.0], {"10", "100", "1000"})])
+def test_loss_has_plain_numbers_on_its_axis(losses: list[float], told: set[str]) -> None:
+    axis = plot_learning_curve([2.5, 5.0], [0.0, 0.5], losses).axes[1].yaxis
+    labels = {axis.get_major_formatter()(at) for at in axis.get_majorticklocs()} | {
+        axis.get_minor_formatter()(at) for at in axis.get_minorticklocs()
+    }
+    assert told <= labels and not any("e" in label or "$" in label for label in labels if label)
+
+
 def test_bad_learning_curve_is_refused() -> None:
     with pytest.raises(ValueError, match="must be equally long, got 2, 1, 2"):
         plot_learning_curve([2.5, 5.0], [0.0], [1.0, 1.0])

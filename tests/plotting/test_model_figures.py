@@ -46,8 +46,8 @@ def test_slices_have_a_row_for_each_output_and_a_column_for_each_chosen_input(dr
     assert len(panels_of(draws, model)[0]) == 2 * 4
     panels, _ = panels_of(draws, model, [3, 0])
     assert [panel.get_xlabel() for panel in panels] == ["", "", "u (N·m)", "dq (rad/s)"]
-    assert [panel.get_ylabel() for panel in panels] == ["change of q (rad)", "", "change of dq (rad/s)", ""]
-    assert panels_of(draws, model_of(draws, "successor"))[0][0].get_ylabel() == "next q (rad)"
+    assert [panel.get_ylabel() for panel in panels] == ["change of\nq (rad)", "", "change of\ndq (rad/s)", ""]
+    assert panels_of(draws, model_of(draws, "successor"))[0][0].get_ylabel() == "next\nq (rad)"
 
 
 def test_slice_is_the_models_mean_and_two_standard_deviations_of_the_next_observation(draws: Draws) -> None:

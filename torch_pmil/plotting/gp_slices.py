@@ -49,7 +49,7 @@ def plot_gp_slices(
         >>> fit = dynamics.fit(x, x.sin())
         >>> figure = plot_gp_slices(dynamics, torch.zeros(1), ["u (N·m)"], ["q"], ["rad"])
         >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
-        ('u (N·m)', 'change of q (rad)')
+        ('u (N·m)', 'change of\\nq (rad)')
     """
     over = range(dynamics.num_inputs) if over is None else over
     _check(dynamics, point, input_names, output_names, output_units, over)
@@ -61,7 +61,7 @@ def plot_gp_slices(
         for output, panel in enumerate(column):
             _draw_slice(panel, dynamics, point.double(), entry, output)
     for row, name, unit in zip(panels, output_names, output_units, strict=True):
-        row[0].set_ylabel(f"{what} {name} ({unit})")
+        row[0].set_ylabel(f"{what}\n{name} ({unit})")
     figure.align_ylabels(panels[:, 0])
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)

@@ -8,6 +8,7 @@ from itertools import cycle
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
 from torch_pmil.plotting.style import BLUE, DARK, GREY, SERIES, VERMILLION, draw_range, style
 
@@ -46,9 +47,17 @@ def plot_learning_curve(
     lower.plot(experience_s, np.where(loss > 0, loss, np.nan), color=VERMILLION, marker="s", markersize=4, zorder=3)
     lower.set(yscale="log", xlabel="experience (s)", ylabel=label)
     lower.set_xlim(left=0)
+    _plain_numbers(lower)
     for panel in (upper, lower):
         style(panel)
     return figure
+
+
+def _plain_numbers(panel: Axes) -> None:
+    """On a logarithmic axis, also between its decades where it has fewer than two of them."""
+    low, high = panel.get_ylim()
+    panel.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    panel.yaxis.set_minor_formatter(StrMethodFormatter("{x:g}") if high < 10 * low else NullFormatter())
 
 
 def plot_success_over_experience(experience_s: np.ndarray, rates: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Figure:

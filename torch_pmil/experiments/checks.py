@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 
 from torch_pmil.demonstration_checks import (
@@ -15,6 +17,7 @@ from torch_pmil.demonstration_checks import (
     check_stops,
     check_torques,
 )
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.experiment import Experiment
 
 
@@ -30,8 +33,9 @@ def check(experiment: Experiment) -> list[Finding]:
         []
     """
     demonstrations, noise_std = experiment.demonstrations, torch.as_tensor(experiment.noise_std, dtype=torch.float64)
+    sets: Sequence[Demonstrations]
     if demonstrations.targets is None:
-        sets, numbers = [demonstrations], [range(len(demonstrations.positions))]
+        sets, numbers = (demonstrations,), [list(range(len(demonstrations.positions)))]
     else:
         targets, sets = demonstrations.by_target()
         numbers = [(demonstrations.targets == target).all(-1).nonzero().flatten().tolist() for target in targets]
@@ -54,7 +58,8 @@ def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Findin
     findings = check_reach(demonstrations, experiment.space.match(states), noise_std)
     if (excess := env.beyond_range(states)) is not None:
         findings += check_stops(excess, demonstrations.time_step)
-    torques = [env.needed_torques(each) for each in states] if samples > 2 and not findings else [None]
-    if torques[0] is not None:
-        findings += check_torques(torch.stack(torques), experiment.u_max, demonstrations.time_step)
+    torques = [env.needed_torques(each) for each in states] if samples > 2 and not findings else []
+    known = [each for each in torques if each is not None]
+    if known:
+        findings += check_torques(torch.stack(known), experiment.u_max, demonstrations.time_step)
     return findings

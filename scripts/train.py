@@ -37,7 +37,7 @@ from torch_pmil.experiments.training import RunResult, train
 from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, plot_writing, save_figure
 from torch_pmil.trajectory_loss import TrajectoryLoss
 from torch_pmil.trials import Trial
-from torch_pmil.video import dense_states, film_rollout, render_rollout, write_video
+from torch_pmil.video import dense_states, film_rollout, render_rollout, write_gif, write_video
 
 FRAMES_PER_SECOND = 50
 # pictures without OpenGL, from positions in the match space; these have poses too
@@ -106,7 +106,7 @@ def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> No
 
 
 def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
-    """Figures and video of a run."""
+    """Figures and video of a run, the video as a GIF too."""
     match, objective, first = experiment.space.match, experiment.objective, result.outcomes[0]
     figures = {
         "learning_curve": plot_learning_curve(
@@ -132,6 +132,8 @@ def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
         film(env, experiment, first, out / "video.mp4")
     else:
         film_as_shown(experiment, result, out / "video.mp4")
+    if (out / "video.mp4").exists():
+        write_gif(out / "video.gif", out / "video.mp4")
 
 
 def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Path) -> None:

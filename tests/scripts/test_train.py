@@ -52,7 +52,10 @@ def test_run_leaves_numbers_policy_figures_and_a_video(script: Script, tmp_path:
     logged = {name for name in files if name.startswith(("run/checkpoints/", "run/logs/double_pendulum_seed_2/scalars/"))}
     assert len([name for name in logged if name.endswith(".torchrl")]) == 2
     assert {"run/logs/double_pendulum_seed_2/scalars/kl.csv", "run/logs/double_pendulum_seed_2/scalars/own_error.csv"} <= logged
-    assert files - logged == {f"run/{name}" for name in ("metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4")} | figures
+    assert (
+        files - logged
+        == {f"run/{name}" for name in ("metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4", "video.gif")} | figures
+    )
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["command"], summary["seed"]) == ("python scripts/train.py trials=1 seed=2 out=run", 2)
     printed = capsys.readouterr().out

@@ -9,7 +9,7 @@ if "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
 
 from torch_pmil import envs
 from torch_pmil.alignment import AlignmentError, align
-from torch_pmil.demonstrations import DemonstrationError, Demonstrations, load_demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations, load_demonstrations, load_recordings, shipped_demonstrations
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.experience import Experience
 from torch_pmil.experiments import Experiment, load_experiment
@@ -24,7 +24,7 @@ from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.particles import ParticlePrediction, sample_trajectories
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
-from torch_pmil.rollout import PredictionError, predict_trajectory
+from torch_pmil.rollout import PredictionError, predict_step, predict_trajectory
 from torch_pmil.sampling_frequency import FrequencyScore, Recording, score_frequencies
 from torch_pmil.saturating_cost import expected_saturating_cost
 from torch_pmil.saved_policy import PolicyFileError, load_policy, save_policy
@@ -72,7 +72,9 @@ __all__ = [
     "load_demonstrations",
     "load_experiment",
     "load_policy",
+    "load_recordings",
     "moment_match",
+    "predict_step",
     "predict_trajectory",
     "sample_trajectories",
     "save_policy",

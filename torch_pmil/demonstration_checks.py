@@ -23,6 +23,7 @@ NEARBY = 2  # samples before and after, in which the others are compared
 OUT_OF_REACH = 2.0  # standard deviations of the observation noise
 STOP_MARGIN = 0.05  # rad or m, that a joint may be beyond its stop
 TORQUE_MARGIN = 1.3  # of the limit: so uncertain are torques of a motion known at the control rate
+UNREACHABLE, FEW = "demonstrations out of reach", "too few demonstrations"  # causes that several checks tell
 
 
 @dataclass(frozen=True)
@@ -30,10 +31,12 @@ class Finding:
     """What is wrong with demonstrations, in words.
 
     Args:
+        cause: its name, one of a few.
         message: one line: what, where, what to do.
         fatal: whether nothing good can come of it.
     """
 
+    cause: str
     message: str
     fatal: bool = False
 
@@ -60,9 +63,10 @@ def check_modes(sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]]
             first, second = (", ".join(str(known[member]) for member in part) for part in split.parts)
             findings.append(
                 Finding(
+                    "contradictory demonstrations",
                     f"demonstrations {first} and {second} are two different ways "
                     f"({100 * split.explained:.0f} % of the spread is between them, p = {split.p_value:.4f}); "
-                    "their mean is neither: train on one of them alone"
+                    "their mean is neither: train on one of them alone",
                 )
             )
     return findings
@@ -75,8 +79,9 @@ def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
         return []
     return [
         Finding(
+            FEW,
             f"{count} demonstrations tell the spread in one direction alone, the observation noise stands for the others; "
-            "three to five are better"
+            "three to five are better",
         )
     ]
 
@@ -86,7 +91,7 @@ def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[
     scaled = demonstrations.positions / noise_std
     largest = (scaled[:, None] - scaled).abs().amax((-2, -1))
     pairs = (largest < SAME).triu(1).nonzero().tolist()
-    return [Finding(f"demonstrations {first} and {second} are the same; leave one of them out") for first, second in pairs]
+    return [Finding(FEW, f"demonstrations {first} and {second} are the same; leave one of them out") for first, second in pairs]
 
 
 def check_start(demonstrations: Demonstrations, start: Gaussian, noise_std: Tensor) -> list[Finding]:
@@ -107,8 +112,9 @@ def check_start(demonstrations: Demonstrations, start: Gaussian, noise_std: Tens
         off, std = deviation[number, entry].item(), belief.std[entry].item()
         findings.append(
             Finding(
+                "demonstrations start elsewhere",
                 f"demonstration {number} starts at {demonstrations.names[entry]} = {demonstrations.positions[number, 0, entry]:.3g}, "
-                f"{off:+.3g} from where the robot starts (standard deviation {std:.3g}); cut it, shift it, or start the robot there"
+                f"{off:+.3g} from where the robot starts (standard deviation {std:.3g}); cut it, shift it, or start the robot there",
             )
         )
     return findings
@@ -135,8 +141,9 @@ def check_jumps(sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]]
                 entry = demonstrations.names[int(differences[number, at].abs().argmax())]
                 findings.append(
                     Finding(
+                        "jumps in demonstrations",
                         f"demonstration {known[number]} jumps in {entry} at {(at + 1) * demonstrations.time_step:.2f} s; "
-                        "scripts/align_demonstrations.py --fastest SPEED leaves jumps out of a recording"
+                        "scripts/align_demonstrations.py --fastest SPEED leaves jumps out of a recording",
                     )
                 )
     return findings
@@ -153,6 +160,7 @@ def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor
     apart = (demonstrations.positions - shown).abs()
     return [
         Finding(
+            UNREACHABLE,
             f"demonstration {number} leaves the workspace: at {step * demonstrations.time_step:.2f} s the robot is no nearer than "
             f"{apart[number, step, entry]:.3g} in {demonstrations.names[entry]}; scale it or place it elsewhere",
             fatal=True,
@@ -165,6 +173,7 @@ def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
     """Joints beyond their stops: excess (N, T + 1, J) in rad or m, 0 within."""
     return [
         Finding(
+            UNREACHABLE,
             f"demonstration {number} leaves the workspace: at {step * time_step:.2f} s joint {joint} would be "
             f"{excess[number, step, joint]:.3g} beyond its stop; scale it or place it elsewhere",
             fatal=True,
@@ -183,8 +192,9 @@ def check_torques(torques: Tensor, limits: Tensor, time_step: float) -> list[Fin
     """
     return [
         Finding(
+            UNREACHABLE,
             f"demonstration {number} needs {torques[number, step, motor].abs():.1f} N·m of motor {motor} "
-            f"at {step * time_step:.2f} s, which has {limits[motor]:g} N·m; show it more slowly or smaller, or smooth it"
+            f"at {step * time_step:.2f} s, which has {limits[motor]:g} N·m; show it more slowly or smaller, or smooth it",
         )
         for number, step, motor in _worst(torques.abs() / limits, TORQUE_MARGIN)
     ]

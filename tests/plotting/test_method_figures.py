@@ -15,6 +15,7 @@ from torch_pmil.plotting import (
     plot_demonstrations,
     plot_gp,
     plot_moment_matching,
+    plot_prediction,
     plot_success_over_mass,
     plot_success_over_settings,
     save_figure,
@@ -97,6 +98,26 @@ def test_demonstrations_of_another_length_are_refused(draws: Draws) -> None:
     expert = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
     with pytest.raises(ValueError, match=r"demonstrated must be \(N, 6, 1\) for an expert \(5, 1\), .* got \(3, 5, 1\)"):
         plot_demonstrations(("x",), ("m",), 0.1, draws.normal(3, 5, 1), expert)
+
+
+def test_prediction_is_a_band_and_particles_are_dashed_moments_and_the_first_twenty_as_lines(draws: Draws) -> None:
+    particles = draws.normal(50, 5, 2)
+    predicted = Gaussian(draws.normal(5, 2), torch.diag_embed(draws.uniform(0.5, 2.0, 5, 2)))
+    time = 0.1 * np.arange(1, 6)
+    for entry, panel in enumerate(plot_prediction(("x", "y"), ("m", "m"), 0.1, predicted, particles).axes):
+        assert_edge(panel.collections[0], time, (predicted.mean + 2 * predicted.std)[:, entry].numpy())
+        dashed = np.stack([line.get_xydata() for line in panel.lines if line.is_dashed()])
+        mean, reach = particles[..., entry].mean(0), 2 * particles[..., entry].std(0)
+        np.testing.assert_allclose(dashed[..., 0], np.tile(time, (3, 1)))
+        np.testing.assert_allclose(dashed[..., 1], torch.stack([mean - reach, mean, mean + reach]))
+        lines = np.stack([line.get_ydata() for line in panel.lines if not line.is_dashed()][1:])  # the first is the predicted mean
+        np.testing.assert_array_equal(lines, particles[:20, :, entry])
+
+
+def test_particles_of_another_length_are_refused(draws: Draws) -> None:
+    predicted = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
+    with pytest.raises(ValueError, match=r"particles must be \(N, 5, 1\) with N of at least 2 .* got \(3, 6, 1\), 1 names and 1 units"):
+        plot_prediction(("x",), ("m",), 0.1, predicted, draws.normal(3, 6, 1))
 
 
 def test_success_over_mass_is_the_mean_in_percent_with_the_range_over_the_runs(tmp_path: Path) -> None:

@@ -167,6 +167,17 @@ class MujocoRobotEnv(RobotEnv):
         """State vectors (*batch, D) of full simulation states (*batch, P)."""
         return physics[..., self._state_columns]
 
+    @property
+    def motor_names(self) -> tuple[str, ...]:
+        """Of the actuators, as the model names them.
+
+        Example:
+            >>> from torch_pmil.envs import DoublePendulumEnv
+            >>> DoublePendulumEnv().motor_names
+            ('tau1', 'tau2')
+        """
+        return tuple(self.model.actuator(number).name or str(number) for number in range(self.model.nu))
+
     def needed_torques(self, states: Tensor) -> Tensor | None:
         """Torques that lead along a motion, limits or not, by inverse dynamics of a cubic spline through the positions.
 

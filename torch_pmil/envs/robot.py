@@ -35,6 +35,11 @@ class RobotEnv(EnvBase):
         """Restore what ``get_extra_state`` returned."""
         self._generator.set_state(state)
 
+    @property
+    def motor_names(self) -> tuple[str, ...]:
+        """One for each torque: its number, unless the robot's model names it."""
+        return tuple(str(number) for number in range(self.action_spec.shape[-1]))
+
     def needed_torques(self, states: Tensor) -> Tensor | None:
         """Torques (T, F) of each control period on the way through states x_0..x_T, (T + 1, D); None where the model is not known."""
         return None

@@ -58,8 +58,26 @@ def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Findin
     findings = check_reach(demonstrations, experiment.space.match(states), noise_std)
     if (excess := env.beyond_range(states)) is not None:
         findings += check_stops(excess, demonstrations.time_step)
-    torques = [env.needed_torques(each) for each in states] if samples > 2 and not findings else []
-    known = [each for each in torques if each is not None]
-    if known:
-        findings += check_torques(torch.stack(known), experiment.u_max, demonstrations.time_step)
+    if not findings and (torques := needed_torques(experiment)) is not None:
+        findings += check_torques(torques, experiment.u_max, demonstrations.time_step)
     return findings
+
+
+def needed_torques(experiment: Experiment) -> torch.Tensor | None:
+    """Torques along the demonstrations, (N, T, F), N·m.
+
+    Returns:
+        None where the experiment's states were not recovered sample by sample, or the robot does not know its inverse dynamics.
+
+    Example:
+        >>> from torch_pmil.experiments import load_experiment
+        >>> needed_torques(load_experiment("double_pendulum")).abs().amax() < 1.3 * 3.5
+        tensor(True)
+    """
+    N, samples, _ = experiment.demonstrations.positions.shape
+    if len(experiment.demonstrated_states) != N * samples or samples < 3:
+        return None
+    env = experiment.first_robot(seed=0)
+    torques = [env.needed_torques(states) for states in experiment.demonstrated_states.reshape(N, samples, -1)]
+    known = [each for each in torques if each is not None]
+    return torch.stack(known) if known else None

@@ -17,8 +17,11 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.record.loggers import Logger
 
 from torch_pmil.checkpoints import rotation_in
+from torch_pmil.diagnosis import saturated_fraction
+from torch_pmil.dynamics import GPDynamics
 from torch_pmil.evaluation import demonstration_spread, rms_error, two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.experiments.experiment import Experiment, Outcome
+from torch_pmil.experiments.reasons import likely_reasons
 from torch_pmil.experiments.run_folder import (
     LOGGERS,
     check_whole,
@@ -48,12 +51,14 @@ class RunResult:
         trials: all of them.
         outcomes: what the saved policy was predicted to do under the newest model, and did from fresh starts, task by task.
         policy: the saved policy.
+        dynamics: the newest model.
     """
 
     summary: dict
     trials: list[Trial]
     outcomes: list[Outcome]
     policy: StatePolicy
+    dynamics: GPDynamics
 
 
 def train(
@@ -127,10 +132,11 @@ def train(
         "settings": {"trials": trials, **experiment.settings},
         "wall_seconds": round(trainer.seconds, 2),
         **_measured(trainer, best, experiment, outcomes),
+        "diagnosis": [asdict(reason) for reason in likely_reasons(experiment, trainer.loss_module, outcomes, trainer.trials)],
         "trials": [_plain(trial) for trial in trainer.trials],
     }
     write_json(out / "summary.json", summary)
-    return RunResult(summary, trainer.trials, outcomes, policy)
+    return RunResult(summary, trainer.trials, outcomes, policy, dynamics)
 
 
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
@@ -196,6 +202,7 @@ def _measured(trainer: PMILTrainer, best: Candidate, experiment: Experiment, out
     covered = torch.stack([two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in outcomes]).mean(0)
     spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in outcomes])
     errors = torch.stack([rms_error(outcome.demonstrations, experiment.space.match(outcome.executed)) for outcome in outcomes])
+    saturated = torch.stack([saturated_fraction(outcome.rollouts["action"], experiment.u_max) for outcome in outcomes]).mean(0)
     return {
         "stop_reason": trainer.stop_reason,
         "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
@@ -207,7 +214,15 @@ def _measured(trainer: PMILTrainer, best: Candidate, experiment: Experiment, out
         "two_sigma_coverage_by_entry": _by_name(experiment.space.names, covered),
         "rms_error": _by_name(experiment.space.match.names, errors.square().mean(0).sqrt()),
         "demonstration_spread": _by_name(experiment.space.match.names, spread.square().mean(0).sqrt()),
+        "saturated": _by_name(trainer.evaluation_env.motor_names, saturated),
+        "kl_per_step": _per_step(trainer, experiment),
     }
+
+
+@torch.no_grad()
+def _per_step(trainer: PMILTrainer, experiment: Experiment) -> list[float]:
+    """Summands of the saved policy's predicted loss under the newest model, (T,)."""
+    return trainer.loss_module.per_step(experiment.initial).tolist()
 
 
 def _by_name(names: tuple[str, ...], values: Tensor) -> dict[str, float]:

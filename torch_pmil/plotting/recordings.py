@@ -18,6 +18,7 @@ from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLIO
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, DARK)
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1)))
 TOLD_APART = len(COLOURS) * len(DASHES)  # demonstrations; more are all of one colour
+TICKS = 6  # of the lower axis of a path, at most: more labels would touch
 ENDS = {"start": (0, "o"), "end": (-1, "x")}  # of a path: its sample and marker
 WIDTH, LINE = 10, 8  # characters in an inch of the legend, and those that a line in it takes
 
@@ -97,6 +98,7 @@ def _layout(texts: Sequence[str], pairs: Sequence[tuple[int, int]]) -> tuple[Fig
     for plane, (x, y) in zip(planes, pairs, strict=True):
         style(plane)
         plane.set(xlabel=texts[x], ylabel=texts[y], aspect="equal", adjustable="datalim")
+        plane.locator_params(axis="x", nbins=TICKS)
         keys = [Line2D([], [], color=DARK, marker=marker, markersize=5, linestyle="none", label=end) for end, (_, marker) in ENDS.items()]
         plane.legend(handles=keys, loc="best", fontsize="small", frameon=False, handletextpad=0.1)
     figure.align_ylabels(panels)

@@ -9,9 +9,10 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.plotting.style import BAND, BLUE, DARK, VERMILLION, band_of, draw_band, panels_of
+from torch_pmil.plotting.style import BAND, BLUE, DARK, GREY, VERMILLION, band_of, draw_band, panels_of
 
 OVERSHOOT = 0.75  # how far a prediction may stretch a panel, in heights of the demonstrated and executed motion
+SHOWN = 20  # particles that are drawn one by one
 
 
 def plot_distributions(
@@ -95,6 +96,47 @@ def plot_demonstrations(names: Sequence[str], units: Sequence[str], time_step: f
         lines[0].set_label("demonstrations")
         panel.set_ylabel(f"{names[entry]} ({units[entry]})")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
+def plot_prediction(names: Sequence[str], units: Sequence[str], time_step: float, predicted: Gaussian, particles: Tensor) -> Figure:
+    """A predicted trajectory distribution beside particles of the same policy and model, one panel an entry.
+
+    Args:
+        names: of the D entries.
+        units: of those entries.
+        time_step: seconds between two samples; the first one shown is t = 1.
+        predicted: marginals at t = 1..T by moment matching, mean (T, D) and cov (T, D, D).
+        particles: as :func:`~torch_pmil.particles.sample_trajectories` draws them, (N, T, D); the first 20 are lines.
+
+    Raises:
+        ValueError: shapes do not fit each other.
+
+    Example:
+        >>> import torch
+        >>> predicted = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
+        >>> figure = plot_prediction(("q",), ("rad",), 0.1, predicted, torch.randn(100, 5, 1))
+        >>> [text.get_text() for text in figure.legends[0].get_texts()]
+        ['moment matching ± 2 std', 'particles: mean ± 2 std', 'some particles']
+    """
+    shape = predicted.mean.shape
+    if not (len(names) == len(units) == shape[-1] and particles.shape[1:] == shape and len(particles) > 1):
+        raise ValueError(
+            f"particles must be (N, {', '.join(map(str, shape))}) with N of at least 2 for a prediction {tuple(shape)}, with a name and a "
+            f"unit for each entry, got {tuple(particles.shape)}, {len(names)} names and {len(units)} units"
+        )
+    time = time_step * np.arange(1, shape[0] + 1)
+    figure, panels = panels_of(len(names), "time (s)")
+    for entry, panel in enumerate(panels):
+        drawn = particles[..., entry].detach().numpy()
+        mean, reach = drawn.mean(0), BAND * drawn.std(0, ddof=1)
+        draw_band(panel, time, band_of(predicted, entry), VERMILLION, f"moment matching ± {BAND} std")
+        for edge in (mean - reach, mean, mean + reach):
+            line = panel.plot(time, edge, color=DARK, linewidth=1.0, linestyle=(0, (4, 2)), zorder=3)
+        line[0].set_label(f"particles: mean ± {BAND} std")
+        panel.plot(time, drawn[:SHOWN].T, color=GREY, linewidth=0.4, alpha=0.6)[0].set_label("some particles")
+        panel.set_ylabel(f"{names[entry]} ({units[entry]})")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 

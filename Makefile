@@ -9,7 +9,7 @@ LEARNED := $(patsubst %,results/%/summary.json,double_pendulum gym_pendulum inve
 TORCH_ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-all lint demonstrations results reproduce benchmark benchmark-steps dist test-dist clean
+.PHONY: help train test test-all lint demonstrations results reproduce docs benchmark benchmark-steps dist test-dist clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -45,6 +45,9 @@ runs/%/summary.json: | .venv/.installed
 reproduce: .venv/.installed  ## reproduce an experiment of the paper, as ARGS="figure6" or ARGS="figure6 --quick"
 	@.venv/bin/python scripts/reproduce.py $(ARGS)
 
+docs: .venv/.docs  ## build the documentation into docs/_build/html, its notebooks executed
+	@OMP_NUM_THREADS=1 .venv/bin/python -m sphinx -b html -q -W --keep-going -E docs docs/_build/html
+
 benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's), of fits and of a policy's step, into results
 	@.venv/bin/python benchmarks/prediction.py $(ARGS)
 	@.venv/bin/python -m benchmarks.breakdown
@@ -70,7 +73,7 @@ test-dist: dist  ## the fast tests against the wheel, installed into an environm
 	@cd build/dist && OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 README.md tests --pyargs torch_pmil $(ARGS)
 
 clean:  ## remove what make and the tests built, not runs/
-	@rm -rf .venv .mypy_cache .pytest_cache .ruff_cache build dist *.egg-info
+	@rm -rf .venv .mypy_cache .pytest_cache .ruff_cache docs/_build build dist *.egg-info
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/.installed: setup.cfg pyproject.toml constraints.txt
@@ -82,6 +85,10 @@ clean:  ## remove what make and the tests built, not runs/
 
 .venv/.dev: .venv/.installed
 	@$(PIP) -c constraints.txt -e ".[dev]"
+	@touch $@
+
+.venv/.docs: .venv/.installed
+	@$(PIP) -c constraints.txt -e ".[docs]"
 	@touch $@
 
 .venv/.benchmark: .venv/.installed

@@ -60,7 +60,7 @@ class GPDynamics(nn.Module):
     r"""GP model of :math:`x_{t+1}` given features of the state and the action (Eqs. 2-7).
 
     Hyper-parameters are in physical units: lengthscales in those of the inputs, signal and noise variance in the squared
-    units of the targets. They are the ``lengthscale``, ``outputscale`` and ``noise`` of the GPyTorch model :attr:`gp`.
+    units of the targets. They are the ``lengthscale``, ``outputscale`` and ``noise`` of the GPyTorch model ``gp``.
 
     Args:
         num_inputs: D' + F, features and actions.

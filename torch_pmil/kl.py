@@ -15,7 +15,7 @@ def _log_det(factor: Tensor) -> Tensor:
 
 
 def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
-    r"""Kullback-Leibler divergence KL(p‖q) of two Gaussians (Eq. 19, sign of the log term corrected).
+    r"""Kullback-Leibler divergence KL(p‖q) of two Gaussians (Eq. 8 in closed form: Eq. 19, sign of the log term corrected).
 
     .. math:: \tfrac12 \left[ \operatorname{tr}(\Sigma_q^{-1}\Sigma_p) + \delta^\top \Sigma_q^{-1} \delta - D
               + \log\tfrac{|\Sigma_q|}{|\Sigma_p|} \right], \qquad \delta = \mu_p - \mu_q

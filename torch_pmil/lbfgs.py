@@ -52,7 +52,7 @@ def minimise(
         tolerance_change: change of the loss, and of every parameter, in an iteration below which the search ends.
 
     Raises:
-        NotFiniteError, and those of ``survives``: at the starting point, where there is nothing to step back to.
+        NotFiniteError: at the starting point, where there is nothing to step back to; an error of ``survives`` likewise.
 
     Example:
         >>> x = nn.Parameter(torch.tensor([3.0, -1.0], dtype=torch.float64))

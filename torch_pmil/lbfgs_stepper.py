@@ -27,7 +27,7 @@ class LBFGSStepper(OptimizationStepper):
         survives: errors of the loss that say no more than that it has no value at these parameters.
 
     Raises:
-        NotFiniteError, and those of ``survives``: at the parameters that a step begins with.
+        NotFiniteError: at the parameters that a step begins with; an error of ``survives`` likewise.
         ValueError: the loss has no entry to minimise, or no trainable parameter.
 
     Example:

@@ -1,4 +1,4 @@
-"""Search for the policy of least predicted loss (Eq. 22), over a horizon that grows as far as the prediction can be trusted."""
+"""Search for the policy of least predicted loss (Eqs. 1 and 22), over a horizon that grows as far as the prediction can be trusted."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@ r"""Recurrences :math:`x_{t+1} = F(x_t, \theta)` that are differentiated at all 
 
 The states are computed one after the other without a graph. Then, all of them being known, the Jacobians of all steps are one batch; only
 the products of these small matrices go back step by step, and the gradient in the parameters is one batch again. The work is that of
-backpropagation through time, in a few large operations instead of many small ones.
+backpropagation through time, in a few large operations instead of many small ones. A predicted trajectory is one, and its gradient Eq. 22.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 r"""At which rate to sample a robot, so that a model of it learns most: cross-validated likelihood over frequencies (Eq. 30, Figure 9).
 
-=====================  ==================================================================
-paper symbol           name
-=====================  ==================================================================
-f_s = 1 / Delta T      ``frequency``
-k                      ``folds``
-y_i, x_i               targets and inputs of fold i
-D                      number of targets of a fold, here of one output
-log p(y_i | X, y_-i)   ``held_out_log_likelihood``, here for each transition
-=====================  ==================================================================
+=========================  ==================================================================
+paper symbol               name
+=========================  ==================================================================
+f_s = 1 / Delta T          ``frequency``
+k                          ``folds``
+y_i, x_i                   targets and inputs of fold i
+D                          number of targets of a fold, here of one output
+``log p(y_i | X, y_-i)``   ``held_out_log_likelihood``, here for each transition
+=========================  ==================================================================
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the objectives of a policy search share: a TorchRL loss that predicts a trajectory and sums the costs of its steps."""
+"""What the objectives of a policy search share: a TorchRL loss that predicts a trajectory and sums the costs of its steps (Eq. 21)."""
 
 from __future__ import annotations
 

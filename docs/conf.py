@@ -1,0 +1,58 @@
+"""Settings of the documentation: ``make docs``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+sys.path[:0] = [str(DOCS.parent), str(DOCS / "_ext")]
+
+import torch_pmil  # noqa: E402
+
+project = "torch_pmil"
+author = "the torch_pmil authors"
+copyright = author
+release = version = torch_pmil.__version__
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "code_links",
+    "docstrings",
+    "equations",
+    "whole_links",
+]
+exclude_patterns = ["_build", "_ext", "figures"]
+nitpicky = True
+nitpick_ignore_regex = [
+    (r"py:.*", rf"({name})\b.*")
+    for name in (
+        "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",  # their objects are not ours
+        "argparse|collections|functools|os|pathlib|types|typing",
+        "nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError",  # by the names that annotations and docstrings have for them
+        r"torch_pmil\.(state_policy\.State|trajectory_loss\.TrajectoryLoss\._AcceptedKeys)",  # a type variable and a private class
+    )
+]
+
+autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
+autodoc_inherit_docstrings = False
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+add_module_names = False
+maximum_signature_line_length = 100
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_rtype = False
+
+myst_enable_extensions = ["dollarmath", "amsmath"]
+myst_heading_anchors = 4
+nb_execution_mode = "cache"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 1800  # s, for a cell
+
+html_theme = "furo"
+html_title = f"torch_pmil {release}"

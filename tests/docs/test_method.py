@@ -1,0 +1,67 @@
+"""The page on the method and the code point to each other, equation by equation."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import pkgutil
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "method.md").read_text()
+SHOWN = [int(number) for number in re.findall(r"\\tag\{(\d+)\}", PAGE)]
+LINK = r"\{code\}`([\w.]+)`"
+LINKED = re.findall(LINK, PAGE)
+SAID = re.findall(r"((?:\{code\}`[\w.]+`(?: and )?)+) \((?:the moments of )?(Eqs?\. [\d, and-]*\d)", PAGE)
+TOLD = [(path, equations) for paths, equations in SAID for path in re.findall(LINK, paths)]
+
+
+def numbers(text: str) -> set[int]:
+    """Equations of the paper that a text cites; those of other authors are cited after their names."""
+    text = re.sub(r"(Rasmussen|Williams)[^.]*, Eqs?\. [\d.]+( and \d+)?", "", text)
+    found: set[int] = set()
+    for cited in re.findall(r"\bEqs?\. (\d+(?:(?:-|, | and | or )\d+)*)", text):
+        for first, last in re.findall(r"(\d+)(?:-(\d+))?", cited):
+            found |= set(range(int(first), int(last or first) + 1))
+    return found
+
+
+def docstrings() -> Iterator[str]:
+    """Of all modules, classes and functions of the package."""
+    for path in (ROOT / "torch_pmil").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
+                yield ast.get_docstring(node) or ""
+
+
+def test_numbers_are_read_as_people_read_them() -> None:
+    assert numbers("Eqs. 14-16, 19 and 22; Eq. 5, in four. Deisenroth and Rasmussen (2011), Eqs. 24 and 25.") == {5, 14, 15, 16, 19, 22}
+    assert numbers("nothing (Rasmussen and Williams 2006, Eq. 2.30)") == set()
+
+
+def test_every_equation_that_a_docstring_cites_is_on_the_page_and_the_other_way_round() -> None:
+    cited = set().union(*map(numbers, docstrings()))
+    assert cited == set(SHOWN) == set(range(1, 32))
+
+
+def test_no_equation_is_shown_twice() -> None:
+    assert len(SHOWN) == len(set(SHOWN))
+
+
+@pytest.mark.parametrize("path", LINKED)
+def test_linked_code_is_there(path: str) -> None:
+    assert pkgutil.resolve_name(path)
+
+
+def test_most_links_say_their_equations() -> None:
+    assert len(TOLD) > 20
+
+
+@pytest.mark.parametrize(("path", "equations"), TOLD)
+def test_linked_code_cites_the_equations_that_the_page_says_it_computes(path: str, equations: str) -> None:
+    code = pkgutil.resolve_name(path)
+    assert numbers(equations) <= numbers(f"{inspect.getdoc(code)} {inspect.getdoc(inspect.getmodule(code))}")

@@ -59,7 +59,7 @@ benchmark-steps: .venv/.benchmark  ## time of single steps
 
 dist: .venv/.dev  ## build a source archive and a wheel into dist/, and check what they hold
 	@rm -rf dist
-	@PIP_CONSTRAINT=$(CURDIR)/constraints.txt .venv/bin/python -m build --outdir dist . >/dev/null
+	@PIP_CONSTRAINT=$(CURDIR)/constraints.txt .venv/bin/python -m build -q --outdir dist .
 	@.venv/bin/python scripts/check_dist.py dist
 
 test-dist: dist  ## the fast tests against the wheel, installed into an environment of its own in build/dist

@@ -34,9 +34,12 @@ def main() -> None:
 
 
 def tracked_files() -> set[str]:
-    """What git holds."""
+    """What git holds. A link to a folder is the files of that folder, as in an archive."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
-    return set(filter(None, listed.stdout.split("\0")))
+    names = set(filter(None, listed.stdout.split("\0")))
+    links = {name: (ROOT / name).resolve().relative_to(ROOT).as_posix() for name in names if (ROOT / name).is_dir()}
+    behind = {link + name.removeprefix(folder) for link, folder in links.items() for name in names if name.startswith(f"{folder}/")}
+    return (names - links.keys()) | behind
 
 
 def only(folder: Path, pattern: str) -> Path:

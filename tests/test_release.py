@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import runpy
+import subprocess
 import sys
 import tarfile
 import zipfile
@@ -100,3 +101,15 @@ def test_archives_that_hold_something_else_are_refused(
 def test_missing_archive_is_named(check: Check, tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match=r"expected one \*\.tar\.gz in .*, got 0"):
         check()
+
+
+def test_link_to_a_folder_counts_as_its_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "notebooks" / "01.ipynb").write_text("{}")
+    (tmp_path / "docs" / "notebooks").symlink_to("../notebooks")
+    tracked_files = runpy.run_path(str(ROOT / "scripts" / "check_dist.py"))["tracked_files"]
+    monkeypatch.setitem(tracked_files.__globals__, "ROOT", tmp_path)
+    for command in (("init", "-q"), ("add", "-A")):
+        subprocess.run(["git", *command], cwd=tmp_path, check=True)
+    assert tracked_files() == {"notebooks/01.ipynb", "docs/notebooks/01.ipynb"}

@@ -9,7 +9,7 @@ LEARNED := $(patsubst %,results/%/summary.json,double_pendulum gym_pendulum inve
 TORCH_ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-all lint demonstrations results reproduce docs benchmark benchmark-steps clean
+.PHONY: help train test test-all lint demonstrations results reproduce docs benchmark benchmark-steps dist test-dist clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -23,9 +23,10 @@ test: .venv/.installed  ## the tests but the slow ones
 test-all: .venv/.installed  ## all tests
 	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 -m "" $(ARGS)
 
-lint: .venv/.installed  ## check style and formatting
+lint: .venv/.installed  ## check style, formatting and types
 	@.venv/bin/ruff check .
 	@.venv/bin/ruff format --check .
+	@.venv/bin/mypy
 
 demonstrations: .venv/.installed  ## record the shipped demonstrations anew
 	@.venv/bin/python scripts/record_demonstrations.py $(ARGS)
@@ -56,8 +57,23 @@ benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's
 benchmark-steps: .venv/.benchmark  ## time of single steps
 	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest benchmarks/test_single_steps.py $(ARGS)
 
+dist: .venv/.dev  ## build a source archive and a wheel into dist/, and check what they hold
+	@rm -rf dist
+	@PIP_CONSTRAINT=$(CURDIR)/constraints.txt .venv/bin/python -m build -q --outdir dist .
+	@.venv/bin/python scripts/check_dist.py dist
+
+test-dist: dist  ## the fast tests against the wheel, installed into an environment of its own in build/dist
+	@rm -rf build/dist && mkdir -p build/dist
+	@tar -xzf dist/*.tar.gz -C build/dist --strip-components 1
+	@rm -r build/dist/torch_pmil
+	@echo "Building build/dist/.venv with the wheel; this takes a few minutes."
+	@$(PYTHON) -m venv build/dist/.venv
+	@cd build/dist && $(PIP) $(TORCH_ARGS) -c constraints.txt torch==2.13.0
+	@cd build/dist && $(PIP) -c constraints.txt "torch_pmil[test] @ file://$$(realpath ../../dist/*.whl)"
+	@cd build/dist && OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 README.md tests --pyargs torch_pmil $(ARGS)
+
 clean:  ## remove what make and the tests built, not runs/
-	@rm -rf .venv .pytest_cache .ruff_cache docs/_build build dist *.egg-info
+	@rm -rf .venv .mypy_cache .pytest_cache .ruff_cache docs/_build build dist *.egg-info
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/.installed: setup.cfg pyproject.toml constraints.txt
@@ -65,6 +81,10 @@ clean:  ## remove what make and the tests built, not runs/
 	@$(PYTHON) -m venv .venv
 	@$(PIP) $(TORCH_ARGS) -c constraints.txt torch==2.13.0
 	@$(PIP) -c constraints.txt -e ".[test]"
+	@touch $@
+
+.venv/.dev: .venv/.installed
+	@$(PIP) -c constraints.txt -e ".[dev]"
 	@touch $@
 
 .venv/.docs: .venv/.installed

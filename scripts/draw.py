@@ -62,7 +62,8 @@ class DrawingServer(ThreadingHTTPServer):
 
     def __init__(self, path: Path, time_step: float) -> None:
         super().__init__(("127.0.0.1", 0), DrawingHandler)
-        self.path, self.time_step, self.saved = path, time_step, None
+        self.path, self.time_step = path, time_step
+        self.saved: Demonstrations | None = None
         self.host = f"127.0.0.1:{self.server_port}"
         self.root = f"/{secrets.token_urlsafe()}/"
         self.saving = threading.Lock()
@@ -183,6 +184,7 @@ def main() -> None:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         sys.exit("\nended, nothing was saved")
+    assert server.saved is not None  # the server ends by itself when a drawing is saved
     count, samples, _ = server.saved.positions.shape
     print(f"wrote {arguments.out}: {count} demonstrations of {samples} samples, {server.saved.duration:g} s")
     print(f"as they were recorded: {arguments.out.with_suffix('.csv')}")

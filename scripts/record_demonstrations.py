@@ -160,7 +160,7 @@ def record_strikes(seed: int, balls: Tensor) -> Demonstrations:
     return Demonstrations(aligned[:, :: round(period / RECORDED_PERIOD)], period, space.match.names)
 
 
-EXPERIMENTS = {
+EXPERIMENTS: dict[str, Callable[..., Demonstrations]] = {
     "biorob": record_biorob,
     "biorob_targets": record_biorob_targets,
     "double_pendulum": record_double_pendulum,

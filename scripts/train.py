@@ -38,7 +38,7 @@ from torch_pmil.plotting import save_figure
 from torch_pmil.report import write_report
 from torch_pmil.trajectory_loss import TrajectoryLoss
 from torch_pmil.trials import Trial
-from torch_pmil.video import dense_states, film_rollout, render_rollout, write_video
+from torch_pmil.video import dense_states, film_rollout, render_rollout, write_gif, write_video
 
 FRAMES_PER_SECOND = 50
 LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what a run may leave for the eye
@@ -106,7 +106,7 @@ def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> No
 
 
 def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
-    """Figures, video and report of a run."""
+    """Figures, video (as a GIF too) and report of a run."""
     for name, figure in figures_of(experiment, result):
         save_figure(figure, out / "figures" / f"{name}.png")
     env = experiment.first_robot(seed=0)
@@ -114,6 +114,8 @@ def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
         film(env, experiment, result.outcomes[0], out / "video.mp4")
     else:
         film_as_shown(experiment, result, out / "video.mp4")
+    if (out / "video.mp4").exists():
+        write_gif(out / "video.gif", out / "video.mp4")
     write_report(out)
 
 

@@ -57,8 +57,8 @@ def print_trial(trial: DMPTrial) -> None:
 
 def draw(trials: list[dict], out: Path) -> None:
     """Learning curve and report of a run."""
-    curves = ([trial[field] for trial in trials] for field in ("experience_s", "success_rate", "tracking_error"))
-    save_figure(plot_learning_curve(*curves, "tracking error (rad)"), out / "figures" / "learning_curve.png")
+    experience, rates, errors = ([trial[field] for trial in trials] for field in ("experience_s", "success_rate", "tracking_error"))
+    save_figure(plot_learning_curve(experience, rates, errors, "tracking error (rad)"), out / "figures" / "learning_curve.png")
     write_report(out)
 
 

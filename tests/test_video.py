@@ -11,9 +11,10 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from torch_pmil.envs import DoublePendulumEnv
-from torch_pmil.video import render_rollout, write_video
+from torch_pmil.video import render_rollout, write_gif, write_video
 
 
 def shades(count: int, height: int = 32, width: int = 48) -> list[np.ndarray]:
@@ -104,3 +105,32 @@ def test_rollout_is_pictured_five_times_a_step_along_its_own_motion() -> None:
         states.append(env.simulate(states[-1][None], action[None])[0])
     assert pictures.shape == (16, 4)
     np.testing.assert_array_equal(pictures[::5], torch.stack(states))
+
+
+def test_gif_shows_the_video_in_its_own_time_rests_for_a_second_and_begins_anew(tmp_path: Path) -> None:
+    write_video(tmp_path / "shades.mp4", shades(50), fps=50)
+    write_gif(tmp_path / "shades.gif", tmp_path / "shades.mp4")
+    with Image.open(tmp_path / "shades.gif") as gif:
+        shown, durations = [], []
+        for number in range(gif.n_frames):
+            gif.seek(number)
+            shown.append(np.asarray(gif.convert("RGB")).mean())
+            durations.append(gif.info["duration"])
+        assert gif.info["loop"] == 0  # for ever
+        assert gif.size == (48, 32)
+    assert sum(durations) == pytest.approx(2000, abs=40)  # ms
+    moving = 25
+    np.testing.assert_allclose(shown[:moving], np.linspace(0, 255, 50)[::2], atol=12)
+    np.testing.assert_allclose(shown[moving:], 255, atol=12)
+
+
+@pytest.mark.parametrize("content", [None, b"no video"])
+def test_gif_of_no_video_is_an_os_error_and_leaves_the_old_one(tmp_path: Path, content: bytes | None) -> None:
+    video, gif = tmp_path / "shades.mp4", tmp_path / "shades.gif"
+    gif.write_text("old")
+    if content is not None:
+        video.write_bytes(content)
+    with pytest.raises(OSError, match=r"no GIF of .*shades\.mp4"):
+        write_gif(gif, video)
+    assert gif.read_text() == "old"
+    assert {path.name for path in tmp_path.iterdir()} <= {"shades.mp4", "shades.gif"}

@@ -2,6 +2,7 @@
 
 import ctypes.util
 import os
+from importlib.metadata import version
 
 if "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # headless pictures; MuJoCo reads it when it is first imported
@@ -10,6 +11,8 @@ from torch_pmil import envs
 from torch_pmil.alignment import AlignmentError, align
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, load_demonstrations, load_recordings, shipped_demonstrations
 from torch_pmil.dynamics import GPDynamics
+from torch_pmil.experience import Experience
+from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.expert import expert_distribution
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.kernel_expansion import KernelExpansion
@@ -30,13 +33,15 @@ from torch_pmil.state_space import MatchSpace, StateSpace, joint_match
 from torch_pmil.trainer import PMILTrainer
 from torch_pmil.trials import Trial
 
-__version__ = "0.1.0"
+__version__ = version("torch_pmil")  # that of setup.cfg
 
 __all__ = [
     "AlignmentError",
     "DemonstrationError",
     "Demonstrations",
     "ExpectedSaturatingCost",
+    "Experience",
+    "Experiment",
     "FrequencyScore",
     "GPDynamics",
     "Gaussian",
@@ -65,6 +70,7 @@ __all__ = [
     "gaussian_kl",
     "joint_match",
     "load_demonstrations",
+    "load_experiment",
     "load_policy",
     "load_recordings",
     "moment_match",

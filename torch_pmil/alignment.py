@@ -122,7 +122,7 @@ def check_samples(values: Tensor, times: Tensor) -> None:
     if not (values.isfinite().all() and times.isfinite().all()):
         raise AlignmentError("values and times must be finite")
     if (late := (times.diff() <= 0).nonzero()).numel():
-        at = late[0].item()
+        at = int(late[0])
         raise AlignmentError(f"times must increase, got {times[at + 1]:g} s after {times[at]:g} s at sample {at + 1}")
 
 

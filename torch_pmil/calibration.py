@@ -42,7 +42,7 @@ def standardised_residuals(dynamics: GPDynamics, space: StateSpace, states: Tens
     """
     inputs, targets = gp_data(states[..., :-1, :], actions, states[..., 1:, :], space, dynamics.targets)
     mean, variance = dynamics.expansion.predict(inputs)
-    return (targets - mean) / (variance + dynamics.expansion.noise_variance).sqrt()
+    return (targets - mean) / (variance + dynamics.expansion.noise).sqrt()
 
 
 def observed_coverage(residuals: Tensor, probabilities: Tensor) -> Tensor:

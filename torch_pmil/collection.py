@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -85,7 +86,7 @@ class RolloutCollector(Collector):
         latest = None if self._latest is None else {"entries": self._latest.to_dict(), "shape": list(self._latest.shape)}
         return {**super().state_dict(), "env_state_dict": self.env.state_dict(), "latest": latest}
 
-    def load_state_dict(self, state_dict: Mapping[str, object], **kwargs) -> None:
+    def load_state_dict(self, state_dict: Mapping[str, Any], **kwargs: Any) -> None:
         """Restore what :meth:`state_dict` gave."""
         state = dict(state_dict)
         latest = state.pop("latest")

@@ -146,7 +146,7 @@ def _checked(stroke: object, number: int) -> Tensor:
             raise DrawingError(f"stroke {number}, sample {at} must be three finite numbers [time, right, down], got {short(sample)}")
     table = torch.tensor(stroke, dtype=torch.float64)
     if (late := (table[:, 0].diff() <= 0).nonzero()).numel():
-        at = late[0].item()
+        at = int(late[0])
         raise DrawingError(
             f"stroke {number}, sample {at + 2} must be later than the one before, got {table[at + 1, 0]:g} after {table[at, 0]:g} ms"
         )
@@ -163,7 +163,7 @@ def _check_size(table: Tensor, number: int) -> None:
     if not SHORTEST <= duration <= LONGEST:
         raise DrawingError(f"stroke {number} must last {SHORTEST:g} to {LONGEST:g} s, got {duration:.3g} s")
     if (outside := ((table[:, 1:] < 0) | (table[:, 1:] > 1)).any(1).nonzero()).numel():
-        at = outside[0].item()
+        at = int(outside[0])
         raise DrawingError(f"stroke {number}, sample {at + 1} must be inside of the square, [0, 1], got {table[at, 1:].tolist()}")
     extent = (table.amax(0) - table.amin(0))[1:].amax().item()
     if extent < LEAST_EXTENT:

@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import gpytorch
 import torch
@@ -75,6 +75,10 @@ class GPDynamics(nn.Module):
         >>> bool(mean.abs() < 1e-2)
         True
     """
+
+    train_inputs: Tensor
+    train_targets: Tensor
+    searched_size: Tensor
 
     def __init__(self, num_inputs: int, num_outputs: int, targets: Targets = "difference") -> None:
         super().__init__()
@@ -188,7 +192,7 @@ class GPDynamics(nn.Module):
         self._expansion = None  # on the former device
         return super()._apply(function, recurse)
 
-    def _load_from_state_dict(self, state_dict, prefix, *args) -> None:
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
         inputs, targets = state_dict.get(prefix + "train_inputs"), state_dict.get(prefix + "train_targets")
         if inputs is not None and targets is not None and len(inputs):
             self.set_data(inputs, targets)

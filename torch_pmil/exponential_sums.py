@@ -3,6 +3,7 @@ r"""Sums of exponentials over all pairs of data, the O(n^2) work of moment match
 from __future__ import annotations
 
 from itertools import repeat
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -28,7 +29,8 @@ def thin_products(left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor |
     sizes = [size for size, _ in pieces]
     operands = zip(*(t.flatten(0, 1).split(sizes) for t in (left.mT, right, w, z)), strict=True)
     products = [
-        _multiply(*piece, None if first is None else M[first : first + size]) for piece, (size, first) in zip(operands, pieces, strict=True)
+        _multiply(rows, columns, w_part, z_part, None if M is None or first is None else M[first : first + size])
+        for (rows, columns, w_part, z_part), (size, first) in zip(operands, pieces, strict=True)
     ]
     wQ, Qz = (torch.cat(parts).unflatten(0, (N, P)) for parts in zip(*products, strict=True))
     return wQ, Qz
@@ -39,7 +41,8 @@ def _pieces(N: int, P: int, own: int, largest: int) -> list[tuple[int, int | Non
     if own == 0:
         return [(min(largest, N * P - start), None) for start in range(0, N * P, largest)]
     with_M = [(min(largest, own - start), start) for start in range(0, own, largest)]
-    return (with_M + [(min(largest, P - start), None) for start in range(own, P, largest)]) * N
+    without = [(min(largest, P - start), None) for start in range(own, P, largest)]
+    return [*with_M, *without] * N
 
 
 def _multiply(left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -75,7 +78,16 @@ class ExponentialSum(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, left, right, w, z, M, one, products=None):
+    def forward(
+        ctx: Any,
+        left: Tensor,
+        right: Tensor,
+        w: Tensor,
+        z: Tensor,
+        M: Tensor | None,
+        one: int,
+        products: tuple[Tensor, Tensor] | None = None,
+    ) -> Tensor:
         left_Q, Q_right = products or products_for_gradient(left, right, w, z, M)
         ctx.one, ctx.own = one, 0 if M is None else len(M)
         ctx.save_for_backward(left, right, w, z, left_Q, Q_right)
@@ -83,7 +95,7 @@ class ExponentialSum(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, grad):
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         left, right, w, z, left_Q, Q_right = ctx.saved_tensors
         scale = grad[..., None, None]
         d_left, d_right = w * (scale * Q_right.mT), z * (scale * left_Q)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -126,7 +127,7 @@ class Gaussian:
         cotangent = cls.from_flat(vector, dim)
         return cotangent.mean, (cotangent.cov + torch.diag_embed(cotangent.cov.diagonal(dim1=-2, dim2=-1))) / 2
 
-    def __getitem__(self, index) -> Gaussian:
+    def __getitem__(self, index: Any) -> Gaussian:
         """Part of the batch; the variable's axes stay as they are."""
         return Gaussian(self.mean[index], self.cov[index])
 

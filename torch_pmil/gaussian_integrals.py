@@ -3,6 +3,7 @@ r"""Gaussian integrals of one squared-exponential kernel, or of the product of t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -79,19 +80,19 @@ class _RegularisedPrecision(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(cov, precision, root):
+    def forward(cov: Tensor, precision: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:
         scaled = root * cov[:, None]
         scaled.diagonal(dim1=-2, dim2=-1).add_(1)
         factor = cholesky(scaled, "I + Sigma P (last element: kernel, then pair of kernels)")
         return torch.cholesky_inverse(factor) * root, factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
     @staticmethod
-    def setup_context(ctx, inputs, output):
+    def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: tuple[Tensor, ...]) -> None:
         ctx.save_for_backward(inputs[1], output[0])
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, d_B, d_half_log_det):
+    def backward(ctx: Any, d_B: Tensor, d_half_log_det: Tensor) -> tuple[Tensor | None, ...]:
         precision, B = ctx.saved_tensors
         through_B = B @ symmetric(d_B) @ B
         scale = d_half_log_det[..., None] / 2

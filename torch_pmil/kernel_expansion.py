@@ -165,10 +165,17 @@ class KernelExpansion:
         """Prior covariance of the outputs at one input, (E, E)."""
         return torch.diag_embed(self.signal_variance)
 
+    @property
+    def noise(self) -> Tensor:
+        """Noise variance of an observation, (E,). Raises ValueError for a deterministic function, which has none."""
+        if self.noise_variance is None:
+            raise ValueError("noisy observations need a noise_variance, got None, a deterministic function")
+        return self.noise_variance
+
     @cached_property
     def observed_prior_cov(self) -> Tensor:
-        """The same of noisy observations (Eq. 5). Needs ``noise_variance``."""
-        return torch.diag_embed(self.signal_variance + self.noise_variance)
+        """:attr:`prior_cov` of noisy observations (Eq. 5)."""
+        return torch.diag_embed(self.signal_variance + self.noise)
 
     def kernel(self, x: Tensor) -> Tensor:
         """k_a(x, x_i) at points x (*batch, D): (*batch, E, n)."""

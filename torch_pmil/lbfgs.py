@@ -88,7 +88,8 @@ class _Guard:
     """An L-BFGS closure that survives failed evaluations and keeps the best point."""
 
     def __init__(self, parameters: list[nn.Parameter], objective: Callable[[], Tensor], survives: tuple[type[Exception], ...]) -> None:
-        self.parameters, self.objective, self.failed = parameters, objective, (NotFiniteError, *survives)
+        self.parameters, self.objective = parameters, objective
+        self.failed: tuple[type[Exception], ...] = (NotFiniteError, *survives)
         self.evaluations = self.failures = 0
         self.initial_loss = self.best_loss = float("inf")
         self.best_gradient = float("inf")
@@ -105,7 +106,7 @@ class _Guard:
                 raise
             self.failures += 1
             self.last_failed = True
-            loss, gradients = torch.tensor(self._rejected_loss()), [torch.zeros_like(p) for p in self.parameters]
+            loss, gradients = torch.tensor(self._rejected_loss()), tuple(torch.zeros_like(p) for p in self.parameters)
         for parameter, gradient in zip(self.parameters, gradients, strict=True):
             parameter.grad = gradient.contiguous()
         return loss

@@ -69,7 +69,8 @@ class RecordedMoments:
     @cached_property
     def products(self) -> tuple[Tensor, Tensor]:
         """Those of all T calls, which were kept."""
-        return tuple(torch.cat(parts) for parts in zip(*self._kept, strict=True))
+        left_Q, Q_right = (torch.cat(parts) for parts in zip(*self._kept, strict=True))
+        return left_Q, Q_right
 
     @cached_property
     def linearised(self) -> LinearisedMoments:

@@ -10,6 +10,8 @@ from torch_pmil.linearised_moments import LinearisedMoments
 from torch_pmil.state_space import StateSpace
 from torch_pmil.trigonometry import augment_adjoint, squash, squash_adjoint
 
+Cotangents = tuple[Tensor, Tensor, Tensor]
+
 
 class LinearisedStep:
     """:func:`predict_step` at N beliefs, linearised.
@@ -49,11 +51,11 @@ class LinearisedStep:
             return d_state_mean, d_state_cov
         return d_mean + d_state_mean, symmetric(d_state + d_state_cov)
 
-    def network_adjoint(self, d_mean: Tensor, d_cov: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def network_adjoint(self, d_mean: Tensor, d_cov: Tensor) -> Cotangents:
         """Cotangents of the policy's moments before squashing, from those of the next state."""
         return self._back_to_policy(d_mean, d_cov)[0]
 
-    def _back_to_policy(self, d_mean: Tensor, d_cov: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...], Tensor | None]:
+    def _back_to_policy(self, d_mean: Tensor, d_cov: Tensor) -> tuple[Cotangents, Cotangents, Tensor]:
         """Cotangents of the policy's moments, those of the features and their slope, and that of the state's covariance itself."""
         d_input_slope, d_model_slope, d_state_cov = self._of_cross_covariance(d_cov)
         by_mean, by_cov = self.model.adjoint(d_mean, d_cov, d_model_slope)

@@ -12,6 +12,7 @@ sigma_eps^2         ``exp(log_parameters[D + 1])``, noise variance, likewise
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -49,7 +50,7 @@ def negative_log_likelihood(inputs: Tensor, target: Tensor, log_parameters: Tens
 
 class _NegativeLogLikelihood(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, inputs: Tensor, target: Tensor, log_parameters: Tensor) -> Tensor:
+    def forward(ctx: Any, inputs: Tensor, target: Tensor, log_parameters: Tensor) -> Tensor:
         log_lengthscales, (log_signal, log_noise) = log_parameters[:-2], log_parameters[-2:]
         z = (inputs - inputs.mean(0)) * torch.exp(-log_lengthscales)
         gram = _signal_gram(z, log_signal)
@@ -62,7 +63,7 @@ class _NegativeLogLikelihood(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, grad: Tensor) -> tuple[None, None, Tensor]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[None, None, Tensor]:
         (gradient,) = ctx.saved_tensors
         return None, None, grad * gradient
 

@@ -47,7 +47,7 @@ def sample_trajectories(
         features = space.features(state)
         mean, variance = expansion.predict(torch.cat([features, controller(features)], -1))
         if observation_noise:
-            variance = variance + expansion.noise_variance
+            variance = variance + expansion.noise
         change = mean + variance.clamp(min=0).sqrt() * normal(mean.shape, mean, generator)
         state = change if dynamics.targets == "successor" else state + change
         states.append(state)

@@ -53,6 +53,9 @@ class RBFPolicy(nn.Module):
         torch.Size([2])
     """
 
+    u_max: Tensor
+    scale: Tensor
+
     def __init__(self, centres: Tensor, u_max: Tensor, scale: Tensor) -> None:
         super().__init__()
         m, inputs = centres.shape

@@ -206,7 +206,7 @@ def _evaluate(of_steps: Callable[[Gaussian, int], Tensor], initial: Gaussian, ho
 
 def _first_unmatched(doubt: Tensor, settings: SearchSettings) -> int:
     unmatched = (doubt > settings.trusted).nonzero()[:, 0]
-    first = unmatched[0].item() + 1 if len(unmatched) else len(doubt)
+    first = int(unmatched[0]) + 1 if len(unmatched) else len(doubt)
     return min(max(first, settings.first_horizon), len(doubt))
 
 

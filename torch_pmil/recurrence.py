@@ -8,7 +8,7 @@ backpropagation through time, in a few large operations instead of many small on
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -35,7 +35,7 @@ def unroll(step: Step, initial: Tensor, parameters: tuple[Tensor, ...], horizon:
 
 class _Unrolled(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, step, horizon, initial, *parameters):
+    def forward(ctx: Any, step: Step, horizon: int, initial: Tensor, *parameters: Tensor) -> Tensor:
         states = [initial]
         for _ in range(horizon):
             states.append(step.advance(states[-1]))
@@ -46,14 +46,14 @@ class _Unrolled(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, gradient):
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         states, *parameters = ctx.saved_tensors
         jacobian = ctx.step.jacobian(states)
         adjoints = [gradient[-1]]
         for earlier, J in zip(gradient[:-1].flip(0), jacobian[1:].flip(0), strict=True):
             adjoints.append(earlier + _row_times(adjoints[-1], J))
         d_initial = _row_times(adjoints[-1], jacobian[0]) if ctx.needs_input_grad[2] else None
-        d_parameters = [None] * len(parameters)
+        d_parameters: Sequence[Tensor | None] = [None] * len(parameters)
         if any(ctx.needs_input_grad[3:]):
             d_parameters = ctx.step.parameter_gradients(states, parameters, torch.stack(adjoints[::-1]))
         return None, None, d_initial, *d_parameters

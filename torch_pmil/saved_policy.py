@@ -23,6 +23,7 @@ import zipfile
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -106,7 +107,7 @@ def load_policy(path: Path | str) -> StatePolicy:
         raise PolicyFileError(f"{path}: {error}") from error
 
 
-def _unpickled(data: bytes) -> object:
+def _unpickled(data: bytes) -> Any:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             damaged = archive.testzip()  # torch.load compares no checksums

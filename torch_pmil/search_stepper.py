@@ -33,6 +33,8 @@ class PolicySearchStepper(OptimizationStepper):
         report: called with the name and the loss of each run of L-BFGS.
     """
 
+    result: SearchResult  # of the last step
+
     def __init__(
         self,
         settings: SearchSettings,
@@ -41,7 +43,6 @@ class PolicySearchStepper(OptimizationStepper):
         report: Callable[[str, float], None],
     ) -> None:
         self.settings, self.make_policy, self.generator, self.report = settings, make_policy, generator, report
-        self.result: SearchResult | None = None
         self.renewed = False
         self._least = math.inf
 
@@ -59,11 +60,11 @@ class PolicySearchStepper(OptimizationStepper):
         self._least = min(self._least, self.result.kl)
         return TensorDict({loss.out_keys[0]: torch.tensor(self.result.kl, dtype=torch.float64)})
 
-    def state_dict(self) -> dict[str, object]:
+    def state_dict(self) -> dict[str, float]:
         """What the next search depends on, besides policy and model."""
         return {"least": self._least}
 
-    def load_state_dict(self, state_dict: dict[str, object]) -> None:
+    def load_state_dict(self, state_dict: dict[str, float]) -> None:
         """Restore what :meth:`state_dict` gave."""
         self._least = state_dict["least"]
 

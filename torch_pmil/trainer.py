@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -21,7 +22,6 @@ from torchrl.trainers import Trainer
 
 from torch_pmil.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
 from torch_pmil.collection import RobotActor, RolloutCollector
-from torch_pmil.dynamics import FitResult
 from torch_pmil.experience import Experience
 from torch_pmil.first_motion import FirstMotion
 from torch_pmil.gaussian import Gaussian
@@ -121,7 +121,6 @@ class PMILTrainer(Trainer):
         self.trials: list[Trial] = []
         self.candidates: list[Candidate] = []
         self.rotation, self.metadata = checkpoint_rotation, checkpoint_metadata
-        self._fit: FitResult | None = None
         self._pending: Trial | None = None
         self._begun = time.perf_counter()
         self._register_state(policy_generator, generator)
@@ -293,7 +292,7 @@ class _Progress:
             "candidates": [vars(candidate) for candidate in trainer.candidates],
         }
 
-    def load_state_dict(self, state_dict: Mapping[str, object]) -> None:
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         trainer, pending = self.trainer, state_dict["pending"]
         trainer.actor.exploring = state_dict["exploring"]
         trainer._begun = time.perf_counter() - state_dict["seconds"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -169,7 +169,7 @@ class TrajectoryLoss(LossModule):
         """An RBF policy begins at the demonstrations, not at numbers that it could draw by itself."""
         raise NotImplementedError("the policy cannot reset itself: load a new one with actor_network.load_state_dict(new.state_dict())")
 
-    def _forward_value_estimator_keys(self, **kwargs) -> None:
+    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
         """The loss has no value estimator."""
 
     def _observe(self, states: Gaussian) -> Gaussian:

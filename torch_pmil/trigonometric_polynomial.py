@@ -45,7 +45,7 @@ class TrigonometricPolynomial:
     def __mul__(self, other: TrigonometricPolynomial | float) -> TrigonometricPolynomial:
         if not isinstance(other, TrigonometricPolynomial):
             return TrigonometricPolynomial({n: c * other for n, c in self.coefficients.items()})
-        product = defaultdict(complex)
+        product: defaultdict[tuple[int, ...], complex] = defaultdict(complex)
         for k, a in self.coefficients.items():
             for m, b in other.coefficients.items():
                 product[tuple(i + j for i, j in zip(k, m, strict=True))] += a * b

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -80,7 +81,7 @@ class _Augment(torch.autograd.Function):
     """:class:`Augmentation` of a mean (*batch, D) and a covariance (*batch, D, D)."""
 
     @staticmethod
-    def forward(mean, cov, augmentation):
+    def forward(mean: Tensor, cov: Tensor, augmentation: Augmentation) -> tuple[Tensor, Tensor, Tensor]:
         kept, (mean, cov) = augmentation.kept, augmentation.linear(mean, cov)
         cosine, cosine_cov, slope = _Cosines.forward(mean[..., kept:], cov[..., kept:, kept:])
         gain = _gain(slope, kept)
@@ -89,14 +90,15 @@ class _Augment(torch.autograd.Function):
         return torch.cat([mean[..., :kept], cosine], -1), cov, augmentation.rows.mT * gain
 
     @staticmethod
-    def setup_context(ctx, inputs, output):
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: object) -> None:
         ctx.save_for_backward(*inputs[:2])
         ctx.augmentation = inputs[2]
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, d_mean, d_cov, d_slope):
-        return *augment_adjoint(ctx.augmentation, *ctx.saved_tensors, d_mean, symmetric(d_cov), d_slope), None
+    def backward(ctx: Any, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor) -> tuple[Tensor, Tensor, None]:
+        mean, cov = ctx.saved_tensors
+        return *augment_adjoint(ctx.augmentation, mean, cov, d_mean, symmetric(d_cov), d_slope), None
 
 
 def augment_adjoint(
@@ -152,19 +154,20 @@ class _Cosines(torch.autograd.Function):
     r"""Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases, and the mean slope -E sin (*batch, K)."""
 
     @staticmethod
-    def forward(m, V):
+    def forward(m: Tensor, V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         decay, even, odd = _coefficients(V)
         cos, sin = m.cos(), m.sin()
         return decay * cos, even * _square(cos) + odd * _square(sin), -decay * sin
 
     @staticmethod
-    def setup_context(ctx, inputs, output):
+    def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: object) -> None:
         ctx.save_for_backward(*inputs)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, d_mean, d_cov, d_slope):
-        return cosines_adjoint(*ctx.saved_tensors, d_mean, symmetric(d_cov), d_slope)
+    def backward(ctx: Any, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor) -> tuple[Tensor, Tensor]:
+        m, V = ctx.saved_tensors
+        return cosines_adjoint(m, V, d_mean, symmetric(d_cov), d_slope)
 
 
 def cosines_adjoint(m: Tensor, V: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,8 +1,9 @@
-"""Videos: the pictures of a rollout, and an H.264 file from pictures."""
+"""Videos: the pictures of a rollout, an H.264 file from pictures, and a GIF from that."""
 
 from __future__ import annotations
 
 import itertools
+import subprocess
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -19,6 +20,8 @@ from torch_pmil.state_policy import StatePolicy
 from torch_pmil.state_space import StateSpace
 
 MP4 = ["-f", "mp4", "-movflags", "+faststart"]  # whatever the file is called; the index comes first, so that a browser plays at once
+# a GIF counts in hundredths of a second; the last picture stays; colours are those of this video, not mixed from dots, which flicker
+GIF = "fps=25,tpad=stop_mode=clone:stop_duration=1,split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none"
 
 
 def render_rollout(env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_per_step: int = 5) -> Iterator[np.ndarray]:
@@ -116,6 +119,36 @@ def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> N
     with replacing(path) as temporary:
         temporary.touch()  # raises where ffmpeg would only print
         _encode(temporary, itertools.chain([first], frames), first.shape, fps)
+
+
+def write_gif(path: Path | str, video: Path | str) -> None:
+    """Write a video as a GIF that begins anew for ever, wholly or not at all: for pages that show no videos.
+
+    It is as large and as fast as the video, at 25 pictures per second, and rests on the last one for a second.
+
+    Args:
+        path: of the file; one that is there is replaced.
+        video: as :func:`write_video` leaves it.
+
+    Raises:
+        OSError: the video is missing or is none, or the folder is missing or not writable.
+
+    Example:
+        >>> import tempfile
+        >>> black = np.zeros((16, 16, 3), dtype=np.uint8)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_video(f"{folder}/black.mp4", [black] * 25, fps=50)
+        ...     write_gif(f"{folder}/black.gif", f"{folder}/black.mp4")
+        ...     Path(f"{folder}/black.gif").read_bytes()[:6]
+        b'GIF89a'
+    """
+    with replacing(path) as temporary:
+        temporary.touch()  # raises where ffmpeg would only print
+        ffmpeg = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error"]
+        command = [*ffmpeg, "-i", str(video), "-filter_complex", GIF, "-f", "gif", str(temporary)]
+        encoded = subprocess.run(command, capture_output=True, text=True, check=False)
+        if encoded.returncode:
+            raise OSError(f"ffmpeg made no GIF of {video}: {encoded.stderr.strip().splitlines()[-1]}")
 
 
 def _encode(path: Path, frames: Iterable[np.ndarray], shape: tuple[int, ...], fps: float) -> None:

@@ -68,7 +68,7 @@ def assert_same_numbers(run: Path, other: Path) -> None:
 @pytest.mark.slow
 def test_each_run_of_a_sweep_is_whole_and_tells_its_progress_by_name(folder: Path, joblib: subprocess.CompletedProcess[str]) -> None:
     assert (joblib.returncode, joblib.stderr) == (0, "")
-    files = {"metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4", "figures"}
+    files = {"metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4", "video.gif", "report.html", "figures"}
     told = joblib.stdout.splitlines()
     for seed in SEEDS:
         run = f"joblib/seed_{seed}"

@@ -25,7 +25,7 @@ from torch_pmil.experiments import EXPERIMENTS
 
 SCRIPT = "scripts/train.py"
 UNKNOWN = f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}"
-FILES = {"metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4", "report.html"}
+FILES = {"metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4", "video.gif", "report.html"}
 FIGURES = {"trajectories", "learning_curve", "kl_per_step", "calibration", "model", "policy", "poses"}
 Script = Callable[..., None]
 

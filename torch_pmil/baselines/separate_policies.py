@@ -26,6 +26,8 @@ class SeparatePolicies(nn.Module):
     Example: see ``torch_pmil/experiments/paper/target_study.py``.
     """
 
+    targets: Tensor
+
     def __init__(self, policies: Sequence[StatePolicy], targets: Tensor, nearest: bool = False) -> None:
         super().__init__()
         if targets.ndim != 2 or len(policies) != len(targets):

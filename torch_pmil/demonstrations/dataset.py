@@ -6,6 +6,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -60,23 +61,21 @@ class Demonstrations:
             )
         if self.targets is not None:
             object.__setattr__(self, "targets", torch.as_tensor(self.targets).to(torch.float64))
-            self._check_targets()
+            self._check_targets(self.targets)
         elif self.target_names:
             raise DemonstrationError(f"target_names must come with targets, got {self.target_names} alone")
 
-    def _check_targets(self) -> None:
-        N, shape, names = len(self.positions), tuple(self.targets.shape), self.target_names
+    def _check_targets(self, targets: Tensor) -> None:
+        N, shape, names = len(self.positions), tuple(targets.shape), self.target_names
         if len(shape) != 2 or shape[0] != N or shape[1] < 1:
             raise DemonstrationError(f"targets must have shape ({N}, entries), one for each demonstration, got {shape}")
         if len(names) != shape[1] or len(set(names)) != shape[1]:
             raise DemonstrationError(f"target_names must be {shape[1]} different names, one per entry, got {names}")
-        bad = (~self.targets.isfinite()).nonzero()
+        bad = (~targets.isfinite()).nonzero()
         if len(bad):
             demonstration, entry = bad[0].tolist()
-            raise DemonstrationError(
-                f"targets must be finite, got {self.targets[demonstration, entry].item()} of demonstration {demonstration}"
-            )
-        distinct, counts = self.targets.unique(dim=0, return_counts=True)
+            raise DemonstrationError(f"targets must be finite, got {targets[demonstration, entry].item()} of demonstration {demonstration}")
+        distinct, counts = targets.unique(dim=0, return_counts=True)
         if (counts < 2).any():
             lonely = distinct[counts.argmin()].tolist()
             raise DemonstrationError(f"each target must have at least two demonstrations, got one of {lonely}")
@@ -125,7 +124,10 @@ class Demonstrations:
             OSError: the folder is missing or not writable.
         """
         with replacing(Path(path)) as temporary, temporary.open("wb") as file:
-            np.savez(file, positions=self.positions.numpy(), time_step=self.time_step, names=np.array(self.names), **self._target_arrays())
+            np.savez(file, **self._arrays())
 
-    def _target_arrays(self) -> dict[str, np.ndarray]:
-        return {} if self.targets is None else {"targets": self.targets.numpy(), "target_names": np.array(self.target_names)}
+    def _arrays(self) -> dict[str, Any]:
+        arrays = {"positions": self.positions.numpy(), "time_step": np.array(self.time_step), "names": np.array(self.names)}
+        if self.targets is not None:
+            arrays |= {"targets": self.targets.numpy(), "target_names": np.array(self.target_names)}
+        return arrays

@@ -32,11 +32,12 @@ def readable(kind: str, *failures: type[Exception]) -> Iterator[None]:
         Traceback (most recent call last):
         torch_pmil.demonstrations.errors.DemonstrationError: not a readable number (could not convert string to float: 'five')
     """
+    damage: tuple[type[Exception], ...] = (*DAMAGE, *failures)
     try:
         yield
     except DemonstrationError:
         raise
-    except (*DAMAGE, *failures) as error:
+    except damage as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DemonstrationError(f"not a readable {kind} ({reason})") from error
 

@@ -137,7 +137,7 @@ def _table(recordings: Recordings) -> list[str]:
     columns = np.stack([everything.min(0), everything.max(0), spread(recordings)], 1)
     numbers = np.where(np.abs(columns) < ROUNDING * np.abs(everything).max(0)[:, None], 0.0, columns)
     units = recordings.units or len(recordings.names) * ("?",)
-    rows = [("entry", "unit", "least", "largest", "spread")]
+    rows: list[tuple[str, ...]] = [("entry", "unit", "least", "largest", "spread")]
     rows += [(name, unit, *(f"{n:.3g}" for n in three)) for name, unit, three in zip(recordings.names, units, numbers, strict=True)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -90,7 +91,7 @@ class AdaptedEnv(RobotEnv):
         self.angles, self._observation, self._action = tuple(angles), observation, action
         self._make_specs()
 
-    def close(self, **kwargs) -> None:
+    def close(self, **kwargs: Any) -> None:
         """Close the environment."""
         self.base_env.close(**kwargs)
         super().close(**kwargs)
@@ -104,7 +105,7 @@ class AdaptedEnv(RobotEnv):
         more = {"pixels": _entry(shown, "pixels", "pictures").clone()} if self.from_pixels else {}
         self._set_specs(len(self._kept), (self._high - self._low) / 2, more)
 
-    def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
         if mask is not None and not mask.all():
             raise ValueError(f"all robots must be reset together, got a mask with {int(mask.sum())} of {mask.numel()}")

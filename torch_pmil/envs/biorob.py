@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache, cached_property
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -65,6 +66,8 @@ class BioRobEnv(MujocoRobotEnv):
         (torch.Size([18, 6]), tensor(False))
     """
 
+    _hit: Tensor
+
     def __init__(
         self,
         ball: Sequence[float] | Tensor = BALL,
@@ -118,7 +121,7 @@ class BioRobEnv(MujocoRobotEnv):
         self.observation_spec["info", "centre_distance"] = Unbounded(shape, dtype=torch.float64)
         self.observation_spec["info", "hit"] = Binary(shape=shape, dtype=torch.bool)
 
-    def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
         self._hit = torch.zeros_like(self._hit) if mask is None else self._hit & ~mask.flatten()
         return super()._reset(tensordict, **kwargs)

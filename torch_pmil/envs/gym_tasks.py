@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from functools import partial
+from typing import Any
 
 import numpy as np
 from torchrl.envs import EnvBase, GymEnv, GymWrapper
@@ -64,7 +65,7 @@ def pendulum_dynamics() -> partial[Array]:
 class HangingStart(Wrapper):
     """Pendulum-v1 with normal starts around hanging; its own are uniform around upright."""
 
-    def reset(self, **kwargs) -> tuple[np.ndarray, dict]:
+    def reset(self, **kwargs: Any) -> tuple[np.ndarray, dict]:
         """Start hanging."""
         _, info = self.env.reset(**kwargs)
         robot = self.env.unwrapped

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import torch
@@ -36,7 +38,7 @@ class GymnasiumRobot(gymnasium.Env):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
 
-    def __init__(self, name: str, render_mode: str | None = None, **settings) -> None:
+    def __init__(self, name: str, render_mode: str | None = None, **settings: Any) -> None:
         self.render_mode = render_mode
         self._robot = ROBOTS[name][0](**settings)
         limits = self._robot.action_spec.space

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,7 +15,7 @@ from torch_pmil.envs.biorob import BALL, JOINTS, ROTORS, START
 from torch_pmil.envs.equilibrium import Equilibrium
 from torch_pmil.envs.mujoco import FULL_PHYSICS
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 HAND_STIFFNESS = 1500.0  # N/m
 HAND_DAMPING = 70.0  # N·s/m
@@ -76,7 +77,9 @@ class Strike:
         """
         place = _racket_path(model, np.array([self.hit]))[0] + (np.asarray(ball) - BALL)
         turn = _angles_at(model, self.hit, place) - self.hit
-        moved = {name: tuple(getattr(self, name) + turn * along) for name, along in (("back", (1, 0, 0)), ("hit", 1), ("stop", 1))}
+        moved: dict[str, Any] = {
+            name: tuple(getattr(self, name) + turn * along) for name, along in (("back", (1, 0, 0)), ("hit", 1), ("stop", 1))
+        }
         return replace(self, **moved)
 
 
@@ -176,7 +179,7 @@ def _pull(model: mujoco.MjModel, data: mujoco.MjData, place: Array, velocity: Ar
     jacobian = np.empty((3, model.nv))
     mujoco.mj_jacSite(model, data, jacobian, None, racket.id)
     force = HAND_STIFFNESS * (place - racket.xpos) + HAND_DAMPING * (velocity - jacobian @ data.qvel)
-    data.qfrc_applied[:] = jacobian.T @ force * (HAND_FORCE / max(np.linalg.norm(force), HAND_FORCE))
+    data.qfrc_applied[:] = jacobian.T @ force * (HAND_FORCE / max(float(np.linalg.norm(force)), HAND_FORCE))
 
 
 def _set_angles(data: mujoco.MjData, joints: Sequence[str], angles: Sequence[float] | Array) -> None:

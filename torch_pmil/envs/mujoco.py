@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -62,6 +63,7 @@ class MujocoRobotEnv(RobotEnv):
     """
 
     camera = "front"
+    _physics: Tensor
 
     def __init__(
         self,
@@ -241,7 +243,7 @@ class MujocoRobotEnv(RobotEnv):
         renderer.update_scene(self._data, camera=self.camera)
         return renderer.render()
 
-    def close(self, **kwargs) -> None:
+    def close(self, **kwargs: Any) -> None:
         """Release the OpenGL context, if pictures were drawn."""
         if self._renderer is not None:
             self._renderer.close()
@@ -267,7 +269,7 @@ class MujocoRobotEnv(RobotEnv):
             more["pixels"] = Bounded(0, 255, (*batch, *self.pixel_size, 3), dtype=torch.uint8)
         self._set_specs(dim, limit, more)
 
-    def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         given = None if tensordict is None else tensordict.get("observation", None)
         mask = None if tensordict is None else tensordict.get("_reset", None)
         start = self._draw_starts() if given is None else self._check_starts(given)

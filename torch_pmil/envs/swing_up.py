@@ -111,7 +111,7 @@ def planning_dynamics(link_masses: Sequence[float] = (0.5, 0.5), torque_limit: f
     """The double pendulum at a coarser simulation step, as a function of arrays."""
     model = double_pendulum_model(link_masses)
     model.opt.timestep = PLANNING_TIMESTEP
-    env = MujocoRobotEnv(model, ("q1", "q2"), initial_mean=HANGING, initial_std=np.zeros(4), torque_limit=torque_limit, seed=0)
+    env = MujocoRobotEnv(model, ("q1", "q2"), initial_mean=HANGING.tolist(), initial_std=(0.0,) * 4, torque_limit=torque_limit, seed=0)
     return array_dynamics(env)
 
 

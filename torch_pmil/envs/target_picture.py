@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from torch import Tensor
@@ -70,13 +72,13 @@ def _add_rectangle(scene: mujoco.MjvScene, low: np.ndarray, high: np.ndarray) ->
         _add_line(scene, BLUE, FRAME, start, end)
 
 
-def _add(scene: mujoco.MjvScene, kind: mujoco.mjtGeom, colour: np.ndarray, size: np.ndarray, place: np.ndarray) -> mujoco.MjvGeom:
+def _add(scene: mujoco.MjvScene, kind: mujoco.mjtGeom, colour: Sequence[float], size: np.ndarray, place: np.ndarray) -> mujoco.MjvGeom:
     geom = scene.geoms[scene.ngeom]
     mujoco.mjv_initGeom(geom, kind, size, place, np.eye(3).flatten(), np.asarray(colour, dtype=np.float32))
     scene.ngeom += 1
     return geom
 
 
-def _add_line(scene: mujoco.MjvScene, colour: np.ndarray, radius: float, start: np.ndarray, end: np.ndarray) -> None:
+def _add_line(scene: mujoco.MjvScene, colour: Sequence[float], radius: float, start: np.ndarray, end: np.ndarray) -> None:
     geom = _add(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, colour, np.zeros(3), start)
     mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)

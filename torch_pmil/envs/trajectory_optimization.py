@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import lsq_linear
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 Dynamics = Callable[[Array, Array], Array]
 
 LINE_SEARCH = 0.5 ** np.arange(10.0)

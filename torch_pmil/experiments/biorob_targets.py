@@ -26,9 +26,7 @@ from torch_pmil.gaussian import Gaussian
 WIDENED = (2.0, 1.0, 1.0, 2.0, 1.0, 1.0)  # beside the widths for one ball: strikes at balls to the left and right differ in yaw
 
 
-def robots_before_balls(
-    num_envs: int | None = None, targets: Tensor | None = None, from_pixels: bool = False, seed: int | None = None
-) -> BioRobEnv:
+def robots_before_balls(*, targets: Tensor, num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None) -> BioRobEnv:
     """BioRobs that see where in the plane their balls hang, targets (num_envs, 2) or (2,) for one robot."""
     return BioRobEnv(ball_at(targets), targets=targets, num_envs=num_envs, from_pixels=from_pixels, seed=seed)
 

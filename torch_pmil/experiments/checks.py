@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 
 from torch_pmil.demonstration_checks import (
@@ -15,6 +17,7 @@ from torch_pmil.demonstration_checks import (
     check_stops,
     check_torques,
 )
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.experiment import Experiment
 
 
@@ -30,8 +33,9 @@ def check(experiment: Experiment) -> list[Finding]:
         []
     """
     demonstrations, noise_std = experiment.demonstrations, torch.as_tensor(experiment.noise_std, dtype=torch.float64)
+    sets: Sequence[Demonstrations]
     if demonstrations.targets is None:
-        sets, numbers = [demonstrations], [range(len(demonstrations.positions))]
+        sets, numbers = (demonstrations,), [list(range(len(demonstrations.positions)))]
     else:
         targets, sets = demonstrations.by_target()
         numbers = [(demonstrations.targets == target).all(-1).nonzero().flatten().tolist() for target in targets]
@@ -75,4 +79,5 @@ def needed_torques(experiment: Experiment) -> torch.Tensor | None:
         return None
     env = experiment.first_robot(seed=0)
     torques = [env.needed_torques(states) for states in experiment.demonstrated_states.reshape(N, samples, -1)]
-    return None if torques[0] is None else torch.stack(torques)
+    known = [each for each in torques if each is not None]
+    return torch.stack(known) if known else None

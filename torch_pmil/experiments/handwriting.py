@@ -121,10 +121,10 @@ def _writer(robot: str) -> Writer:
 
 
 def _strokes(demonstrations: Demonstrations | None, shape: str | None, writer: Writer) -> Demonstrations:
-    if (demonstrations is None) == (shape is None):
-        raise ValueError(f"handwriting needs a shape or demonstrations, got {'neither' if shape is None else 'both'}")
-    if demonstrations is None:
+    if demonstrations is None and shape is not None:
         return conditioned(lasa_strokes(shape), writer.duration)
+    if demonstrations is None or shape is not None:
+        raise ValueError(f"handwriting needs a shape or demonstrations, got {'neither' if shape is None else 'both'}")
     if demonstrations.names != NAMES:
         raise DemonstrationError(f"strokes must be of {', '.join(NAMES)}, got {', '.join(demonstrations.names)}")
     if abs(demonstrations.time_step / TIME_STEP - 1) > 1e-6:

@@ -102,7 +102,7 @@ def one_step_errors(experiment: Experiment, dynamics: GPDynamics, outcome: Outco
     mean, variance = expansion.predict(torch.cat([experiment.space.features(before), outcome.rollouts["action"]], -1))
     targets = after if dynamics.targets == "successor" else after - before
     little = (variance > LITTLE**2 * expansion.signal_variance).any(-1)
-    return (targets - mean) / (variance + expansion.noise_variance).sqrt(), little
+    return (targets - mean) / (variance + expansion.noise).sqrt(), little
 
 
 def _of_the_search(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], trials: Sequence[Trial]) -> list[Reason]:
@@ -115,8 +115,8 @@ def _of_the_search(experiment: Experiment, loss: TrajectoryLoss, outcomes: Seque
     if isinstance(loss, TrajectoryKLLoss):
         match = experiment.space.match
         compared = [(o.expert[step - 1], match.belief(o.predicted[step - 1]).add_noise(experiment.noise_std**2), o.label) for o in outcomes]
-        *pair, label = max(compared, key=lambda beliefs: gaussian_kl(*beliefs[:2]).item())
-        name, mismatch = "KL (nats)", worst_entry(*pair, match.names, match.units) + (f" at {label}" if label else "")
+        expert, predicted, label = max(compared, key=lambda beliefs: gaussian_kl(*beliefs[:2]).item())
+        name, mismatch = "KL (nats)", worst_entry(expert, predicted, match.names, match.units) + (f" at {label}" if label else "")
     horizons = [trial.horizon for trial in trials]
     return [check_search(doubt, step, name, mismatch, horizons, experiment.demonstrations.time_step)]
 

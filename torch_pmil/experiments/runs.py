@@ -42,7 +42,7 @@ class SuccessCurve:
 
     def at(self, experience_s: float) -> float:
         """Mean success rate with that much experience: of the last measurement up to then, or of the first one."""
-        return self.mean[max(np.searchsorted(self.experience_s, experience_s, side="right") - 1, 0)].item()
+        return self.mean[max(int(np.searchsorted(self.experience_s, experience_s, side="right")) - 1, 0)].item()
 
     def experience_to(self, rate: float) -> float | None:
         """Seconds of experience with which the mean first reached a rate; None if it never did."""

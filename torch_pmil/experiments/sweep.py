@@ -9,6 +9,7 @@ from contextlib import suppress
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
@@ -76,8 +77,8 @@ def shared_folder(config: DictConfig) -> str | None:
 def runs_of(config: DictConfig) -> Iterator[list[str]]:
     """Overrides of each run, as Hydra's own sweeper makes them."""
     parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
-    given = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
-    choices = [
+    given: Any = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
+    choices: list[list[Any]] = [
         [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
         if override.is_sweep_override()
         else [override.input_line]

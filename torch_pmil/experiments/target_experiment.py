@@ -109,8 +109,10 @@ class TargetExperiment(Experiment):
     @property
     def demonstrated_inputs(self) -> Tensor:
         """Features of the demonstrated states, and the targets of these demonstrations, (S, D' + K)."""
-        samples = len(self.demonstrated_states) // len(self.demonstrations.targets)
-        return torch.cat([super().demonstrated_inputs, self.demonstrations.targets.repeat_interleave(samples, 0)], -1)
+        targets = self.demonstrations.targets
+        assert targets is not None  # or by_target had raised an error
+        samples = len(self.demonstrated_states) // len(targets)
+        return torch.cat([super().demonstrated_inputs, targets.repeat_interleave(samples, 0)], -1)
 
     def start_inputs(self, starts: Tensor) -> Tensor:
         """Features of starts (S, D), and all targets in turn, (S, D' + K)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
@@ -57,7 +58,7 @@ def plot_before_after(
     return figure
 
 
-def _draw(panel, trajectories: Sequence[Timed], entry: int, markers: bool) -> None:
+def _draw(panel: Axes, trajectories: Sequence[Timed], entry: int, markers: bool) -> None:
     style(panel)
     shown = [(times, values[:, entry]) for times, values in trajectories if entry < values.shape[1]]
     for times, values in shown:

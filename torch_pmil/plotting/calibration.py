@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 import torch
@@ -62,7 +63,7 @@ def plot_calibration(names: Sequence[str], time_step: float, residuals: Tensor) 
 
 def _draw_diagonal(panel: Axes) -> None:
     panel.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, linestyle="--")
-    told = {"transform": panel.transAxes, "color": DARK, "fontsize": "small", "alpha": 0.7}
+    told: dict[str, Any] = {"transform": panel.transAxes, "color": DARK, "fontsize": "small", "alpha": 0.7}
     panel.text(0.03, 0.96, "not sure enough", va="top", **told)
     panel.text(0.97, 0.04, "too sure", ha="right", **told)
     panel.set(xlabel="probability of the interval (%)", ylabel="errors inside (%)", xlim=(0, 100), ylim=(0, 100), aspect="equal")

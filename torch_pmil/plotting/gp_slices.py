@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from matplotlib.axes import Axes
@@ -74,7 +75,7 @@ def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, ou
     grid = _grid(dynamics.expansion.inputs[:, entry])
     mean, variance = dynamics.expansion.predict(_along(point, entry, grid))
     x, centre = grid.numpy(), mean[:, output].numpy()
-    reach = BAND * (variance + dynamics.expansion.noise_variance)[:, output].sqrt().numpy()
+    reach = BAND * (variance + dynamics.expansion.noise)[:, output].sqrt().numpy()
     panel.fill_between(x, centre - reach, centre + reach, color=GREY, alpha=0.25, linewidth=0, label=f"± {BAND} std", zorder=1)
     panel.plot(x, centre, color=DARK, linewidth=1.4, label="mean", zorder=3)
     panel.axvline(point[entry].item(), color=VERMILLION, linewidth=0.8, linestyle=":", label="point")
@@ -89,8 +90,8 @@ def _draw_data(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, out
     distance = ((inputs - point) / model.lengthscales[output])[:, others]
     nearness = distance.square().sum(-1).div(-2).exp()
     residuals = targets - model.mean(inputs) + model.mean(_along(point, entry, inputs[:, entry]))
-    look = {"s": 9, "color": VERMILLION, "linewidth": 0, "zorder": 4}
-    panel.scatter(inputs[:, entry], residuals[:, output], alpha=nearness.numpy(), label="data, fainter if far from the slice", **look)
+    look: dict[str, Any] = {"alpha": nearness.numpy(), "s": 9, "color": VERMILLION, "linewidth": 0, "zorder": 4}
+    panel.scatter(inputs[:, entry], residuals[:, output], label="data, fainter if far from the slice", **look)
 
 
 def _along(point: Tensor, entry: int, values: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -87,7 +88,7 @@ def _draw_successes(panel: Axes, x: np.ndarray, y: np.ndarray, reached: np.ndarr
     across, up = np.meshgrid(x, y)
     kinds = (("o", 4.5, reached, "reached"), ("X", 6.5, ~reached, "missed"))
     for marker, size, chosen, label in kinds:
-        style = {"markersize": size, "markerfacecolor": DARK, "markeredgecolor": "white", "markeredgewidth": 0.8}
+        style: dict[str, Any] = {"markersize": size, "markerfacecolor": DARK, "markeredgecolor": "white", "markeredgewidth": 0.8}
         panel.plot(across[chosen], up[chosen], marker, label=label, zorder=4, **style)
 
 
@@ -96,7 +97,7 @@ def _draw_training_targets(panel: Axes, targets: np.ndarray) -> None:
     corners = _hull(targets)
     panel.plot(*corners, color=DARK, linewidth=3.0, zorder=2)
     panel.plot(*corners, color="white", linewidth=1.4, zorder=2)
-    style = {"markersize": 12, "markerfacecolor": "white", "markeredgecolor": DARK, "markeredgewidth": 1.0}
+    style: dict[str, Any] = {"markersize": 12, "markerfacecolor": "white", "markeredgecolor": DARK, "markeredgewidth": 1.0}
     panel.plot(*targets.T, "o", label="training target", zorder=3, **style)
 
 

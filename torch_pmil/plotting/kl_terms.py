@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -58,7 +59,12 @@ def _draw_stack(panel: Axes, time: np.ndarray, parts: Mapping[str, np.ndarray], 
     style(panel)
     below, width = np.zeros_like(time), 0.85 * time[0]
     for index, (name, heights) in enumerate(parts.items()):
-        look = {"color": colours[index % len(colours)], "hatch": HATCHES[index // len(colours)], "edgecolor": "white", "linewidth": 0.4}
+        look: dict[str, Any] = {
+            "color": colours[index % len(colours)],
+            "hatch": HATCHES[index // len(colours)],
+            "edgecolor": "white",
+            "linewidth": 0.4,
+        }
         panel.bar(time, heights, width, bottom=below, label=name, **look)
         below = below + heights
     panel.set(ylabel="KL (nats)", xlim=(time[0] / 2, time[-1] + time[0] / 2))

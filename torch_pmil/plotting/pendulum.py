@@ -41,8 +41,8 @@ def plot_poses(positions: Tensor, time_step: float) -> Figure:
     colours = ScalarMappable(Normalize(0, time_step * (len(joints) - 1)), LATE_IS_DARK)
     figure = Figure(figsize=(5.4, 4.6), layout="constrained")
     panel = figure.subplots()
-    for step, pose in enumerate(joints):
-        panel.plot(*pose.T, color=colours.to_rgba(time_step * step), linewidth=2.2, solid_capstyle="round", marker="o", markersize=3.5)
+    for pose, colour in zip(joints, map(tuple, colours.to_rgba(time_step * np.arange(len(joints)))), strict=True):
+        panel.plot(*pose.T, color=colour, linewidth=2.2, solid_capstyle="round", marker="o", markersize=3.5)
     panel.plot(0, 0, color=DARK, marker="o", markersize=8)
     panel.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="x (m)", ylabel="y (m)")
     style(panel)

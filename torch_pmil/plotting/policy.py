@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -105,7 +106,7 @@ def _draw_flow(panel: Axes, successor: Successor, plane: Plane, state: Tensor) -
     widths = np.ptp(np.asarray(plane.span), axis=1)
     right, up = (change / widths).transpose(2, 0, 1)
     longest = np.hypot(right, up).max() or 1.0
-    look = {"angles": "uv", "scale_units": "width", "scale": ARROWS * longest, "pivot": "mid", "color": DARK, "alpha": 0.85}
+    look: dict[str, Any] = {"angles": "uv", "scale_units": "width", "scale": ARROWS * longest, "pivot": "mid", "color": DARK, "alpha": 0.85}
     panel.quiver(x, y, right, up, width=0.007, headwidth=4, **look)
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from torch import Tensor
 
@@ -66,7 +68,7 @@ def _pairs(names: Sequence[str]) -> list[tuple[int, int]]:
     return [(column, names.index(f"y{name[1:]}")) for column, name in enumerate(names) if name[:1] == "x" and f"y{name[1:]}" in names]
 
 
-def _looks(count: int) -> list[dict[str, object]]:
+def _looks(count: int) -> list[dict[str, Any]]:
     """Colours and dashes that are told apart, or one thin colour for all."""
     if count > TOLD_APART:
         return count * [{"color": GREY, "alpha": 0.4}]
@@ -79,11 +81,12 @@ def _layout(texts: Sequence[str], pairs: Sequence[tuple[int, int]]) -> tuple[Fig
     columns = -(-len(texts) // rows)
     height = 0.9 + 2.0 * rows
     side = (height - 0.9) / len(pairs) if pairs else 0.0
-    figure = Figure(figsize=(0.6 + 3.4 * columns + 1.15 * side, height), layout="constrained")
+    figure = Figure(figsize=(0.6 + 3.4 * columns + 1.15 * side, height), layout=ConstrainedLayoutEngine(w_pad=0.08))
     grid = figure.add_gridspec(1, 1 + bool(pairs), width_ratios=[3.4 * columns, 1.15 * side] if pairs else None)
     times = grid[0].subgridspec(rows, columns)
     panels = [figure.add_subplot(times[number]) for number in range(len(texts))]
-    planes = [figure.add_subplot(part) for part in grid[1].subgridspec(len(pairs), 1)] if pairs else []
+    right = grid[-1].subgridspec(max(1, len(pairs)), 1)
+    planes = [figure.add_subplot(right[number]) for number in range(len(pairs))]
     for number, panel in enumerate(panels):
         style(panel)
         panel.margins(x=0)
@@ -99,11 +102,10 @@ def _layout(texts: Sequence[str], pairs: Sequence[tuple[int, int]]) -> tuple[Fig
         keys = [Line2D([], [], color=DARK, marker=marker, markersize=5, linestyle="none", label=end) for end, (_, marker) in ENDS.items()]
         plane.legend(handles=keys, loc="best", fontsize="small", frameon=False, handletextpad=0.1)
     figure.align_ylabels(panels)
-    figure.get_layout_engine().set(w_pad=0.08)
     return figure, panels, planes
 
 
-def _draw_path(plane: Axes, x: np.ndarray, y: np.ndarray, look: dict[str, object]) -> None:
+def _draw_path(plane: Axes, x: np.ndarray, y: np.ndarray, look: dict[str, Any]) -> None:
     plane.plot(x, y, linewidth=1.1, **look)
     for at, marker in ENDS.values():
         plane.plot(x[at], y[at], marker=marker, markersize=5, linestyle="none", color=look["color"])

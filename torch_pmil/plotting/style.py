@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -83,7 +84,7 @@ def draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str,
     """Mean of values (runs, K), with the range over the runs as error bars."""
     mean = values.mean(0)
     bars = np.stack([mean - values.min(0), values.max(0) - mean])
-    weight = {"markersize": 1 + 3 * size, "linewidth": 1.6 * size, "elinewidth": 0.8 * size, "capsize": 2 * size}
+    weight: dict[str, Any] = {"markersize": 1 + 3 * size, "linewidth": 1.6 * size, "elinewidth": 0.8 * size, "capsize": 2 * size}
     drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, label=label, **weight)
     for artist in drawn.get_children():
         artist.set_clip_on(False)

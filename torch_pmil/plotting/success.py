@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -39,12 +40,12 @@ def plot_learning_curve(
     percent = 100 * np.asarray(success_rate, dtype=float)
     if not ((percent >= 0) & (percent <= 100)).all():
         raise ValueError(f"success_rate must be between 0 and 1, got {list(success_rate)}")
-    loss = np.asarray(loss, dtype=float)
+    losses = np.asarray(loss, dtype=float)
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     _success_axis(upper)
     upper.plot(experience_s, percent, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3)
-    lower.plot(experience_s, np.where(loss > 0, loss, np.nan), color=VERMILLION, marker="s", markersize=4, zorder=3)
+    lower.plot(experience_s, np.where(losses > 0, losses, np.nan), color=VERMILLION, marker="s", markersize=4, zorder=3)
     lower.set(yscale="log", xlabel="experience (s)", ylabel=label)
     lower.set_xlim(left=0)
     _plain_numbers(lower)
@@ -87,7 +88,7 @@ def plot_success_over_experience(experience_s: np.ndarray, rates: np.ndarray, lo
     _success_axis(panel)
     runs = panel.plot(experience_s, 100 * rates.T, color=GREY, linewidth=0.7, alpha=0.5, clip_on=False)
     runs[0].set_label("single runs")
-    band = {"facecolor": (BLUE, 0.2), "edgecolor": (BLUE, 0.6), "linewidth": 0.8}
+    band: dict[str, Any] = {"facecolor": (BLUE, 0.2), "edgecolor": (BLUE, 0.6), "linewidth": 0.8}
     panel.fill_between(experience_s, 100 * lower, 100 * upper, label="95 % interval of the mean", **band)
     mean = 100 * rates.mean(0)
     panel.plot(experience_s, mean, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3, label=f"mean of {len(rates)} runs")

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from torch_pmil.plotting.style import BLUE, DARK, VERMILLION, style
@@ -36,8 +37,7 @@ def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.
         )
     order = np.lexsort((first_success_s.mean(1), -rates.mean(1)))
     rates, seconds, rows = 100 * rates[order], first_success_s[order], np.arange(len(labels))
-    figure = Figure(figsize=(7.6, 1.0 + 0.36 * len(labels)), layout="constrained")
-    figure.get_layout_engine().set(wspace=0.05)
+    figure = Figure(figsize=(7.6, 1.0 + 0.36 * len(labels)), layout=ConstrainedLayoutEngine(wspace=0.05))
     left, right = figure.subplots(1, 2, sharey=True)
     left.barh(rows, rates.mean(1), height=0.72, color=BLUE, alpha=0.25, label="mean")
     _draw_runs(left, rates, "o", BLUE, "a run")

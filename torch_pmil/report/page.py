@@ -35,7 +35,8 @@ class Picture:
     @property
     def size(self) -> tuple[int, int]:
         """Width and height on a page that is wide enough, in pixels of the page."""
-        return tuple(round(count / DENSITY) for count in self.pixels)
+        width, height = self.pixels
+        return round(width / DENSITY), round(height / DENSITY)
 
     @property
     def least_width(self) -> int:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from torch_pmil.report.words import percent, say
 
-TRIAL = {  # columns that can be read at a glance (metrics.csv has all): a field, what its column is called, and how its value is said
+# columns that can be read at a glance (metrics.csv has all): a field, what its column is called, and how its value is said
+TRIAL: dict[str, tuple[str, Callable[[Any], str]]] = {
     "trial": ("trial", say),
     "experience_s": ("experience (s)", "{:.1f}".format),
     "kl": ("objective", say),

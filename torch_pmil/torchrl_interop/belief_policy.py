@@ -62,7 +62,7 @@ class BeliefPolicy(TensorDictModuleBase):
             KeyError: there is neither a belief nor an observation.
             ValueError: an entry has another shape.
         """
-        state = lookup_belief(tensordict, *STATE_BELIEF, self.space.dim)
+        state = lookup_belief(tensordict, STATE_BELIEF, self.space.dim)
         if state is None:
             return self._act_on_observation(tensordict)
         features, feature_slope = self.space.belief(state)

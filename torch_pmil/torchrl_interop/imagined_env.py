@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -69,9 +70,9 @@ class ImaginedEnv(ModelBasedEnvBase):
         self.action_spec = Composite(action=Composite(mean=action.expand(*batch, F), shape=batch), shape=batch)
         self.reward_spec = Unbounded((*batch, 1), **real)
 
-    def _reset(self, tensordict: TensorDictBase | None, **kwargs) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         given = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
-        belief = lookup_belief(given, *STATE_BELIEF, self.dim)
+        belief = lookup_belief(given, STATE_BELIEF, self.dim)
         if belief is not None:
             return self._start(given.batch_size, belief.mean, belief.cov)
         certain = lookup(given, OBSERVATION, (self.dim,))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
@@ -46,8 +48,9 @@ def lookup(tensordict: TensorDictBase, key: NestedKey, shape: tuple[int, ...]) -
     return value.double()
 
 
-def lookup_belief(tensordict: TensorDictBase, mean_key: NestedKey, var_key: NestedKey, dim: int) -> Gaussian | None:
-    """The belief under two keys, certain where it has no ``var``; None where it has no ``mean``."""
+def lookup_belief(tensordict: TensorDictBase, keys: Sequence[NestedKey], dim: int) -> Gaussian | None:
+    """The belief under two keys, ``mean`` and ``var``, certain where it has no ``var``; None where it has no ``mean``."""
+    mean_key, var_key = keys
     mean, var = lookup(tensordict, mean_key, (dim,)), lookup(tensordict, var_key, (dim, dim))
     if mean is None:
         return None

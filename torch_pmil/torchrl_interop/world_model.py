@@ -106,7 +106,7 @@ class GPWorldModel(TensorDictModuleBase):
             ValueError: an entry has another shape.
             NotPositiveDefiniteError: a covariance has a clearly negative eigenvalue, or is not finite.
         """
-        state = lookup_belief(tensordict, *self.in_keys[3:5], self.obs_dim)
+        state = lookup_belief(tensordict, self.in_keys[3:5], self.obs_dim)
         if state is None:
             return tensordict.set(NEXT_OBSERVATION, self._successor(tensordict))
         successor = self._successor_belief(state, tensordict)
@@ -117,7 +117,7 @@ class GPWorldModel(TensorDictModuleBase):
         return state + self.dynamics.expansion.mean(torch.cat([self.space.features(state), action], -1))
 
     def _successor_belief(self, state: Gaussian, tensordict: TensorDictBase) -> Gaussian:
-        action = lookup_belief(tensordict, *self.in_keys[:2], self.action_dim)
+        action = lookup_belief(tensordict, self.in_keys[:2], self.action_dim)
         if action is None:
             raise KeyError(f"expected the action under {self.in_keys[0]}, got the keys {_keys(tensordict)}")
         slope = lookup(tensordict, self.in_keys[2], (self.obs_dim, self.action_dim))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -93,7 +94,7 @@ def variations() -> dict[str, Variation]:
         mean_iterations=AT_ONCE * search.mean_iterations,
         stage_iterations=AT_ONCE * search.stage_iterations,
     )
-    changes = {
+    changes: dict[str, dict[str, Any]] = {
         "ours": {},
         "no_growing_horizon": {"search": at_once},
         "no_mean_start": {

@@ -29,7 +29,7 @@ def dmp_run(root: Path, name: str, seed: int, trials: int) -> Run:
 def report(folders: Sequence[Path], quick: bool) -> Report:
     """When each is at 95 %, and how good at 33 s and in the end."""
     curves = success_curves(folders, METHODS)
-    headline = {}
+    headline: dict[str, float | None] = {}
     for name, curve in zip(("ours", "dmp", "dmp_10hz"), curves.values(), strict=True):
         headline |= {
             f"{name}_experience_to_95": curve.experience_to(GOAL),

@@ -17,7 +17,7 @@ from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, R
 from torch_pmil.experiments.run_folder import provenance
 from torch_pmil.experiments.runs import RunError
 from torch_pmil.files import write_json
-from torch_pmil.plotting import plot_frequencies
+from torch_pmil.plotting import Figure, plot_frequencies
 from torch_pmil.sampling_frequency import FrequencyScore, Interval, Recording, score_frequencies
 
 SEEDS = range(3)  # of recordings
@@ -63,7 +63,9 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     """Mean score at each frequency over the recordings, with its t interval, and the best frequency, for each length."""
     lengths, seeds, frequencies = size(quick)
     scores = iter([read_score(folder) for folder in folders])
-    headline, figures, details = {}, {}, {"frequencies": list(frequencies)}
+    headline: dict[str, float] = {}
+    figures: dict[str, Figure] = {}
+    details: dict[str, object] = {"frequencies": list(frequencies)}
     for length in lengths:
         of_length = [[next(scores) for _ in seeds] for _ in frequencies]
         forms = {form: [_interval(of_seeds, form) for of_seeds in of_length] for form in FORMS}
@@ -72,7 +74,7 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
             headline |= {f"{form}_{length:g}s_{f:g}hz": interval.mean for f, interval in zip(frequencies, intervals, strict=True)}
         half_widths = {form: [interval.half_width for interval in intervals] for form, intervals in forms.items()}
         details[f"{length:g}s"] = {"transitions": [of_seeds[0].transitions for of_seeds in of_length], "half_widths": half_widths}
-        drawn = {form: tuple(zip(*intervals, strict=True)) for form, intervals in forms.items()}
+        drawn = {form: ([interval.mean for interval in intervals], half_widths[form]) for form, intervals in forms.items()}
         figures[f"figure9_{length:g}s"] = plot_frequencies(frequencies, drawn)
     return Report(headline, figures, details)
 

@@ -87,7 +87,8 @@ def record_movements(seed: int, rollouts: int) -> tuple[Tensor, Tensor, Tensor, 
         rollout = env.rollout(movements.steps, controller)
         physics = env.replay(rollout["observation"][0], rollout["action"], 1)
         recorded.append((rollout["observation"], physics[:-1, columns], rollout["action"], rollout["next", "observation"]))
-    return tuple(torch.cat(each) for each in zip(*recorded, strict=True))
+    states, motors, actions, successors = (torch.cat(each) for each in zip(*recorded, strict=True))
+    return states, motors, actions, successors
 
 
 HIDDEN_MOTORS = PaperExperiment("hidden_motors", "what the hidden motor angles cost the BioRob's model", needed_runs, report)

@@ -62,8 +62,8 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     runs = [outcome(folder, robot, starts, START_SEED) for robot, folder in zip(learned_on, folders, strict=True)]
     ours = np.reshape([run["success_rate"] for run in runs], (len(robots), runs_each)).T
     rollouts = [load_learned(run, robot).rollouts(robot, starts, START_SEED) for robot, run in zip(learned_on, folders, strict=True)]
-    departures = [departure(states_of(own), robot) for own, robot in zip(rollouts, learned_on, strict=True)]
-    departures = np.reshape(departures, ours.T.shape)
+    departures = np.array([departure(states_of(own), robot) for own, robot in zip(rollouts, learned_on, strict=True)])
+    departures = departures.reshape(ours.T.shape)
     pairs = list(record_pairs(sets))
     clones = [clone_double_pendulum(*pair) for pair in pairs]
     cloning = np.array([[measured_success(clone, robot, starts, START_SEED) for robot in robots] for clone in clones])

@@ -44,7 +44,7 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     half = len(folders) // 2
     wide, thin = PLACES.report(folders[:half]), NARROW_PLACES.report(folders[half:])
     kept = ("training_success_rate", "grid_fraction", "triangle_fraction")
-    return replace(wide, headline=wide.headline | {f"narrow_{name}": thin.headline[name] for name in kept})
+    return replace(wide, headline={**wide.headline, **{f"narrow_{name}": thin.headline[name] for name in kept}})
 
 
 REACHING = PaperExperiment("reaching", "one policy of the double pendulum reaches places, as in Section 5.2.5", needed_runs, report)

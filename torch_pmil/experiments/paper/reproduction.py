@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -48,9 +48,9 @@ class Report:
         details: other numbers for the summary, as JSON can say them.
     """
 
-    headline: dict[str, float | None]
+    headline: Mapping[str, float | None]
     figures: dict[str, Figure]
-    details: dict[str, object] = field(default_factory=dict)
+    details: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

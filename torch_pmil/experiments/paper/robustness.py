@@ -86,7 +86,7 @@ class Factor:
     unit: str
     levels: tuple[float, ...]
     plain: float
-    vary: Callable[[float], Experiment]
+    vary: Callable[..., Experiment]
 
     def names(self) -> list[str]:
         """Of the levels, as the summary has them."""

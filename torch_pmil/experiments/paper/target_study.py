@@ -139,8 +139,8 @@ class TargetStudy:
             title: (np.array(grid[name]["value"]).reshape(shape), np.array(grid[name]["success"]).reshape(shape) > REACHED)
             for name, title in METHODS.items()
         }
-        *labels, value = self.labels
-        return plot_heat_map(self.columns, self.rows, maps, targets.numpy(), labels=tuple(labels), value=value, picture=picture)
+        across, up, value = self.labels
+        return plot_heat_map(self.columns, self.rows, maps, targets.numpy(), labels=(across, up), value=value, picture=picture)
 
 
 def separate_policies(learned: Learned, experiment: TargetExperiment) -> list[StatePolicy]:

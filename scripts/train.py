@@ -31,17 +31,17 @@ from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.checks import check
 from torch_pmil.experiments.experiment import Outcome
-from torch_pmil.experiments.handwriting import Handwriting
+from torch_pmil.experiments.figures import SKETCHES, figures_of
 from torch_pmil.experiments.sweep import register_launchers
 from torch_pmil.experiments.training import RunResult, train
-from torch_pmil.plotting import pendulum_frames, plot_distributions, plot_learning_curve, plot_poses, plot_writing, save_figure
+from torch_pmil.plotting import save_figure
+from torch_pmil.report import write_report
 from torch_pmil.trajectory_loss import TrajectoryLoss
 from torch_pmil.trials import Trial
 from torch_pmil.video import dense_states, film_rollout, render_rollout, write_video
 
 FRAMES_PER_SECOND = 50
-# pictures without OpenGL, from positions in the match space; these have poses too
-SKETCHES = dict.fromkeys(("double_pendulum", "double_pendulum_pilco", "double_pendulum_targets"), pendulum_frames)
+LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what a run may leave for the eye
 
 
 @hydra.main(version_base="1.3", config_path="config", config_name="train")
@@ -106,32 +106,15 @@ def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> No
 
 
 def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
-    """Figures and video of a run."""
-    match, objective, first = experiment.space.match, experiment.objective, result.outcomes[0]
-    figures = {
-        "learning_curve": plot_learning_curve(
-            [t.experience_s for t in result.trials],
-            [t.success_rate for t in result.trials],
-            [t.kl for t in result.trials],
-            f"{objective.label} ({objective.unit})" if objective.unit else objective.label,
-        ),
-    }
-    for number, outcome in enumerate(result.outcomes):
-        predicted, executed = match.belief(outcome.predicted).add_noise(experiment.noise_std**2), match(outcome.executed)
-        figures["trajectories" if len(result.outcomes) == 1 else f"trajectories_target_{number}"] = plot_distributions(
-            match.names, match.units, experiment.demonstrations.time_step, outcome.expert, predicted, executed[:, 1:]
-        )
-    if experiment.name in SKETCHES:
-        figures["poses"] = plot_poses(match(first.executed[0]), experiment.demonstrations.time_step)
-    if isinstance(experiment, Handwriting):
-        figures["writing"] = plot_writing({experiment.name: experiment.writing(first.predicted, first.rollouts)})
-    for name, figure in figures.items():
+    """Figures, video and report of a run."""
+    for name, figure in figures_of(experiment, result):
         save_figure(figure, out / "figures" / f"{name}.png")
     env = experiment.first_robot(seed=0)
     if isinstance(env, MujocoRobotEnv):
-        film(env, experiment, first, out / "video.mp4")
+        film(env, experiment, result.outcomes[0], out / "video.mp4")
     else:
         film_as_shown(experiment, result, out / "video.mp4")
+    write_report(out)
 
 
 def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Path) -> None:
@@ -172,7 +155,7 @@ def print_summary(label: str, summary: dict, out: Path) -> None:
         f"{summary['wall_seconds']:.0f} s of computing ({summary['stop_reason']})\n"
         f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations: {by_entry(summary)}\n"
         + "".join(f"likely reason: {reason['cause']}: {reason['message']}\n" for reason in summary["diagnosis"])
-        + f"see {', '.join(str(out / name) for name in ('figures', 'video.mp4', 'summary.json') if (out / name).exists())}",
+        + f"see {', '.join(str(out / name) for name in LEFT if (out / name).exists())}",
     )
 
 

@@ -18,6 +18,8 @@ from omegaconf import DictConfig
 from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.dmp import DMPTrial, run_dmp
+from torch_pmil.plotting import plot_learning_curve, save_figure
+from torch_pmil.report import write_report
 
 
 @hydra.main(version_base="1.3", config_path="config", config_name="train_dmp")
@@ -35,9 +37,11 @@ def main(config: DictConfig) -> None:
         sys.exit(130)
     except (ValueError, OSError, RuntimeError) as error:
         sys.exit(f"error: {error}")
+    draw(summary["trials"], out)
     print(
         f"success rate {summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh starts after "
-        f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of computing\nsee {out / 'summary.json'}"
+        f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of computing\n"
+        f"see {out / 'report.html'}, {out / 'summary.json'}"
     )
 
 
@@ -49,6 +53,13 @@ def print_trial(trial: DMPTrial) -> None:
         f"off the reference by {trial.tracking_error:.2f} rad",
         flush=True,
     )
+
+
+def draw(trials: list[dict], out: Path) -> None:
+    """Learning curve and report of a run."""
+    curves = ([trial[field] for trial in trials] for field in ("experience_s", "success_rate", "tracking_error"))
+    save_figure(plot_learning_curve(*curves, "tracking error (rad)"), out / "figures" / "learning_curve.png")
+    write_report(out)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +15,7 @@ PACKAGE = Path(__file__).parents[1] / "torch_pmil"
 FLOORS = (  # bottom first; modules of one floor may import each other
     {"envs", "files"},  # know nothing of the mathematics, see below
     {"functions", "gaussian", "lbfgs", "first_motion"},
-    {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "saturating_cost", "marginal_likelihood"},
+    {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "saturating_cost", "marginal_likelihood", "writing"},
     {"gaussian_integrals"},
     {"moment_matching"},
     {"linearised_moments"},
@@ -21,7 +23,7 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"demonstrations", "alignment", "drawing", "smoothing", "jumps", "camera", "modes", "demonstration_checks", "diagnosis"}
     | {"expert", "evaluation", "trigonometric_polynomial"},
     {"dynamics", "hyperparameters", "experience", "policy", "sampling_frequency"},
-    {"linearised_step", "state_policy", "saved_policy"},
+    {"linearised_step", "state_policy", "saved_policy", "calibration"},
     {"rollout", "particles"},
     {"trajectory_loss"},
     {"objective", "conditioning"},
@@ -31,12 +33,13 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"trainer", "torchrl_interop", "run"},
     {"baselines", "plotting"},  # plots draw numbers and know no experiment
     {"experiments"},
-    {"video", "configs", "__main__"},  # command lines may use everything
+    {"video", "report", "configs", "__main__"},  # command lines may use everything
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}
 ABOVE_SEARCH = {room for room in LEVEL if LEVEL[room] > LEVEL["policy_search"]}
-OF_TORCHRL = {"envs", "experience", "state_policy", "trajectory_loss", "objective"} | ABOVE_SEARCH - {"baselines", "plotting", "video"}
+DRAWN = {"plotting", "video", "report"}
+OF_TORCHRL = {"envs", "experience", "state_policy", "trajectory_loss", "objective"} | ABOVE_SEARCH - {"baselines"} - DRAWN
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 
@@ -111,3 +114,8 @@ def test_matplotlib_is_imported_in_plotting_alone(path: Path) -> None:
 def test_functions_import_nothing(path: Path) -> None:
     functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))]
     assert not {name for function in functions for name in imports(function)}
+
+
+def test_importing_the_experiments_draws_nothing() -> None:
+    told = "import sys, torch_pmil.experiments; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", told], cwd=PACKAGE.parent, check=False).returncode == 0

@@ -9,7 +9,7 @@ from torch.distributions import MultivariateNormal, kl_divergence
 
 from tests.draws import Draws
 from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
-from torch_pmil.kl import gaussian_kl, mean_kl, trajectory_kl
+from torch_pmil.kl import gaussian_kl, gaussian_kl_terms, mean_kl, trajectory_kl
 
 
 def test_kl_is_that_of_torch(draws: Draws) -> None:
@@ -82,3 +82,25 @@ def test_singular_covariance_is_an_error_that_names_the_element(draws: Draws) ->
     q.cov[1] = -torch.eye(2)
     with pytest.raises(NotPositiveDefiniteError, match=r"covariance of q .* batch element \(1,\)"):
         gaussian_kl(p, q)
+
+
+def test_terms_sum_to_the_kl_and_none_is_negative(draws: Draws) -> None:
+    p, q = draws.belief(5, 3, 4), draws.belief(5, 3, 4)
+    terms = gaussian_kl_terms(p, q)
+    torch.testing.assert_close((terms.mean + terms.spread).sum(-1), gaussian_kl(p, q), rtol=1e-12, atol=1e-12)
+    assert terms.mean.shape == terms.spread.shape == (5, 3, 4)
+    assert (terms.mean >= 0).all() and (terms.spread >= 0).all()
+
+
+def test_terms_of_the_mean_are_the_kl_at_equal_covariances_and_those_of_the_spread_at_equal_means(draws: Draws) -> None:
+    p, q = draws.belief(6, 3), draws.belief(6, 3)
+    terms = gaussian_kl_terms(p, q)
+    torch.testing.assert_close(terms.mean.sum(-1), gaussian_kl(Gaussian(p.mean, q.cov), q), rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(terms.spread.sum(-1), gaussian_kl(Gaussian(q.mean, p.cov), q), rtol=1e-10, atol=1e-12)
+
+
+def test_terms_of_an_entry_are_what_it_adds_to_the_kl_of_those_before_it(draws: Draws) -> None:
+    p, q = draws.belief(6, 4), draws.belief(6, 4)
+    terms = gaussian_kl_terms(p, q)
+    of_first = torch.stack([gaussian_kl(*(belief.marginal(torch.arange(j)) for belief in (p, q))) for j in range(1, 5)], -1)
+    torch.testing.assert_close((terms.mean + terms.spread).cumsum(-1), of_first, rtol=1e-10, atol=1e-10)

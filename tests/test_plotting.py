@@ -122,7 +122,7 @@ def test_learning_curve_is_in_percent_seconds_and_nats() -> None:
 
 
 def test_learning_curve_of_another_loss_is_labelled_so() -> None:
-    assert plot_learning_curve([2.5], [0.0], [5.0], "cost").axes[1].get_ylabel() == "predicted cost"
+    assert plot_learning_curve([2.5], [0.0], [5.0], "predicted cost").axes[1].get_ylabel() == "predicted cost"
 
 
 @pytest.mark.parametrize("kl", [[np.nan, np.nan], [0.0, 1.0]])

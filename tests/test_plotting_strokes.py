@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.plotting import Writing, plot_writing
+from torch_pmil.plotting import plot_writing
+from torch_pmil.writing import Writing
 
 LINE = torch.tensor([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]], dtype=torch.float64)
 

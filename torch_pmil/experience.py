@@ -79,6 +79,17 @@ class Experience:
         transitions = self.transitions
         states, successors = transitions["observation"], transitions["next", "observation"]
         inside = (states.abs() <= limits).all(-1)
-        states, successors, actions = states[inside], successors[inside], transitions["action"][inside]
-        inputs = torch.cat([space.features(states), actions], -1)
-        return inputs, successors if targets == "successor" else successors - states
+        return gp_data(states[inside], transitions["action"][inside], successors[inside], space, targets)
+
+
+def gp_data(states: Tensor, actions: Tensor, successors: Tensor, space: StateSpace, targets: Targets) -> tuple[Tensor, Tensor]:
+    """Inputs of the model, [features of x_t, u_t] (*batch, D' + F), and its targets (*batch, D) of transitions.
+
+    Args:
+        states, successors: x_t and x_{t+1}, (*batch, D).
+        actions: u_t, (*batch, F).
+        space: of the robot.
+        targets: "difference" or "successor".
+    """
+    inputs = torch.cat([space.features(states), actions], -1)
+    return inputs, successors if targets == "successor" else successors - states

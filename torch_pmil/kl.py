@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -34,12 +36,60 @@ def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
         >>> gaussian_kl(p, p)
         tensor(0.)
     """
+    L_p, L_q, white = _whitened(p, q)
+    trace_and_mahalanobis = white.square().sum((-2, -1))
+    return (trace_and_mahalanobis - p.dim + _log_det(L_q) - _log_det(L_p)) / 2
+
+
+def _whitened(p: Gaussian, q: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
+    """L_p, L_q, and L_q^-1 [L_p, mu_p - mu_q], (*batch, D, D + 1)."""
     L_p, L_q = cholesky(p.cov, "covariance of p"), cholesky(q.cov, "covariance of q")
     delta = (p.mean - q.mean)[..., None]
     residuals = torch.cat([L_p.expand(*delta.shape[:-2], -1, -1), delta], -1)
-    white = torch.linalg.solve_triangular(L_q, residuals, upper=False)
-    trace_and_mahalanobis = white.square().sum((-2, -1))
-    return (trace_and_mahalanobis - p.dim + _log_det(L_q) - _log_det(L_p)) / 2
+    return L_p, L_q, torch.linalg.solve_triangular(L_q, residuals, upper=False)
+
+
+class KLTerms(NamedTuple):
+    """Where a KL comes from, entry by entry, in nats; none is negative.
+
+    Args:
+        mean: from means that differ, (*batch, D).
+        spread: from covariances that differ, (*batch, D).
+    """
+
+    mean: Tensor
+    spread: Tensor
+
+
+def gaussian_kl_terms(p: Gaussian, q: Gaussian) -> KLTerms:
+    r"""The terms of :func:`gaussian_kl`: their sum is the KL(p‖q), exactly (Eq. 19).
+
+    By the chain rule a KL is the sum, over the entries in their order, of the expected KL of each entry given those before it,
+    :math:`\mathrm{E}_p\,\mathrm{KL}(p(z_j \mid z_{<j}) \,\|\, q(z_j \mid z_{<j}))`. With Cholesky factors L,
+    :math:`m = L_q^{-1} (\mu_p - \mu_q)` and :math:`M = L_q^{-1} L_p` these are
+
+    .. math:: \tfrac12 m_j^2 \quad\text{and}\quad \tfrac12 \Big[ \sum_{k \le j} M_{jk}^2 - 1 - \log M_{jj}^2 \Big].
+
+    The sums of either over the entries do not depend on their order. How dependent entries share them does: what two of them show
+    alike counts with the first.
+
+    Args:
+        p, q: as in :func:`gaussian_kl`.
+
+    Returns:
+        The two terms of each entry, (*batch, D).
+
+    Raises:
+        NotPositiveDefiniteError: as in :func:`gaussian_kl`.
+
+    Example:
+        >>> p, q = Gaussian(torch.zeros(2), torch.eye(2)), Gaussian(torch.tensor([0.0, 2.0]), torch.eye(2))
+        >>> gaussian_kl_terms(p, q).mean
+        tensor([0., 2.])
+    """
+    _, _, white = _whitened(p, q)
+    M, m = white[..., :-1], white[..., -1]
+    return KLTerms(m.square() / 2, (M.square().sum(-1) - 1) / 2 - M.diagonal(dim1=-2, dim2=-1).log())
 
 
 def trajectory_kl(expert: Gaussian, predicted: Gaussian) -> Tensor:

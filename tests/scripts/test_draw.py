@@ -9,7 +9,6 @@ import os
 import re
 import runpy
 import shlex
-import shutil
 import subprocess
 import sys
 import threading
@@ -28,7 +27,6 @@ from torch_pmil.demonstrations import load_demonstrations, load_recordings
 from torch_pmil.drawing import SIDE
 
 DRAW = SimpleNamespace(**runpy.run_path(str(ROOT / "scripts/draw.py")))
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 STROKE = [[10 * k, 0.2 + 0.01 * k, 0.5 + 0.2 * math.sin(k / 8)] for k in range(51)]
 BODY = json.dumps(5 * [STROKE]).encode()
 Answer = tuple[int, str]
@@ -161,17 +159,6 @@ def test_interrupt_ends_in_one_line_and_writes_nothing(monkeypatch: pytest.Monke
     with pytest.raises(SystemExit, match="\nended, nothing was saved"):
         run_script(monkeypatch, "scripts/draw.py", tmp_path / "wave.npz")
     assert not os.listdir(tmp_path)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[object]:
-    api = pytest.importorskip("playwright.sync_api", reason="needs the extra test")
-    if BROWSER is None:
-        pytest.skip("no Chromium on this machine")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER)
-        yield browser
-        browser.close()
 
 
 def place(s: float, variation: int) -> tuple[float, float]:

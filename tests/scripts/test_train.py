@@ -25,6 +25,8 @@ from torch_pmil.experiments import EXPERIMENTS
 
 SCRIPT = "scripts/train.py"
 UNKNOWN = f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}"
+FILES = {"metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4", "report.html"}
+FIGURES = {"trajectories", "learning_curve", "kl_per_step", "calibration", "model", "policy", "poses"}
 Script = Callable[..., None]
 
 
@@ -48,17 +50,17 @@ def short_double_pendulum(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_run_leaves_numbers_policy_figures_and_a_video(script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script("trials=1", "seed=2", "out=run")
     files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
-    figures = {f"run/figures/{name}.png" for name in ("trajectories", "learning_curve", "poses")}
+    figures = {f"run/figures/{name}.png" for name in FIGURES}
     logged = {name for name in files if name.startswith(("run/checkpoints/", "run/logs/double_pendulum_seed_2/scalars/"))}
     assert len([name for name in logged if name.endswith(".torchrl")]) == 2
     assert {"run/logs/double_pendulum_seed_2/scalars/kl.csv", "run/logs/double_pendulum_seed_2/scalars/own_error.csv"} <= logged
-    assert files - logged == {f"run/{name}" for name in ("metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4")} | figures
+    assert files - logged == {f"run/{name}" for name in FILES} | figures
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["command"], summary["seed"]) == ("python scripts/train.py trials=1 seed=2 out=run", 2)
     printed = capsys.readouterr().out
     assert "trial  1:   0.6 s of experience" in printed
     assert "policy of trial 1: success rate" in printed
-    assert "see run/figures, run/video.mp4, run/summary.json" in printed
+    assert "see run/report.html, run/figures, run/video.mp4, run/summary.json" in printed
 
 
 @pytest.mark.slow
@@ -70,7 +72,7 @@ def test_run_of_the_baseline_tells_of_its_cost_and_draws_the_same(
     script("experiment=double_pendulum_pilco", "trials=1", "seed=2", "logger=null")
     assert re.search(r"trial  1:   0.6 s of experience, cost +\d\.\d, own rollout", capsys.readouterr().out)
     run = tmp_path / "runs" / "double_pendulum_pilco" / "seed_2"
-    assert {path.name for path in (run / "figures").iterdir()} == {"trajectories.png", "learning_curve.png", "poses.png"}
+    assert {path.name for path in (run / "figures").iterdir()} == {f"{name}.png" for name in FIGURES - {"kl_per_step"}}
     settings = json.loads((run / "summary.json").read_text())["settings"]
     assert (settings["cost_width"], settings["target"]) == (2.0, [0.0, 0.5, 0.0, 1.0])
 
@@ -88,7 +90,7 @@ def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_say
     script("trials=1", "seed=2", "out=run")
     printed = capsys.readouterr().out
     assert "there is no video, because pictures need OpenGL\n" in printed
-    assert "see run/figures, run/summary.json" in printed
+    assert "see run/report.html, run/figures, run/summary.json" in printed
     assert re.search(r"within two predicted standard deviations: q1 \d+%, dq1 \d+%, q2 \d+%, dq2 \d+%\n", printed)
 
 

@@ -30,12 +30,12 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
 def test_run_leaves_its_numbers_and_says_them(script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script("seed=4", "trials=1", "feedback_period=0.1", "out=run")
     files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
-    assert files == {"run/metrics.csv", "run/summary.json"}
+    assert files == {f"run/{name}" for name in ("metrics.csv", "summary.json", "figures/learning_curve.png", "report.html")}
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["command"] == "python scripts/train_dmp.py seed=4 trials=1 feedback_period=0.1 out=run"
     printed = capsys.readouterr().out
     assert "trial  1:   0.4 s of experience, own rollout" in printed
-    assert "of 20 fresh starts after 0.8 s of experience" in printed and "see run/summary.json" in printed
+    assert "of 20 fresh starts after 0.8 s of experience" in printed and "see run/report.html, run/summary.json" in printed
 
 
 @pytest.mark.parametrize(

@@ -82,9 +82,10 @@ def test_run_leaves_a_video_of_the_environments_own_pictures(
     frames, seconds = imageio_ffmpeg.count_frames_and_secs(tmp_path / "run" / "video.mp4")
     assert frames == HORIZON + 1
     assert seconds == pytest.approx((HORIZON + 1) * load_experiment(name).demonstrations.time_step, abs=0.02)
-    assert {path.name for path in (tmp_path / "run" / "figures").iterdir()} == {"trajectories.png", "learning_curve.png"}
+    figures = {"trajectories", "learning_curve", "kl_per_step", "calibration", "model", "policy"}
+    assert {path.stem for path in (tmp_path / "run" / "figures").iterdir()} == figures
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["experiment"] == name
-    assert "see run/figures, run/video.mp4, run/summary.json" in capsys.readouterr().out
+    assert "see run/report.html, run/figures, run/video.mp4, run/summary.json" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -99,7 +100,7 @@ def test_run_without_pictures_says_so_in_one_line(
     assert not (tmp_path / "run" / "video.mp4").exists()
     printed = capsys.readouterr().out.splitlines()
     assert "there is no video, because the environment gives no pictures: pygame is not installed" in printed
-    assert "see run/figures, run/summary.json" in printed
+    assert "see run/report.html, run/figures, run/summary.json" in printed
 
 
 @pytest.mark.parametrize("name", NAMES)

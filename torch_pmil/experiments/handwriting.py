@@ -15,8 +15,8 @@ from torch_pmil.experiments.experiment import Experiment
 from torch_pmil.experiments.strokes import NAMES, TIME_STEP, conditioned, distance_from_mean, distance_spread, lasa_strokes
 from torch_pmil.experiments.writers import WRITERS, Writer, states_of_strokes
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.plotting import Writing
 from torch_pmil.state_space import StateSpace
+from torch_pmil.writing import Writing
 
 ROBOT = "double_pendulum"
 NOISE_SHARE = 1 / 30  # of the extent of what is written: the observation noise

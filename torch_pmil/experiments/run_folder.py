@@ -39,13 +39,15 @@ def prepare_folder(out: Path) -> None:
 
 
 def clear_folder(out: Path) -> None:
-    """Remove what a finished run left of its course. Raises UnfinishedRunError where the last one has not ended."""
+    """Remove what a finished run left of its course, and its pictures. Raises UnfinishedRunError where the last one has not ended."""
     saved = saved_checkpoints(rotation_in(out / "checkpoints"))
     if saved and not (out / "summary.json").exists():
         raise UnfinishedRunError(f"{out} holds a run that was stopped: go on with resume=true, or remove {out / 'checkpoints'}")
-    for leftover in (out / "checkpoints", out / "logs"):
+    for leftover in (out / "checkpoints", out / "logs", out / "figures"):
         if leftover.exists():
             shutil.rmtree(leftover)
+    for leftover in (out / "video.mp4", out / "report.html"):
+        leftover.unlink(missing_ok=True)
 
 
 def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:

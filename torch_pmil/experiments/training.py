@@ -18,6 +18,7 @@ from torchrl.record.loggers import Logger
 
 from torch_pmil.checkpoints import rotation_in
 from torch_pmil.diagnosis import saturated_fraction
+from torch_pmil.dynamics import GPDynamics
 from torch_pmil.evaluation import demonstration_spread, rms_error, two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.experiments.experiment import Experiment, Outcome
 from torch_pmil.experiments.reasons import likely_reasons
@@ -50,12 +51,14 @@ class RunResult:
         trials: all of them.
         outcomes: what the saved policy was predicted to do under the newest model, and did from fresh starts, task by task.
         policy: the saved policy.
+        dynamics: the newest model.
     """
 
     summary: dict
     trials: list[Trial]
     outcomes: list[Outcome]
     policy: StatePolicy
+    dynamics: GPDynamics
 
 
 def train(
@@ -133,7 +136,7 @@ def train(
         "trials": [_plain(trial) for trial in trainer.trials],
     }
     write_json(out / "summary.json", summary)
-    return RunResult(summary, trainer.trials, outcomes, policy)
+    return RunResult(summary, trainer.trials, outcomes, policy, dynamics)
 
 
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:

@@ -4,32 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
-from torch import Tensor
 
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.plotting.style import BAND, BLUE, DARK, VERMILLION, style
-
-
-@dataclass(frozen=True)
-class Writing:
-    """What was written, m, in the plane: x to the right, y up.
-
-    Args:
-        shown: strokes of people, (N, T + 1, 2).
-        predicted: marginals of the tip at t = 1..T, mean (T, 2).
-        written: strokes of the robot, (B, T + 1, 2).
-    """
-
-    shown: Tensor
-    predicted: Gaussian
-    written: Tensor
+from torch_pmil.writing import Writing
 
 
 def plot_writing(panels: Mapping[str, Writing]) -> Figure:

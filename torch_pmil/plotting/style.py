@@ -15,7 +15,11 @@ from torch_pmil.gaussian import Gaussian
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart
 BLUE, VERMILLION, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#E69F00", "#009E73", "#555555"
+SKY, PURPLE = "#56B4E9", "#CC79A7"  # theirs too
 DARK = "#1A1A1A"
+COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE)  # of parts, told further apart by hatches
+HATCHES = (None, "///", "...", "xxx")
+SERIES = tuple(zip(COLOURS, "os^Dvp", strict=True))  # colours and markers of several lines
 BAND = 2  # standard deviations on either side of the mean
 
 

@@ -9,21 +9,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLION, draw_range, style
-
-SERIES = ((BLUE, "o"), (VERMILLION, "s"), (GREEN, "^"), (ORANGE, "D"))  # colours and markers of several methods
+from torch_pmil.plotting.style import BLUE, DARK, GREY, SERIES, VERMILLION, draw_range, style
 
 
 def plot_learning_curve(
-    experience_s: Sequence[float], success_rate: Sequence[float], loss: Sequence[float], label: str = "KL (nats)"
+    experience_s: Sequence[float], success_rate: Sequence[float], loss: Sequence[float], label: str = "predicted KL (nats)"
 ) -> Figure:
-    """Success rate (Figure 7) and predicted loss after each trial, over the robot's experience.
+    """Success rate (Figure 7) and loss after each trial, over the robot's experience.
 
     Args:
         experience_s: seconds of motion the robot had learned from, (N,).
         success_rate: fractions from 0 to 1, (N,); drawn in percent, with the paper's 95 % as a dotted line.
-        loss: predicted loss over the trajectory, (N,), on a logarithmic axis; a value that is NaN, or not positive, is left out.
-        label: names it, with its unit.
+        loss: of each trial, such as the predicted KL over the trajectory, (N,), on a logarithmic axis; a value that is NaN, or not
+            positive, is left out.
+        label: names the loss, with its unit.
 
     Raises:
         ValueError: the lengths differ, or a success rate is outside 0 to 1.
@@ -45,7 +44,7 @@ def plot_learning_curve(
     _success_axis(upper)
     upper.plot(experience_s, percent, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3)
     lower.plot(experience_s, np.where(loss > 0, loss, np.nan), color=VERMILLION, marker="s", markersize=4, zorder=3)
-    lower.set(yscale="log", xlabel="experience (s)", ylabel=f"predicted {label}")
+    lower.set(yscale="log", xlabel="experience (s)", ylabel=label)
     lower.set_xlim(left=0)
     for panel in (upper, lower):
         style(panel)

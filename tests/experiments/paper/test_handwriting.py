@@ -12,7 +12,7 @@ import torch
 from torch_pmil.experiments.paper import handwriting
 from torch_pmil.experiments.paper.handwriting import SEEDS, SHAPES, TRIALS, needed_runs, ratio, report
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.plotting import Writing
+from torch_pmil.writing import Writing
 
 TASKS = [(robot, shape) for robot, shapes in SHAPES.items() for shape in shapes]
 

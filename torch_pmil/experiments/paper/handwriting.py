@@ -11,7 +11,8 @@ from torch_pmil.experiments.handwriting import Handwriting, handwriting
 from torch_pmil.experiments.paper.learned import load_learned
 from torch_pmil.experiments.paper.reproduction import PaperExperiment, Report, Run, learning_run
 from torch_pmil.experiments.runs import read_summary
-from torch_pmil.plotting import Writing, plot_writing
+from torch_pmil.plotting import plot_writing
+from torch_pmil.writing import Writing
 
 SHAPES = {"double_pendulum": ("Angle", "Sshape", "GShape", "Sine"), "biorob": ("Angle", "GShape")}  # those that it was developed on
 SEEDS, TRIALS = range(3), 12

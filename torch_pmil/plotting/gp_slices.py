@@ -1,0 +1,125 @@
+"""Slices through a fitted model of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from torch_pmil.dynamics import GPDynamics
+from torch_pmil.plotting.style import BAND, DARK, GREY, VERMILLION, style
+
+POINTS = 200  # of each slice
+BEYOND = 0.15  # how far a slice goes beyond the data, in their range
+
+
+@torch.no_grad()
+def plot_gp_slices(
+    dynamics: GPDynamics,
+    point: Tensor,
+    input_names: Sequence[str],
+    output_names: Sequence[str],
+    output_units: Sequence[str],
+    over: Sequence[int] | None = None,
+) -> Figure:
+    """Each output of a model over one of its inputs, the others held at a point: a row for each output, a column for each input.
+
+    Drawn are the mean and two standard deviations of the next observation, the noise included, and the data as partial residuals: each
+    as far above the mean as the model leaves it, at its own place on the axis. Their opacity is the correlation that the model sees
+    between them and the slice: faint data have other inputs that are far from the point.
+
+    Args:
+        dynamics: fitted to data.
+        point: where the slices meet, (D' + F,), in the units of the inputs.
+        input_names: of the D' + F inputs.
+        output_names: of the D entries of the state.
+        output_units: of those entries.
+        over: inputs that have a column; all if None.
+
+    Raises:
+        ValueError: point or names do not fit the model, or an input in ``over`` is none of it.
+        RuntimeError: the model has no data.
+
+    Example:
+        >>> x = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
+        >>> dynamics = GPDynamics(num_inputs=1, num_outputs=1)
+        >>> fit = dynamics.fit(x, x.sin())
+        >>> figure = plot_gp_slices(dynamics, torch.zeros(1), ["u (N·m)"], ["q"], ["rad"])
+        >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
+        ('u (N·m)', 'change of q (rad)')
+    """
+    over = range(dynamics.num_inputs) if over is None else over
+    _check(dynamics, point, input_names, output_names, output_units, over)
+    figure = Figure(figsize=(1.0 + 2.3 * len(over), 0.8 + 1.7 * dynamics.num_outputs), layout="constrained")
+    panels = figure.subplots(dynamics.num_outputs, len(over), sharex="col", sharey="row", squeeze=False)
+    what = "change of" if dynamics.targets == "difference" else "next"
+    for column, entry in zip(panels.T, over, strict=True):
+        column[-1].set_xlabel(input_names[entry])
+        for output, panel in enumerate(column):
+            _draw_slice(panel, dynamics, point.double(), entry, output)
+    for row, name, unit in zip(panels, output_names, output_units, strict=True):
+        row[0].set_ylabel(f"{what} {name} ({unit})")
+    figure.align_ylabels(panels[:, 0])
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
+    return figure
+
+
+def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, output: int) -> None:
+    """One output over one input."""
+    style(panel)
+    grid = _grid(dynamics.expansion.inputs[:, entry])
+    mean, variance = dynamics.expansion.predict(_along(point, entry, grid))
+    x, centre = grid.numpy(), mean[:, output].numpy()
+    reach = BAND * (variance + dynamics.expansion.noise_variance)[:, output].sqrt().numpy()
+    panel.fill_between(x, centre - reach, centre + reach, color=GREY, alpha=0.25, linewidth=0, label=f"± {BAND} std", zorder=1)
+    panel.plot(x, centre, color=DARK, linewidth=1.4, label="mean", zorder=3)
+    panel.axvline(point[entry].item(), color=VERMILLION, linewidth=0.8, linestyle=":", label="point")
+    panel.margins(x=0)
+    _draw_data(panel, dynamics, point, entry, output)
+
+
+def _draw_data(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, output: int) -> None:
+    """Partial residuals, as opaque as the model correlates the data with the slice."""
+    inputs, targets, model = dynamics.train_inputs, dynamics.train_targets, dynamics.expansion
+    others = torch.arange(dynamics.num_inputs) != entry
+    distance = ((inputs - point) / model.lengthscales[output])[:, others]
+    nearness = distance.square().sum(-1).div(-2).exp()
+    residuals = targets - model.mean(inputs) + model.mean(_along(point, entry, inputs[:, entry]))
+    look = {"s": 9, "color": VERMILLION, "linewidth": 0, "zorder": 4}
+    panel.scatter(inputs[:, entry], residuals[:, output], alpha=nearness.numpy(), label="data, fainter if far from the slice", **look)
+
+
+def _along(point: Tensor, entry: int, values: Tensor) -> Tensor:
+    """The point with other values (K,) of one input, (K, D' + F)."""
+    inputs = point.repeat(len(values), 1)
+    inputs[:, entry] = values
+    return inputs
+
+
+def _grid(data: Tensor) -> Tensor:
+    """Evenly from below the least of the data to above the largest."""
+    low, high = data.aminmax()
+    margin = BEYOND * (high - low).item()
+    return torch.linspace(low.item() - margin, high.item() + margin, POINTS, dtype=torch.float64)
+
+
+def _check(
+    dynamics: GPDynamics,
+    point: Tensor,
+    input_names: Sequence[str],
+    output_names: Sequence[str],
+    output_units: Sequence[str],
+    over: Sequence[int],
+) -> None:
+    inputs, outputs = dynamics.num_inputs, dynamics.num_outputs
+    if point.shape != (inputs,) or len(input_names) != inputs or not len(output_names) == len(output_units) == outputs:
+        raise ValueError(
+            f"point and input_names must have {inputs} entries, output_names and output_units {outputs}, "
+            f"got {tuple(point.shape)}, {len(input_names)}, {len(output_names)} and {len(output_units)}"
+        )
+    if not over or not set(over) <= set(range(inputs)):
+        raise ValueError(f"over must be inputs from 0 to {inputs - 1}, got {list(over)}")

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import torch
 
+from torch_pmil.calibration import standardised_residuals
 from torch_pmil.diagnosis import FEWEST_STEPS, LEARNED, covered_fraction, moved_fraction, saturated_fraction
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.evaluation import two_sigma_coverage
@@ -23,7 +24,7 @@ from torch_pmil.experiments.paper.ablation import variations
 from torch_pmil.experiments.paper.learned import load_learned
 from torch_pmil.experiments.paper.masses import SECOND_LINKS, with_second_link
 from torch_pmil.experiments.paper.robustness import varied_experiments
-from torch_pmil.experiments.reasons import likely_reasons, one_step_errors
+from torch_pmil.experiments.reasons import known_steps, likely_reasons
 from torch_pmil.experiments.run_folder import provenance
 from torch_pmil.experiments.runs import read_summary
 from torch_pmil.files import write_json
@@ -69,11 +70,12 @@ def measured(folder: Path, experiment: Experiment) -> dict[str, object]:
 
 def of_outcome(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> dict[str, float]:
     """The same of one target."""
-    errors, known = one_step_errors(experiment, dynamics, outcome)
+    residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, outcome.rollouts["action"])
+    known = known_steps(experiment, dynamics, outcome)
     noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
     executed, demonstrated = experiment.space.match(outcome.executed), outcome.demonstrations.positions
     return {
-        "covered": covered_fraction(errors[known]).amin().item() if known.sum() >= FEWEST_STEPS else 1.0,
+        "covered": covered_fraction(residuals[known]).amin().item() if known.sum() >= FEWEST_STEPS else 1.0,
         "followed": two_sigma_coverage(outcome.predicted, outcome.executed),
         "unknown": (~known).double().mean().item(),
         "saturated": saturated_fraction(outcome.rollouts["action"], experiment.u_max).amax().item(),

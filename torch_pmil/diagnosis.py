@@ -14,7 +14,7 @@ from torch import Tensor
 from torch_pmil.demonstration_checks import Finding
 from torch_pmil.evaluation import two_sigma_coverage
 from torch_pmil.gaussian import Gaussian
-from torch_pmil.kl import gaussian_kl
+from torch_pmil.kl import gaussian_kl_terms
 
 LEARNED = 0.95  # success rate of a run that has nothing to explain: the paper's
 COVERED = 0.75  # share of one-step errors within two standard deviations; learned: 0.81 and more
@@ -43,7 +43,7 @@ class Reason:
 
 
 def saturated_fraction(actions: Tensor, limits: Tensor) -> Tensor:
-    """Fraction of steps at which each torque is within 5% of its limit.
+    """Fraction of steps at which each torque is within 5 % of its limit.
 
     Args:
         actions: of rollouts, (N, T, F), N·m.
@@ -60,9 +60,9 @@ def saturated_fraction(actions: Tensor, limits: Tensor) -> Tensor:
     return (actions.abs() >= NEAR_LIMIT * limits).double().mean((0, 1))
 
 
-def covered_fraction(errors: Tensor) -> Tensor:
-    """Share of one-step errors (S, D) within two predicted standard deviations, in whose units they are, (D,)."""
-    return (errors.abs() <= 2).double().mean(0)
+def covered_fraction(residuals: Tensor) -> Tensor:
+    """Share of standardised one-step errors (S, D) within two predicted standard deviations, (D,)."""
+    return (residuals.abs() <= 2).double().mean(0)
 
 
 def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | None:
@@ -130,7 +130,7 @@ def check_torques(actions: Tensor, limits: Tensor, names: Sequence[str], needed:
     Example:
         >>> import torch
         >>> check_torques(torch.ones(20, 25, 1), torch.ones(1), ["tau"], torch.tensor([3.0])).message.partition(";")[0]
-        'motor tau is within 5% of its limit of 1 N·m in 100% of the steps, and the demonstrations need up to 3.0 N·m'
+        'motor tau is within 5 % of its limit of 1 N·m in 100 % of the steps, and the demonstrations need up to 3.0 N·m'
     """
     fraction = saturated_fraction(actions, limits)
     motor = int(fraction.argmax())
@@ -138,7 +138,7 @@ def check_torques(actions: Tensor, limits: Tensor, names: Sequence[str], needed:
         return None
     return Reason(
         "torque at its limit",
-        f"motor {names[motor]} is within 5% of its limit of {limits[motor]:g} N·m in {fraction[motor]:.0%} of the steps"
+        f"motor {names[motor]} is within 5 % of its limit of {limits[motor]:g} N·m in {_percent(fraction[motor])} of the steps"
         + _need(limits[motor].item(), None if needed is None else needed[motor].item()),
     )
 
@@ -164,15 +164,15 @@ def check_motion(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> R
         >>> import torch
         >>> way = torch.linspace(0, 1, 5)[None, :, None]
         >>> check_motion(0.1 * way, way, torch.tensor(0.05)).message.partition(":")[0]
-        'the robot went 10% as far from its start as the demonstrations'
+        'the robot went 10 % as far from its start as the demonstrations'
     """
     moved = moved_fraction(executed, demonstrated, noise_std)
-    if moved >= MOVED:
+    if not moved < MOVED:  # demonstrations that stand still give no number
         return None
     return Reason(
         "robot did not move",
-        f"the robot went {moved:.0%} as far from its start as the demonstrations: torques below its weight or static friction move and "
-        "teach nothing; begin at torques that hold it (holding_torques) and let the first motion be larger (random_torque, pd_movements)",
+        f"the robot went {_percent(moved)} as far from its start as the demonstrations: torques below its weight or static friction move it "
+        "nowhere, and teach nothing; begin at torques that hold it (holding_torques), and let its first motion be larger (first_motion)",
     )
 
 
@@ -186,11 +186,11 @@ def _farthest(positions: Tensor, noise_std: Tensor) -> Tensor:
     return ((positions - positions[:, :1]) / noise_std).norm(dim=-1).amax(-1).median()
 
 
-def check_model(errors: Tensor, predicted: Gaussian, executed: Tensor, names: Sequence[str], time_step: float) -> Reason | None:
+def check_model(residuals: Tensor, predicted: Gaussian, executed: Tensor, names: Sequence[str], time_step: float) -> Reason | None:
     """A model that promises more than the robot keeps, from step to step or over the trajectory.
 
     Args:
-        errors: one-step errors of rollouts that the model was not fitted to, in predicted standard deviations, (S, D).
+        residuals: one-step errors of rollouts that the model was not fitted to, in predicted standard deviations, (S, D).
         predicted: marginals at t = 1..T, mean (T, D).
         executed: the rollouts x_0..x_T, (N, T + 1, D).
         names: of the D entries.
@@ -200,18 +200,18 @@ def check_model(errors: Tensor, predicted: Gaussian, executed: Tensor, names: Se
         >>> import torch
         >>> still = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
         >>> check_model(torch.full((30, 1), 4.0), still, torch.full((10, 4, 1), 4.0), ("q",), 0.1).message.partition(" (")[0]
-        '0% of the one-step errors in q lie within two predicted standard deviations'
+        '0 % of the one-step errors in q, and 0 % of the executed states, lie within two predicted standard deviations'
     """
-    covered, followed = covered_fraction(errors), two_sigma_coverage(predicted, executed)
-    told = len(errors) >= FEWEST_STEPS
+    covered, followed = covered_fraction(residuals), two_sigma_coverage(predicted, executed)
+    told = len(residuals) >= FEWEST_STEPS
     if followed >= FOLLOWED and not (told and covered.amin() < COVERED):
         return None
-    worst, left = int(covered.argmin()), first_departure(predicted, executed)
+    left, worst = first_departure(predicted, executed), int(covered.argmin())
     return Reason(
         "model not right",
-        f"{covered[worst]:.0%} of the one-step errors in {names[worst]} lie within two predicted standard deviations (at best 95%), "
-        f"and {followed:.0%} of the executed states within those of the trajectory"
-        + (f", which the rollouts leave at {left[0] * time_step:.2f} s, first in {names[left[1]]}" if left else "")
+        (f"{_percent(covered[worst])} of the one-step errors in {names[worst]}, and " if told else "")
+        + f"{_percent(followed)} of the executed states, lie within two predicted standard deviations (95 % if the model were right)"
+        + (f"; the rollouts leave the prediction at {left[0] * time_step:.2f} s, first in {names[left[1]]}" if left else "")
         + "; give it more data there (more trials, a larger first motion), and see that load, friction, delay and sensors have not changed",
     )
 
@@ -228,7 +228,7 @@ def check_experience(unknown: Tensor, data: int, time_step: float) -> Reason | N
         >>> import torch
         >>> away = torch.arange(10) >= 4
         >>> check_experience(away.expand(20, -1), 50, 0.1).message.partition(";")[0]
-        'in 60% of the executed steps, first at 0.40 s, the robot is where the 50 transitions of its model tell little'
+        'in 60 % of the executed steps, first at 0.40 s, the robot is where the 50 transitions of its model tell little'
     """
     share = unknown.double().mean()
     if share <= UNKNOWN:
@@ -236,8 +236,8 @@ def check_experience(unknown: Tensor, data: int, time_step: float) -> Reason | N
     first = int((unknown.double().mean(0) > UNKNOWN).nonzero()[0])
     return Reason(
         "too little experience",
-        f"in {share:.0%} of the executed steps, first at {first * time_step:.2f} s, the robot is where the {data} transitions of its model "
-        "tell little; give it more of them: more trials, or a longer or larger first motion",
+        f"in {_percent(share)} of the executed steps, first at {first * time_step:.2f} s, the robot is where the {data} transitions of its "
+        "model tell little; give it more of them: more trials, or a longer or larger first motion",
     )
 
 
@@ -278,7 +278,7 @@ def _advancing(horizons: Sequence[int]) -> bool:
 
 
 def worst_entry(expert: Gaussian, predicted: Gaussian, names: Sequence[str], units: Sequence[str]) -> str:
-    """The entry that mismatches most at one step, by its own KL, with means and standard deviations.
+    """The entry with the largest part in the KL of a step (:func:`~torch_pmil.kl.gaussian_kl_terms`), its means and standard deviations.
 
     Args:
         expert, predicted: marginals of the step, mean (M,), observation noise included.
@@ -290,14 +290,10 @@ def worst_entry(expert: Gaussian, predicted: Gaussian, names: Sequence[str], uni
         >>> worst_entry(at, Gaussian(torch.tensor([0.0, 1.0]), 0.04 * torch.eye(2)), ("x", "y"), ("m", "m"))
         'most in y (predicted 1.00 ± 0.20 m, demonstrated 0.00 ± 0.10 m)'
     """
-    worst = int(gaussian_kl(_each_alone(expert), _each_alone(predicted)).argmax())
+    terms = gaussian_kl_terms(expert, predicted)
+    worst = int((terms.mean + terms.spread).argmax())
     said = (f"{belief.mean[worst]:.2f} ± {belief.std[worst]:.2f} {units[worst]}" for belief in (predicted, expert))
     return "most in {} (predicted {}, demonstrated {})".format(names[worst], *said)
-
-
-def _each_alone(belief: Gaussian) -> Gaussian:
-    """The marginals of the entries, a batch of M."""
-    return Gaussian(belief.mean[..., None], belief.cov.diagonal(dim1=-2, dim2=-1)[..., None, None])
 
 
 def unexplained(failed: int, count: int, tolerance: float, largest: str) -> Reason:
@@ -315,3 +311,7 @@ def unexplained(failed: int, count: int, tolerance: float, largest: str) -> Reas
         f"{tolerance:.3g}: the criterion asks for more than the objective does. {largest}; a smaller noise_std, or more trials "
         "and confirmations, bring the robot nearer to the demonstrations",
     )
+
+
+def _percent(share: Tensor | float) -> str:
+    return f"{100 * share:.0f} %"

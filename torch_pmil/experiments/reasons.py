@@ -8,6 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torch_pmil.calibration import standardised_residuals
 from torch_pmil.demonstration_checks import FEW
 from torch_pmil.diagnosis import (
     LEARNED,
@@ -84,30 +85,25 @@ def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
 
 def _of_the_model(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome, steps: int) -> list[Reason]:
     """What it says of the first steps of rollouts that it was not fitted to."""
-    errors, known = (each[:, :steps] for each in one_step_errors(experiment, dynamics, outcome))
-    predicted, executed, time_step = outcome.predicted[:steps], outcome.executed[:, : steps + 1], outcome.demonstrations.time_step
+    residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, outcome.rollouts["action"])[:, :steps]
+    known, time_step = known_steps(experiment, dynamics, outcome)[:, :steps], outcome.demonstrations.time_step
+    predicted, executed = outcome.predicted[:steps], outcome.executed[:, : steps + 1]
     return _found(
         outcome,
-        check_model(errors[known], predicted, executed, experiment.space.names, time_step),
+        check_model(residuals[known], predicted, executed, experiment.space.names, time_step),
         check_experience(~known, len(dynamics.train_inputs), time_step),
     )
 
 
-def one_step_errors(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> tuple[Tensor, Tensor]:
-    r"""What a model says of each step of the executed rollouts, from where the robot was and what its motors did.
+def known_steps(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
+    """At which steps t = 0..T-1 of the executed rollouts the model knows something, bool, (N, T).
 
-    .. math:: \frac{y - \mu(x)}{\sqrt{\sigma^2(x) + \sigma_\epsilon^2}}
-
-    Returns:
-        Errors in predicted standard deviations (Eqs. 6 and 7, noise included), (N, T, D); where the model knows something, (N, T), bool:
-        within the limits of the states that it learns from, and with a standard deviation of no entry above half of that without data.
+    That is within the limits of the states that it learns from, and with a standard deviation of no entry above half of that without data.
     """
-    before, after = outcome.executed[:, :-1], outcome.executed[:, 1:]
-    expansion = dynamics.expansion
-    mean, variance = expansion.predict(torch.cat([experiment.space.features(before), outcome.rollouts["action"]], -1))
-    targets = after if dynamics.targets == "successor" else after - before
-    known = (variance <= LITTLE**2 * expansion.signal_variance).all(-1) & (before.abs() <= experiment.limits).all(-1)
-    return (targets - mean) / (variance + expansion.noise_variance).sqrt(), known
+    before, expansion = outcome.executed[:, :-1], dynamics.expansion
+    inputs = torch.cat([experiment.space.features(before), outcome.rollouts["action"]], -1)
+    _, variance = expansion.predict(inputs)
+    return (variance <= LITTLE**2 * expansion.signal_variance).all(-1) & (before.abs() <= experiment.limits).all(-1)
 
 
 def _of_the_search(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], trials: Sequence[Trial], step: int) -> Reason:

@@ -28,7 +28,7 @@ from torch_pmil.experiments.reasons import known_steps, likely_reasons
 from torch_pmil.experiments.run_folder import provenance
 from torch_pmil.experiments.runs import read_summary
 from torch_pmil.files import write_json
-from torch_pmil.trials import Trial, success_rate
+from torch_pmil.trials import success_rate
 
 STARTS, START_SEED = 20, 7_000_000  # no start that a run has seen
 SMALLEST, LARGEST = ("covered", "followed", "moved"), ("unknown", "saturated", "mismatch")  # values that are bad
@@ -57,14 +57,14 @@ def measured(folder: Path, experiment: Experiment) -> dict[str, object]:
     rollouts = learned.rollouts(experiment, STARTS, START_SEED)
     outcomes = experiment.outcomes(loss.predict_states(experiment.initial), rollouts)
     of_each = [of_outcome(experiment, learned.dynamics, outcome) for outcome in outcomes]
-    trials = [Trial(**trial) for trial in learned.summary["trials"]]
+    horizons = [trial["horizon"] for trial in learned.summary["trials"]]
     return {
         "run": str(folder),
         "experiment": experiment.name,
         "success_rate": success_rate(experiment.error(rollouts), experiment.tolerance),
         **{name: (min if name in SMALLEST else max)(each[name] for each in of_each) for name in of_each[0]},
         "mismatch": loss.doubt(experiment.initial).amax().item() / experiment.search.trusted,
-        "causes": [reason.cause for reason in likely_reasons(experiment, loss, outcomes, trials)],
+        "causes": [reason.cause for reason in likely_reasons(experiment, loss, outcomes, horizons)],
     }
 
 

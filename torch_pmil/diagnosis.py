@@ -171,8 +171,8 @@ def check_motion(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> R
         return None
     return Reason(
         "robot did not move",
-        f"the robot went {_percent(moved)} as far from its start as the demonstrations: torques below its weight or static friction move it "
-        "nowhere, and teach nothing; begin at torques that hold it (holding_torques), and let its first motion be larger (first_motion)",
+        f"the robot went {_percent(moved)} as far from its start as the demonstrations: torques below its weight or static friction move "
+        "and teach nothing; begin at torques that hold it (holding_torques), and let its first motion be larger (first_motion)",
     )
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -82,7 +81,7 @@ def diagnose(
     loss = experiment.make_loss(policy, dynamics)
     with torch.no_grad():
         outcomes = experiment.outcomes(loss.predict_states(experiment.initial), rollouts(experiment, policy, starts, 2))
-    reasons = likely_reasons(experiment, loss, outcomes, [SimpleNamespace(horizon=horizon) for horizon in horizons])
+    reasons = likely_reasons(experiment, loss, outcomes, horizons)
     assert len({reason.cause for reason in reasons}) == len(reasons)
     return {reason.cause: reason.message for reason in reasons}
 

@@ -30,11 +30,10 @@ from torch_pmil.experiments.experiment import Experiment, Outcome
 from torch_pmil.kl import gaussian_kl
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.trajectory_loss import TrajectoryLoss
-from torch_pmil.trials import Trial
 
 
 @torch.no_grad()
-def likely_reasons(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], trials: Sequence[Trial]) -> list[Reason]:
+def likely_reasons(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], horizons: Sequence[int]) -> list[Reason]:
     """Likely reasons why a run did not learn, the most likely first: what comes first brings about what comes after it.
 
     Wrong demonstrations mislead everything that follows; a robot that is too weak or does not move teaches nothing; a model that is wrong
@@ -45,10 +44,10 @@ def likely_reasons(experiment: Experiment, loss: TrajectoryLoss, outcomes: Seque
         experiment: what was to be learned.
         loss: with the saved policy and the newest model.
         outcomes: what that policy was predicted to do, and did.
-        trials: all of them.
+        horizons: steps up to which the search of each trial went.
 
     Returns:
-        None for a run that learned, at least one for any other.
+        An empty list for a run that learned, at least one reason for any other.
     """
     failures = [experiment.error(outcome.rollouts) > experiment.tolerance for outcome in outcomes]
     failed = torch.cat(failures)
@@ -63,7 +62,7 @@ def likely_reasons(experiment: Experiment, loss: TrajectoryLoss, outcomes: Seque
         *(reason for reason in found if reason.cause != FEW),
         *_of_the_robot(experiment, outcome),
         *led,
-        *([_of_the_search(experiment, loss, outcomes, trials, step)] if step else []),
+        *([_of_the_search(experiment, loss, outcomes, horizons, step)] if step else []),
         *beyond,
         *(reason for reason in found if reason.cause == FEW),
     ]
@@ -106,9 +105,9 @@ def known_steps(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) 
     return (variance <= LITTLE**2 * expansion.signal_variance).all(-1) & (before.abs() <= experiment.limits).all(-1)
 
 
-def _of_the_search(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], trials: Sequence[Trial], step: int) -> Reason:
+def _of_the_search(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], horizons: Sequence[int], step: int) -> Reason:
     """The step at which the newest model says that it is stuck."""
-    mismatch, horizons = _mismatch(experiment, loss, outcomes, step), [trial.horizon for trial in trials]
+    mismatch = _mismatch(experiment, loss, outcomes, step)
     return check_search(loss.doubt(experiment.initial), step, *_named(loss), mismatch, horizons, experiment.demonstrations.time_step)
 
 

@@ -43,7 +43,9 @@ def main() -> None:
     torch.set_num_threads(1)
     experiment = load_experiment("double_pendulum")
     for name, trials in TRIALS.items():
-        result = train(experiment, SEED, trials, Path("runs/reading_the_plots") / name, "python docs/figures/reading_the_plots.py", resume=True)
+        result = train(
+            experiment, SEED, trials, Path("runs/reading_the_plots") / name, "python docs/figures/reading_the_plots.py", resume=True
+        )
         for kind, figure in figures_of(experiment, result):
             if kind in SHOWN[name]:
                 save_small(figure, FOLDER / f"plots_{kind}_{name}.png")

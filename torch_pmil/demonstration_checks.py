@@ -182,18 +182,19 @@ def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
     ]
 
 
-def check_torques(torques: Tensor, limits: Tensor, time_step: float) -> list[Finding]:
+def check_torques(torques: Tensor, limits: Tensor, names: Sequence[str], time_step: float) -> list[Finding]:
     """Motions that need more torque than there is.
 
     Args:
         torques: of each control period, (N, T, F), N·m.
         limits: (F,), N·m.
+        names: of the F motors.
         time_step: the control period, s.
     """
     return [
         Finding(
             UNREACHABLE,
-            f"demonstration {number} needs {torques[number, step, motor].abs():.1f} N·m of motor {motor} "
+            f"demonstration {number} needs {torques[number, step, motor].abs():.1f} N·m of motor {names[motor]} "
             f"at {step * time_step:.2f} s, which has {limits[motor]:g} N·m; show it more slowly or smaller, or smooth it",
         )
         for number, step, motor in _worst(torques.abs() / limits, TORQUE_MARGIN)

@@ -89,7 +89,7 @@ def test_swing_in_half_the_time_needs_torque_that_there_is_not() -> None:
             angle, acceleration = starts[0] + swing, 0.8 * (2 * math.pi * pace) ** 2 * (2 * math.pi * pace * time).cos()
             expected = (acceleration / 3 - 4.905 * angle.sin()).abs().max().item()
             assert 0.75 * expected < peak < 1.05 * expected  # a mean over 0.1 s of a swing of 0.6 s
-            assert found[0].startswith("demonstration 0 needs ") and "of motor 0 at " in found[0] and "which has 3.5 N·m" in found[0]
+            assert found[0].startswith("demonstration 0 needs ") and "of motor tau1 at " in found[0] and "which has 3.5 N·m" in found[0]
 
 
 @pytest.mark.slow

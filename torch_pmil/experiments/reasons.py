@@ -8,6 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torch_pmil.calibration import standardised_residuals
 from torch_pmil.demonstration_checks import FEW
 from torch_pmil.diagnosis import (
     LEARNED,
@@ -29,24 +30,24 @@ from torch_pmil.experiments.experiment import Experiment, Outcome
 from torch_pmil.kl import gaussian_kl
 from torch_pmil.objective import TrajectoryKLLoss
 from torch_pmil.trajectory_loss import TrajectoryLoss
-from torch_pmil.trials import Trial
 
 
 @torch.no_grad()
-def likely_reasons(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], trials: Sequence[Trial]) -> list[Reason]:
+def likely_reasons(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], horizons: Sequence[int]) -> list[Reason]:
     """Likely reasons why a run did not learn, the most likely first: what comes first brings about what comes after it.
 
-    Wrong demonstrations mislead everything that follows, a robot that is too weak or does not move teaches nothing, a wrong model misleads
-    the search. Few demonstrations alone seldom keep a robot from learning. Of several targets, the one that is worst is looked at.
+    Wrong demonstrations mislead everything that follows; a robot that is too weak or does not move teaches nothing; a model that is wrong
+    up to the step at which the search is stuck misleads it, and one that is wrong beyond it alone does not: there the policy goes where
+    nothing leads it. Few demonstrations alone seldom keep a robot from learning. Of several targets, the worst one is looked at.
 
     Args:
         experiment: what was to be learned.
         loss: with the saved policy and the newest model.
         outcomes: what that policy was predicted to do, and did.
-        trials: all of them.
+        horizons: steps up to which the search of each trial went.
 
     Returns:
-        None for a run that learned, at least one for any other.
+        An empty list for a run that learned, at least one reason for any other.
     """
     failures = [experiment.error(outcome.rollouts) > experiment.tolerance for outcome in outcomes]
     failed = torch.cat(failures)
@@ -54,15 +55,18 @@ def likely_reasons(experiment: Experiment, loss: TrajectoryLoss, outcomes: Seque
         return []
     outcome = outcomes[max(range(len(outcomes)), key=lambda number: failures[number].sum())]
     found = group(check(experiment))
-    where = f"at {outcome.label}, " if outcome.label else ""
-    executed = [*_of_the_robot(experiment, outcome), *_of_the_model(experiment, loss.dynamics, outcome)]
+    step = first_mismatch(loss.doubt(experiment.initial), experiment.search.trusted)
+    led = _of_the_model(experiment, loss.dynamics, outcome, step or experiment.horizon)
+    beyond = [] if led else _of_the_model(experiment, loss.dynamics, outcome, experiment.horizon)
     reasons = [
         *(reason for reason in found if reason.cause != FEW),
-        *(replace(reason, message=where + reason.message) for reason in executed),
-        *_of_the_search(experiment, loss, outcomes, trials),
+        *_of_the_robot(experiment, outcome),
+        *led,
+        *([_of_the_search(experiment, loss, outcomes, horizons, step)] if step else []),
+        *beyond,
         *(reason for reason in found if reason.cause == FEW),
     ]
-    return reasons or [unexplained(int(failed.sum()), len(failed), experiment.tolerance)]
+    return reasons or [unexplained(int(failed.sum()), len(failed), experiment.tolerance, _largest(experiment, loss, outcomes))]
 
 
 def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
@@ -72,54 +76,66 @@ def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
     names = experiment.first_robot(seed=0).motor_names
     noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
     return _found(
+        outcome,
         check_torques(outcome.rollouts["action"], experiment.u_max, names, needed),
         check_motion(experiment.space.match(outcome.executed), outcome.demonstrations.positions, noise_std),
     )
 
 
-def _of_the_model(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> list[Reason]:
-    """What it says of rollouts that it was not fitted to; transitions that an experiment does not learn from are no errors of its."""
-    errors, little = one_step_errors(experiment, dynamics, outcome)
-    within = (outcome.rollouts["observation"].abs() <= experiment.limits).all(-1)
-    names, time_step = experiment.space.names, outcome.demonstrations.time_step
+def _of_the_model(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome, steps: int) -> list[Reason]:
+    """What it says of the first steps of rollouts that it was not fitted to."""
+    residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, outcome.rollouts["action"])[:, :steps]
+    known, time_step = known_steps(experiment, dynamics, outcome)[:, :steps], outcome.demonstrations.time_step
+    predicted, executed = outcome.predicted[:steps], outcome.executed[:, : steps + 1]
     return _found(
-        check_model(errors[within], outcome.predicted, outcome.executed, names, time_step),
-        check_experience(little | ~within, len(dynamics.train_inputs), time_step),
+        outcome,
+        check_model(residuals[known], predicted, executed, experiment.space.names, time_step),
+        check_experience(~known, len(dynamics.train_inputs), time_step),
     )
 
 
-def one_step_errors(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> tuple[Tensor, Tensor]:
-    r"""What a model says of each step of the executed rollouts, from where the robot was and what its motors did.
+def known_steps(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
+    """At which steps t = 0..T-1 of the executed rollouts the model knows something, bool, (N, T).
 
-    .. math:: \frac{y - \mu(x)}{\sqrt{\sigma^2(x) + \sigma_\epsilon^2}}
-
-    Returns:
-        Errors in predicted standard deviations (Eqs. 6 and 7, noise included), (N, T, D); and where the model knows little: its standard
-        deviation of some entry is more than half of what it is without data, bool, (N, T).
+    That is within the limits of the states that it learns from, and with a standard deviation of no entry above half of that without data.
     """
-    before, after = outcome.executed[:, :-1], outcome.executed[:, 1:]
-    expansion = dynamics.expansion
-    mean, variance = expansion.predict(torch.cat([experiment.space.features(before), outcome.rollouts["action"]], -1))
-    targets = after if dynamics.targets == "successor" else after - before
-    little = (variance > LITTLE**2 * expansion.signal_variance).any(-1)
-    return (targets - mean) / (variance + expansion.noise).sqrt(), little
+    before, expansion = outcome.executed[:, :-1], dynamics.expansion
+    inputs = torch.cat([experiment.space.features(before), outcome.rollouts["action"]], -1)
+    _, variance = expansion.predict(inputs)
+    return (variance <= LITTLE**2 * expansion.signal_variance).all(-1) & (before.abs() <= experiment.limits).all(-1)
 
 
-def _of_the_search(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], trials: Sequence[Trial]) -> list[Reason]:
-    """The step at which the newest model says that it is stuck, of the target that is worst there."""
-    doubt = loss.doubt(experiment.initial)
-    step = first_mismatch(doubt, experiment.search.trusted)
-    if step is None:
-        return []
-    name, mismatch = "cost of the predicted spread", "more than the search follows"
-    if isinstance(loss, TrajectoryKLLoss):
-        match = experiment.space.match
-        compared = [(o.expert[step - 1], match.belief(o.predicted[step - 1]).add_noise(experiment.noise_std**2), o.label) for o in outcomes]
-        expert, predicted, label = max(compared, key=lambda beliefs: gaussian_kl(*beliefs[:2]).item())
-        name, mismatch = "KL (nats)", worst_entry(expert, predicted, match.names, match.units) + (f" at {label}" if label else "")
-    horizons = [trial.horizon for trial in trials]
-    return [check_search(doubt, step, name, mismatch, horizons, experiment.demonstrations.time_step)]
+def _of_the_search(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], horizons: Sequence[int], step: int) -> Reason:
+    """The step at which the newest model says that it is stuck."""
+    mismatch = _mismatch(experiment, loss, outcomes, step)
+    return check_search(loss.doubt(experiment.initial), step, *_named(loss), mismatch, horizons, experiment.demonstrations.time_step)
 
 
-def _found(*reasons: Reason | None) -> list[Reason]:
-    return [reason for reason in reasons if reason is not None]
+def _largest(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome]) -> str:
+    """What the newest model doubts most."""
+    doubt, (name, unit) = loss.doubt(experiment.initial), _named(loss)
+    step = int(doubt.argmax()) + 1
+    said = f"the {name} of a step is at most {doubt[step - 1]:.3g} {unit}, at {step * experiment.demonstrations.time_step:.2f} s"
+    return f"{said}, {_mismatch(experiment, loss, outcomes, step)}"
+
+
+def _named(loss: TrajectoryLoss) -> tuple[str, str]:
+    """What :meth:`TrajectoryLoss.doubt` is, and its unit."""
+    return (loss.label, loss.unit) if isinstance(loss, TrajectoryKLLoss) else ("cost of the predicted spread", "of 1")
+
+
+def _mismatch(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], step: int) -> str:
+    """The entry in which prediction and demonstrations differ most at a step, of the target that is worst there."""
+    if not isinstance(loss, TrajectoryKLLoss):
+        return "where the prediction is too wide to be followed"
+    match, noise_std = experiment.space.match, experiment.noise_std
+    beliefs = [(outcome.expert[step - 1], match.belief(outcome.predicted[step - 1]).add_noise(noise_std**2)) for outcome in outcomes]
+    worst = max(range(len(outcomes)), key=lambda number: gaussian_kl(*beliefs[number]).item())
+    label = outcomes[worst].label
+    return worst_entry(*beliefs[worst], match.names, match.units) + (f" at {label}" if label else "")
+
+
+def _found(outcome: Outcome, *reasons: Reason | None) -> list[Reason]:
+    """Those that there are; of several targets, with the name of theirs."""
+    where = f"at {outcome.label}, " if outcome.label else ""
+    return [replace(reason, message=where + reason.message) for reason in reasons if reason is not None]

@@ -125,6 +125,7 @@ def train(
     save_policy(out / "policy.pt", network, experiment.space, trainer.control_period, policy.target_names)
     save_tensors(out / "dynamics.pt", dynamics.state_dict())
     outcomes = experiment.outcomes(*_predict_and_execute(trainer, experiment))
+    horizons = [trial.horizon for trial in trainer.trials]
     summary = {
         "experiment": experiment.name,
         "seed": seed,
@@ -132,7 +133,7 @@ def train(
         "settings": {"trials": trials, **experiment.settings},
         "wall_seconds": round(trainer.seconds, 2),
         **_measured(trainer, best, experiment, outcomes),
-        "diagnosis": [asdict(reason) for reason in likely_reasons(experiment, trainer.loss_module, outcomes, trainer.trials)],
+        "diagnosis": [asdict(reason) for reason in likely_reasons(experiment, trainer.loss_module, outcomes, horizons)],
         "trials": [_plain(trial) for trial in trainer.trials],
     }
     write_json(out / "summary.json", summary)

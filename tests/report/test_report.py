@@ -94,9 +94,10 @@ def test_headline_says_in_words_whether_it_learned(tmp_path: Path, rate: float, 
 def test_diagnosis_is_said_if_there_is_one(tmp_path: Path) -> None:
     reason = {"cause": "search stuck", "message": "at step 7"}
     page = page_of(run_of(tmp_path / "a", OLD | {"diagnosis": [reason]}))
-    assert "<li><strong>search stuck</strong>: at step 7</li>" in page
+    assert "<li><strong>search stuck</strong>: at step 7</li>" in page and headings(page)[0] == "The likely reason"
+    assert headings(page_of(run_of(tmp_path / "two", OLD | {"diagnosis": 2 * [reason]})))[0] == "Likely reasons, the most likely first"
     for name, summary in (("none", OLD | {"diagnosis": []}), ("old", OLD)):
-        assert "likely reason" not in page_of(run_of(tmp_path / name, summary))
+        assert "ikely reason" not in page_of(run_of(tmp_path / name, summary))
 
 
 def test_run_at_its_limit_can_go_on_and_any_can_be_repeated_or_begin_anew(tmp_path: Path) -> None:

@@ -129,3 +129,18 @@ def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Pa
         write_report(folder)
     assert (folder / "report.html").read_text() == page
     assert {path.name for path in folder.iterdir()} == {"figures", "report.html"}
+
+
+def test_page_that_is_not_written_to_its_end_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = run_of(tmp_path / "run", OLD)
+    page, write = page_of(folder), Path.write_text
+
+    def full(path: Path, text: str, **kwargs: str) -> None:
+        write(path, text[:100], **kwargs)
+        raise OSError("No space left on device")
+
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="No space left"):
+        patch.setattr(Path, "write_text", full)
+        write_report(folder)
+    assert (folder / "report.html").read_text() == page
+    assert {path.name for path in folder.iterdir()} == {"figures", "summary.json", "report.html"}

@@ -5,13 +5,15 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from tensordict import TensorDict
+from tensordict import TensorDictBase
+from torch import Tensor
 
 from torch_pmil.envs import DoublePendulumEnv, registration
 from torch_pmil.envs.registration import ROBOTS, register_robots
@@ -34,18 +36,26 @@ def test_robot_is_known_to_gymnasium_when_the_package_is_imported(name: str) -> 
     assert result.stdout.strip() == f"torch_pmil/{name}"
 
 
-def test_physics_and_starts_are_those_of_the_torchrl_environment_to_the_bit() -> None:
-    ours, theirs = DoublePendulumEnv(seed=4), gymnasium.make("torch_pmil/DoublePendulum-v0")
-    actions = np.random.default_rng(0).uniform(-4, 4, (2, 25, 2))  # some beyond the limit
-    for episode, torques in enumerate(actions):
-        expected = ours.reset()["observation"]
+def replay(actions: Tensor) -> Callable[[TensorDictBase], TensorDictBase]:
+    """A policy that gives these one after the other."""
+    remaining = iter(actions)
+    return lambda tensordict: tensordict.set("action", next(remaining))
+
+
+@each_robot
+def test_physics_and_starts_are_those_of_the_torchrl_environment_to_the_bit(name: str) -> None:
+    robot, steps = ROBOTS[name]
+    ours, theirs = robot(seed=4), gymnasium.make(f"torch_pmil/{name}")
+    limits = ours.action_spec.space.high
+    shares = torch.from_numpy(np.random.default_rng(0).uniform(-1.1, 1.1, (2, steps, len(limits))))  # some beyond the limit
+    for episode, torques in enumerate(limits * shares):
+        expected = ours.rollout(steps, replay(torques))
         seen, info = theirs.reset(seed=4 if episode == 0 else None)
-        assert np.array_equal(seen, expected.numpy()) and info == {}
-        for step, torque in enumerate(torques, start=1):
-            expected = ours.step(TensorDict({"action": torch.from_numpy(torque)}))["next", "observation"]
+        assert np.array_equal(seen, expected["observation"][0].numpy()) and info == {}
+        for step, torque in enumerate(torques.numpy(), start=1):
             seen, reward, terminated, truncated, info = theirs.step(torque)
-            assert np.array_equal(seen, expected.numpy()) and seen.dtype == np.float64
-            assert (reward, terminated, truncated, info) == (0.0, False, step == 25, {})
+            assert np.array_equal(seen, expected["next", "observation"][step - 1].numpy()) and seen.dtype == np.float64
+            assert (reward, terminated, truncated, info) == (0.0, False, step == steps, {})
 
 
 def test_settings_reach_the_robot_and_bad_ones_are_refused() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 
 try:
@@ -9,7 +10,7 @@ try:
 except ModuleNotFoundError:  # an optional extra
     gymnasium = None
 
-ROBOTS = {"DoublePendulum-v0": (DoublePendulumEnv, 25)}  # the environment, and the number of steps of an episode
+ROBOTS = {"DoublePendulum-v0": (DoublePendulumEnv, 25), "BioRob-v0": (BioRobEnv, 18)}  # the environment, and the steps of an episode
 
 
 def register_robots() -> None:

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import subprocess
-import sys
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -297,14 +294,3 @@ def test_bad_start_is_refused() -> None:
         start_at(BioRobEnv(seed=0), torch.zeros(4))
     with pytest.raises(ValueError, match="start observation must be finite, got"):
         start_at(BioRobEnv(seed=0), (math.nan, 0, 0, 0, 0, 0))
-
-
-@pytest.mark.slow
-def test_wheel_holds_the_models(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path, "."]
-    subprocess.run(command, check=True, capture_output=True, cwd=Path(__file__).parents[2])
-    (wheel,) = tmp_path.glob("*.whl")
-    listing = subprocess.run([sys.executable, "-m", "zipfile", "-l", wheel], check=True, capture_output=True, text=True).stdout
-    assert {"double_pendulum.xml", "biorob/biorob.xml", "biorob/scene.xml"} <= set(
-        line.split()[0].removeprefix("torch_pmil/envs/assets/") for line in listing.splitlines() if line
-    )

@@ -109,10 +109,11 @@ def test_run_at_its_limit_can_go_on_and_any_can_be_repeated_or_begin_anew(tmp_pa
 
 
 def test_numbers_of_trials_and_settings_are_in_tables(tmp_path: Path) -> None:
-    summary = OLD | {"settings": {"horizon": 25, "search": {"trusted": 3.0}}, "rms_error": {"x": 0.01}, "demonstration_spread": {"x": 0.02}}
+    shares = {"rms_error": {"x": 0.01}, "demonstration_spread": {"x": 0.02}, "saturated": {"tau": 0.25}}
+    summary = OLD | {"settings": {"horizon": 25, "search": {"trusted": 3.0}}} | shares
     page = page_of(run_of(tmp_path / "run", summary))
     rows = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", page)]
-    for row in (["1", "2.5", "–", "50 %", "failed", "0.3", "iterations"], ["x", "0.01", "0.02"], ["search.trusted", "3"]):
+    for row in (["1", "2.5", "–", "50 %", "failed", "0.3", "iterations"], ["x", "0.01", "0.02"], ["search.trusted", "3"], ["tau", "25 %"]):
         assert row in rows
 
 

@@ -45,7 +45,7 @@ def plot_kl_per_step(names: Sequence[str], time_step: float, expert: Gaussian, p
     terms = gaussian_kl_terms(expert.detach(), predicted.detach())
     mean, spread = (term.numpy() for term in terms)  # (T, M)
     time = time_step * np.arange(1, len(mean) + 1)
-    figure = Figure(figsize=(6.4, 4.8), layout="constrained")
+    figure = Figure(figsize=(6.0, 4.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
     _draw_stack(upper, time, {"means differ": mean.sum(1), "spreads differ": spread.sum(1)}, (VERMILLION, BLUE))
     _draw_stack(lower, time, dict(zip(names, (mean + spread).T, strict=True)), COLOURS, "given those below")

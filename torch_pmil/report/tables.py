@@ -56,6 +56,9 @@ def tables(summary: Mapping) -> Iterator[Table]:
         rows = [[name, percent(share)] for name, share in summary["two_sigma_coverage_by_entry"].items()]
         text = "Executed states within two predicted standard deviations of the trajectory; 95 % if the prediction were right and Gaussian."
         yield Table("Coverage", ["entry of the state", "within"], rows, text)
+    if "saturated" in summary:
+        rows = [[name, percent(share)] for name, share in summary["saturated"].items()]
+        yield Table("Motors", ["motor", "steps within 5 % of its limit"], rows)
     yield Table("Settings", ["setting", "value"], list(_flat(summary.get("settings", {}))))
     origin = {name: summary[name] for name in ("command", "date", "commit") if name in summary}
     yield Table("Where it comes from", ["what", "value"], list(_flat({**origin, **summary.get("versions", {})})))

@@ -27,7 +27,7 @@ SHOWN = {
     "learned": ("trajectories", "learning_curve", "kl_per_step", "calibration", "model", "policy", "poses"),
 }
 DPI, COLOURS = 110, 128
-FOLDER = Path(__file__).parent
+RUNS, FOLDER = Path("runs/reading_the_plots"), Path(__file__).parent
 
 
 def save_small(figure: Figure, path: Path) -> None:
@@ -43,7 +43,7 @@ def main() -> None:
     torch.set_num_threads(1)
     experiment = load_experiment("double_pendulum")
     for name, trials in TRIALS.items():
-        result = train(experiment, SEED, trials, Path("runs/reading_the_plots") / name, "python docs/figures/reading_the_plots.py", resume=True)
+        result = train(experiment, SEED, trials, RUNS / name, "python docs/figures/reading_the_plots.py", resume=True)
         for kind, figure in figures_of(experiment, result):
             if kind in SHOWN[name]:
                 save_small(figure, FOLDER / f"plots_{kind}_{name}.png")

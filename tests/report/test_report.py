@@ -94,9 +94,10 @@ def test_headline_says_in_words_whether_it_learned(tmp_path: Path, rate: float, 
 def test_diagnosis_is_said_if_there_is_one(tmp_path: Path) -> None:
     reason = {"cause": "search stuck", "message": "at step 7"}
     page = page_of(run_of(tmp_path / "a", OLD | {"diagnosis": [reason]}))
-    assert "<li><strong>search stuck</strong>: at step 7</li>" in page
+    assert "<li><strong>search stuck</strong>: at step 7</li>" in page and headings(page)[0] == "The likely reason"
+    assert headings(page_of(run_of(tmp_path / "two", OLD | {"diagnosis": 2 * [reason]})))[0] == "Likely reasons, the most likely first"
     for name, summary in (("none", OLD | {"diagnosis": []}), ("old", OLD)):
-        assert "likely reason" not in page_of(run_of(tmp_path / name, summary))
+        assert "ikely reason" not in page_of(run_of(tmp_path / name, summary))
 
 
 def test_run_at_its_limit_can_go_on_and_any_can_be_repeated_or_begin_anew(tmp_path: Path) -> None:
@@ -128,3 +129,18 @@ def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Pa
         write_report(folder)
     assert (folder / "report.html").read_text() == page
     assert {path.name for path in folder.iterdir()} == {"figures", "report.html"}
+
+
+def test_page_that_is_not_written_to_its_end_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = run_of(tmp_path / "run", OLD)
+    page, write = page_of(folder), Path.write_text
+
+    def full(path: Path, text: str, **kwargs: str) -> None:
+        write(path, text[:100], **kwargs)
+        raise OSError("No space left on device")
+
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="No space left"):
+        patch.setattr(Path, "write_text", full)
+        write_report(folder)
+    assert (folder / "report.html").read_text() == page
+    assert {path.name for path in folder.iterdir()} == {"figures", "summary.json", "report.html"}

@@ -3,11 +3,12 @@
     python benchmarks/diagnosis.py runs results/diagnosis/summary.json
 
 reads every finished run below a folder, lets its policy run from fresh starts, and writes the measures of each run and, for the runs that
-learned, the value that comes nearest to each threshold.
+learned, the value that comes nearest to each threshold. Runs that the summary holds already are not measured again.
 """
 
 from __future__ import annotations
 
+import json
 import shlex
 import sys
 from pathlib import Path
@@ -86,11 +87,12 @@ def of_outcome(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -
 def main(root: str, out: str) -> None:
     """Measure, write, print."""
     torch.set_num_threads(1)
-    known, runs = known_experiments(), []
+    known, runs = known_experiments(), json.loads(Path(out).read_text())["runs"] if Path(out).exists() else []
+    before = {run["run"] for run in runs}
     for path in sorted(Path(root).rglob("summary.json")):
-        summary = read_summary(path.parent)
-        runs.append(measured(path.parent, experiment_of(summary["experiment"], known)))
-        print(runs[-1], flush=True)
+        if str(path.parent) not in before:
+            runs.append(measured(path.parent, experiment_of(read_summary(path.parent)["experiment"], known)))
+            print(runs[-1], flush=True)
     learned = [run for run in runs if run["success_rate"] >= LEARNED]
     nearest = {name: (min if name in SMALLEST else max)(run[name] for run in learned) for name in (*SMALLEST, *LARGEST)}
     headline = {"runs_that_learned": len(learned), "other_runs": len(runs) - len(learned), **nearest}

@@ -45,6 +45,7 @@ def test_trajectory_that_leaves_the_prediction_is_told_though_no_step_is_known(d
     found = check_model(torch.zeros(0, 2), standing(10), executed, NAMES, 0.1)
     assert "one-step" not in found.message and "the rollouts leave the prediction at 0.40 s, first in dq;" in found.message
     assert first_departure(standing(10), executed) == (4, 1)
+    assert first_departure(standing(10), torch.cat([executed[:20], draws.normal(30, 11, 2)])) is None
 
 
 def test_a_few_steps_tell_nothing_of_a_model() -> None:

@@ -70,7 +70,7 @@ test-dist: dist  ## the fast tests against the wheel, installed into an environm
 	@$(PYTHON) -m venv build/dist/.venv
 	@cd build/dist && $(PIP) $(TORCH_ARGS) -c constraints.txt torch==2.13.0
 	@cd build/dist && $(PIP) -c constraints.txt "torch_pmil[test] @ file://$$(realpath ../../dist/*.whl)"
-	@cd build/dist && OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 README.md tests --pyargs torch_pmil $(ARGS)
+	@cd build/dist && OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 README.md docs/*.md notebooks tests --pyargs torch_pmil $(ARGS)
 
 clean:  ## remove what make and the tests built, not runs/
 	@rm -rf .venv .mypy_cache .pytest_cache .ruff_cache docs/_build build dist *.egg-info

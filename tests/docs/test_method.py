@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+import torch_pmil
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "method.md").read_text()
 SHOWN = [int(number) for number in re.findall(r"\\tag\{(\d+)\}", PAGE)]
@@ -32,7 +34,7 @@ def numbers(text: str) -> set[int]:
 
 def docstrings() -> Iterator[str]:
     """Of all modules, classes and functions of the package."""
-    for path in (ROOT / "torch_pmil").rglob("*.py"):
+    for path in Path(torch_pmil.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
                 yield ast.get_docstring(node) or ""

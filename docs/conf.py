@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from pathlib import Path
@@ -61,6 +62,7 @@ ipython = DOCS / "_build" / "ipython"
 (ipython / "profile_default").mkdir(parents=True, exist_ok=True)
 (ipython / "profile_default" / "ipython_kernel_config.py").write_text('c.IPKernelApp.log_level = "ERROR"\n')
 os.environ["IPYTHONDIR"] = str(ipython)
+logging.getLogger("traitlets").setLevel(logging.WARNING)  # a line for each notebook else
 
 html_theme = "furo"
 html_title = f"torch_pmil {release}"

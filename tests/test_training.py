@@ -20,7 +20,7 @@ from torch_pmil.collection import rollout_of
 from torch_pmil.dynamics import GPDynamics
 from torch_pmil.evaluation import demonstration_spread, rms_error, two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.experiments import Experiment
-from torch_pmil.experiments.run_folder import prepare_folder, save_tensors
+from torch_pmil.experiments.run_folder import clear_folder, prepare_folder, save_tensors
 from torch_pmil.experiments.training import EVALUATION_STARTS, RunResult, train
 from torch_pmil.policy import RBFPolicy
 from torch_pmil.rollout import predict_trajectory
@@ -169,6 +169,14 @@ def test_folder_is_made_with_its_parents_and_used_again(tmp_path: Path) -> None:
     prepare_folder(out)
     assert read_metrics(out) == []
     assert sorted(os.listdir(out)) == ["figures", "metrics.csv"]
+
+
+def test_pictures_of_the_run_before_do_not_stay(tmp_path: Path) -> None:
+    prepare_folder(tmp_path)
+    for name in ("figures/old.png", "video.mp4", "video.gif", "report.html", "summary.json"):
+        (tmp_path / name).touch()
+    clear_folder(tmp_path)
+    assert os.listdir(tmp_path) == ["summary.json"]
 
 
 @pytest.mark.parametrize("below", ["", "run"], ids=["a file", "below a file"])

@@ -46,7 +46,7 @@ def clear_folder(out: Path) -> None:
     for leftover in (out / "checkpoints", out / "logs", out / "figures"):
         if leftover.exists():
             shutil.rmtree(leftover)
-    for leftover in (out / "video.mp4", out / "report.html"):
+    for leftover in (out / "video.mp4", out / "video.gif", out / "report.html"):
         leftover.unlink(missing_ok=True)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_pmil.demonstration_checks import Finding
-from torch_pmil.evaluation import two_sigma_coverage
+from torch_pmil.evaluation import two_sigma_coverage, within_two_sigma
 from torch_pmil.gaussian import Gaussian
 from torch_pmil.kl import gaussian_kl_terms
 
@@ -80,7 +80,7 @@ def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | 
         >>> first_departure(Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1)), torch.tensor([[[0.0], [1.0], [3.0]]]))
         (2, 0)
     """
-    inside = ((executed[:, 1:] - predicted.mean).abs() <= 2 * predicted.std).double().mean(0)
+    inside = within_two_sigma(predicted, executed).mean(0)
     left = (inside < 0.5).any(-1).nonzero().flatten()
     return (int(left[0]) + 1, int(inside[left[0]].argmin())) if len(left) else None
 

@@ -21,7 +21,7 @@ def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
         >>> two_sigma_coverage(still, torch.tensor([[[0.0], [1.0], [3.0]]]))
         0.5
     """
-    return _inside(predicted, executed).mean().item()
+    return within_two_sigma(predicted, executed).mean().item()
 
 
 def two_sigma_coverage_by_entry(predicted: Gaussian, executed: Tensor) -> Tensor:
@@ -33,10 +33,11 @@ def two_sigma_coverage_by_entry(predicted: Gaussian, executed: Tensor) -> Tensor
         >>> two_sigma_coverage_by_entry(still, torch.tensor([[[0.0, 0.0], [1.0, 3.0]]]))
         tensor([1., 0.], dtype=torch.float64)
     """
-    return _inside(predicted, executed).mean((0, 1))
+    return within_two_sigma(predicted, executed).mean((0, 1))
 
 
-def _inside(predicted: Gaussian, executed: Tensor) -> Tensor:
+def within_two_sigma(predicted: Gaussian, executed: Tensor) -> Tensor:
+    """Which executed entries at t = 1..T are inside, 1 or 0, (N, T, D); see :func:`two_sigma_coverage`."""
     return ((executed[:, 1:] - predicted.mean).abs() <= 2 * predicted.std).double()
 
 

@@ -55,18 +55,19 @@ def likely_reasons(experiment: Experiment, loss: TrajectoryLoss, outcomes: Seque
         return []
     outcome = outcomes[max(range(len(outcomes)), key=lambda number: failures[number].sum())]
     found = group(check(experiment))
-    step = first_mismatch(loss.doubt(experiment.initial), experiment.search.trusted)
+    doubt = loss.doubt(experiment.initial)
+    step = first_mismatch(doubt, experiment.search.trusted)
     led = _of_the_model(experiment, loss.dynamics, outcome, step or experiment.horizon)
     beyond = [] if led else _of_the_model(experiment, loss.dynamics, outcome, experiment.horizon)
     reasons = [
         *(reason for reason in found if reason.cause != FEW),
         *_of_the_robot(experiment, outcome),
         *led,
-        *([_of_the_search(experiment, loss, outcomes, horizons, step)] if step else []),
+        *([_of_the_search(experiment, loss, outcomes, doubt, horizons, step)] if step else []),
         *beyond,
         *(reason for reason in found if reason.cause == FEW),
     ]
-    return reasons or [unexplained(int(failed.sum()), len(failed), experiment.tolerance, _largest(experiment, loss, outcomes))]
+    return reasons or [unexplained(int(failed.sum()), len(failed), experiment.tolerance, _largest(experiment, loss, outcomes, doubt))]
 
 
 def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
@@ -105,15 +106,17 @@ def known_steps(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) 
     return (variance <= LITTLE**2 * expansion.signal_variance).all(-1) & (before.abs() <= experiment.limits).all(-1)
 
 
-def _of_the_search(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], horizons: Sequence[int], step: int) -> Reason:
+def _of_the_search(
+    experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], doubt: Tensor, horizons: Sequence[int], step: int
+) -> Reason:
     """The step at which the newest model says that it is stuck."""
     mismatch = _mismatch(experiment, loss, outcomes, step)
-    return check_search(loss.doubt(experiment.initial), step, *_named(loss), mismatch, horizons, experiment.demonstrations.time_step)
+    return check_search(doubt, step, *_named(loss), mismatch, horizons, experiment.demonstrations.time_step)
 
 
-def _largest(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome]) -> str:
+def _largest(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], doubt: Tensor) -> str:
     """What the newest model doubts most."""
-    doubt, (name, unit) = loss.doubt(experiment.initial), _named(loss)
+    name, unit = _named(loss)
     step = int(doubt.argmax()) + 1
     said = f"the {name} of a step is at most {doubt[step - 1]:.3g} {unit}, at {step * experiment.demonstrations.time_step:.2f} s"
     return f"{said}, {_mismatch(experiment, loss, outcomes, step)}"

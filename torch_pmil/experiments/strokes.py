@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torch_pmil.alignment import align, crop, resample
 from torch_pmil.demonstrations import Demonstrations, Recordings, load_recordings
+from torch_pmil.evaluation import demonstration_spread
 
 NAMES = ("x", "y")
 FINE_STEP = 0.01  # s, at which strokes are cropped and aligned
@@ -85,7 +86,7 @@ def distance_spread(strokes: Demonstrations) -> float:
 
     .. math:: \sqrt{\frac{1}{T} \sum_t \operatorname{tr} \hat\Sigma_t^{\exp}}
     """
-    return strokes.positions[:, 1:].var(0).sum(-1).mean().sqrt().item()
+    return demonstration_spread(strokes).norm().item()
 
 
 def distance_from_mean(positions: Tensor, strokes: Demonstrations) -> Tensor:

@@ -34,11 +34,14 @@ def total(loss: TrajectoryKLLoss) -> Tensor:
 
 
 def test_start_is_the_policy_itself(loss: TrajectoryKLLoss) -> None:
-    weights, value = loss.actor_network.weights.detach().clone(), total(loss).item()
+    """Its weights come back as accurately as the system for them is conditioned, and the loss is that of these weights."""
+    weights, condition = loss.actor_network.weights.detach().clone(), torch.linalg.cond(gram(loss.actor_network)).item()
     conditioned = ConditionedLoss(loss)
-    assert conditioned.total(loss.per_step, START, HORIZON).item() == pytest.approx(value, rel=1e-12)
+    value = conditioned.total(loss.per_step, START, HORIZON).item()
     conditioned.write()
-    torch.testing.assert_close(loss.actor_network.weights.detach(), weights, rtol=1e-12, atol=1e-12)
+    written = loss.actor_network.weights.detach()
+    assert (written - weights).norm() <= len(weights) * condition * torch.finfo(torch.float64).eps * weights.norm()
+    assert total(loss).item() == value
 
 
 def test_values_are_those_of_the_network_at_its_centres_with_noise(loss: TrajectoryKLLoss) -> None:

@@ -64,7 +64,7 @@ class Plan:
         states: (T+1, D).
         actions: (T, F), within the limits.
         cost: of the trajectory.
-        converged: whether the last iteration improved the cost by less than the tolerance.
+        converged: whether what was left to gain was less than the tolerance when the search ended.
     """
 
     states: Array  # (T+1, D)
@@ -115,6 +115,9 @@ def plan_trajectory(
 ) -> Plan:
     """Control-limited iterative LQR.
 
+    The search ends where an iteration improves the cost by less than the tolerance, or where none does and the local model, which is
+    not regularised, promises less. Rounding may swallow an improvement, the promise does not depend on it.
+
     Args:
         dynamics: states (N, D) and actions (N, F) to next states (N, D).
         start: (D,).
@@ -130,17 +133,20 @@ def plan_trajectory(
     guess = initial_actions.clip(-action_limit, action_limit)
     states, actions = (part[0] for part in roll_out(dynamics, start[None], lambda t, _: guess[t, None], len(guess)))
     best, mu = float(cost(states, actions)), 1.0
+    A, B = linearize(dynamics, states[:-1], actions)
     for _ in range(max_iterations):
-        k, K = _backward(*linearize(dynamics, states[:-1], actions), states, actions, cost, action_limit, mu)
+        k, K, _ = _backward(A, B, states, actions, cost, action_limit, mu)
         new_states, new_actions, new_cost = _line_search(dynamics, states, actions, k, K, cost, action_limit)
-        if new_cost >= best:
-            if mu >= MU_MAX:
+        if new_cost < best:
+            improvement = best - new_cost
+            states, actions, best, mu = new_states, new_actions, new_cost, max(mu / MU_FACTOR, MU_MIN)
+            A, B = linearize(dynamics, states[:-1], actions)
+        else:
+            improvement = _backward(A, B, states, actions, cost, action_limit, mu=0.0)[2]
+            if mu >= MU_MAX and improvement >= tolerance * best:
                 break
             mu *= MU_FACTOR
-            continue
-        improvement = (best - new_cost) / best
-        states, actions, best, mu = new_states, new_actions, new_cost, max(mu / MU_FACTOR, MU_MIN)
-        if improvement < tolerance:
+        if improvement < tolerance * best:
             return Plan(states, actions, best, converged=True)
     return Plan(states, actions, best, converged=False)
 
@@ -225,22 +231,23 @@ def linearize(dynamics: Dynamics, states: Array, actions: Array) -> tuple[Array,
 
 def _backward(
     A: Array, B: Array, states: Array, actions: Array, cost: QuadraticCost, action_limit: Array, mu: float
-) -> tuple[Array, Array]:
-    """Changes k (T, F) and gains K (T, F, D) of the actions that minimise the local model within the limits."""
+) -> tuple[Array, Array, float]:
+    """Changes k (T, F) and gains K (T, F, D) of the actions that minimise the local model within the limits, and what k gains there."""
     gradients, R = cost.state_weights * (states - cost.target), np.diag(cost.action_weights)
     excess = actions - cost.hold_action
     V_x, V_xx = gradients[-1], np.diag(cost.state_weights[-1])
-    k, K = np.zeros_like(actions), np.zeros((*actions.shape, states.shape[1]))
+    k, K, gained = np.zeros_like(actions), np.zeros((*actions.shape, states.shape[1])), 0.0
     for t in reversed(range(len(actions))):
         Q_u = R @ excess[t] + B[t].T @ V_x
         Q_uu = R + B[t].T @ V_xx @ B[t] + mu * B[t].T @ B[t]
         Q_ux = B[t].T @ V_xx @ A[t] + mu * B[t].T @ A[t]
         k[t], free = _box_minimum(Q_uu, Q_u, -action_limit - actions[t], action_limit - actions[t])
         K[t, free] = -np.linalg.solve(Q_uu[np.ix_(free, free)], Q_ux[free])
+        gained -= float(k[t] @ (Q_u + Q_uu @ k[t] / 2))
         closed = A[t] + B[t] @ K[t]
         V_x = gradients[t] + K[t].T @ R @ (excess[t] + k[t]) + closed.T @ (V_x + V_xx @ B[t] @ k[t])
         V_xx = np.diag(cost.state_weights[t]) + K[t].T @ R @ K[t] + closed.T @ V_xx @ closed
-    return k, K
+    return k, K, gained
 
 
 def _box_minimum(hessian: Array, gradient: Array, lower: Array, upper: Array) -> tuple[Array, NDArray[np.bool_]]:

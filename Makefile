@@ -1,7 +1,7 @@
-# Python 3.11 is all that must be there; the rest goes into .venv.
+# Python 3.11 or later is all that must be there; the rest goes into .venv. The newest that is found is taken, or PYTHON=python3.12.
 # For torch's CPU-only wheels: make train TORCH_ARGS="--index-url https://download.pytorch.org/whl/cpu"
 
-PYTHON ?= $(shell command -v python3.11 || command -v python3)
+PYTHON ?= $(firstword $(foreach version,3.14 3.13 3.12 3.11,$(shell command -v python$(version))) python3)
 PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-user-action=ignore
 ARGS ?=
 SEEDS := 0 1 2 3 4 5 6 7 8 9
@@ -15,7 +15,7 @@ help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
 
 train: .venv/.installed  ## learn the double pendulum task into runs/double_pendulum; settings through ARGS="..."
-	@.venv/bin/python scripts/train.py experiment=double_pendulum $(ARGS)
+	@.venv/bin/pmil train experiment=double_pendulum $(ARGS)
 
 test: .venv/.installed  ## the tests but the slow ones
 	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 $(ARGS)
@@ -37,10 +37,10 @@ results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summ
 results/gym_pendulum/summary.json: $(SEEDS:%=runs/gym_pendulum/seed_%/summary.json)
 results/inverted_pendulum/summary.json: $(SEEDS:%=runs/inverted_pendulum/seed_%/summary.json)
 $(LEARNED):
-	@.venv/bin/python scripts/summarize.py $(^D) --out $(@D)
+	@.venv/bin/pmil summarize $(^D) --out $(@D)
 
 runs/%/summary.json: | .venv/.installed
-	@.venv/bin/python scripts/train.py experiment=$(firstword $(subst /seed_, ,$*)) seed=$(lastword $(subst /seed_, ,$*)) out=$(@D) resume=true
+	@.venv/bin/pmil train experiment=$(firstword $(subst /seed_, ,$*)) seed=$(lastword $(subst /seed_, ,$*)) out=$(@D) resume=true
 
 reproduce: .venv/.installed  ## reproduce an experiment of the paper, as ARGS="figure6" or ARGS="figure6 --quick"
 	@.venv/bin/python scripts/reproduce.py $(ARGS)

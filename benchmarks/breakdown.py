@@ -20,9 +20,10 @@ from pathlib import Path
 import torch
 
 from benchmarks.workloads import make_problem
-from torch_pmil import linearised_moments, rollout
-from torch_pmil.experiments.run_folder import provenance
+from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
+from torch_pmil.gp import moment_derivatives as linearised_moments
+from torch_pmil.model import rollout
 
 ROOT = Path(__file__).parents[1]
 HORIZON = 25

@@ -1,4 +1,4 @@
-"""What the thresholds of ``torch_pmil/diagnosis.py`` come from: its measures of runs that learned and of runs that did not.
+"""What the thresholds of ``torch_pmil/experiments/diagnosis/causes.py`` come from: its measures of runs that learned and of runs that did not.
 
     python benchmarks/diagnosis.py runs results/diagnosis/summary.json
 
@@ -15,21 +15,20 @@ from pathlib import Path
 
 import torch
 
-from torch_pmil.calibration import standardised_residuals
-from torch_pmil.diagnosis import FEWEST_STEPS, LEARNED, covered_fraction, moved_fraction, saturated_fraction
-from torch_pmil.dynamics import GPDynamics
-from torch_pmil.evaluation import two_sigma_coverage
+from reproduction.ablation import variations
+from reproduction.learned import load_learned
+from reproduction.masses import SECOND_LINKS, with_second_link
+from reproduction.robustness import varied_experiments
 from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
-from torch_pmil.experiments.experiment import Outcome
-from torch_pmil.experiments.paper.ablation import variations
-from torch_pmil.experiments.paper.learned import load_learned
-from torch_pmil.experiments.paper.masses import SECOND_LINKS, with_second_link
-from torch_pmil.experiments.paper.robustness import varied_experiments
-from torch_pmil.experiments.reasons import known_steps, likely_reasons
-from torch_pmil.experiments.run_folder import provenance
-from torch_pmil.experiments.runs import read_summary
+from torch_pmil.experiments.diagnosis.after_a_run import known_steps, likely_reasons
+from torch_pmil.experiments.diagnosis.causes import FEWEST_STEPS, LEARNED, covered_fraction, moved_fraction, saturated_fraction
+from torch_pmil.experiments.runs.run_folder import provenance
+from torch_pmil.experiments.runs.summaries import read_summary
+from torch_pmil.experiments.tasks.experiment import Outcome
 from torch_pmil.files import write_json
-from torch_pmil.trials import success_rate
+from torch_pmil.model.calibration import standardised_residuals, two_sigma_coverage
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.trainer.trials import success_rate
 
 STARTS, START_SEED = 20, 7_000_000  # no start that a run has seen
 SMALLEST, LARGEST = ("covered", "followed", "moved"), ("unknown", "saturated", "mismatch")  # values that are bad

@@ -24,14 +24,14 @@ import gpytorch
 import torch
 from torch import Tensor
 
-from torch_pmil.collection import RobotActor
-from torch_pmil.dynamics import GPDynamics
-from torch_pmil.experience import Experience
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.run_folder import provenance
+from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
-from torch_pmil.hyperparameters import pilco_starts
-from torch_pmil.marginal_likelihood import negative_log_likelihood
+from torch_pmil.gp.hyperparameters import pilco_starts
+from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.experience import Experience
+from torch_pmil.trainer.collector import RobotActor
 
 ROLLOUT = 25  # transitions
 ITERATIONS = 100

@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from torch_pmil.control.policy_file import load_policy, save_policy
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.run_folder import provenance
+from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
-from torch_pmil.saved_policy import load_policy, save_policy
 
 WARM_UP = 100  # steps that are not counted
 

@@ -24,7 +24,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from torch_pmil.experiments.run_folder import provenance
+from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure, style
 

@@ -21,13 +21,13 @@ import torch
 from tensordict.nn import TensorDictModule
 
 from benchmarks.policy_step import timed
-from torch_pmil.collection import states_of
-from torch_pmil.dynamics import GPDynamics
+from torch_pmil.envs.rollouts import states_of
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.run_folder import provenance
-from torch_pmil.experiments.target_experiment import TargetExperiment
+from torch_pmil.experiments.runs.run_folder import provenance
+from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 from torch_pmil.files import write_json
-from torch_pmil.multi_target import MultiTargetKLLoss
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
 
 SEED, STEPS = 0, 20  # steps of a rollout of the first movements
 COUNTS = (1, 3)  # of targets

@@ -12,8 +12,8 @@ import torch
 
 from benchmarks.workloads import Problem, make_problem
 from torch_pmil import Gaussian, moment_match
-from torch_pmil.gaussian import joint
-from torch_pmil.rollout import predict_step
+from torch_pmil.gp.gaussian import joint
+from torch_pmil.model.rollout import predict_step
 
 pytest.importorskip("pytest_benchmark")
 torch.set_num_threads(1)

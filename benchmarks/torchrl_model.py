@@ -33,7 +33,7 @@ from torchrl.modules import GPWorldModel as TorchRLModel
 
 from benchmarks.workloads import random_transitions, world_model
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.run_folder import provenance
+from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 from torch_pmil.torchrl_interop import GPWorldModel
 

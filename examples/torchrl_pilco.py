@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from benchmarks.workloads import rbf_controller, world_model
 from torch_pmil import Gaussian, NotPositiveDefiniteError, RBFPolicy, predict_trajectory
-from torch_pmil.lbfgs import MinimiseResult, minimise
+from torch_pmil.gp.lbfgs import MinimiseResult, minimise
 from torch_pmil.torchrl_interop import BeliefPolicy, GPWorldModel, ImaginedEnv
 from torch_pmil.torchrl_interop.keys import ACTION_BELIEF, STATE_BELIEF
 

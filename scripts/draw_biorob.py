@@ -12,9 +12,9 @@ import matplotlib.image
 import mujoco
 import numpy as np
 
+from reproduction.target_picture import draw_targets
 from torch_pmil.envs.biorob import biorob_model
 from torch_pmil.envs.mujoco import open_renderer
-from torch_pmil.envs.target_picture import draw_targets
 
 SIZE = 560  # pixels
 

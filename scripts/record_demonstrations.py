@@ -20,23 +20,24 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 import torch_pmil.demonstrations
-from torch_pmil.alignment import align
-from torch_pmil.collection import states_of
+from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.envs import AdaptedEnv, hitting_plane, reaching
+from torch_pmil.demonstrations.preparation.alignment import align
+from torch_pmil.envs import AdaptedEnv, hitting_plane
 from torch_pmil.envs.biorob import BALL, BioRobEnv, biorob_model
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
-from torch_pmil.envs.gym_experts import CART_STEPS, PENDULUM_STEPS, balancing_expert, pendulum_expert
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
-from torch_pmil.envs.kinesthetic_teaching import Strike, Variation, record_strike
-from torch_pmil.envs.swing_up import demonstrate, swing_up_expert
-from torch_pmil.envs.trajectory_optimization import Array
+from torch_pmil.envs.rollouts import states_of
+from torch_pmil.envs.teachers import reaching
+from torch_pmil.envs.teachers.gym_experts import CART_STEPS, PENDULUM_STEPS, balancing_expert, pendulum_expert
+from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
+from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_expert
+from torch_pmil.envs.teachers.trajectory_optimization import Array
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.biorob import biorob_space
-from torch_pmil.experiments.double_pendulum import REACH_DISTANCE, SUCCESS_DISTANCE, distance_from_target, distance_from_upright
-from torch_pmil.experiments.gym_pendulum import gym_pendulum_space
-from torch_pmil.experiments.inverted_pendulum import inverted_pendulum_space
-from torch_pmil.state_space import StateSpace
+from torch_pmil.experiments.tasks.biorob import biorob_space
+from torch_pmil.experiments.tasks.double_pendulum import REACH_DISTANCE, SUCCESS_DISTANCE, distance_from_target, distance_from_upright
+from torch_pmil.experiments.tasks.gym_pendulum import gym_pendulum_space
+from torch_pmil.experiments.tasks.inverted_pendulum import inverted_pendulum_space
 
 DEMONSTRATIONS = 5  # paper
 STRIKES = 3  # paper
@@ -180,7 +181,7 @@ def torque_noise_of(config: DictConfig) -> float | None:
     return None
 
 
-@hydra.main(version_base="1.3", config_path="config", config_name="record")
+@hydra.main(version_base="1.3", config_path=".", config_name="record_demonstrations")
 def main(config: DictConfig) -> None:
     """Record the demonstrations of one experiment and save them."""
     if config.experiment not in EXPERIMENTS:

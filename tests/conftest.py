@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.draws import Draws
+from tests.helpers.draws import Draws
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 

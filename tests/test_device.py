@@ -6,11 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.draws import Draws
+from tests.helpers.draws import Draws
 from torch_pmil import ExpectedSaturatingCost, GPDynamics, RBFPolicy, TrajectoryKLLoss
-from torch_pmil.gaussian import Gaussian
-from torch_pmil.particles import sample_trajectories
-from torch_pmil.state_space import StateSpace, joint_match
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.particles import sample_trajectories
 
 SPACE = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s")))
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"))]

@@ -12,15 +12,15 @@ import torch
 from torch import Tensor
 from torch.autograd.functional import jacobian
 
-from torch_pmil.dynamics import GPDynamics
-from torch_pmil.gaussian import Gaussian
-from torch_pmil.kernel_expansion import KernelExpansion
-from torch_pmil.moment_matching import moment_match
-from torch_pmil.policy import Controller
-from torch_pmil.rollout import predict_step
-from torch_pmil.saturating_cost import expected_saturating_cost
-from torch_pmil.state_space import StateSpace, joint_match
-from torch_pmil.trigonometry import augment, squash
+from torch_pmil.control.rbf_policy import Controller
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.kernel_expansion import KernelExpansion
+from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.gp.trigonometry import augment, squash
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.rollout import predict_step
+from torch_pmil.search.saturating_cost import expected_saturating_cost
 
 FOLDER = Path(__file__).parent / "reference"
 POLICY_NUGGET = 1e-6  # which the reference adds to the variances of the network, before it is squashed

@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 import torch_pmil
-from tests.run_script import ROOT
+from tests.helpers.run_script import ROOT
 
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
 CHANGES = (ROOT / "CHANGELOG.md").read_text()

@@ -1,85 +1,137 @@
-"""Probabilistic model-based imitation learning (Englert, Paraschos, Peters, Deisenroth 2013) in PyTorch."""
+"""Probabilistic model-based imitation learning (Englert, Paraschos, Peters, Deisenroth 2013) in PyTorch.
 
-import ctypes.util
-import os
+Rooms, each above those that it imports:
+
+=====================  ========================================================================================
+``gp``                 Gaussian beliefs, Gaussian processes, RBF networks: exact moments (Eqs. 5-7, 14-18)
+``control``            state space, policy, its file, exploration (Eqs. 25-27)
+``model``              the learned forward model and the trajectories that it predicts (Eqs. 2-4, 13)
+``search``             KL and costs, losses, policy search (Eqs. 19-24, 28, 31)
+``trainer``            Algorithm 1 on TorchRL: trainer, collector, checkpoints
+``demonstrations``     readers of files, preparation, the demonstrated distribution (Eqs. 9-12)
+``envs``               robots, and what records demonstrations on them
+``plotting``           figures and videos
+``torchrl_interop``    drop-ins for TorchRL's world model, policy and imagined environment
+``experiments``        tasks, diagnosis, runs with their folders and reports
+``cli``                the commands of ``pmil``
+=====================  ========================================================================================
+
+Every public name is imported when it is first asked for, so that a part costs no more than what it uses.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-if "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
-    os.environ.setdefault("MUJOCO_GL", "egl")  # headless pictures; MuJoCo reads it when it is first imported
+if TYPE_CHECKING:
+    from torch_pmil import envs as envs
+    from torch_pmil.control.policy_file import PolicyFileError as PolicyFileError, load_policy as load_policy, save_policy as save_policy
+    from torch_pmil.control.rbf_policy import RBFPolicy as RBFPolicy
+    from torch_pmil.control.state_policy import StatePolicy as StatePolicy
+    from torch_pmil.control.state_space import MatchSpace as MatchSpace, StateSpace as StateSpace, joint_match as joint_match
+    from torch_pmil.demonstrations import (
+        DemonstrationError as DemonstrationError,
+        Demonstrations as Demonstrations,
+        load_demonstrations as load_demonstrations,
+        load_recordings as load_recordings,
+        shipped_demonstrations as shipped_demonstrations,
+    )
+    from torch_pmil.demonstrations.distribution import expert_distribution as expert_distribution
+    from torch_pmil.demonstrations.preparation.alignment import AlignmentError as AlignmentError, align as align
+    from torch_pmil.experiments import Experiment as Experiment, load_experiment as load_experiment
+    from torch_pmil.gp.gaussian import Gaussian as Gaussian, NotPositiveDefiniteError as NotPositiveDefiniteError
+    from torch_pmil.gp.kernel_expansion import KernelExpansion as KernelExpansion
+    from torch_pmil.gp.moment_matching import Moments as Moments, moment_match as moment_match
+    from torch_pmil.model.dynamics import GPDynamics as GPDynamics
+    from torch_pmil.model.experience import Experience as Experience
+    from torch_pmil.model.particles import ParticlePrediction as ParticlePrediction, sample_trajectories as sample_trajectories
+    from torch_pmil.model.rollout import (
+        PredictionError as PredictionError,
+        predict_step as predict_step,
+        predict_trajectory as predict_trajectory,
+    )
+    from torch_pmil.model.sampling_frequency import (
+        FrequencyScore as FrequencyScore,
+        Recording as Recording,
+        score_frequencies as score_frequencies,
+    )
+    from torch_pmil.search.kl import gaussian_kl as gaussian_kl, trajectory_kl as trajectory_kl
+    from torch_pmil.search.losses import ExpectedSaturatingCost as ExpectedSaturatingCost, TrajectoryKLLoss as TrajectoryKLLoss
+    from torch_pmil.search.multi_target_loss import MultiTargetKLLoss as MultiTargetKLLoss
+    from torch_pmil.search.policy_search import (
+        SearchResult as SearchResult,
+        SearchSettings as SearchSettings,
+        search_policy as search_policy,
+    )
+    from torch_pmil.search.saturating_cost import expected_saturating_cost as expected_saturating_cost
+    from torch_pmil.trainer.lbfgs_stepper import LBFGSStepper as LBFGSStepper
+    from torch_pmil.trainer.trainer import PMILTrainer as PMILTrainer
+    from torch_pmil.trainer.trials import Trial as Trial
 
-from torch_pmil import envs
-from torch_pmil.alignment import AlignmentError, align
-from torch_pmil.demonstrations import DemonstrationError, Demonstrations, load_demonstrations, load_recordings, shipped_demonstrations
-from torch_pmil.dynamics import GPDynamics
-from torch_pmil.experience import Experience
-from torch_pmil.experiments import Experiment, load_experiment
-from torch_pmil.expert import expert_distribution
-from torch_pmil.gaussian import Gaussian, NotPositiveDefiniteError
-from torch_pmil.kernel_expansion import KernelExpansion
-from torch_pmil.kl import gaussian_kl, trajectory_kl
-from torch_pmil.lbfgs_stepper import LBFGSStepper
-from torch_pmil.moment_matching import Moments, moment_match
-from torch_pmil.multi_target import MultiTargetKLLoss
-from torch_pmil.objective import ExpectedSaturatingCost, TrajectoryKLLoss
-from torch_pmil.particles import ParticlePrediction, sample_trajectories
-from torch_pmil.policy import RBFPolicy
-from torch_pmil.policy_search import SearchResult, SearchSettings, search_policy
-from torch_pmil.rollout import PredictionError, predict_step, predict_trajectory
-from torch_pmil.sampling_frequency import FrequencyScore, Recording, score_frequencies
-from torch_pmil.saturating_cost import expected_saturating_cost
-from torch_pmil.saved_policy import PolicyFileError, load_policy, save_policy
-from torch_pmil.state_policy import StatePolicy
-from torch_pmil.state_space import MatchSpace, StateSpace, joint_match
-from torch_pmil.trainer import PMILTrainer
-from torch_pmil.trials import Trial
+MODULES = {
+    "AlignmentError": "demonstrations.preparation.alignment",
+    "DemonstrationError": "demonstrations",
+    "Demonstrations": "demonstrations",
+    "ExpectedSaturatingCost": "search.losses",
+    "Experience": "model.experience",
+    "Experiment": "experiments",
+    "FrequencyScore": "model.sampling_frequency",
+    "GPDynamics": "model.dynamics",
+    "Gaussian": "gp.gaussian",
+    "KernelExpansion": "gp.kernel_expansion",
+    "LBFGSStepper": "trainer.lbfgs_stepper",
+    "MatchSpace": "control.state_space",
+    "Moments": "gp.moment_matching",
+    "MultiTargetKLLoss": "search.multi_target_loss",
+    "NotPositiveDefiniteError": "gp.gaussian",
+    "PMILTrainer": "trainer.trainer",
+    "ParticlePrediction": "model.particles",
+    "PolicyFileError": "control.policy_file",
+    "PredictionError": "model.rollout",
+    "RBFPolicy": "control.rbf_policy",
+    "Recording": "model.sampling_frequency",
+    "SearchResult": "search.policy_search",
+    "SearchSettings": "search.policy_search",
+    "StatePolicy": "control.state_policy",
+    "StateSpace": "control.state_space",
+    "TrajectoryKLLoss": "search.losses",
+    "Trial": "trainer.trials",
+    "align": "demonstrations.preparation.alignment",
+    "expected_saturating_cost": "search.saturating_cost",
+    "expert_distribution": "demonstrations.distribution",
+    "gaussian_kl": "search.kl",
+    "joint_match": "control.state_space",
+    "load_demonstrations": "demonstrations",
+    "load_experiment": "experiments",
+    "load_policy": "control.policy_file",
+    "load_recordings": "demonstrations",
+    "moment_match": "gp.moment_matching",
+    "predict_step": "model.rollout",
+    "predict_trajectory": "model.rollout",
+    "sample_trajectories": "model.particles",
+    "save_policy": "control.policy_file",
+    "score_frequencies": "model.sampling_frequency",
+    "search_policy": "search.policy_search",
+    "shipped_demonstrations": "demonstrations",
+    "trajectory_kl": "search.kl",
+}
+__all__ = ["envs", *MODULES]
 
-__version__ = version("torch_pmil")  # that of setup.cfg
 
-__all__ = [
-    "AlignmentError",
-    "DemonstrationError",
-    "Demonstrations",
-    "ExpectedSaturatingCost",
-    "Experience",
-    "Experiment",
-    "FrequencyScore",
-    "GPDynamics",
-    "Gaussian",
-    "KernelExpansion",
-    "LBFGSStepper",
-    "MatchSpace",
-    "Moments",
-    "MultiTargetKLLoss",
-    "NotPositiveDefiniteError",
-    "PMILTrainer",
-    "ParticlePrediction",
-    "PolicyFileError",
-    "PredictionError",
-    "RBFPolicy",
-    "Recording",
-    "SearchResult",
-    "SearchSettings",
-    "StatePolicy",
-    "StateSpace",
-    "TrajectoryKLLoss",
-    "Trial",
-    "align",
-    "envs",
-    "expected_saturating_cost",
-    "expert_distribution",
-    "gaussian_kl",
-    "joint_match",
-    "load_demonstrations",
-    "load_experiment",
-    "load_policy",
-    "load_recordings",
-    "moment_match",
-    "predict_step",
-    "predict_trajectory",
-    "sample_trajectories",
-    "save_policy",
-    "score_frequencies",
-    "search_policy",
-    "shipped_demonstrations",
-    "trajectory_kl",
-]
+def __getattr__(name: str) -> Any:
+    """A public name, on its first use."""
+    if name == "__version__":
+        return version("torch_pmil")
+    if name == "envs":
+        return import_module("torch_pmil.envs")
+    if name not in MODULES:
+        raise AttributeError(f"module 'torch_pmil' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"torch_pmil.{MODULES[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    """With the public names that were not asked for yet."""
+    return sorted({*globals(), *__all__, "__version__"})

@@ -1,4 +1,4 @@
-"""The role ``{code}`torch_pmil.kl.gaussian_kl```: a link to the line at which the source of this object begins.
+"""The role ``{code}`torch_pmil.search.kl.gaussian_kl```: a link to the line at which the source of this object begins.
 
 The page it leads to is one of ``sphinx.ext.viewcode``, a part of the documentation. An object that is not there, or that the API
 reference does not hold, is a warning, with which the build fails.

@@ -12,8 +12,7 @@ from docutils import nodes
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
-from sphinx.util.inspect import signature as signature_of
-from sphinx.util.inspect import stringify_signature
+from sphinx.util.inspect import signature as signature_of, stringify_signature
 
 STAR = re.compile(r"(?<![\\\w*])\*(?=[A-Za-z]+\b[,)])")  # shapes as (*batch, D); a star would begin emphasis
 

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from torch_pmil.alignment import align
 from torch_pmil.demonstrations import shipped_demonstrations
+from torch_pmil.demonstrations.preparation.alignment import align
 from torch_pmil.plotting import BLUE, Figure, save_figure, style
 
 STEP = 0.01  # s

@@ -14,11 +14,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torch_pmil.alignment import align, crop, resample
-from torch_pmil.camera import plane_coordinates
-from torch_pmil.jumps import without_jumps
+from torch_pmil.demonstrations.preparation.alignment import align, crop, resample
+from torch_pmil.demonstrations.preparation.camera import plane_coordinates
+from torch_pmil.demonstrations.preparation.jumps import without_jumps
+from torch_pmil.demonstrations.preparation.smoothing import smooth, velocities
 from torch_pmil.plotting import plot_before_after, save_figure
-from torch_pmil.smoothing import smooth, velocities
 
 RATE, STROKES, NOISE, FASTEST, PERIOD, STEP = 60.0, 5, 2.0, 3.0, 0.15, 0.1  # Hz, -, pixels, m/s, s, s
 SCALE = 1500.0  # pixels in a metre

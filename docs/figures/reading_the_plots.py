@@ -15,8 +15,8 @@ import torch
 from PIL import Image
 
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.figures import figures_of
-from torch_pmil.experiments.training import train
+from torch_pmil.experiments.runs.figures import figures_of
+from torch_pmil.experiments.runs.training import train
 from torch_pmil.files import replacing
 from torch_pmil.plotting import Figure
 

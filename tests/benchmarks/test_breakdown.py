@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks import breakdown
-from torch_pmil import linearised_moments, rollout
+from torch_pmil.gp import moment_derivatives as linearised_moments
+from torch_pmil.model import rollout
 
 WATCHED = (
     (rollout, "unroll"),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from tests.demonstrations.refusal import refused
+from tests.helpers.refusal import refused
 from torch_pmil.demonstrations import load_demonstrations, load_recordings
 
 

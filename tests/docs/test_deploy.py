@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import torch
 
-from tests.run_script import run_script
+from tests.helpers.run_script import run_script
+from torch_pmil.control.policy_file import load_policy, save_policy
 from torch_pmil.experiments import load_experiment
-from torch_pmil.saved_policy import load_policy, save_policy
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "deploy.md").read_text()

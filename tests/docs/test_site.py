@@ -13,10 +13,10 @@ pytest.importorskip("sphinx", reason="needs the extra docs")
 pytest.importorskip("myst_nb", reason="needs the extra docs")
 
 ROOT = Path(__file__).parents[2]
-WHOLE = "{code}`torch_pmil.gaussian.Gaussian`"
+WHOLE = "{code}`torch_pmil.gp.gaussian.Gaussian`"
 FLAWS = {
-    "{code}`torch_pmil.gaussian.no_such_function`": "no such object in the API reference: torch_pmil.gaussian.no_such_function",
-    "{code}`torch_pmil.kl.gaussian_kl`": "no such object in the API reference: torch_pmil.kl.gaussian_kl",
+    "{code}`torch_pmil.gp.gaussian.no_such_function`": "no such object in the API reference: torch_pmil.gp.gaussian.no_such_function",
+    "{code}`torch_pmil.search.kl.gaussian_kl`": "no such object in the API reference: torch_pmil.search.kl.gaussian_kl",
     "{py:func}`no_such_reference`": "py:func reference target not found: no_such_reference",
     "[an anchor](#no-such-heading)": "no-such-heading",
     "[a page](no_such_page.md)": "no_such_page.md",
@@ -42,9 +42,9 @@ def test_documentation_builds_without_a_warning_and_equations_and_code_point_to_
 
 @pytest.mark.slow
 def test_what_leads_nowhere_fails_the_build_and_is_named(tmp_path: Path) -> None:
-    paragraphs = ["# A page", "```{eval-rst}\n.. automodule:: torch_pmil.gaussian\n```", WHOLE, *FLAWS]
+    paragraphs = ["# A page", "```{eval-rst}\n.. automodule:: torch_pmil.gp.gaussian\n```", WHOLE, *FLAWS]
     (tmp_path / "index.md").write_text("\n\n".join(paragraphs))
     built = build(tmp_path, tmp_path / "html")
     assert built.returncode != 0
     assert not [said for said in FLAWS.values() if said not in built.stderr], built.stderr
-    assert "torch_pmil.gaussian.Gaussian" not in built.stderr
+    assert "torch_pmil.gp.gaussian.Gaussian" not in built.stderr

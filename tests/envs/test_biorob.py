@@ -15,7 +15,7 @@ from torchrl.envs.utils import check_env_specs
 
 from torch_pmil.envs import BioRobEnv
 from torch_pmil.envs.biorob import BALL, JOINTS, ROTORS, START, START_STD, TORQUE_LIMIT, biorob_model, holding_torques
-from torch_pmil.video import dense_states, render_rollout
+from torch_pmil.plotting.video import dense_states, render_rollout
 
 NOISE = (0.01, 0.0, 0.02, 0.1, 0.3, 0.1)  # rad, rad/s
 UNDER_THE_BALL = (0.1, 0.55, 1.35, 0.0, 0.0, 0.0)

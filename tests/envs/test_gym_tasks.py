@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from torch_pmil.collection import rollout_of, states_of
 from torch_pmil.envs import gym_tasks
-from torch_pmil.envs.gym_experts import CART_STEPS, HOLD_FROM, PENDULUM_STEPS, TORQUE_LIMIT, balancing_expert, pendulum_expert
 from torch_pmil.envs.gym_tasks import cart_dynamics, gym_pendulum_env, inverted_pendulum_env, pendulum_dynamics
-from torch_pmil.envs.trajectory_optimization import Array, roll_out
-from torch_pmil.envs.trajectory_optimization import Dynamics as ArrayDynamics
+from torch_pmil.envs.rollouts import rollout_of, states_of
+from torch_pmil.envs.teachers.gym_experts import CART_STEPS, HOLD_FROM, PENDULUM_STEPS, TORQUE_LIMIT, balancing_expert, pendulum_expert
+from torch_pmil.envs.teachers.trajectory_optimization import Array, Dynamics as ArrayDynamics, roll_out
 from torch_pmil.experiments import load_experiment
 
 STARTS = 500

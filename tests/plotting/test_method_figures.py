@@ -9,8 +9,8 @@ import pytest
 import torch
 from matplotlib.collections import FillBetweenPolyCollection
 
-from tests.draws import Draws
-from torch_pmil.gaussian import Gaussian
+from tests.helpers.draws import Draws
+from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.plotting import (
     plot_demonstrations,
     plot_gp,

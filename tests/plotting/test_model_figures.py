@@ -10,14 +10,14 @@ import torch
 from matplotlib.axes import Axes
 from torch import Tensor
 
-from tests.draws import Draws
-from torch_pmil.dynamics import GPDynamics
-from torch_pmil.gaussian import Gaussian
-from torch_pmil.kl import gaussian_kl, gaussian_kl_terms
+from tests.helpers.draws import Draws
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.plotting import Plane, plot_calibration, plot_gp_slices, plot_kl_per_step, plot_policy, save_figure
-from torch_pmil.policy import RBFPolicy
-from torch_pmil.state_policy import StatePolicy
-from torch_pmil.state_space import StateSpace, joint_match
+from torch_pmil.search.kl import gaussian_kl, gaussian_kl_terms
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
 INPUTS = ("dq (rad/s)", "sin q", "cos q", "u (N·m)")

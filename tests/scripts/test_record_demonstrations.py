@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.run_script import run_script
+from tests.helpers.run_script import run_script
 from torch_pmil.demonstrations import load_demonstrations, shipped_demonstrations
 from torch_pmil.envs.hitting_plane import TRAINING_TARGETS
 

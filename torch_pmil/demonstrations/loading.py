@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from torch_pmil.demonstrations.csv_files import read_csv
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE, Demonstrations
 from torch_pmil.demonstrations.errors import DemonstrationError, within
-from torch_pmil.demonstrations.hdf5 import read_hdf5
-from torch_pmil.demonstrations.lasa import read_lasa
-from torch_pmil.demonstrations.lerobot import read_lerobot
-from torch_pmil.demonstrations.npz_files import load_npz, read_npz
+from torch_pmil.demonstrations.formats.csv_files import read_csv
+from torch_pmil.demonstrations.formats.hdf5 import read_hdf5
+from torch_pmil.demonstrations.formats.lasa import read_lasa
+from torch_pmil.demonstrations.formats.lerobot import read_lerobot
+from torch_pmil.demonstrations.formats.npz_files import load_npz, read_npz
 from torch_pmil.demonstrations.recordings import Recordings
 
 FILES = {

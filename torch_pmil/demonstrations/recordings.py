@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE, Demonstrations
 from torch_pmil.demonstrations.errors import DemonstrationError
 
-ALIGN = "scripts/align_demonstrations.py"
+ALIGN = "pmil align"
 
 
 @dataclass(frozen=True, eq=False)

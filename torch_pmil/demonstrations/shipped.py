@@ -34,7 +34,7 @@ def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
         >>> shipped_demonstrations().positions.shape
         torch.Size([5, 26, 4])
     """
-    shipped = {file.name.removesuffix(".npz"): file for file in resources.files("torch_pmil").joinpath("data").iterdir()}
+    shipped = {file.name.removesuffix(".npz"): file for file in resources.files("torch_pmil.demonstrations").joinpath("data").iterdir()}
     shipped = {stem: file for stem, file in shipped.items() if file.name == f"{stem}.npz"}
     if name not in shipped:
         raise DemonstrationError(f"shipped demonstrations must be one of {sorted(shipped)}, got {name}")

@@ -11,7 +11,7 @@ import numpy as np
 from torchrl.envs import EnvBase, GymEnv, GymWrapper
 
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
-from torch_pmil.envs.trajectory_optimization import Array
+from torch_pmil.envs.robot import Array
 
 try:
     import gymnasium

@@ -11,7 +11,7 @@ from gymnasium.spaces import Box
 from tensordict import TensorDict
 
 from torch_pmil.envs.registration import ROBOTS
-from torch_pmil.envs.trajectory_optimization import Array
+from torch_pmil.envs.robot import Array
 
 
 class GymnasiumRobot(gymnasium.Env):

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.experiments.biorob import biorob
-from torch_pmil.experiments.biorob_targets import biorob_targets
-from torch_pmil.experiments.double_pendulum import double_pendulum
-from torch_pmil.experiments.double_pendulum_targets import double_pendulum_targets
-from torch_pmil.experiments.experiment import Experiment
-from torch_pmil.experiments.gym_pendulum import gym_pendulum
-from torch_pmil.experiments.handwriting import handwriting, handwriting_name
-from torch_pmil.experiments.inverted_pendulum import inverted_pendulum
-from torch_pmil.experiments.pilco import double_pendulum_pilco
+from torch_pmil.experiments.tasks.biorob import biorob
+from torch_pmil.experiments.tasks.biorob_targets import biorob_targets
+from torch_pmil.experiments.tasks.double_pendulum import double_pendulum
+from torch_pmil.experiments.tasks.double_pendulum_targets import double_pendulum_targets
+from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.experiments.tasks.gym_pendulum import gym_pendulum
+from torch_pmil.experiments.tasks.handwriting import handwriting, handwriting_name
+from torch_pmil.experiments.tasks.inverted_pendulum import inverted_pendulum
+from torch_pmil.experiments.tasks.pilco import double_pendulum_pilco
 
 EXPERIMENTS = {
     "biorob": biorob,

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torch_pmil.calibration import observed_coverage
+from torch_pmil.model.calibration import observed_coverage
 from torch_pmil.plotting.style import DARK, GREY, SERIES, style
 
 INTERVALS = 50  # that the reliability diagram's lines are drawn through
@@ -29,7 +29,7 @@ def plot_calibration(names: Sequence[str], time_step: float, residuals: Tensor) 
         names: of the D entries of the state.
         time_step: seconds between two samples; the first one shown is t = 1.
         residuals: errors in predicted standard deviations at t = 1..T of N rollouts, (N, T, D), see
-            :func:`~torch_pmil.calibration.standardised_residuals`.
+            :func:`~torch_pmil.model.calibration.standardised_residuals`.
 
     Raises:
         ValueError: the residuals are not those of that many entries.

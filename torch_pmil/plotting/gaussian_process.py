@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torch_pmil.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.plotting.style import BAND, BLUE, DARK, GREY, VERMILLION, style
 
 BINS = 120

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torch_pmil.dynamics import GPDynamics
+from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.plotting.style import BAND, DARK, GREY, VERMILLION, style
 
 POINTS = 200  # of each slice

@@ -9,16 +9,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torch_pmil.gaussian import Gaussian
-from torch_pmil.kl import gaussian_kl_terms
+from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.plotting.style import BLUE, COLOURS, HATCHES, VERMILLION, style
+from torch_pmil.search.kl import gaussian_kl_terms
 
 
 def plot_kl_per_step(names: Sequence[str], time_step: float, expert: Gaussian, predicted: Gaussian) -> Figure:
     """The KL divergence of each time step, stacked by what it comes from; the stacks' heights sum to the KL of the trajectory (Eq. 20).
 
     Above: means that differ, and covariances that differ. Below: the entries of the match space, each given those before it
-    (:func:`~torch_pmil.kl.gaussian_kl_terms`).
+    (:func:`~torch_pmil.search.kl.gaussian_kl_terms`).
 
     Args:
         names: of the M entries of the match space.

@@ -15,8 +15,8 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.plotting.style import DARK
-from torch_pmil.state_policy import StatePolicy
 
 COLOURS = ListedColormap(
     mpl.colormaps["RdBu_r"](np.linspace(0.1, 0.9, 21))
@@ -61,8 +61,8 @@ def plot_policy(
         ValueError: states and titles do not fit each other or the policy, or a plane is none of the robot.
 
     Example:
-        >>> from torch_pmil.policy import RBFPolicy
-        >>> from torch_pmil.state_space import StateSpace, joint_match
+        >>> from torch_pmil.control.rbf_policy import RBFPolicy
+        >>> from torch_pmil.control.state_space import StateSpace, joint_match
         >>> names, units = ("q", "dq"), ("rad", "rad/s")
         >>> space = StateSpace(names, units, (0,), joint_match(names, units))
         >>> policy = StatePolicy(RBFPolicy(torch.zeros(5, 3), torch.ones(1), torch.ones(3)), space, control_period=0.1)

@@ -10,49 +10,50 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
+from torch import Tensor
 
-from torch_pmil.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.plotting.style import BAND, BLUE, DARK, VERMILLION, style
-from torch_pmil.writing import Writing
 
 
-def plot_writing(panels: Mapping[str, Writing]) -> Figure:
+def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figure:
     """Human strokes, the prediction for the learned policy, and what the robot wrote, one panel for each.
 
     The prediction is an ellipse of two standard deviations at each step.
 
     Args:
-        panels: by title.
+        panels: by title, of strokes of people (N, T + 1, 2), marginals of the tip at t = 1..T, mean (T, 2), and strokes of the robot
+            (B, T + 1, 2), all in m, x to the right and y up.
 
     Example:
         >>> import torch
         >>> line = torch.linspace(0, 0.3, 5)[:, None].expand(5, 2)
-        >>> writing = Writing(line[None], Gaussian(line[1:], 1e-4 * torch.eye(2).expand(4, 2, 2)), line[None])
-        >>> plot_writing({"line": writing}).axes[0].get_title()
+        >>> predicted = Gaussian(line[1:], 1e-4 * torch.eye(2).expand(4, 2, 2))
+        >>> plot_writing({"line": (line[None], predicted, line[None])}).axes[0].get_title()
         'line'
     """
     columns = math.ceil(math.sqrt(len(panels)))
     rows = math.ceil(len(panels) / columns)
     figure = Figure(figsize=(0.8 + 3.6 * columns, 0.9 + 3.4 * rows), layout="constrained")
-    for index, (title, writing) in enumerate(panels.items()):
+    for index, (title, (shown, predicted, written)) in enumerate(panels.items()):
         panel = figure.add_subplot(rows, columns, index + 1)
-        _draw(panel, writing)
+        _draw(panel, shown, predicted, written)
         panel.set_title(title)
         panel.set(xlabel="x (m)" if index + columns >= len(panels) else "", ylabel="y (m)" if index % columns == 0 else "")
     figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 
-def _draw(panel: Axes, writing: Writing) -> None:
+def _draw(panel: Axes, shown: Tensor, predicted: Gaussian, written: Tensor) -> None:
     style(panel)
-    widths, heights, angles = _ellipses(writing.predicted)
+    widths, heights, angles = _ellipses(predicted)
     panel.add_collection(
         EllipseCollection(
             widths,
             heights,
             angles,
             units="xy",
-            offsets=writing.predicted.mean.detach().numpy(),
+            offsets=predicted.mean.detach().numpy(),
             offset_transform=panel.transData,
             facecolor=(VERMILLION, 0.12),
             edgecolor=(VERMILLION, 0.7),
@@ -60,9 +61,9 @@ def _draw(panel: Axes, writing: Writing) -> None:
         )
     )
     strokes = (
-        (writing.shown, BLUE, "-", 1.2, "people"),
-        (writing.predicted.mean[None], VERMILLION, "-", 1.4, f"predicted ± {BAND} std"),
-        (writing.written, DARK, (0, (4, 2)), 0.8, "robot"),
+        (shown, BLUE, "-", 1.2, "people"),
+        (predicted.mean[None], VERMILLION, "-", 1.4, f"predicted ± {BAND} std"),
+        (written, DARK, (0, (4, 2)), 0.8, "robot"),
     )
     for paths, colour, line, width, label in strokes:
         drawn = panel.plot(*paths.detach().numpy().transpose(2, 1, 0), color=colour, linestyle=line, linewidth=width, alpha=0.8)

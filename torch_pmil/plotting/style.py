@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from torch_pmil.files import replacing
-from torch_pmil.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart
 BLUE, VERMILLION, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#E69F00", "#009E73", "#555555"

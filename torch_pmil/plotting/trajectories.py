@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from torch_pmil.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.plotting.style import BAND, BLUE, DARK, GREY, VERMILLION, band_of, draw_band, panels_of
 
 OVERSHOOT = 0.75  # how far a prediction may stretch a panel, in heights of the demonstrated and executed motion
@@ -107,7 +107,7 @@ def plot_prediction(names: Sequence[str], units: Sequence[str], time_step: float
         units: of those entries.
         time_step: seconds between two samples; the first one shown is t = 1.
         predicted: marginals at t = 1..T by moment matching, mean (T, D) and cov (T, D, D).
-        particles: as :func:`~torch_pmil.particles.sample_trajectories` draws them, (N, T, D); the first 20 are lines.
+        particles: as :func:`~torch_pmil.model.particles.sample_trajectories` draws them, (N, T, D); the first 20 are lines.
 
     Raises:
         ValueError: shapes do not fit each other.

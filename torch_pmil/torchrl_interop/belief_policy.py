@@ -5,8 +5,8 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from torch_pmil.policy import RBFPolicy
-from torch_pmil.state_space import StateSpace
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace
 from torch_pmil.torchrl_interop.keys import (
     ACTION,
     ACTION_BELIEF,

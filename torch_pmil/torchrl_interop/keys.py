@@ -8,8 +8,8 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
-from torch_pmil.gaussian import Gaussian
-from torch_pmil.state_space import StateSpace, joint_match
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.gp.gaussian import Gaussian
 
 OBSERVATION, ACTION, NEXT_OBSERVATION = "observation", "action", ("next", "observation")  # without belief
 STATE_BELIEF = [("observation", "mean"), ("observation", "var")]

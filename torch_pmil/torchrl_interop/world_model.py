@@ -10,11 +10,11 @@ from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
-from torch_pmil.dynamics import FitResult, GPDynamics
-from torch_pmil.gaussian import Gaussian, joint
-from torch_pmil.moment_matching import moment_match
-from torch_pmil.rollout import successor_belief
-from torch_pmil.state_space import StateSpace
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.gaussian import Gaussian, joint
+from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.model.dynamics import FitResult, GPDynamics
+from torch_pmil.model.rollout import successor_belief
 from torch_pmil.torchrl_interop.keys import (
     ACTION,
     ACTION_BELIEF,

@@ -1,0 +1,17 @@
+"""The experiments of the paper, by name. Each is a file with its runs, its numbers and its figures."""
+
+from reproduction.ablation import ABLATION
+from reproduction.biorob import BIOROB
+from reproduction.figure6 import FIGURE6
+from reproduction.figure7a import FIGURE7A
+from reproduction.figure7b import FIGURE7B
+from reproduction.figure9 import FIGURE9
+from reproduction.figure11 import FIGURE11
+from reproduction.handwriting import HANDWRITING
+from reproduction.hidden_motors import HIDDEN_MOTORS
+from reproduction.masses import MASSES
+from reproduction.reaching import REACHING
+from reproduction.robustness import ROBUSTNESS
+
+EXPERIMENTS = (FIGURE6, FIGURE7A, FIGURE7B, MASSES, ROBUSTNESS, ABLATION, FIGURE9, BIOROB, HIDDEN_MOTORS, FIGURE11, REACHING, HANDWRITING)
+PAPER = {experiment.name: experiment for experiment in EXPERIMENTS}

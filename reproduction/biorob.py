@@ -1,0 +1,119 @@
+"""Section 5.2.4, Figures 8 and 10: the BioRob learns to hit a ball from kinesthetic teaching; ten seeds of at most four trials."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+
+from reproduction.learned import load_learned
+from reproduction.reproduction import PaperExperiment, Report, Run, learning_run
+from torch_pmil.envs.biorob import JOINTS, BioRobEnv
+from torch_pmil.envs.rollouts import states_of
+from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.runs.summaries import read_summary, success_over_experience
+from torch_pmil.experiments.runs.training import EVALUATION_STARTS
+from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.plotting import Figure, plot_distributions, plot_photo_series, plot_success_over_experience
+
+SEEDS, TRIALS = range(10), 4
+QUICK_SEEDS, QUICK_TRIALS = range(1), 2
+SOLVED = 0.95  # hit rate of 20 fresh starts
+START_SEED = 7_000_000  # no start that a run has seen
+PHOTOGRAPHED = (0.0, 0.4, 0.8, 1.1, 1.2, 1.6)  # s
+IN_DEGREES = torch.eye(2 * len(JOINTS), dtype=torch.float64)[: len(JOINTS)].rad2deg()
+
+
+def needed_runs(root: Path, quick: bool) -> list[Run]:
+    """As ``pmil train experiment=biorob`` learns."""
+    seeds, trials = (QUICK_SEEDS, QUICK_TRIALS) if quick else (SEEDS, TRIALS)
+    return [learning_run(root, load_experiment("biorob"), seed, trials) for seed in seeds]
+
+
+def report(folders: Sequence[Path], quick: bool) -> Report:
+    """How many seeds solved it, how far the motions are from the demonstrated ones, how honest the prediction is; seed 0 is drawn."""
+    experiment, runs = load_experiment("biorob"), [read_summary(folder) for folder in folders]
+    learned = load_learned(folders[0], experiment)
+    rollouts = learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
+    executed = states_of(rollouts)[:, 1:] @ IN_DEGREES.mT
+    predicted = learned.predicted(experiment).add_noise(experiment.noise_std**2)
+    curve = success_over_experience(runs)
+    figures = {
+        "figure10": plot_distributions(
+            [f"q {joint}" for joint in JOINTS],
+            ["°"] * len(JOINTS),
+            experiment.demonstrations.time_step,
+            experiment.expert.affine(IN_DEGREES),
+            predicted.affine(IN_DEGREES),
+            executed,
+        ),
+        "hits_over_experience": plot_success_over_experience(curve.experience_s, curve.rates, curve.lower, curve.upper),
+    }
+    try:
+        figures["figure8"] = photo_series(rollouts[0], experiment)
+    except RuntimeError as error:
+        warnings.warn(f"there is no figure 8: {error}", RuntimeWarning, stacklevel=1)
+    return Report(headline_of(runs), figures, {"measured": [measured(run) for run in runs]})
+
+
+def headline_of(runs: Sequence[dict]) -> dict[str, float | None]:
+    """The main numbers of some runs' summaries."""
+    coverages = {name: float(np.mean([run["two_sigma_coverage_by_entry"][name] for run in runs])) for name in runs[0]["rms_error"]}
+    errors = [joint_degrees(run["rms_error"]) for run in runs]
+    return {
+        "seeds_solved_by_trial_4": sum(run["saved_success_rate"] >= SOLVED and len(run["trials"]) <= TRIALS for run in runs),
+        "seeds": len(runs),
+        "hit_rate": float(np.mean([run["saved_success_rate"] for run in runs])),
+        "max_experience_s": max(run["experience_s"] for run in runs),
+        "joint_rms_error_deg": math.sqrt(np.mean(np.square(errors))),
+        "median_joint_rms_error_deg": float(np.median(errors)),
+        "worst_joint_rms_error_deg": max(errors),
+        "demonstration_spread_deg": joint_degrees(runs[0]["demonstration_spread"]),
+        "two_sigma_coverage": float(np.mean([run["two_sigma_coverage"] for run in runs])),
+        **{f"two_sigma_coverage_{name}": value for name, value in coverages.items()},
+        "median_wall_s": float(np.median([run["wall_seconds"] for run in runs])),
+        "max_wall_s": max(run["wall_seconds"] for run in runs),
+    }
+
+
+def joint_degrees(by_entry: dict[str, float]) -> float:
+    """Root mean square over the joints' positions, in degrees, of numbers in rad by entry.
+
+    Example:
+        >>> round(joint_degrees({"q_yaw": 0.0, "q_shoulder": 0.03, "q_elbow": 0.0, "dq_yaw": 9.0}), 3)
+        0.992
+    """
+    return math.degrees(math.sqrt(np.mean([by_entry[f"q_{joint}"] ** 2 for joint in JOINTS])))
+
+
+def measured(run: dict) -> dict[str, object]:
+    """What a run came to, for the details."""
+    keys = ("seed", "saved_success_rate", "saved_trial", "experience_s", "rms_error", "two_sigma_coverage_by_entry")
+    hits = [trial["success_rate"] for trial in run["trials"]]
+    return {**{key: run[key] for key in keys}, "joint_rms_error_deg": joint_degrees(run["rms_error"]), "hit_rates": hits}
+
+
+def photo_series(rollout: TensorDictBase, experiment: Experiment) -> Figure:
+    """The first demonstration that comes with the package, led by hand anew, above a rollout (T,) of the robot (Figure 8).
+
+    Raises:
+        RuntimeError: OpenGL is not available.
+    """
+    env: BioRobEnv = experiment.make_env(seed=0)
+    shown = record_strike(env.model, Variation().of(Strike(), env.model, np.random.default_rng(0))).physics
+    done = env.replay(rollout["observation"][0], rollout["action"], env.substeps)
+    frames = [round(time / env.model.opt.timestep) for time in PHOTOGRAPHED]
+    photos = {"demonstrated": torch.from_numpy(shown[frames]), "learned": done[frames]}
+    try:
+        return plot_photo_series({name: [env.draw(one) for one in states] for name, states in photos.items()}, PHOTOGRAPHED)
+    finally:
+        env.close()
+
+
+BIOROB = PaperExperiment("biorob", "the BioRob hits a ball (Section 5.2.4, Figures 8 and 10)", needed_runs, report)

@@ -1,0 +1,36 @@
+"""Figure 7a: imitation beside PILCO, which is given a cost in place of demonstrations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from reproduction.figure7 import GOAL, OURS, THEIR_TRIALS, our_runs, size, success_curves, success_report
+from reproduction.reproduction import PaperExperiment, Report, Run, learning_run
+from torch_pmil.experiments import load_experiment
+
+PILCO = "PILCO"
+
+
+def needed_runs(root: Path, quick: bool) -> list[Run]:
+    """Ours, then PILCO's."""
+    seeds, trials = size(quick, THEIR_TRIALS)
+    return our_runs(root, quick) + [learning_run(root, load_experiment("double_pendulum_pilco"), seed, trials) for seed in seeds]
+
+
+def report(folders: Sequence[Path], quick: bool) -> Report:
+    """When each is at 95 %, and how good at the experience that the task and the paper name."""
+    curves = success_curves(folders, (OURS, PILCO))
+    ours, pilco = curves.values()
+    headline = {
+        "ours_experience_to_95": ours.experience_to(GOAL),
+        "ours_success_at_22.5s": ours.at(22.5),
+        "ours_success_at_33s": ours.at(33.0),
+        "pilco_experience_to_95": pilco.experience_to(GOAL),
+        "pilco_success_at_33s": pilco.at(33.0),
+        "pilco_final_success": pilco.at(float("inf")),
+    }
+    return success_report(curves, headline, "figure7a")
+
+
+FIGURE7A = PaperExperiment("figure7a", "success over experience: imitation and PILCO", needed_runs, report)

@@ -1,0 +1,113 @@
+"""What a run learned, from its folder."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from tensordict import TensorDictBase
+
+from torch_pmil.control.policy_file import load_policy
+from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.envs.rollouts import without_sensor_noise
+from torch_pmil.experiments.runs.summaries import RunError, read_summary
+from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.trainer.trials import success_rate
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A policy with the model that it was searched on.
+
+    Args:
+        summary: of the run.
+        policy: the saved one.
+        dynamics: the model of all its experience.
+    """
+
+    summary: dict
+    policy: StatePolicy
+    dynamics: GPDynamics
+
+    @torch.no_grad()
+    def predicted(self, experiment: Experiment) -> Gaussian:
+        """p(x_1..T) of the policy under its model, mean (T, D)."""
+        return experiment.make_loss(self.policy.policy, self.dynamics).predict_states(experiment.initial)
+
+    @torch.no_grad()
+    def rollouts(self, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
+        """Rollouts of the robot from fresh starts, (starts, T), as the environment gives them."""
+        return _rollouts(self.policy, experiment, starts, seed)
+
+
+def load_learned(folder: Path, experiment: Experiment) -> Learned:
+    """Policy and model of a finished run. Nothing that the files carry is executed.
+
+    Args:
+        folder: of the run.
+        experiment: what it learned.
+
+    Raises:
+        RunError: the run is of another experiment, or its model is damaged.
+        PolicyFileError: its policy is damaged.
+        OSError: a file cannot be read.
+    """
+    summary = read_summary(folder)
+    if summary["experiment"] != experiment.name:
+        raise RunError(f"{folder} must be a run of {experiment.name}, got one of {summary['experiment']}")
+    dynamics = experiment.make_dynamics()
+    try:
+        dynamics.load_state_dict(torch.load(folder / "dynamics.pt", weights_only=True, map_location="cpu"))
+    except (RuntimeError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        reason = " ".join(str(error).split())
+        raise RunError(f"{folder}: dynamics.pt is damaged, or of another version: {reason}") from error
+    return Learned(summary, load_policy(folder / "policy.pt"), dynamics)
+
+
+@torch.no_grad()
+def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, seed: int) -> float:
+    """Success rate of a policy on an experiment's robot, judged by where the robot truly is, whatever its sensors say.
+
+    Args:
+        policy: of the robot's states.
+        experiment: says the robot, the horizon and what a success is.
+        starts: number of rollouts.
+        seed: of the starts.
+
+    Returns:
+        Fraction from 0 to 1.
+    """
+    rollouts = without_sensor_noise(_rollouts(policy, experiment, starts, seed))
+    return success_rate(experiment.error(rollouts), experiment.tolerance)
+
+
+def outcome(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, object]:
+    """What a run came to, for the details of a summary; its policy is measured anew.
+
+    Args:
+        folder: of the run.
+        experiment: what it learned.
+        starts: number of rollouts.
+        seed: of their starts.
+
+    Raises:
+        RunError, PolicyFileError, OSError: as :func:`load_learned`.
+    """
+    learned = load_learned(folder, experiment)
+    return {
+        "experiment": experiment.name,
+        "seed": learned.summary["seed"],
+        "success_rate": measured_success(learned.policy, experiment, starts, seed),
+        "experience_s": learned.summary["experience_s"],
+        "trials": len(learned.summary["trials"]),
+        "stop_reason": learned.summary["stop_reason"],
+    }
+
+
+def _rollouts(policy: StatePolicy, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
+    env = experiment.robots(starts, seed)
+    return env.rollout(experiment.horizon, policy.as_tensordict_module())

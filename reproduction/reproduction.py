@@ -1,0 +1,174 @@
+"""What an experiment of the paper is made of, and how it is run: in parallel, and on from where it was stopped."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import joblib
+import torch
+from tqdm import tqdm
+
+from torch_pmil.experiments.runs.run_folder import provenance
+from torch_pmil.experiments.runs.summaries import RunError, is_finished
+from torch_pmil.experiments.runs.training import train
+from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.files import write_json
+from torch_pmil.plotting import Figure, save_figure
+from torch_pmil.trainer.trials import Measurement
+
+OF_RUN = ("experiment", "seed", "command", "date", "commit", "experience_s", "wall_seconds")  # what results say of each run
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run that an experiment needs.
+
+    Args:
+        out: its folder; it is finished when there is a ``summary.json``.
+        learn: called with the folder and a command to say in the summary, perhaps in another process. It goes on from where it was
+            stopped, and writes ``summary.json`` last.
+    """
+
+    out: Path
+    learn: Callable[[Path, str], object]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What came out.
+
+    Args:
+        headline: main numbers, flat; None for what never came about.
+        figures: by name.
+        details: other numbers for the summary, as JSON can say them.
+    """
+
+    headline: Mapping[str, float | None]
+    figures: dict[str, Figure]
+    details: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PaperExperiment:
+    """An experiment of the paper.
+
+    Args:
+        name: as on the command line.
+        shows: what, in one line.
+        runs: what must be learned, below a folder of runs; smaller ones if quick.
+        report: numbers and figures from the folders of those runs, in that order; from fewer samples if quick.
+
+    Example:
+        >>> from torch_pmil.experiments import load_experiment
+        >>> from torch_pmil.experiments.runs.summaries import read_summary
+        >>> def runs(root: Path, quick: bool) -> list[Run]:
+        ...     return [learning_run(root, load_experiment("double_pendulum"), seed, trials=3 if quick else 12) for seed in range(2)]
+        >>> def report(folders: Sequence[Path], quick: bool) -> Report:
+        ...     rates = [read_summary(folder)["saved_success_rate"] for folder in folders]
+        ...     return Report({"mean_success_rate": sum(rates) / len(rates)}, figures={})
+        >>> PaperExperiment("two_seeds", "success of two runs", runs, report).name
+        'two_seeds'
+    """
+
+    name: str
+    shows: str
+    runs: Callable[[Path, bool], Sequence[Run]]
+    report: Callable[[Sequence[Path], bool], Report]
+
+
+def learning_run(root: Path, experiment: Experiment, seed: int, trials: int = 12) -> Run:
+    """A run of an experiment, in the folder in which ``pmil train`` would leave it if ``root`` is ``runs``.
+
+    Args:
+        root: folder of runs.
+        experiment: what to learn; those that differ have names that differ.
+        seed: of the run.
+        trials: largest number of trials.
+
+    Example:
+        >>> from torch_pmil.experiments import load_experiment
+        >>> str(learning_run(Path("runs"), load_experiment("double_pendulum"), seed=3).out)
+        'runs/double_pendulum/seed_3'
+    """
+    return Run(root / experiment.name / f"seed_{seed}", partial(_learn, experiment=experiment, seed=seed, trials=trials))
+
+
+def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[Path, Report]:
+    """Learn what has not been learned yet, then write ``summary.json`` and the figures to ``results/NAME``.
+
+    A quick reproduction has runs and results of its own, in ``runs/quick`` and ``results/quick``.
+
+    Args:
+        experiment: which one.
+        quick: whether minutes must do.
+        command: said in the summary.
+
+    Returns:
+        The folder of the results, and what they are.
+
+    Raises:
+        RunError: runs failed, or the report found something else than they leave.
+        OSError: the results cannot be written.
+    """
+    source, aside = provenance(command), ("quick",) if quick else ()
+    runs = experiment.runs(Path("runs", *aside), quick)
+    finish(runs, command)
+    report = experiment.report([run.out for run in runs], quick)
+    out = Path("results", *aside, experiment.name)
+    out.mkdir(parents=True, exist_ok=True)
+    for name, figure in report.figures.items():
+        save_figure(figure, out / f"{name}.png")
+    summary = {"experiment": experiment.name, **source, "quick": quick, "headline": report.headline, **report.details}
+    write_json(out / "summary.json", {**summary, "runs": [_origin(run.out) for run in runs]})
+    return out, report
+
+
+def finish(runs: Sequence[Run], command: str) -> None:
+    """Learn those runs that are not finished, as many at once as there are cores; each goes on from where it was stopped.
+
+    Args:
+        runs: some may be finished.
+        command: said in their summaries.
+
+    Raises:
+        RunError: some failed, after the others were given their time; the message has a line for each.
+    """
+    missing = [run for run in runs if not is_finished(run.out)]
+    if not missing:
+        return
+    jobs = min(joblib.cpu_count(), len(missing))
+    ended = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(joblib.delayed(_attempt)(run, command) for run in missing)
+    complaints = [complaint for complaint in tqdm(ended, total=len(missing), unit="run") if complaint]
+    if complaints:
+        raise RunError("\n".join(sorted(complaints)))
+
+
+def _attempt(run: Run, command: str) -> str | None:
+    """Learn a run; what went wrong, if anything."""
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
+    try:
+        run.learn(run.out, command)
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
+        return f"{run.out}: {error}"
+    return None
+
+
+def _learn(out: Path, command: str, experiment: Experiment, seed: int, trials: int) -> None:
+    train(experiment, seed, trials, out, command, progress_bar=False, on_trial=partial(tell_trial, out), resume=True)
+
+
+def tell_trial(out: Path, trial: Measurement) -> None:
+    """Say how a trial of a run went, above the progress bar of all runs."""
+    tqdm.write(f"{out}: trial {trial.trial}, {trial.experience_s:.1f} s of experience, success rate {trial.success_rate:.0%}")
+
+
+def _origin(folder: Path) -> dict[str, object]:
+    """Where a run comes from."""
+    summary = json.loads((folder / "summary.json").read_text())
+    return {"folder": str(folder), **{key: summary[key] for key in OF_RUN if key in summary}}

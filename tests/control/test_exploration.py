@@ -1,0 +1,97 @@
+"""How a robot moves before anything is learned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from torch_pmil.control.exploration import Motion, PDMovements, RandomTorques
+
+POSE = torch.tensor([0.3, -0.2, 0.0, 0.0], dtype=torch.float64)
+REACH = torch.tensor([0.4, 0.2, 0.0, 0.0], dtype=torch.float64)
+STIFFNESS, DAMPING = torch.tensor([5.0, 3.0], dtype=torch.float64), torch.tensor([1.0, 0.5], dtype=torch.float64)
+GAIN = torch.cat([STIFFNESS.diag(), DAMPING.diag()], 1)
+U_MAX = torch.tensor([100.0, 100.0], dtype=torch.float64)
+HOLD = 5
+
+
+def gravity(state: Tensor) -> Tensor:
+    return 2 * state[..., :2].cos()
+
+
+MOVEMENTS = PDMovements(POSE, REACH, GAIN, U_MAX, HOLD, 3, 20, gravity)
+
+
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+def targets_of(motion: Motion, steps: int, robots: int) -> Tensor:
+    """Positions (steps, robots, 2) to which the torques at the pose pull."""
+    state = POSE.expand(robots, -1)
+    return torch.stack([POSE[:2] + (motion(state) - gravity(state)) / STIFFNESS for _ in range(steps)])
+
+
+def test_targets_are_uniform_around_the_pose() -> None:
+    """Mean and variance of a uniform distribution, to four standard errors."""
+    fractions = (targets_of(MOVEMENTS.motion(generator()), 1, 4000)[0] - POSE[:2]) / REACH[:2]
+    assert (fractions.abs() <= 1 + 1e-12).all()
+    assert (fractions.mean(0).abs() < 4 * (1 / 3 / 4000) ** 0.5).all()
+    assert ((fractions.square().mean(0) - 1 / 3).abs() < 4 * (4 / 45 / 4000) ** 0.5).all()
+
+
+def test_target_stays_for_its_time_and_is_then_another_one() -> None:
+    targets = targets_of(MOVEMENTS.motion(generator()), 4 * HOLD, robots=1)[:, 0]
+    assert len(targets.round(decimals=9).unique(dim=0)) == 4
+    for held in targets.split(HOLD):
+        torch.testing.assert_close(held, held[:1].expand(HOLD, -1), rtol=0, atol=1e-12)
+
+
+def test_rollout_begins_with_a_new_target_whenever_the_last_one_ended() -> None:
+    motion = MOVEMENTS.motion(generator())
+    first = targets_of(motion, 2, robots=1)
+    motion.begin()
+    second = targets_of(motion, HOLD, robots=1)
+    assert not torch.allclose(first[-1], second[0])
+    torch.testing.assert_close(second, second[:1].expand(HOLD, -1, -1), rtol=0, atol=1e-12)
+
+
+def test_torque_is_weight_stiffness_and_damping() -> None:
+    still = replace(MOVEMENTS, reach=torch.zeros_like(REACH)).motion(generator())
+    state = torch.tensor([0.5, 0.1, 0.7, -0.4], dtype=torch.float64)
+    expected = gravity(state) - STIFFNESS * (state - POSE)[:2] - DAMPING * state[2:]
+    torch.testing.assert_close(still(state), expected, rtol=1e-12, atol=0)
+
+
+def test_torques_end_at_the_limits() -> None:
+    limits = torch.tensor([0.5, 100.0], dtype=torch.float64)
+    state = torch.tensor([-9.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    free, limited = (replace(MOVEMENTS, u_max=u_max).motion(generator())(state) for u_max in (U_MAX, limits))
+    assert limited.tolist() == [0.5, free[1].item()]
+
+
+@pytest.mark.parametrize("make", [lambda: MOVEMENTS, lambda: RandomTorques(U_MAX, 0.4, 20)], ids=["pd movements", "random torques"])
+def test_same_generator_gives_the_same_torques(make: Callable[[], PDMovements | RandomTorques]) -> None:
+    motions = [make().motion(generator()) for _ in range(2)]
+    first, second = ([motion(POSE) for _ in range(2 * HOLD)] for motion in motions)
+    assert torch.equal(torch.stack(first), torch.stack(second))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"reach": torch.zeros(3)}, r"must have shapes \(4,\) and \(2, 4\) for a pose of 4 and 2 torques, got \(3,\) and \(2, 4\)"),
+        ({"gain": torch.zeros(4, 2)}, r"got \(4,\) and \(4, 2\)"),
+        ({"reach": -REACH}, r"reach must not be negative and u_max be positive, got \[-0.4"),
+        ({"u_max": torch.zeros(2)}, r"u_max be positive, got .* and \[0.0, 0.0\]"),
+        ({"hold": 0}, "must be at least 1, got 0, 3 and 20"),
+        ({"rollouts": 0}, "must be at least 1, got 5, 0 and 20"),
+    ],
+)
+def test_movements_that_make_no_sense_are_an_error(wrong: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(MOVEMENTS, **wrong)

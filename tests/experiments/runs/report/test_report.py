@@ -1,0 +1,146 @@
+"""The page of a run: it holds all of it, needs nothing else, and is whole or not there."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.experiments.runs.summaries import RunError
+from torch_pmil.plotting import save_figure
+from torch_pmil.plotting.video import write_video
+
+MEASURED = {"trial": 1, "experience_s": 2.5, "success_rate": 0.5, "own_success": False, "own_error": 0.3}
+TRIAL = MEASURED | {"kl": None, "stop_reason": "iterations"}
+OLD = {  # what every summary has
+    "experiment": "double_pendulum",
+    "seed": 3,
+    "command": "pmil train experiment=double_pendulum seed=3 out=runs/a",
+    "wall_seconds": 12.3,
+    "stop_reason": "limit of trials",
+    "experience_s": 5.0,
+    "saved_trial": 1,
+    "saved_success_rate": 0.5,
+    "saved_n_eval": 20,
+    "trials": [TRIAL],
+}
+HOSTILE = "<script>alert('&')</script>\"><img src=x onerror=alert(1)>"
+
+
+def run_of(folder: Path, summary: dict, *figures: str) -> Path:
+    """A run's folder with that summary and small figures of those names."""
+    (folder / "figures").mkdir(parents=True)
+    (folder / "summary.json").write_text(json.dumps(summary))
+    for name in figures:
+        save_figure(Figure(figsize=(2, 1)), folder / "figures" / f"{name}.png")
+    return folder
+
+
+def page_of(folder: Path) -> str:
+    return write_report(folder).read_text()
+
+
+def headings(page: str) -> list[str]:
+    return re.findall(r"<h2>(.*?)</h2>", page)
+
+
+def test_page_asks_for_nothing_from_elsewhere(tmp_path: Path) -> None:
+    folder = run_of(tmp_path / "run", OLD, "poses")
+    write_video(folder / "video.mp4", [np.zeros((16, 16, 3), dtype=np.uint8)] * 5, fps=5)
+    page = page_of(folder)
+    sources = re.findall(r"(?:src|href|action|poster)=\"(.{5})", page)
+    assert sources == 3 * ["data:"] and "<script" not in page and "url(" not in page and "@import" not in page
+
+
+def test_all_that_comes_from_data_is_escaped(tmp_path: Path) -> None:
+    summary = OLD | {
+        "experiment": HOSTILE,
+        "seed": 1,
+        "command": HOSTILE,
+        "stop_reason": HOSTILE,
+        "trials": [TRIAL | {"stop_reason": HOSTILE}],
+        "settings": {HOSTILE: {"a": HOSTILE}},
+        "versions": {HOSTILE: HOSTILE},
+        "diagnosis": [{"cause": HOSTILE, "message": HOSTILE}],
+        "saved_success_rate_by_target": {HOSTILE: 0.5, "b": 0.5},
+    }
+    page = page_of(run_of(tmp_path / "run", summary, "policy_target_0", "<b>own"))
+    assert "<script" not in page and "onerror=alert(1)>" not in page and "<b>" not in page
+    assert page.count("&lt;script&gt;") >= 12
+
+
+def test_pictures_come_in_reading_order_and_say_of_which_target_they_are(tmp_path: Path) -> None:
+    names = ("my_own", "model", "trajectories_target_1", "trajectories_target_0", "learning_curve")
+    rates = {"y = 0": 0.4, "y = 1": 0.6}
+    page = page_of(run_of(tmp_path / "run", OLD | {"saved_success_rate_by_target": rates}, *names))
+    titles = ["Demonstrated, predicted and executed, y = 0", "Demonstrated, predicted and executed, y = 1", "Learning curve"]
+    assert headings(page)[:5] == [*titles, "Slices through the model", "my own"]
+    assert re.findall(r'width="(\d+)" height="(\d+)"', page) == 5 * [("200", "100")]
+
+
+@pytest.mark.parametrize(
+    ("rate", "said"), [(1.0, "It learned: 20 of"), (0.5, "It learned in part: 10 of"), (0.0, "It did not learn: none of")]
+)
+def test_headline_says_in_words_whether_it_learned(tmp_path: Path, rate: float, said: str) -> None:
+    page = page_of(run_of(tmp_path / "run", OLD | {"saved_success_rate": rate}))
+    assert f">{said} 20 fresh starts succeed, after 5 s of experience.</h1>" in page
+
+
+def test_diagnosis_is_said_if_there_is_one(tmp_path: Path) -> None:
+    reason = {"cause": "search stuck", "message": "at step 7"}
+    page = page_of(run_of(tmp_path / "a", OLD | {"diagnosis": [reason]}))
+    assert "<li><strong>search stuck</strong>: at step 7</li>" in page and headings(page)[0] == "The likely reason"
+    assert headings(page_of(run_of(tmp_path / "two", OLD | {"diagnosis": 2 * [reason]})))[0] == "Likely reasons, the most likely first"
+    for name, summary in (("none", OLD | {"diagnosis": []}), ("old", OLD)):
+        assert "ikely reason" not in page_of(run_of(tmp_path / name, summary))
+
+
+def test_run_at_its_limit_can_go_on_and_any_can_be_repeated_or_begin_anew(tmp_path: Path) -> None:
+    command = "pmil train experiment=double_pendulum"
+    page = page_of(run_of(tmp_path / "limit", OLD))
+    assert f"{command} seed=3 out=runs/a trials=2 resume=true</pre>" in page
+    assert f"{command} seed=4</pre>" in page and f"{command} seed=3 out=runs/a</pre>" in page
+    done = page_of(run_of(tmp_path / "done", OLD | {"stop_reason": "succeeded", "command": f"{command} resume=true"}))
+    assert "trials=2" not in done and f"{command}</pre>" in done
+
+
+def test_numbers_of_trials_and_settings_are_in_tables(tmp_path: Path) -> None:
+    shares = {"rms_error": {"x": 0.01}, "demonstration_spread": {"x": 0.02}, "saturated": {"tau": 0.25}}
+    summary = OLD | {"settings": {"horizon": 25, "search": {"trusted": 3.0}}} | shares
+    page = page_of(run_of(tmp_path / "run", summary))
+    rows = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", page)]
+    for row in (["1", "2.5", "–", "50 %", "failed", "0.3", "iterations"], ["x", "0.01", "0.02"], ["search.trusted", "3"], ["tau", "25 %"]):
+        assert row in rows
+
+
+def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Path) -> None:
+    folder = run_of(tmp_path / "run", OLD)
+    page = page_of(folder)
+    (folder / "figures" / "poses.png").write_text("no picture")
+    with pytest.raises(RunError, match=r"poses\.png must be a PNG file, got one that begins with b'no pict"):
+        write_report(folder)
+    (folder / "summary.json").unlink()
+    with pytest.raises(RunError, match=r"cannot read summary\.json: No such file"):
+        write_report(folder)
+    assert (folder / "report.html").read_text() == page
+    assert {path.name for path in folder.iterdir()} == {"figures", "report.html"}
+
+
+def test_page_that_is_not_written_to_its_end_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = run_of(tmp_path / "run", OLD)
+    page, write = page_of(folder), Path.write_text
+
+    def full(path: Path, text: str, **kwargs: str) -> None:
+        write(path, text[:100], **kwargs)
+        raise OSError("No space left on device")
+
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="No space left"):
+        patch.setattr(Path, "write_text", full)
+        write_report(folder)
+    assert (folder / "report.html").read_text() == page
+    assert {path.name for path in folder.iterdir()} == {"figures", "summary.json", "report.html"}

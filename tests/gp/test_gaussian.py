@@ -1,0 +1,177 @@
+"""Gaussian beliefs."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.helpers.draws import Draws
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, cholesky, joint, symmetric
+
+
+def test_marginal_takes_entries_in_the_order_asked_for(draws: Draws) -> None:
+    belief = draws.belief(5, 3)
+    part = belief.marginal(torch.tensor([2, 0]))
+    assert torch.equal(part.mean, belief.mean[:, [2, 0]])
+    assert torch.equal(part.cov[:, 0, 1], belief.cov[:, 2, 0])
+    assert torch.equal(part.cov[:, 0, 0], belief.cov[:, 2, 2])
+
+
+def test_affine_map_acts_on_mean_and_covariance(draws: Draws) -> None:
+    belief, matrix, offset = draws.belief(4, 3), draws.normal(2, 3), draws.normal(2)
+    mapped = belief.affine(matrix, offset)
+    for i in range(4):
+        torch.testing.assert_close(mapped.mean[i], matrix @ belief.mean[i] + offset)
+        torch.testing.assert_close(mapped.cov[i], matrix @ belief.cov[i] @ matrix.T)
+
+
+def test_joint_has_the_marginals_it_was_made_of(draws: Draws) -> None:
+    x, y, cross_cov = draws.belief(2, 3), draws.belief(2, 2), draws.normal(2, 3, 2)
+    both = joint(x, y, cross_cov)
+    for part, index in ((x, torch.arange(3)), (y, torch.arange(3, 5))):
+        assert torch.equal(both.marginal(index).mean, part.mean)
+        assert torch.equal(both.marginal(index).cov, part.cov)
+    assert torch.equal(both.cov[:, :3, 3:], cross_cov)
+    assert torch.equal(both.cov, both.cov.mT)
+
+
+def test_joint_with_a_linear_map_is_the_affine_image(draws: Draws) -> None:
+    x, matrix = draws.belief(3), draws.normal(2, 3)
+    stacked = torch.cat([torch.eye(3, dtype=torch.float64), matrix])
+    torch.testing.assert_close(joint(x, x.affine(matrix), x.cov @ matrix.mT).cov, x.affine(stacked).cov)
+
+
+def test_noise_adds_to_the_variances(draws: Draws) -> None:
+    belief, variance = draws.belief(4, 2), draws.uniform(0.1, 1.0, 4, 2)
+    torch.testing.assert_close(belief.add_noise(variance).cov - belief.cov, torch.diag_embed(variance))
+    torch.testing.assert_close(belief.add_noise(0.5).std.square(), belief.std.square() + 0.5)
+    assert torch.equal(belief.add_noise(variance).mean, belief.mean)
+
+
+@pytest.mark.parametrize("rank", [1, 3], ids=["singular", "regular"])
+def test_samples_have_the_mean_and_covariance(draws: Draws, rank: int) -> None:
+    root = draws.normal(3, rank)
+    belief = Gaussian(draws.normal(3), root @ root.mT)
+    count = 20_000
+    deviation = belief.sample(count, draws.generator) - belief.mean
+    products = deviation[:, :, None] * deviation[:, None, :]
+    assert (deviation.mean(0).abs() <= 4 * belief.std / count**0.5).all()
+    assert ((products.mean(0) - belief.cov).abs() <= 4 * products.std(0) / count**0.5).all()
+
+
+def test_samples_of_the_same_seed_are_the_same(draws: Draws) -> None:
+    belief = draws.belief(2, 3)
+    first, second = (belief.sample(4, torch.Generator().manual_seed(1)) for _ in range(2))
+    assert first.shape == (4, 2, 3)
+    assert torch.equal(first, second)
+
+
+def test_part_of_a_batch_keeps_the_variable(draws: Draws) -> None:
+    belief = draws.belief(4, 5, 2)
+    assert belief[1:3].batch_shape == (2, 5)
+    assert belief[0, 1].dim == 2
+    assert torch.equal(belief[0, 1].cov, belief.cov[0, 1])
+
+
+def test_detached_belief_has_no_graph(draws: Draws) -> None:
+    belief = Gaussian(draws.normal(2).requires_grad_(), draws.cov(2).requires_grad_()).detach()
+    assert not belief.mean.requires_grad and not belief.cov.requires_grad
+
+
+@pytest.mark.parametrize(("mean", "cov"), [((3,), (2, 2)), ((4, 3), (3, 3)), ((), (1, 1))])
+def test_shapes_that_do_not_fit_are_an_error(mean: tuple, cov: tuple) -> None:
+    with pytest.raises(ValueError, match=r"cov must have shape .* got \("):
+        Gaussian(torch.zeros(mean), torch.zeros(cov))
+
+
+def test_cholesky_error_names_matrix_element_and_eigenvalues() -> None:
+    matrices = torch.eye(2).repeat(2, 3, 1, 1)
+    matrices[1, 2, 0, 0] = -4.0
+    with pytest.raises(NotPositiveDefiniteError, match=r"the test's matrix .* eigenvalues from -4 to 1 at batch element \(1, 2\)"):
+        cholesky(matrices, "the test's matrix")
+
+
+def test_cholesky_adds_no_jitter(draws: Draws) -> None:
+    cov = draws.cov(5, 3)
+    factor = cholesky(cov, "cov")
+    torch.testing.assert_close(factor @ factor.mT, cov, rtol=1e-14, atol=1e-15)
+
+
+def test_symmetric_part(draws: Draws) -> None:
+    matrix = draws.normal(2, 3, 3)
+    assert torch.equal(symmetric(matrix), symmetric(matrix).mT)
+    torch.testing.assert_close(symmetric(matrix).sum(), matrix.sum())
+
+
+# --- one vector of mean and covariance ---
+
+
+flat_shapes = pytest.mark.parametrize("shape", [(1,), (3,), (4, 3), (2, 3, 4)])
+
+
+@flat_shapes
+def test_flat_vector_holds_the_mean_and_the_lower_triangle(draws: Draws, shape: tuple[int, ...]) -> None:
+    belief, D = draws.belief(*shape), shape[-1]
+    assert belief.flat.shape == (*shape[:-1], D + D * (D + 1) // 2)
+    entries = [belief.mean[..., i] for i in range(D)] + [belief.cov[..., i, j] for i in range(D) for j in range(i + 1)]
+    assert torch.equal(belief.flat, torch.stack(entries, -1))
+
+
+@flat_shapes
+def test_belief_comes_back_from_its_flat_vector(draws: Draws, shape: tuple[int, ...]) -> None:
+    belief = draws.belief(*shape)
+    belief = Gaussian(belief.mean, symmetric(belief.cov))
+    back = Gaussian.from_flat(belief.flat, belief.dim)
+    assert torch.equal(back.mean, belief.mean)
+    assert torch.equal(back.cov, belief.cov)
+
+
+@flat_shapes
+def test_flat_vector_comes_back_from_its_belief(draws: Draws, shape: tuple[int, ...]) -> None:
+    D = shape[-1]
+    vector = draws.normal(*shape[:-1], D + D * (D + 1) // 2)
+    belief = Gaussian.from_flat(vector, D)
+    assert torch.equal(belief.cov, belief.cov.mT)
+    assert torch.equal(belief.flat, vector)
+
+
+def products(mean: Tensor, cov: Tensor, d_mean: Tensor, d_cov: Tensor) -> Tensor:
+    """Inner products of changes with cotangents."""
+    return (mean * d_mean).sum(-1) + (cov * d_cov).sum((-2, -1))
+
+
+@flat_shapes
+def test_cotangents_from_flat_are_adjoint_to_flattening(draws: Draws, shape: tuple[int, ...]) -> None:
+    change = Gaussian(draws.normal(*shape), symmetric(draws.normal(*shape, shape[-1])))
+    cotangent = draws.normal(*change.flat.shape)
+    d_mean, d_cov = Gaussian.cotangent_from_flat(cotangent, change.dim)
+    assert torch.equal(d_cov, d_cov.mT)
+    torch.testing.assert_close(products(change.mean, change.cov, d_mean, d_cov), (change.flat * cotangent).sum(-1))
+
+
+@flat_shapes
+def test_flat_cotangents_are_adjoint_to_unflattening(draws: Draws, shape: tuple[int, ...]) -> None:
+    d_mean, d_cov = draws.normal(*shape), symmetric(draws.normal(*shape, shape[-1]))
+    cotangent = Gaussian.flat_cotangent(d_mean, d_cov)
+    vector = draws.normal(*cotangent.shape)
+    change = Gaussian.from_flat(vector, shape[-1])
+    torch.testing.assert_close(products(change.mean, change.cov, d_mean, d_cov), (vector * cotangent).sum(-1))
+
+
+@flat_shapes
+def test_flat_vectors_have_the_cotangents_of_their_graph(draws: Draws, shape: tuple[int, ...]) -> None:
+    belief = draws.belief(*shape)
+    leaves = [t.requires_grad_() for t in (belief.mean, belief.cov)]
+    flat = Gaussian(*leaves).flat
+    cotangent = draws.normal(*flat.shape)
+    by_mean, by_cov = torch.autograd.grad(flat, leaves, cotangent)
+    d_mean, d_cov = Gaussian.cotangent_from_flat(cotangent, belief.dim)
+    torch.testing.assert_close(d_mean, by_mean)
+    torch.testing.assert_close(d_cov, symmetric(by_cov))
+
+    vector = flat.detach().requires_grad_()
+    back = Gaussian.from_flat(vector, belief.dim)
+    (by_vector,) = torch.autograd.grad((back.mean, back.cov), vector, (d_mean, d_cov))
+    torch.testing.assert_close(Gaussian.flat_cotangent(d_mean, d_cov), by_vector)
+    torch.testing.assert_close(by_vector, cotangent)

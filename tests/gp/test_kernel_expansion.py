@@ -1,0 +1,221 @@
+"""Expansions in squared exponentials, against the formula kernel by kernel and GPyTorch's posterior."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import exp
+
+import gpytorch
+import pytest
+import torch
+from gpytorch.kernels import RBFKernel, ScaleKernel
+from gpytorch.likelihoods import GaussianLikelihood
+from gpytorch.means import ConstantMean
+from torch import Tensor
+
+from tests.helpers.draws import Draws
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.gp.kernel_expansion import KernelExpansion
+from torch_pmil.gp.moment_matching import moment_match
+
+both = pytest.mark.parametrize("make", [Draws.gp, Draws.network])
+Make = Callable[[Draws, int, int, int], KernelExpansion]
+FAR = 2.0**20  # about 1e6, so that numbers with at most 32 binary places can be moved by it without rounding
+
+
+def naive_kernel(f: KernelExpansion, a: int, x: Tensor, y: Tensor) -> float:
+    """Eq. 5 at two points (D,)."""
+    squares = sum(((x[d] - y[d]) / f.lengthscales[a, d]).item() ** 2 for d in range(f.num_inputs))
+    return f.signal_variance[a].item() * exp(-squares / 2)
+
+
+def naive_kernels(f: KernelExpansion, x: Tensor) -> Tensor:
+    """Of all outputs and inputs at one point, (E, n)."""
+    return torch.tensor([[naive_kernel(f, a, x, y) for y in f.inputs] for a in range(f.num_outputs)], dtype=torch.float64)
+
+
+# --- values ---
+
+
+@both
+def test_kernel_and_mean_are_the_formula(draws: Draws, make: Make) -> None:
+    f, x = make(draws, 6, 3, 2), draws.normal(2, 4, 3)
+    f = KernelExpansion(
+        f.inputs, f.weights, f.lengthscales, draws.uniform(0.5, 2.0, 2), f.gram_inverse, f.noise_variance, offset=draws.normal(2)
+    )
+    kernel, mean = f.kernel(x), f.mean(x)
+    assert kernel.shape == (2, 4, 2, 6) and mean.shape == (2, 4, 2)
+    for index in range(8):
+        i, j = divmod(index, 4)
+        expected = naive_kernels(f, x[i, j])
+        torch.testing.assert_close(kernel[i, j], expected, rtol=1e-13, atol=0)
+        torch.testing.assert_close(mean[i, j], (expected * f.weights).sum(-1) + f.offset, rtol=1e-12, atol=1e-12)
+
+
+@both
+def test_mean_and_gradient_are_the_mean_and_its_derivative(draws: Draws, make: Make) -> None:
+    f, x = make(draws, 6, 3, 2), draws.normal(2, 4, 3)
+    mean, gradient = f.mean_and_gradient(x)
+    assert gradient.shape == (2, 4, 2, 3)
+    torch.testing.assert_close(mean, f.mean(x), rtol=1e-13, atol=1e-13)
+    for index in range(8):
+        i, j = divmod(index, 4)
+        torch.testing.assert_close(gradient[i, j], torch.autograd.functional.jacobian(f.mean, x[i, j]), rtol=1e-11, atol=1e-11)
+
+
+def test_prediction_is_the_posterior_written_with_the_whole_gram_matrix(draws: Draws) -> None:
+    """Eqs. 6 and 7."""
+    f, targets, x = draws.gp(8, 2, 3), draws.normal(3, 8), draws.normal(5, 2)
+    f = KernelExpansion.from_data(f.inputs, targets, f.lengthscales, f.signal_variance, f.noise_variance, f.offset)
+    mean, variance = f.predict(x)
+    torch.testing.assert_close(mean, f.mean(x))
+    for a in range(3):
+        gram = torch.stack([naive_kernels(f, y)[a] for y in f.inputs]) + f.noise_variance[a] * torch.eye(8, dtype=torch.float64)
+        k = torch.stack([naive_kernels(f, point)[a] for point in x])  # (5, 8)
+        torch.testing.assert_close(f.gram_inverse[a] @ gram, torch.eye(8, dtype=torch.float64))
+        torch.testing.assert_close(mean[:, a], f.offset[a] + k @ torch.linalg.solve(gram, targets[a] - f.offset[a]))
+        torch.testing.assert_close(variance[:, a], f.signal_variance[a] - (k * torch.linalg.solve(gram, k.mT).mT).sum(-1))
+
+
+def test_network_is_certain(draws: Draws) -> None:
+    f, x = draws.network(6, 2, 3), draws.normal(4, 2)
+    mean, variance = f.predict(x)
+    torch.testing.assert_close(mean, f.mean(x))
+    assert torch.equal(variance, torch.zeros(4, 3, dtype=torch.float64))
+
+
+def test_posterior_far_from_the_data_is_the_prior(draws: Draws) -> None:
+    f = draws.gp(6, 2, 2)
+    mean, variance = f.predict(torch.full((1, 2), 1e4, dtype=torch.float64))
+    assert torch.equal(mean[0], f.offset)
+    assert torch.equal(variance[0], f.signal_variance)
+
+
+def test_posterior_without_noise_passes_through_the_data(draws: Draws) -> None:
+    inputs, targets = draws.uniform(-2, 2, 8, 2), draws.normal(2, 8)
+    one = torch.ones(2, dtype=torch.float64)
+    f = KernelExpansion.from_data(inputs, targets, torch.full((2, 2), 0.5, dtype=torch.float64), one, 1e-10 * one)
+    mean, variance = f.predict(inputs)
+    torch.testing.assert_close(mean.mT, targets, rtol=0, atol=1e-6)
+    assert variance.abs().max() < 1e-6
+
+
+# --- inputs of the outputs' own ---
+
+
+def test_outputs_with_own_inputs_are_expansions_of_their_own(draws: Draws) -> None:
+    E, n, D = 3, 6, 2
+    gp, inputs, targets = draws.gp(n, D, E), draws.normal(E, n, D), draws.normal(E, n)
+    hyperparameters = gp.lengthscales, gp.signal_variance, gp.noise_variance, gp.offset
+    together = KernelExpansion.from_data(inputs, targets, *hyperparameters)
+    assert together.inputs.shape == (E * n, D) and together.gram_inverse.shape == (E, E * n, E * n)
+    x, belief = draws.normal(4, D), draws.belief(2, D)
+    mean, variance = together.predict(x)
+    moments = moment_match(together, belief, observation_noise=True)
+    for a in range(E):
+        alone = KernelExpansion.from_data(inputs[a], targets[a : a + 1], *(parameter[a : a + 1] for parameter in hyperparameters))
+        for ours, expected in zip((mean, variance), alone.predict(x), strict=True):
+            torch.testing.assert_close(ours[:, a], expected[:, 0], rtol=1e-11, atol=1e-11)
+        expected = moment_match(alone, belief, observation_noise=True)
+        torch.testing.assert_close(moments.mean[:, a], expected.mean[:, 0], rtol=1e-11, atol=1e-11)
+        torch.testing.assert_close(moments.cov[:, a, a], expected.cov[:, 0, 0], rtol=1e-10, atol=1e-10)
+        torch.testing.assert_close(moments.inv_cov_cross_cov[..., a], expected.inv_cov_cross_cov[..., 0], rtol=1e-10, atol=1e-10)
+
+
+def test_own_inputs_that_are_the_same_are_shared_ones(draws: Draws) -> None:
+    gp, targets, x = draws.gp(6, 2, 2), draws.normal(2, 6), draws.normal(4, 2)
+    hyperparameters = gp.lengthscales, gp.signal_variance, gp.noise_variance, gp.offset
+    shared = KernelExpansion.from_data(gp.inputs, targets, *hyperparameters)
+    own = KernelExpansion.from_data(gp.inputs.expand(2, 6, 2), targets, *hyperparameters)
+    for one, other in zip(shared.predict(x), own.predict(x), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-11, atol=1e-11)
+    belief = draws.belief(2)
+    torch.testing.assert_close(moment_match(own, belief).cov, moment_match(shared, belief).cov, rtol=1e-10, atol=1e-10)
+
+
+def test_singular_gram_matrix_of_own_inputs_is_an_error_that_names_the_output(draws: Draws) -> None:
+    inputs = torch.stack([draws.normal(3, 1), torch.zeros(3, 1, dtype=torch.float64)])
+    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, -1e-3], dtype=torch.float64)
+    with pytest.raises(NotPositiveDefiniteError, match=r"Gram matrix .* batch element \(1,\)"):
+        KernelExpansion.from_data(inputs, draws.normal(2, 3), one[:, None], one, noise)
+
+
+# --- inputs far from zero ---
+
+
+def dyadic(values: Tensor) -> Tensor:
+    """Rounded to 20 binary places, so that :data:`FAR` can be added without rounding."""
+    return (values * 2**20).round() / 2**20
+
+
+@pytest.mark.parametrize("own_inputs", [False, True], ids=["shared inputs", "own inputs"])
+def test_inputs_far_from_zero_fit_as_well_as_centred_ones(draws: Draws, own_inputs: bool) -> None:
+    gp, targets, x = draws.gp(10, 2, 2), draws.normal(2, 10), dyadic(draws.normal(4, 2))
+    inputs = dyadic(draws.normal(2, 10, 2) if own_inputs else gp.inputs)
+    near, far = (
+        KernelExpansion.from_data(inputs + offset, targets, gp.lengthscales, gp.signal_variance, gp.noise_variance) for offset in (0.0, FAR)
+    )
+    torch.testing.assert_close(far.weights, near.weights, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(far.gram_inverse, near.gram_inverse, rtol=1e-9, atol=1e-9)
+    for ours, expected in zip(far.predict(x + FAR), near.predict(x), strict=True):
+        torch.testing.assert_close(ours, expected, rtol=1e-9, atol=1e-9)
+    cov = draws.cov(4, 2)
+    moments, expected = moment_match(far, Gaussian(x + FAR, cov)), moment_match(near, Gaussian(x, cov))
+    torch.testing.assert_close(moments.mean, expected.mean, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(moments.cov, expected.cov, rtol=1e-9, atol=1e-9)
+
+
+# --- GPyTorch's models ---
+
+
+class ExactGP(gpytorch.models.ExactGP):
+    """Two outputs, each with a constant mean."""
+
+    def __init__(self, inputs: Tensor, targets: Tensor) -> None:
+        size = targets.shape[:-1]
+        super().__init__(inputs, targets, GaussianLikelihood(batch_shape=size))
+        self.mean_module = ConstantMean(batch_shape=size)
+        self.covar_module = ScaleKernel(RBFKernel(ard_num_dims=inputs.shape[-1], batch_shape=size), batch_shape=size)
+
+    def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
+        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
+
+
+def exact_gp(draws: Draws, own_inputs: bool = False) -> ExactGP:
+    """Hyper-parameters in float32 and data in float64."""
+    inputs = draws.normal(2, 9, 2) if own_inputs else draws.normal(9, 2).expand(2, 9, 2)
+    model = ExactGP(inputs, draws.normal(2, 9))
+    model.covar_module.base_kernel.lengthscale = draws.uniform(0.7, 2.0, 2, 1, 2)
+    model.covar_module.outputscale = draws.uniform(0.5, 2.0, 2)
+    model.likelihood.noise = draws.uniform(0.01, 0.1, 2, 1)
+    model.mean_module.constant.data.copy_(draws.normal(2))
+    return model.eval()
+
+
+@pytest.mark.parametrize("own_inputs", [False, True], ids=["shared inputs", "own inputs"])
+def test_single_precision_hyperparameters_serve_data_in_double_precision(draws: Draws, own_inputs: bool) -> None:
+    """The expansion is that of the same numbers in double precision, and of GPyTorch's posterior with these."""
+    model, x = exact_gp(draws, own_inputs), draws.normal(4, 2)
+    assert {parameter.dtype for parameter in model.parameters()} == {torch.float32}
+    single = KernelExpansion.from_exact_gp(model)
+    assert {t.dtype for t in vars(single).values()} == {torch.float64}
+    assert len(single.inputs) == (18 if own_inputs else 9)
+
+    double = ExactGP(model.train_inputs[0], model.train_targets).double().eval()
+    double.covar_module.base_kernel.lengthscale = model.covar_module.base_kernel.lengthscale.double()
+    double.covar_module.outputscale = model.covar_module.outputscale.double()
+    double.likelihood.noise = model.likelihood.noise.double()
+    double.mean_module.constant.data.copy_(model.mean_module.constant.data)
+    posterior = double(x.expand(2, 4, 2))
+    for ours, same, theirs in zip(
+        single.predict(x), KernelExpansion.from_exact_gp(double).predict(x), (posterior.mean, posterior.variance), strict=True
+    ):
+        torch.testing.assert_close(ours, same, rtol=1e-10, atol=1e-10)
+        torch.testing.assert_close(ours, theirs.mT, rtol=1e-8, atol=1e-8)
+
+
+def test_expansion_of_a_gpytorch_model_passes_gradients_to_its_hyperparameters(draws: Draws) -> None:
+    model = exact_gp(draws).double()
+    KernelExpansion.from_exact_gp(model).mean(draws.normal(2)).sum().backward()
+    for name, parameter in model.named_parameters():
+        assert parameter.grad is not None and parameter.grad.abs().sum() > 0, name

@@ -1,0 +1,98 @@
+"""A learning run of seconds, and ways to stop it; run as a script it is a process that a test can kill.
+
+    python -m tests.helpers.short_run FOLDER [PHASE COUNT]
+
+prints ``stopped`` in that phase, for the COUNT-th time that it comes there, and then waits to be killed.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partialmethod
+from pathlib import Path
+
+import pytest
+import torch
+from torchrl.checkpoint import Checkpoint
+
+from torch_pmil.control.exploration import PDMovements
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.experiments.runs.training import RunResult, train
+from torch_pmil.model import dynamics
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.search import policy_search
+from torch_pmil.search.policy_search import SearchSettings
+
+STEPS, TRIALS, SEED = 4, 3, 5
+COMMAND = f"pmil train seed={SEED}"
+HANGING = torch.tensor([math.pi, 0.0, 0.0, 0.0], dtype=torch.float64)
+REACH = torch.tensor([0.1, 0.0, 0.1, 0.0], dtype=torch.float64)
+GAIN = torch.tensor([[1.0, 0.2, 0.0, 0.0], [0.0, 0.0, 1.0, 0.2]], dtype=torch.float64)
+LIMITS = torch.tensor([3.5, 3.5], dtype=torch.float64)
+PD_MOVEMENTS = PDMovements(HANGING, REACH, GAIN, LIMITS, 3, 2, 7, lambda state: torch.zeros_like(state[..., :2]))
+PHASES = {  # what is called there
+    "collection": (MujocoRobotEnv, "_step"),
+    "fit": (dynamics, "find_hyperparameters"),
+    "search": (policy_search, "minimise"),
+    "evaluation": (MujocoRobotEnv, "_step"),
+    "writing": (zipfile.ZipFile, "write"),
+    "renaming": (Checkpoint, "_publish_path"),
+}
+
+
+def short_experiment(steps: int = STEPS, name: str = "double_pendulum", **changes: object) -> Experiment:
+    """The first steps of the double pendulum (or of PILCO on it), five basis functions and searches of a few evaluations."""
+    experiment = load_experiment(name)
+    beginning = replace(experiment.demonstrations, positions=experiment.demonstrations.positions[:, : steps + 1])
+    return replace(
+        experiment, demonstrations=beginning, num_centres=5, **{"search": SearchSettings(1, 1, 1, first_horizon=steps)} | changes
+    )
+
+
+def quick_fits(patch: pytest.MonkeyPatch) -> None:
+    """Let the model's fits end after a few iterations."""
+    patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+
+
+def run(folder: Path, resume: bool = False, name: str = "double_pendulum", **changes: object) -> RunResult:
+    """Learn it, or go on. No step counts as matched, so that searches stall and begin anew."""
+    arguments = {"seed": SEED, "trials": TRIALS, "command": COMMAND, **changes}
+    experiment = short_experiment(name=name, search=SearchSettings(1, 1, 1, first_horizon=STEPS, trusted=1e-9))
+    return train(experiment, out=folder, progress_bar=False, resume=resume, **arguments)
+
+
+def stop_in(patch: pytest.MonkeyPatch, phase: str, count: int, stop: Callable[[], None]) -> None:
+    """Call ``stop`` where a phase is reached for the COUNT-th time."""
+    owner, name = PHASES[phase]
+    original, reached = getattr(owner, name), 0
+
+    def stopping(*args: object, **kwargs: object) -> object:
+        nonlocal reached
+        robots = {"collection": 0, "evaluation": 1}.get(phase)
+        reached += robots is None or len(args[0].batch_size) == robots
+        if reached == count:
+            reached += 1
+            stop()
+        return original(*args, **kwargs)
+
+    patch.setattr(owner, name, staticmethod(stopping) if name == "_publish_path" else stopping)
+
+
+def wait_to_be_killed() -> None:
+    """Say so, and never go on."""
+    print("stopped", flush=True)
+    time.sleep(600)
+
+
+if __name__ == "__main__":
+    with pytest.MonkeyPatch.context() as patch:
+        quick_fits(patch)
+        if len(sys.argv) > 2:
+            stop_in(patch, sys.argv[2], int(sys.argv[3]), wait_to_be_killed)
+        run(Path(sys.argv[1]), resume=Path(sys.argv[1]).exists())

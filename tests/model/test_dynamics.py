@@ -1,0 +1,301 @@
+"""The learned forward model: fitting, saving, and the units of its hyper-parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gpytorch
+import pytest
+import torch
+from torch import Tensor
+from torch.distributions import MultivariateNormal
+
+import torch_pmil.model.dynamics
+from tests.helpers.draws import Draws
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.hyperparameters import Optimum, find_hyperparameters
+from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.model.dynamics import GPDynamics
+
+
+def true_function(x: Tensor) -> Tensor:
+    return torch.stack([x[:, 0].sin() + 0.5 * x[:, 1], (x[:, 0] * x[:, 1]).cos()], -1)
+
+
+@pytest.fixture
+def data(draws: Draws) -> tuple[Tensor, Tensor]:
+    """40 data with 2 inputs and 2 outputs, noise 0.05."""
+    inputs = draws.uniform(-2, 2, 40, 2)
+    return inputs, true_function(inputs) + 0.05 * draws.normal(40, 2)
+
+
+@pytest.fixture
+def fitted(data: tuple[Tensor, Tensor]) -> GPDynamics:
+    dynamics = GPDynamics(2, 2)
+    dynamics.fit(*data)
+    return dynamics
+
+
+def hyperparameters(dynamics: GPDynamics) -> tuple[Tensor, Tensor, Tensor]:
+    """Lengthscales (E, D), signal variances (E,), noise variances (E,), through the GPyTorch model."""
+    kernel = dynamics.gp.covar_module
+    parameters = kernel.base_kernel.lengthscale[:, 0], kernel.outputscale, dynamics.gp.likelihood.noise[:, 0]
+    return tuple(parameter.detach() for parameter in parameters)
+
+
+def test_fit_recovers_a_known_function(fitted: GPDynamics, draws: Draws) -> None:
+    x = draws.uniform(-1.5, 1.5, 200, 2)
+    mean, variance = fitted.expansion.predict(x)
+    error = mean - true_function(x)
+    assert error.square().mean().sqrt() < 0.05
+    assert ((error / variance.sqrt()).abs() < 5).all()
+
+
+def test_fit_recovers_the_noise(fitted: GPDynamics) -> None:
+    _, _, noise = hyperparameters(fitted)
+    torch.testing.assert_close(noise.sqrt(), torch.full((2,), 0.05, dtype=torch.float64), rtol=0.5, atol=0)
+
+
+def test_objective_is_the_marginal_likelihood(data: tuple[Tensor, Tensor]) -> None:
+    dynamics = GPDynamics(2, 2)
+    result = dynamics.fit(*data)
+    (inputs, targets), (lengthscales, signal, noise) = data, hyperparameters(dynamics)
+    for e in range(2):
+        scaled = inputs / lengthscales[e]
+        gram = signal[e] * torch.exp(-torch.cdist(scaled, scaled).square() / 2) + noise[e] * torch.eye(40, dtype=torch.float64)
+        log_likelihood = MultivariateNormal(torch.zeros(40, dtype=torch.float64), gram).log_prob(targets[:, e])
+        torch.testing.assert_close(result.negative_log_likelihood[e], -log_likelihood, rtol=1e-6, atol=1e-6)
+
+
+def test_fit_ends_where_the_likelihood_of_gpytorch_is_flat(fitted: GPDynamics) -> None:
+    model = fitted.gp.train()
+    likelihood = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)(model(*model.train_inputs), model.train_targets)
+    for gradient in torch.autograd.grad(-len(fitted.train_inputs) * likelihood.sum(), tuple(model.parameters())):
+        assert gradient.abs().max() < 0.1  # nats for a factor e
+
+
+def test_scaling_the_targets_scales_the_variances(data: tuple[Tensor, Tensor]) -> None:
+    inputs, targets = data
+    one, ten = GPDynamics(2, 2), GPDynamics(2, 2)
+    one.fit(inputs, targets)
+    ten.fit(inputs, 10 * targets)
+    (lengthscales, signal, noise), (lengthscales_10, signal_10, noise_10) = hyperparameters(one), hyperparameters(ten)
+    torch.testing.assert_close(signal_10, 100 * signal, rtol=0.02, atol=0)
+    torch.testing.assert_close(noise_10, 100 * noise, rtol=0.02, atol=0)
+    torch.testing.assert_close(lengthscales_10, lengthscales, rtol=0.02, atol=0)
+
+
+def test_scaling_the_inputs_scales_the_lengthscales(data: tuple[Tensor, Tensor]) -> None:
+    inputs, targets = data
+    units = torch.tensor([10.0, 0.1], dtype=torch.float64)
+    one, other = GPDynamics(2, 2), GPDynamics(2, 2)
+    one.fit(inputs, targets)
+    other.fit(inputs * units, targets)
+    torch.testing.assert_close(hyperparameters(other)[0], hyperparameters(one)[0] * units, rtol=0.02, atol=0)
+
+
+def test_signal_to_noise_ratio_stays_bounded_without_noise(draws: Draws) -> None:
+    inputs = draws.uniform(-2, 2, 30, 2)
+    dynamics = GPDynamics(2, 2)
+    dynamics.fit(inputs, true_function(inputs))
+    _, signal, noise = hyperparameters(dynamics)
+    assert ((signal / noise).sqrt() < 1000).all()
+
+
+def test_lengthscales_stay_bounded_where_an_input_has_no_effect(draws: Draws) -> None:
+    inputs = draws.uniform(-2, 2, 30, 2)
+    dynamics = GPDynamics(2, 1)
+    dynamics.fit(inputs, inputs[:, :1].sin() + 0.05 * draws.normal(30, 1))
+    lengthscales, _, _ = hyperparameters(dynamics)
+    assert (lengthscales < 200 * inputs.std(0)).all()
+
+
+def test_constant_input_does_not_break_the_fit(draws: Draws) -> None:
+    inputs = torch.cat([draws.uniform(-2, 2, 30, 1), torch.full((30, 1), 1000.0, dtype=torch.float64)], -1)
+    targets = inputs[:, :1].sin() + 0.05 * draws.normal(30, 1)
+    with_constant, without = GPDynamics(2, 1), GPDynamics(1, 1)
+    with_constant.fit(inputs, targets)
+    without.fit(inputs[:, :1], targets)
+    torch.testing.assert_close(with_constant.expansion.mean(inputs), without.expansion.mean(inputs[:, :1]), rtol=0, atol=1e-2)
+
+
+def test_second_fit_starts_from_the_last_optimum(data: tuple[Tensor, Tensor]) -> None:
+    dynamics = GPDynamics(2, 2)
+    first = dynamics.fit(*data)
+    second = dynamics.fit(*data, max_iterations=1)
+    assert (second.negative_log_likelihood <= first.negative_log_likelihood + 1e-6).all()
+    assert second.evaluations < first.evaluations / 3
+
+
+def test_fit_to_a_little_more_data_is_as_good_as_one_from_the_beginning(data: tuple[Tensor, Tensor]) -> None:
+    inputs, targets = data
+    grown, fresh = GPDynamics(2, 2), GPDynamics(2, 2)
+    grown.fit(inputs[:33], targets[:33])
+    warm, cold = grown.fit(inputs, targets), fresh.fit(inputs, targets)
+    assert (warm.negative_log_likelihood < cold.negative_log_likelihood + 1e-2).all()
+    assert warm.evaluations < cold.evaluations / 2
+
+
+@pytest.fixture
+def starts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of starts of the searches that follow, one for each output."""
+    numbers: list[int] = []
+
+    def counting(inputs: Tensor, target: Tensor, starts: list[Tensor], max_iterations: int) -> Optimum:
+        numbers.append(len(starts))
+        return find_hyperparameters(inputs, target, starts, max_iterations)
+
+    monkeypatch.setattr(torch_pmil.model.dynamics, "find_hyperparameters", counting)
+    return numbers
+
+
+def test_all_starts_are_searched_again_when_the_data_have_grown_by_a_quarter(data: tuple[Tensor, Tensor], starts: list[int]) -> None:
+    dynamics = GPDynamics(2, 2)
+    for n, expected in ((20, 4), (22, 1), (24, 1), (25, 5), (31, 1), (32, 5), (39, 1)):
+        starts.clear()
+        dynamics.fit(data[0][:n], data[1][:n])
+        assert starts == [expected, expected]
+
+
+def test_all_starts_are_searched_for_other_data(data: tuple[Tensor, Tensor], fitted: GPDynamics, starts: list[int]) -> None:
+    inputs, targets = data
+    fitted.fit(*data)
+    assert starts == [1, 1]
+    for other in ((inputs.flip(0), targets), (inputs.flip(0), targets.flip(0)), (inputs.flip(0)[:30], targets.flip(0)[:30]), data):
+        starts.clear()
+        fitted.fit(*other)
+        assert starts == [5, 5]
+
+
+def test_loaded_model_fits_on_as_the_saved_one_would(data: tuple[Tensor, Tensor], starts: list[int]) -> None:
+    saved, loaded = GPDynamics(2, 2), GPDynamics(2, 2)
+    saved.fit(data[0][:20], data[1][:20])
+    saved.fit(data[0][:22], data[1][:22])
+    loaded.load_state_dict(saved.state_dict())
+    for n, expected in ((24, 1), (25, 5)):
+        starts.clear()
+        for dynamics in (saved, loaded):
+            dynamics.fit(data[0][:n], data[1][:n])
+        assert starts == [expected] * 4
+        assert torch.equal(saved.expansion.weights, loaded.expansion.weights)
+
+
+def test_all_starts_are_searched_where_the_last_optimum_fails(data: tuple[Tensor, Tensor], fitted: GPDynamics, starts: list[int]) -> None:
+    """A new target is 10^7 times what the model knows of one output."""
+    inputs, targets = data
+    outlier = torch.tensor([[1e7, 0.0]], dtype=torch.float64)
+    result = fitted.fit(torch.cat([inputs, inputs[:1] + 0.1]), torch.cat([targets, outlier]))
+    assert starts == [1, 5, 1]
+    assert result.negative_log_likelihood.isfinite().all()
+
+
+def test_result_says_for_each_output_why_its_search_ended(data: tuple[Tensor, Tensor]) -> None:
+    dynamics = GPDynamics(2, 2)
+    assert dynamics.fit(*data, max_iterations=1).stop_reason == ("iteration limit",) * 2
+    assert set(dynamics.fit(data[0][:30], data[1][:30]).stop_reason) <= {"gradient is small", "no further progress"}
+
+
+def test_targets_that_never_change_are_learned(data: tuple[Tensor, Tensor]) -> None:
+    dynamics = GPDynamics(2, 1)
+    dynamics.fit(data[0], torch.full((40, 1), 3.0))
+    torch.testing.assert_close(dynamics.expansion.mean(data[0][0]), torch.full((1,), 3.0, dtype=torch.float64), rtol=1e-2, atol=0)
+
+
+def test_new_data_keep_the_hyperparameters_and_change_the_posterior(fitted: GPDynamics, draws: Draws) -> None:
+    x, before = draws.normal(2), hyperparameters(fitted)
+    old, _ = fitted.expansion.predict(x)
+    inputs = draws.uniform(-2, 2, 10, 2)
+    fitted.set_data(inputs, true_function(inputs) + 1)
+    for kept, parameter in zip(before, hyperparameters(fitted), strict=True):
+        assert torch.equal(kept, parameter)
+    assert not torch.allclose(fitted.expansion.predict(x)[0], old)
+
+
+def test_expansion_is_the_gpytorch_posterior(fitted: GPDynamics, draws: Draws) -> None:
+    x = draws.normal(5, 2)
+    fitted.gp.eval()
+    posterior = fitted.gp(x.expand(2, 5, 2))
+    mean, variance = fitted.expansion.predict(x)
+    torch.testing.assert_close(mean, posterior.mean.mT.detach(), rtol=1e-6, atol=1e-8)
+    torch.testing.assert_close(variance, posterior.variance.mT.detach(), rtol=1e-6, atol=1e-8)
+
+
+def test_expansion_has_no_graph(fitted: GPDynamics, draws: Draws) -> None:
+    assert not moment_match(fitted.expansion, draws.belief(2)).cov.requires_grad
+
+
+def assert_same_predictions(one: GPDynamics, other: GPDynamics, belief: Gaussian) -> None:
+    expected, result = moment_match(one.expansion, belief), moment_match(other.expansion, belief)
+    assert torch.equal(result.mean, expected.mean)
+    assert torch.equal(result.cov, expected.cov)
+    assert torch.equal(result.inv_cov_cross_cov, expected.inv_cov_cross_cov)
+
+
+def test_fresh_model_predicts_the_same_from_a_file(fitted: GPDynamics, draws: Draws, tmp_path: Path) -> None:
+    torch.save(fitted.state_dict(), tmp_path / "dynamics.pt")
+    fresh = GPDynamics(2, 2)
+    fresh.load_state_dict(torch.load(tmp_path / "dynamics.pt", weights_only=True))
+    assert_same_predictions(fitted, fresh, draws.belief(2))
+
+
+def test_model_with_other_data_predicts_the_same_after_loading(fitted: GPDynamics, draws: Draws) -> None:
+    other, inputs = GPDynamics(2, 2), draws.normal(7, 2)
+    other.set_data(inputs, true_function(inputs))
+    belief = draws.belief(2)
+    moment_match(other.expansion, belief)
+    other.load_state_dict(fitted.state_dict())
+    assert_same_predictions(fitted, other, belief)
+
+
+def test_part_of_a_larger_module_loads_too(fitted: GPDynamics, draws: Draws) -> None:
+    fresh = torch.nn.ModuleDict({"dynamics": GPDynamics(2, 2)})
+    fresh.load_state_dict(torch.nn.ModuleDict({"dynamics": fitted}).state_dict())
+    assert_same_predictions(fitted, fresh["dynamics"], draws.belief(2))
+
+
+def test_state_without_data_loads_too() -> None:
+    fresh = GPDynamics(2, 2)
+    fresh.load_state_dict(GPDynamics(2, 2).state_dict())
+    with pytest.raises(RuntimeError, match="no data yet"):
+        _ = fresh.expansion
+
+
+def test_no_data_is_an_error() -> None:
+    with pytest.raises(RuntimeError, match=r"no data yet: call fit\(inputs, targets\) first"):
+        _ = GPDynamics(2, 2).expansion
+
+
+@pytest.mark.parametrize(("inputs", "targets"), [((5, 3), (5, 2)), ((5, 2), (5, 1)), ((5, 2), (4, 2)), ((1, 2), (1, 2)), ((0, 2), (0, 2))])
+def test_data_of_a_wrong_shape_are_an_error(inputs: tuple, targets: tuple) -> None:
+    with pytest.raises(ValueError, match=r"expected inputs \(n, 2\) and targets \(n, 2\) with n >= 2, got"):
+        GPDynamics(2, 2).fit(torch.zeros(inputs), torch.zeros(targets))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_data_that_are_not_finite_are_an_error_that_says_where(data: tuple[Tensor, Tensor], value: float) -> None:
+    inputs, targets = data
+    targets[3, 1] = value
+    with pytest.raises(ValueError, match=rf"targets must be finite, got {value} in row 3, column 1"):
+        GPDynamics(2, 2).fit(inputs, targets)
+
+
+def test_data_are_copied(fitted: GPDynamics, data: tuple[Tensor, Tensor], draws: Draws) -> None:
+    x, before = draws.normal(2), fitted.state_dict()["train_inputs"].clone()
+    expected, _ = fitted.expansion.predict(x)
+    data[0].zero_()
+    fitted.set_data(fitted.train_inputs, fitted.train_targets)
+    assert torch.equal(fitted.state_dict()["train_inputs"], before)
+    assert torch.equal(fitted.expansion.predict(x)[0], expected)
+
+
+def test_refused_data_leave_the_model_as_it_was(fitted: GPDynamics, draws: Draws) -> None:
+    x = draws.normal(2)
+    before, _ = fitted.expansion.predict(x)
+    with pytest.raises(ValueError, match="expected inputs"):
+        fitted.fit(torch.zeros(5, 3), torch.zeros(5, 2))
+    assert torch.equal(fitted.expansion.predict(x)[0], before)
+
+
+def test_unknown_kind_of_targets_is_an_error() -> None:
+    with pytest.raises(ValueError, match='targets must be "difference" or "successor", got \'velocity\''):
+        GPDynamics(2, 2, targets="velocity")

@@ -1,0 +1,115 @@
+"""Experience: what went in comes out, and the model's training data follow from it."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from tests.helpers.draws import Draws
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.model.experience import Experience
+
+NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
+SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))
+NO_LIMITS = torch.full((2,), torch.inf, dtype=torch.float64)
+KEYS = ("observation", "action", ("next", "observation"))
+
+
+def make_transitions(draws: Draws, *batch: int) -> TensorDict:
+    """Random transitions, with a reward that nobody needs."""
+    entries = {"observation": draws.normal(*batch, 2), "action": draws.normal(*batch, 1)}
+    following = {"observation": draws.normal(*batch, 2), "reward": draws.normal(*batch, 1)}
+    return TensorDict({**entries, "next": following}, batch_size=batch)
+
+
+@pytest.fixture
+def transitions(draws: Draws) -> TensorDict:
+    return make_transitions(draws, 7)
+
+
+def filled(transitions: TensorDict, capacity: int = 20) -> Experience:
+    experience = Experience(capacity)
+    experience.extend(transitions)
+    return experience
+
+
+def test_transitions_come_back_bit_for_bit_in_float64(transitions: TensorDict) -> None:
+    stored = filled(transitions).transitions
+    for key in KEYS:
+        assert stored[key].dtype == torch.float64
+        assert torch.equal(stored[key], transitions[key])
+
+
+def test_order_is_that_of_arrival(draws: Draws) -> None:
+    batches = [make_transitions(draws, count) for count in (3, 5, 1)]
+    experience = Experience(20)
+    for count, batch in zip((3, 8, 9), batches, strict=True):
+        experience.extend(batch)
+        assert len(experience) == count
+    for key in KEYS:
+        assert torch.equal(experience.transitions[key], torch.cat([batch[key] for batch in batches]))
+
+
+def test_batch_of_rollouts_is_one_rollout_after_the_other(draws: Draws) -> None:
+    rollouts = make_transitions(draws, 2, 4)
+    for key in KEYS:
+        assert torch.equal(filled(rollouts).transitions[key], rollouts[key].flatten(0, 1))
+
+
+def test_later_changes_of_a_batch_do_not_reach_the_experience(transitions: TensorDict) -> None:
+    before, experience = transitions["action"].clone(), filled(transitions)
+    transitions["action"].zero_()
+    assert torch.equal(experience.transitions["action"], before)
+
+
+@pytest.mark.parametrize("targets", ["difference", "successor"])
+def test_training_data_are_features_and_action_and_where_they_led(transitions: TensorDict, targets: str) -> None:
+    inputs, outputs = filled(transitions).training_data(SPACE, targets, NO_LIMITS)
+    (q, dq), u = transitions["observation"].unbind(-1), transitions["action"][:, 0]
+    successor = transitions["next", "observation"]
+    torch.testing.assert_close(inputs, torch.stack([dq, q.sin(), q.cos(), u], -1), rtol=0, atol=0)
+    expected = successor if targets == "successor" else successor - transitions["observation"]
+    torch.testing.assert_close(outputs, expected, rtol=0, atol=0)
+
+
+def test_limits_leave_out_transitions_that_start_beyond_them_only(transitions: TensorDict) -> None:
+    """Those that end beyond stay: that an action leads out is worth knowing."""
+    transitions["observation"][:] = 0.5
+    transitions["next", "observation"][:] = 0.5
+    transitions["observation"][1, 1] = 1.1
+    transitions["observation"][2, 1] = -1.1
+    transitions["observation"][3, 1] = 1.0
+    transitions["observation"][4, 0] = 100.0  # the angle has no limit
+    transitions["next", "observation"][5, 1] = 3.0
+    limits = torch.tensor([torch.inf, 1.0], dtype=torch.float64)
+    experience = filled(transitions)
+    inputs, successors = experience.training_data(SPACE, "successor", limits)
+    kept = [0, 3, 4, 5, 6]
+    assert torch.equal(inputs[:, -1], transitions["action"][kept, 0])
+    assert torch.equal(successors, transitions["next", "observation"][kept])
+    assert len(experience) == 7
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
+@pytest.mark.parametrize("key", KEYS, ids=["state", "action", "successor"])
+def test_entry_that_is_not_finite_is_refused_in_one_line(transitions: TensorDict, key: str, value: float) -> None:
+    experience = filled(transitions)
+    broken: Tensor = transitions[key]
+    broken[2, 0] = value
+    with pytest.raises(ValueError, match="transitions must be finite, got") as error:
+        experience.extend(transitions)
+    assert str(value) in str(error.value) and "\n" not in str(error.value)
+    assert len(experience) == 7
+
+
+def test_more_than_the_capacity_is_refused_and_nothing_is_lost(transitions: TensorDict) -> None:
+    experience = filled(transitions, capacity=10)
+    with pytest.raises(ValueError, match="experience holds at most 10 transitions, got 14"):
+        experience.extend(transitions)
+    assert torch.equal(experience.transitions["action"], transitions["action"])
+
+
+def test_capacity_can_be_filled_to_the_last(transitions: TensorDict) -> None:
+    assert len(filled(transitions, capacity=7)) == 7

@@ -1,0 +1,396 @@
+"""Long-term prediction, against its sampled twin, its mean, and its parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.autograd import gradcheck
+from torch.autograd.graph import saved_tensors_hooks
+
+from tests.helpers.draws import Draws
+from tests.helpers.memory import LargestResult
+from torch_pmil.control.rbf_policy import Controller, RBFPolicy
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.gp import exponential_sums, moment_derivatives as linearised_moments
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
+from torch_pmil.gp.kernel_expansion import KernelExpansion
+from torch_pmil.model import rollout
+from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.particles import sample_trajectories
+from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory, predict_step, predict_trajectory
+
+NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
+SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))
+U_MAX = torch.tensor([2.0], dtype=torch.float64)
+
+
+def pendulum(inputs: Tensor) -> Tensor:
+    """Change of [q, dq] in 0.1 s at inputs [dq, sin q, cos q, u]."""
+    return 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1)
+
+
+def make_dynamics(draws: Draws, n: int = 30, noise: float = 0.01, targets: Targets = "difference") -> GPDynamics:
+    """A GP of a pendulum, with hyper-parameters by hand."""
+    states, actions = draws.uniform(-1.5, 1.5, n, 2), draws.uniform(-2, 2, n, 1)
+    inputs = torch.cat([SPACE.features(states), actions], -1)
+    change = pendulum(inputs) + noise * draws.normal(n, 2)
+    dynamics = GPDynamics(4, 2, targets)
+    dynamics.set_data(inputs, change if targets == "difference" else states + change)
+    dynamics.gp.covar_module.base_kernel.lengthscale = torch.tensor([[3.0, 1.5, 1.5, 4.0]], dtype=torch.float64)
+    dynamics.gp.covar_module.outputscale = torch.tensor([0.5, 0.8], dtype=torch.float64)
+    dynamics.gp.likelihood.noise = torch.full((2, 1), noise**2, dtype=torch.float64)
+    return dynamics
+
+
+@pytest.fixture
+def dynamics(draws: Draws) -> GPDynamics:
+    return make_dynamics(draws)
+
+
+@pytest.fixture
+def policy(draws: Draws) -> RBFPolicy:
+    policy = RBFPolicy(draws.normal(6, 3), U_MAX, torch.ones(3))
+    with torch.no_grad():
+        policy.weights.copy_(0.5 * draws.normal(6, 1))
+    return policy
+
+
+@pytest.fixture
+def initial(draws: Draws) -> Gaussian:
+    return Gaussian(0.5 * draws.normal(2), draws.cov(2, scale=0.02))
+
+
+def assert_moments_of(samples: Tensor, belief: Gaussian, bias: float = 0.0) -> None:
+    """The samples (N, D) have this mean and covariance up to four standard errors, and ``bias`` times the standard deviation."""
+    deviation = samples - belief.mean
+    products = deviation[:, :, None] * deviation[:, None, :]
+    root_n = len(samples) ** 0.5
+    scale = belief.std[:, None] * belief.std
+    assert (deviation.mean(0).abs() <= 4 * deviation.std(0) / root_n + bias * belief.std).all()
+    assert ((products.mean(0) - belief.cov).abs() <= 4 * products.std(0) / root_n + bias * scale).all()
+
+
+class LinearController(Controller):
+    """Acts linearly on the features, so that the action of a Gaussian is Gaussian and one step's moments are exact."""
+
+    gain = torch.tensor([[-0.4, 0.7, 0.3]], dtype=torch.float64)
+
+    def __init__(self) -> None:
+        """Has no network."""
+
+    def __call__(self, features: Tensor) -> Tensor:
+        return features @ self.gain.mT
+
+    def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
+        return features.affine(self.gain), self.gain.mT.expand(*features.batch_shape, -1, -1)
+
+
+@pytest.mark.parametrize("noise", [False, True], ids=["latent", "noisy"])
+@pytest.mark.parametrize("targets", ["difference", "successor"])
+def test_step_without_angles_has_the_moments_of_samples(draws: Draws, targets: Targets, noise: bool) -> None:
+    """Exact here: features and action are jointly Gaussian, so that nothing but the GP's output is approximated."""
+    space = StateSpace(("a", "b", "c"), ("",) * 3, (), joint_match(("a", "b", "c"), ("",) * 3))
+    inputs = draws.normal(25, 4)
+    dynamics, controller, state = GPDynamics(4, 3, targets), LinearController(), draws.belief(3)
+    dynamics.set_data(inputs, inputs[:, :3].sin() + inputs[:, 3:])
+    dynamics.gp.likelihood.noise = torch.full((3, 1), 0.05, dtype=torch.float64)
+
+    x = state.sample(100_000, draws.generator)
+    mean, variance = dynamics.expansion.predict(torch.cat([space.features(x), controller(x)], -1))
+    variance = variance + dynamics.expansion.noise_variance if noise else variance
+    y = mean + variance.sqrt() * draws.normal(*mean.shape)
+    predicted = predict_step(state, controller, dynamics, space, observation_noise=noise)
+    assert_moments_of(x + y if targets == "difference" else y, predicted)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("targets", ["difference", "successor"])
+def test_step_has_the_moments_of_its_sampled_twin(draws: Draws, policy: RBFPolicy, initial: Gaussian, targets: Targets) -> None:
+    """Features and action are taken as Gaussian, which they are nearly for a narrow belief: half a per cent of the spread is allowed."""
+    dynamics, narrow = make_dynamics(draws, targets=targets), Gaussian(initial.mean, initial.cov / 10)
+    samples = sample_trajectories(narrow, policy, dynamics, SPACE, 1, 50_000, draws.generator)
+    assert_moments_of(samples[:, 0], predict_trajectory(narrow, policy, dynamics, SPACE, 1)[0].detach(), bias=0.005)
+
+
+@pytest.mark.slow
+@torch.no_grad()
+def test_trajectory_has_nearly_the_moments_of_its_sampled_twin(
+    draws: Draws, dynamics: GPDynamics, policy: RBFPolicy, initial: Gaussian
+) -> None:
+    narrow = Gaussian(initial.mean, initial.cov / 10)
+    samples = sample_trajectories(narrow, policy, dynamics, SPACE, 8, 50_000, draws.generator)
+    predicted = predict_trajectory(narrow, policy, dynamics, SPACE, 8).detach()
+    for t in range(8):
+        assert_moments_of(samples[:, t], predicted[t], bias=0.05)
+
+
+def test_prediction_without_uncertainty_is_the_mean_trajectory(draws: Draws, policy: RBFPolicy) -> None:
+    """Dense data without noise leave next to no variance, up to what the prediction itself adds."""
+    dynamics, x = make_dynamics(draws, n=150, noise=1e-4), torch.tensor([0.3, -0.2], dtype=torch.float64)
+    certain = Gaussian(x, torch.zeros(2, 2, dtype=torch.float64))
+    predicted = predict_trajectory(certain, policy, dynamics, SPACE, 5, observation_noise=False)
+    mean = predict_mean_trajectory(x, policy, dynamics, SPACE, 5)
+    torch.testing.assert_close(predicted.mean, mean, rtol=0, atol=1e-5)
+    assert predicted.std.max() < 1e-2
+
+
+def test_first_step_from_a_certain_state_is_the_posterior(policy: RBFPolicy, dynamics: GPDynamics, draws: Draws) -> None:
+    x = draws.normal(2)
+    features = SPACE.features(x)
+    mean, variance = dynamics.expansion.predict(torch.cat([features, policy(features)]))
+    predicted = predict_trajectory(Gaussian(x, torch.zeros(2, 2, dtype=torch.float64)), policy, dynamics, SPACE, 1)[0]
+    torch.testing.assert_close(predicted.mean, x + mean)
+    torch.testing.assert_close(predicted.cov, torch.diag(variance + dynamics.expansion.noise_variance))
+
+
+def test_step_of_differences_is_the_step_of_successors_plus_the_state(draws: Draws, policy: RBFPolicy, initial: Gaussian) -> None:
+    """The same GP, read as change and as next state: means differ by the state's."""
+    difference, successor = make_dynamics(draws), GPDynamics(4, 2, "successor")
+    successor.load_state_dict(difference.state_dict())
+    change, moved = (predict_step(initial, policy.controller, model, SPACE) for model in (successor, difference))
+    torch.testing.assert_close(moved.mean, initial.mean + change.mean)
+
+
+def test_model_that_knows_nothing_adds_its_prior_to_the_state(policy: RBFPolicy, initial: Gaussian) -> None:
+    """With targets of zero far away, differences mean: the state stays where it is, and its variance grows by the prior's."""
+    dynamics = GPDynamics(4, 2)
+    dynamics.set_data(torch.full((2, 4), 1e3), torch.zeros(2, 2))
+    predicted = predict_step(initial, policy.controller, dynamics, SPACE, observation_noise=False)
+    torch.testing.assert_close(predicted.mean, initial.mean)
+    torch.testing.assert_close(predicted.cov, initial.cov + torch.diag(dynamics.expansion.signal_variance))
+
+
+def test_observation_noise_adds_up_step_by_step(policy: RBFPolicy, initial: Gaussian) -> None:
+    dynamics = GPDynamics(4, 2)
+    dynamics.set_data(torch.full((2, 4), 1e3), torch.zeros(2, 2))
+    latent, noisy = (predict_trajectory(initial, policy, dynamics, SPACE, 3, observation_noise=noise) for noise in (False, True))
+    steps = torch.arange(1.0, 4.0, dtype=torch.float64)[:, None, None]
+    torch.testing.assert_close(noisy.cov - latent.cov, steps * torch.diag(dynamics.expansion.noise_variance))
+
+
+def test_covariances_are_symmetric_and_positive_definite(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    cov = predict_trajectory(initial, policy, dynamics, SPACE, 15).cov.detach()
+    assert torch.equal(cov, cov.mT)
+    assert torch.linalg.eigvalsh(cov).min() > 0
+
+
+def test_batch_of_starts_is_a_loop(policy: RBFPolicy, dynamics: GPDynamics, draws: Draws) -> None:
+    initial = draws.belief(2, 3, 2, scale=0.02)
+    together = predict_trajectory(initial, policy, dynamics, SPACE, 4)
+    means = predict_mean_trajectory(initial.mean, policy, dynamics, SPACE, 4)
+    assert together.mean.shape == means.shape == (2, 3, 4, 2)
+    for index in np.ndindex(2, 3):
+        alone = predict_trajectory(initial[index], policy, dynamics, SPACE, 4)
+        torch.testing.assert_close(together[index].mean, alone.mean)
+        torch.testing.assert_close(together[index].cov, alone.cov)
+        torch.testing.assert_close(means[index], predict_mean_trajectory(initial.mean[index], policy, dynamics, SPACE, 4))
+
+
+def test_longer_horizon_begins_with_the_shorter_one(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    short, long = (predict_trajectory(initial, policy, dynamics, SPACE, horizon) for horizon in (3, 6))
+    assert torch.equal(short.mean, long.mean[:3])
+    assert torch.equal(short.cov, long.cov[:3])
+
+
+@pytest.mark.parametrize("targets", ["difference", "successor"])
+def test_gradient_in_the_policy(draws: Draws, initial: Gaussian, targets: Targets) -> None:
+    dynamics = make_dynamics(draws, n=8, targets=targets)
+
+    def last_state(centres: Tensor, weights: Tensor, log_widths: Tensor) -> tuple[Tensor, Tensor]:
+        network = KernelExpansion(centres, weights, log_widths.exp(), torch.ones(1, dtype=torch.float64))
+        state = initial
+        for _ in range(3):
+            state = predict_step(state, Controller(network, U_MAX), dynamics, SPACE)
+        return state.mean, state.cov
+
+    variables = draws.normal(4, 3), draws.normal(1, 4), 0.3 * draws.normal(1, 3)
+    assert gradcheck(last_state, tuple(variable.requires_grad_() for variable in variables))
+
+
+def test_gradient_of_the_mean_trajectory(policy: RBFPolicy, dynamics: GPDynamics, draws: Draws) -> None:
+    assert gradcheck(lambda x: predict_mean_trajectory(x, policy, dynamics, SPACE, 3), draws.normal(2, 2).requires_grad_())
+
+
+def test_prediction_is_differentiable_in_all_parameters(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    predicted = predict_trajectory(initial, policy, dynamics, SPACE, 3)
+    for gradient in torch.autograd.grad(predicted.mean.sum() + predicted.cov.sum(), list(policy.parameters())):
+        assert gradient.isfinite().all() and (gradient != 0).all()
+
+
+def test_samples_of_the_same_seed_are_the_same(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    one, other = (sample_trajectories(initial, policy, dynamics, SPACE, 3, 5, torch.Generator().manual_seed(1)) for _ in range(2))
+    assert one.shape == (5, 3, 2)
+    assert torch.equal(one, other)
+
+
+def test_failed_step_is_named(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The matrix of the second step has no Cholesky factor."""
+    steps = iter([initial.flattened])
+
+    def failing_step(*_: object) -> Gaussian:
+        for state in steps:
+            return state
+        raise NotPositiveDefiniteError("I + Sigma P must be positive definite")
+
+    monkeypatch.setattr(rollout, "_propagate", failing_step)
+    with pytest.raises(PredictionError, match=r"prediction of step 2 of 4 failed: I \+ Sigma P must be positive definite") as error:
+        predict_trajectory(initial, policy, dynamics, SPACE, 4)
+    assert error.value.step == 2
+
+
+def test_state_that_is_not_finite_is_named(
+    policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = Gaussian(initial.mean, initial.cov.clone())
+    broken.cov[1, 1] = float("inf")
+    states = iter(state.flattened for state in (initial, initial, broken, broken))
+    monkeypatch.setattr(rollout, "_propagate", lambda *_: next(states))
+    with pytest.raises(PredictionError, match="prediction of step 3 of 4 failed: dq is not finite") as error:
+        predict_trajectory(initial, policy, dynamics, SPACE, 4)
+    assert error.value.step == 3
+
+
+def test_start_with_a_negative_variance_is_an_error(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    with pytest.raises(PredictionError, match=r"prediction of step 1 of 2 failed: .* must be positive definite"):
+        predict_trajectory(Gaussian(initial.mean, -100 * torch.eye(2, dtype=torch.float64)), policy, dynamics, SPACE, 2)
+
+
+# --- the trajectory against its steps ---
+
+kinds_of_targets = pytest.mark.parametrize("targets", ["difference", "successor"])
+batches = pytest.mark.parametrize("batch", [(), (3,), (2, 3)], ids=["one start", "batch", "two batch dimensions"])
+
+
+def loop_of_steps(initial: Gaussian, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int, noise: bool) -> Gaussian:
+    states = [initial]
+    for _ in range(horizon):
+        states.append(predict_step(states[-1], policy.controller, dynamics, space, noise))
+    return Gaussian(torch.stack([state.mean for state in states[1:]], -2), torch.stack([state.cov for state in states[1:]], -3))
+
+
+def loop_of_means(initial: Tensor, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int) -> Tensor:
+    states = [initial]
+    for _ in range(horizon):
+        features = space.features(states[-1])
+        mean = dynamics.expansion.mean(torch.cat([features, policy(features)], -1))
+        states.append(mean if dynamics.targets == "successor" else states[-1] + mean)
+    return torch.stack(states[1:], -2)
+
+
+def assert_all_close(ours: Sequence[Tensor], expected: Sequence[Tensor]) -> None:
+    for one, other in zip(ours, expected, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10 * other.abs().max().item())
+
+
+@kinds_of_targets
+@batches
+@pytest.mark.parametrize(("horizon", "noise"), [(1, True), (6, True), (6, False)])
+def test_trajectory_and_gradient_are_those_of_a_loop_of_steps(
+    draws: Draws, policy: RBFPolicy, targets: Targets, batch: tuple[int, ...], horizon: int, noise: bool
+) -> None:
+    dynamics, start = make_dynamics(draws, n=15, targets=targets), draws.belief(*batch, 2, scale=0.05)
+    mean, cov = (t.requires_grad_() for t in (start.mean, start.cov))
+    loop = loop_of_steps(Gaussian(mean, cov), policy, dynamics, SPACE, horizon, noise)
+    predicted = predict_trajectory(Gaussian(mean, cov), policy, dynamics, SPACE, horizon, noise)
+    assert predicted.mean.shape == (*batch, horizon, 2)
+    assert_all_close((predicted.mean, predicted.cov), (loop.mean, loop.cov))
+
+    leaves, cotangent = [mean, cov, *policy.parameters()], (draws.normal(*loop.mean.shape), draws.normal(*loop.cov.shape))
+    gradients = [list(torch.autograd.grad((states.mean, states.cov), leaves, cotangent)) for states in (predicted, loop)]
+    torch.testing.assert_close(gradients[0][1], gradients[0][1].mT)
+    gradients[1][1] = symmetric(gradients[1][1])
+    assert_all_close(*gradients)
+
+
+@kinds_of_targets
+@batches
+@pytest.mark.parametrize("horizon", [1, 6])
+def test_mean_trajectory_and_gradient_are_those_of_a_loop(
+    draws: Draws, policy: RBFPolicy, targets: Targets, batch: tuple[int, ...], horizon: int
+) -> None:
+    dynamics, start = make_dynamics(draws, n=15, targets=targets), draws.normal(*batch, 2).requires_grad_()
+    loop, predicted = (function(start, policy, dynamics, SPACE, horizon) for function in (loop_of_means, predict_mean_trajectory))
+    assert predicted.shape == (*batch, horizon, 2)
+    assert_all_close([predicted], [loop])
+    leaves, cotangent = [start, *policy.parameters()], draws.normal(*loop.shape)
+    assert_all_close(*(torch.autograd.grad(states, leaves, cotangent) for states in (predicted, loop)))
+
+
+@kinds_of_targets
+@pytest.mark.parametrize("angles", [(), (2, 0)], ids=["no angle", "two angles"])
+def test_trajectories_in_other_spaces_are_those_of_a_loop(draws: Draws, targets: Targets, angles: tuple[int, ...]) -> None:
+    """With three entries of the state, two actions, and inputs of different scales."""
+    names, u_max = ("a", "b", "c"), torch.tensor([2.0, 0.7], dtype=torch.float64)
+    space = StateSpace(names, ("",) * 3, angles, joint_match(names, ("",) * 3))
+    features = len(space.feature_names)
+    policy = RBFPolicy(draws.normal(5, features), u_max, draws.uniform(0.5, 2.0, features))
+    dynamics = GPDynamics(features + 2, 3, targets)
+    dynamics.set_data(draws.normal(12, features + 2), 0.3 * draws.normal(12, 3))
+    dynamics.gp.covar_module.base_kernel.lengthscale = draws.uniform(1.0, 3.0, 3, 1, features + 2)
+    dynamics.gp.likelihood.noise = torch.full((3, 1), 0.05, dtype=torch.float64)
+    with torch.no_grad():
+        policy.weights.copy_(draws.normal(5, 2))
+        policy.log_widths.copy_(0.3 * draws.normal(2, features))
+    start = draws.belief(2, 3, scale=0.05)
+    mean, cov = (t.requires_grad_() for t in (start.mean, start.cov))
+    leaves = [mean, *policy.parameters()]
+
+    loop = loop_of_steps(Gaussian(mean, cov), policy, dynamics, space, 4, True)
+    predicted = predict_trajectory(Gaussian(mean, cov), policy, dynamics, space, 4)
+    both = (predicted.mean, predicted.cov), (loop.mean, loop.cov)
+    cotangent = draws.normal(*loop.mean.shape), draws.normal(*loop.cov.shape)
+    assert_all_close(*both)
+    gradients = [list(torch.autograd.grad(states, [cov, *leaves], cotangent)) for states in both]
+    for gradient in gradients:
+        gradient[0] = symmetric(gradient[0])
+    assert_all_close(*gradients)
+
+    means = [function(mean, policy, dynamics, space, 4) for function in (predict_mean_trajectory, loop_of_means)]
+    assert_all_close(means[:1], means[1:])
+    assert_all_close(*(torch.autograd.grad(states, leaves, cotangent[0]) for states in means))
+
+
+@pytest.mark.parametrize("kept", [0, 300, 2**30])
+def test_gradient_is_the_same_however_many_steps_are_summed_up_together(
+    draws: Draws, policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch, kept: int
+) -> None:
+    parameters, cotangent = list(policy.parameters()), draws.normal(7, 2, 2)
+    gradients = []
+    for numbers in (linearised_moments.KEPT_NUMBERS, kept):
+        monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", numbers)
+        gradients.append(torch.autograd.grad(predict_trajectory(initial, policy, dynamics, SPACE, 7).cov, parameters, cotangent))
+    assert_all_close(*gradients)
+
+
+def test_gradient_in_part_of_the_policy(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+    """With constant centres and widths, the gradient in the weights is what it is with all of them."""
+
+    def by_weights() -> Sequence[Tensor]:
+        return torch.autograd.grad(predict_trajectory(initial, policy, dynamics, SPACE, 4).cov.sum(), [policy.weights])
+
+    whole = by_weights()
+    for parameter in (policy.centres, policy.log_widths):
+        parameter.requires_grad_(False)
+    assert_all_close(by_weights(), whole)
+
+
+@kinds_of_targets
+def test_no_array_of_pairs_of_data_is_saved_for_the_gradient(
+    draws: Draws, initial: Gaussian, monkeypatch: pytest.MonkeyPatch, targets: Targets
+) -> None:
+    """Nor is one made, but by pieces as small as the cache; the policy has as many centres as the model has data."""
+    n, horizon, saved = 200, 3, []
+    dynamics, policy = make_dynamics(draws, n=n, noise=0.1, targets=targets), RBFPolicy(draws.normal(n, 3), U_MAX, torch.ones(3))
+    predict_trajectory(initial, policy, dynamics, SPACE, 1)  # what the expansion itself keeps is there from now on
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    monkeypatch.setattr(exponential_sums, "CACHED_NUMBERS", 8 * n)
+    monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", 0)
+    with LargestResult() as largest, saved_tensors_hooks(lambda tensor: (saved.append(tensor.numel()), tensor)[1], lambda tensor: tensor):
+        predicted = predict_trajectory(initial, policy, dynamics, SPACE, horizon)
+        predicted.cov.sum().backward()
+    assert 0 < max(saved) < n * n / 4
+    assert 0 < largest.numbers < n * n / 2

@@ -1,0 +1,136 @@
+"""Videos: as many frames as were given, of their size, in a file that is whole or absent."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from torch_pmil.envs import DoublePendulumEnv
+from torch_pmil.plotting.video import render_rollout, write_gif, write_video
+
+
+def shades(count: int, height: int = 32, width: int = 48) -> list[np.ndarray]:
+    """Pictures from black to white."""
+    return [np.full((height, width, 3), level, dtype=np.uint8) for level in np.linspace(0, 255, count)]
+
+
+def decode(path: Path, height: int, width: int) -> tuple[str, np.ndarray]:
+    """What ffmpeg says about a video, and its frames (count, height, width, 3)."""
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    decoded = subprocess.run(command, capture_output=True, check=True)
+    return decoded.stderr.decode(), np.frombuffer(decoded.stdout, np.uint8).reshape(-1, height, width, 3)
+
+
+class StatesAsPictures(DoublePendulumEnv):
+    """Its pictures are the states themselves, so that no OpenGL is needed."""
+
+    def draw(self, physics: torch.Tensor) -> np.ndarray:
+        return self.state_of(physics).numpy()
+
+
+@pytest.mark.parametrize(("height", "width"), [(32, 48), (33, 47), (50, 50)])
+def test_video_decodes_to_the_frames_written(tmp_path: Path, height: int, width: int) -> None:
+    path, frames = tmp_path / "shades.mp4", shades(7, height, width)
+    write_video(path, iter(frames), fps=50)
+    even = height + height % 2, width + width % 2
+    about, decoded = decode(path, *even)
+    assert re.search(rf"Video: h264 .* yuv420p\b.*, {even[1]}x{even[0]}\b.*, 50 fps", about)
+    assert len(decoded) == 7
+    np.testing.assert_allclose(decoded[:, :height, :width].mean((1, 2, 3)), [frame.mean() for frame in frames], atol=6)
+
+
+def test_encoding_is_silent(tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture) -> None:
+    write_video(tmp_path / "odd.mp4", shades(3, 33, 47), fps=50)
+    assert capfd.readouterr() == ("", "")
+    assert not caplog.records
+
+
+def test_video_replaces_the_old_one_and_leaves_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "shades.mp4"
+    path.write_text("old")
+    write_video(path, shades(3), fps=25)
+    assert imageio_ffmpeg.count_frames_and_secs(path)[0] == 3
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("whole", [0, 2])
+def test_frames_that_fail_leave_the_old_video(tmp_path: Path, whole: int) -> None:
+    def failing() -> Iterator[np.ndarray]:
+        yield from shades(whole)
+        raise RuntimeError("pictures need OpenGL")
+
+    path = tmp_path / "shades.mp4"
+    path.write_text("old")
+    with pytest.raises(RuntimeError, match="pictures need OpenGL"):
+        write_video(path, failing(), fps=50)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("frames", "message"),
+    [
+        ([], "a video needs at least one frame, got none"),
+        ([np.zeros((32, 48), np.uint8)], r"frames must have shape \(height, width, 3\), got \(32, 48\)"),
+        ([*shades(2), *shades(1, 16, 16)], r"frame 2 must be uint8 of shape \(32, 48, 3\), got uint8 of shape \(16, 16, 3\)"),
+        ([np.zeros((32, 48, 3))], r"frame 0 must be uint8 of shape \(32, 48, 3\), got float64"),
+    ],
+)
+def test_bad_frames_are_refused(tmp_path: Path, frames: list[np.ndarray], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        write_video(tmp_path / "bad.mp4", frames, fps=50)
+    assert not list(tmp_path.iterdir())
+
+
+def test_missing_folder_is_an_os_error(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="missing"):
+        write_video(tmp_path / "missing" / "shades.mp4", shades(2), fps=50)
+
+
+def test_rollout_is_pictured_five_times_a_step_along_its_own_motion() -> None:
+    env = StatesAsPictures(seed=0)
+    generator = torch.Generator().manual_seed(0)
+    actions = 2 * torch.randn(3, 2, dtype=torch.float64, generator=generator)
+    pictures = np.stack(list(render_rollout(env, env.initial_mean, actions)))
+    states = [env.initial_mean]
+    for action in actions:
+        states.append(env.simulate(states[-1][None], action[None])[0])
+    assert pictures.shape == (16, 4)
+    np.testing.assert_array_equal(pictures[::5], torch.stack(states))
+
+
+def test_gif_shows_the_video_in_its_own_time_rests_for_a_second_and_begins_anew(tmp_path: Path) -> None:
+    write_video(tmp_path / "shades.mp4", shades(50), fps=50)
+    write_gif(tmp_path / "shades.gif", tmp_path / "shades.mp4")
+    with Image.open(tmp_path / "shades.gif") as gif:
+        shown, durations = [], []
+        for number in range(gif.n_frames):
+            gif.seek(number)
+            shown.append(np.asarray(gif.convert("RGB")).mean())
+            durations.append(gif.info["duration"])
+        assert gif.info["loop"] == 0  # for ever
+        assert gif.size == (48, 32)
+    assert sum(durations) == pytest.approx(2000, abs=40)  # ms
+    moving = 25
+    np.testing.assert_allclose(shown[:moving], np.linspace(0, 255, 50)[::2], atol=12)
+    np.testing.assert_allclose(shown[moving:], 255, atol=12)
+
+
+@pytest.mark.parametrize("content", [None, b"no video"])
+def test_gif_of_no_video_is_an_os_error_and_leaves_the_old_one(tmp_path: Path, content: bytes | None) -> None:
+    video, gif = tmp_path / "shades.mp4", tmp_path / "shades.gif"
+    gif.write_text("old")
+    if content is not None:
+        video.write_bytes(content)
+    with pytest.raises(OSError, match=r"no GIF of .*shades\.mp4"):
+        write_gif(gif, video)
+    assert gif.read_text() == "old"
+    assert {path.name for path in tmp_path.iterdir()} <= {"shades.mp4", "shades.gif"}

@@ -1,0 +1,77 @@
+"""Figure 9: the recordings are those that the paper describes, and the numbers are at their frequencies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from scipy import stats
+
+from reproduction.figure9 import needed_runs, read_score, recorded_movements, report
+from torch_pmil.envs.biorob import START, TORQUE_LIMIT
+from torch_pmil.experiments.runs.summaries import RunError
+from torch_pmil.experiments.tasks.biorob import REACH
+from torch_pmil.model.sampling_frequency import Recording
+
+
+@pytest.fixture(scope="module")
+def movements() -> list[Recording]:
+    return recorded_movements(seed=0)
+
+
+def test_recordings_are_24_s_of_motion_around_the_start(movements: list[Recording]) -> None:
+    states, torques = torch.stack([part.states for part in movements]), torch.stack([part.actions for part in movements])
+    assert states.shape == (12, 201, 6) and torques.shape == (12, 200, 3)
+    away = (states[..., :3] - torch.tensor(START[:3])).abs().amax((0, 1)).rad2deg()
+    assert (away > torch.tensor(REACH) / 2).all() and (away < 2 * torch.tensor(REACH)).all()  # light joints overshoot
+    assert (torques.abs() <= torch.tensor(TORQUE_LIMIT)).all()
+
+
+def test_torques_are_held_for_a_control_period(movements: list[Recording]) -> None:
+    for _, torques in movements:
+        changes = torques.diff(dim=0).abs().amax(-1).nonzero().flatten() + 1
+        assert changes.tolist() == list(range(10, 200, 10))
+
+
+def test_recordings_of_two_seeds_differ_and_of_one_agree(movements: list[Recording]) -> None:
+    assert torch.equal(recorded_movements(seed=0)[1].states, movements[1].states)
+    assert not torch.equal(recorded_movements(seed=1)[1].states, movements[1].states)
+
+
+def test_numbers_are_means_over_recordings_at_their_frequency_and_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def values(inputs: torch.Tensor, targets: torch.Tensor, folds: int, max_iterations: int) -> torch.Tensor:
+        return torch.full((folds, 6), -abs(len(inputs) - 60.0)).double() + targets[0, 0]  # best where there are 60 transitions
+
+    monkeypatch.setattr("torch_pmil.model.sampling_frequency.held_out_log_likelihood", values)
+    runs = needed_runs(tmp_path, quick=True)
+    for run in runs:
+        run.learn(run.out, "test")
+    made = report([run.out for run in runs], quick=True)
+    assert made.headline["best_frequency_raw_6s_hz"] == 10.0
+    assert made.details["6s"]["transitions"] == [30, 60, 120]
+    first = [torch.stack([recorded_movements(seed)[0].states[10 * k] for k in (0, 1)])[:, 0].diff().item() for seed in (0, 1)]
+    assert made.headline["raw_6s_10hz"] == pytest.approx(sum(first) / 2)
+    half_width = stats.t.ppf(0.975, 1) * torch.tensor(first).std().item() / 2**0.5
+    assert made.details["6s"]["half_widths"]["raw"][1] == pytest.approx(half_width, rel=1e-4)
+    assert [panel.get_title() for panel in made.figures["figure9_6s"].axes] == ["raw", "standardised"]
+
+
+def test_each_score_has_a_folder_of_its_own(tmp_path: Path) -> None:
+    runs = needed_runs(tmp_path, quick=False)
+    assert len({run.out for run in runs}) == len(runs) == 2 * 10 * 3
+
+
+def test_damaged_score_is_named(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text("{}")
+    with pytest.raises(RunError, match=r"summary\.json is no score of a frequency: 'frequency'"):
+        read_score(tmp_path)
+
+
+@pytest.mark.slow
+def test_quick_scores_of_the_next_state_rise_with_frequency(tmp_path: Path) -> None:
+    runs = needed_runs(tmp_path, quick=True)
+    for run in runs:
+        run.learn(run.out, "test")
+    headline = report([run.out for run in runs], quick=True).headline
+    assert headline["raw_6s_5hz"] < headline["raw_6s_10hz"] < headline["raw_6s_20hz"]

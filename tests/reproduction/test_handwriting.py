@@ -1,0 +1,73 @@
+"""Handwriting's report: each number is at its shape and robot."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import pytest
+import torch
+
+from reproduction import handwriting
+from reproduction.handwriting import SEEDS, SHAPES, TRIALS, needed_runs, ratio, report
+from torch_pmil.experiments.tasks.handwriting import Writing
+from torch_pmil.gp.gaussian import Gaussian
+
+TASKS = [(robot, shape) for robot, shapes in SHAPES.items() for shape in shapes]
+
+
+def summary(error: float, spread: float, seed: int) -> dict:
+    """As much of a run's as the report reads."""
+    return {
+        "experiment": "any",
+        "seed": seed,
+        "trials": [{"experience_s": 12.0, "success_rate": 1.0}],
+        "experience_s": 20.0 + seed,
+        "wall_seconds": 1.0,
+        "saved_trial": 1,
+        "saved_success_rate": 1.0,
+        "two_sigma_coverage": 0.95,
+        "stop_reason": "limit of trials",
+        "rms_error": {"x": 0.6 * error, "y": 0.8 * error},
+        "demonstration_spread": {"x": 0.0, "y": spread},
+    }
+
+
+def test_every_shape_and_robot_has_a_folder_for_every_seed(tmp_path: Path) -> None:
+    runs = needed_runs(tmp_path, False)
+    assert len({run.out for run in runs}) == len(runs) == len(TASKS) * len(SEEDS) == 18
+    assert {run.learn.keywords["trials"] for run in runs} == {TRIALS} == {12}
+    assert [run.out for run in runs[:2]] == [tmp_path / f"handwriting_{s}_double_pendulum" / "seed_0" for s in ("Angle", "Sshape")]
+    assert len(needed_runs(tmp_path, True)) == 1
+
+
+def test_runs_can_be_learned_in_another_process(tmp_path: Path) -> None:
+    for run in needed_runs(tmp_path, False)[:: len(SEEDS) + 1]:
+        sent = pickle.loads(pickle.dumps(run))
+        start = run.learn.keywords["experiment"].initial.mean
+        assert torch.equal(sent.learn.keywords["experiment"].initial.mean, start)
+
+
+def test_ratio_is_one_where_the_error_is_the_spread_in_whatever_direction() -> None:
+    assert ratio(summary(error=0.02, spread=0.02, seed=0)) == pytest.approx(1.0)
+
+
+def test_every_median_is_at_its_shape_and_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    point = torch.zeros(1, 2, 2, dtype=torch.float64)
+    drawn = Writing(point, Gaussian(point[0, 1:], torch.eye(2, dtype=torch.float64)[None]), point)
+    monkeypatch.setattr(handwriting, "writing", lambda folder, shape, robot: drawn)
+    runs = needed_runs(tmp_path, False)
+    for index, run in enumerate(runs):
+        number, seed = index % len(TASKS), index // len(TASKS)
+        run.out.mkdir(parents=True)
+        error = 0.01 * (1 + number) * (1.0, 0.5, 7.0)[seed]
+        (run.out / "summary.json").write_text(json.dumps(summary(error, spread=0.01, seed=seed)))
+    found = report([run.out for run in runs], quick=False)
+    for number, (robot, shape) in enumerate(TASKS):
+        assert found.headline[f"{robot}_{shape}_ratio"] == pytest.approx(1 + number)
+        assert found.headline[f"{robot}_{shape}_experience_s"] == 21.0
+    assert found.headline["worst_ratio"] == pytest.approx(7.0 * len(TASKS))
+    assert found.figures.keys() == SHAPES.keys()
+    assert len(found.figures["double_pendulum"].axes) == 4
+    assert [(one["robot"], one["shape"]) for one in found.details["measured"]] == [task for task in TASKS for _ in SEEDS]

@@ -1,0 +1,63 @@
+"""Success of a saved policy: measured on the experiment's robot, where it truly is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+
+from reproduction.learned import measured_success, outcome
+from tests.helpers.short_run import quick_fits, run, short_experiment
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.envs import DoublePendulumEnv
+from torch_pmil.envs.rollouts import of_states
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.tasks.experiment import Experiment
+
+
+def hanging_still(**settings: object) -> Experiment:
+    """The double pendulum; a success is that it starts and stays near where it hangs."""
+    experiment = load_experiment("double_pendulum")
+    return replace(
+        experiment,
+        make_env=partial(DoublePendulumEnv, **settings),
+        error=of_states(lambda states: (states - experiment.initial.mean)[..., 0].abs().amax(-1)),
+        tolerance=0.5,
+    )
+
+
+def motionless_policy() -> StatePolicy:
+    experiment = load_experiment("double_pendulum")
+    policy = RBFPolicy(torch.zeros(1, 6), experiment.u_max, torch.ones(6))
+    return StatePolicy(policy, experiment.space, 0.1)
+
+
+def test_success_is_judged_by_the_true_states_however_noisy_the_sensors() -> None:
+    noisy = hanging_still(observation_std=(10.0, 10.0, 10.0, 10.0))
+    assert measured_success(motionless_policy(), noisy, starts=20, seed=0) == 1
+
+
+def test_success_is_the_fraction_of_the_starts_of_that_robot() -> None:
+    wide = hanging_still(initial_std=(0.5, 0.0, 0.0, 0.0))
+    starts = wide.make_env(num_envs=200, seed=3).reset()["observation"]
+    rate = measured_success(motionless_policy(), wide, starts=200, seed=3)
+    assert 0 < rate <= ((starts - wide.initial.mean)[:, 0].abs() <= 0.5).double().mean()
+
+
+def test_outcome_tells_of_the_run_and_measures_its_policy_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    quick_fits(monkeypatch)
+    result = run(tmp_path, trials=1)
+    easy = replace(short_experiment(), tolerance=10.0)
+    told = outcome(tmp_path, easy, starts=3, seed=1)
+    assert told == {
+        "experiment": "double_pendulum",
+        "seed": result.summary["seed"],
+        "success_rate": 1.0,
+        "experience_s": result.summary["experience_s"],
+        "trials": 1,
+        "stop_reason": result.summary["stop_reason"],
+    }

@@ -1,0 +1,126 @@
+"""The frame of the reproduction: what is run, what is not run again, what is written, what is said of failures."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import joblib
+import pytest
+
+from reproduction import reproduction
+from reproduction.reproduction import PaperExperiment, Report, Run, finish, learning_run, reproduce
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.runs.summaries import RunError
+from torch_pmil.plotting import Figure
+
+COMMAND = "python scripts/reproduce.py toy"
+
+
+def learn_quickly(out: Path, command: str, seed: int) -> None:
+    """Leaves what a run leaves, and the process that it was in."""
+    out.mkdir(parents=True)
+    trials = [{"experience_s": 2.5, "success_rate": 0.0}]
+    numbers = {
+        "seed": seed,
+        "wall_seconds": 1.0,
+        "two_sigma_coverage": 1.0,
+        "saved_trial": 1,
+        "saved_success_rate": 1.0,
+        "experience_s": 5.0,
+    }
+    summary = {"experiment": "toy", "stop_reason": "limit", "command": command, "trials": trials, "process": os.getpid(), **numbers}
+    (out / "summary.json").write_text(json.dumps(summary))
+
+
+def fail(out: Path, command: str) -> None:
+    raise ValueError("no good")
+
+
+def toy_runs(root: Path, quick: bool) -> list[Run]:
+    return [Run(root / f"seed_{seed}", partial(learn_quickly, seed=seed)) for seed in range(1 if quick else 2)]
+
+
+def toy_report(folders: Sequence[Path], quick: bool) -> Report:
+    seeds = [json.loads((folder / "summary.json").read_text())["seed"] for folder in folders]
+    return Report({"runs": len(folders)}, {"empty": Figure()}, {"seeds": seeds})
+
+
+TOY = PaperExperiment("toy", "nothing", toy_runs, toy_report)
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(joblib, "cpu_count", lambda: 1)
+
+
+@pytest.mark.usefixtures("one_process")
+def test_results_hold_headline_details_figures_and_where_all_comes_from() -> None:
+    out, report = reproduce(TOY, False, COMMAND)
+    assert (out, report.headline) == (Path("results/toy"), {"runs": 2})
+    summary = json.loads(Path("results/toy/summary.json").read_text())
+    assert {"date", "commit", "versions"} <= summary.keys()
+    assert (summary["experiment"], summary["command"], summary["quick"]) == ("toy", COMMAND, False)
+    assert (summary["headline"], summary["seeds"]) == ({"runs": 2}, [0, 1])
+    assert [(run["folder"], run["seed"], run["command"]) for run in summary["runs"]] == [
+        ("runs/seed_0", 0, COMMAND),
+        ("runs/seed_1", 1, COMMAND),
+    ]
+    assert Path("results/toy/empty.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.usefixtures("one_process")
+def test_a_quick_reproduction_touches_no_full_run_and_no_full_result() -> None:
+    out, _ = reproduce(TOY, True, COMMAND)
+    assert out == Path("results/quick/toy")
+    assert {str(path) for path in Path().rglob("summary.json")} == {"results/quick/toy/summary.json", "runs/quick/seed_0/summary.json"}
+    assert json.loads((out / "summary.json").read_text())["quick"] is True
+
+
+@pytest.mark.usefixtures("one_process")
+def test_finished_runs_are_not_run_again() -> None:
+    reproduce(TOY, False, COMMAND)
+    before = Path("runs/seed_0/summary.json").stat().st_mtime_ns
+    Path("runs/seed_1/summary.json").unlink()
+    Path("runs/seed_1").rmdir()
+    reproduce(TOY, False, "another")
+    assert Path("runs/seed_0/summary.json").stat().st_mtime_ns == before
+    assert json.loads(Path("runs/seed_1/summary.json").read_text())["command"] == "another"
+
+
+@pytest.mark.usefixtures("one_process")
+def test_failed_runs_are_named_a_line_each_after_the_others_were_run() -> None:
+    runs = [Run(Path("runs/bad"), fail), *toy_runs(Path("runs"), False), Run(Path("runs/worse"), fail)]
+    with pytest.raises(RunError) as error:
+        finish(runs, COMMAND)
+    assert str(error.value) == "runs/bad: no good\nruns/worse: no good"
+    assert all((run.out / "summary.json").exists() for run in runs[1:3])
+
+
+@pytest.mark.slow
+def test_runs_that_are_missing_are_learned_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(joblib, "cpu_count", lambda: 2)
+    runs = toy_runs(Path("runs").absolute(), False)
+    finish(runs, COMMAND)
+    processes = {json.loads((run.out / "summary.json").read_text())["process"] for run in runs}
+    assert os.getpid() not in processes
+
+
+@pytest.mark.usefixtures("one_process")
+def test_our_own_runs_go_on_from_where_they_were_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple] = []
+
+    def train(experiment: object, *settings: object, progress_bar: bool, on_trial: Callable, resume: bool) -> None:
+        asked.append((experiment.name, *settings, resume))
+
+    monkeypatch.setattr(reproduction, "train", train)
+    finish([learning_run(Path("runs"), load_experiment("double_pendulum"), seed=3, trials=4)], COMMAND)
+    assert asked == [("double_pendulum", 3, 4, Path("runs/double_pendulum/seed_3"), COMMAND, True)]

@@ -1,0 +1,115 @@
+"""Robustness: what is varied is what the name says, the learner is told the start that it sees, and each number is at its place."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from reproduction import robustness
+from reproduction.robustness import (
+    FACTORS,
+    SEEDS,
+    needed_runs,
+    report,
+    ten_demonstrations,
+    varied_experiments,
+    with_demonstrations,
+    with_noise,
+    with_start_std,
+)
+from torch_pmil.demonstrations import shipped_demonstrations
+from torch_pmil.envs.double_pendulum import link_positions
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.tasks.experiment import Experiment
+
+RECORDED = torch.linspace(0, 1, 5 * 26 * 4, dtype=torch.float64).reshape(5, 26, 4)  # states
+
+
+def recorded_pairs(seeds: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
+    for _ in seeds:
+        yield RECORDED, torch.zeros(5, 25, 2, dtype=torch.float64)
+
+
+@pytest.fixture(autouse=True)
+def no_expert(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """To plan the expert takes long."""
+    monkeypatch.setattr(robustness, "record_pairs", recorded_pairs)
+    ten_demonstrations.cache_clear()
+    yield
+    ten_demonstrations.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("experiment", "std"),
+    [
+        (with_start_std(0.05), (0.05, 0.1, 0.05, 0.1)),
+        (with_start_std(0.2), (0.2, 0.4, 0.2, 0.4)),
+        (with_noise(0.0), (0.05, 0.1, 0.05, 0.1)),
+        (with_noise(0.05), (math.hypot(0.05, 0.05), math.hypot(0.1, 0.5), math.hypot(0.05, 0.05), math.hypot(0.1, 0.5))),
+    ],
+)
+def test_start_belief_is_the_distribution_of_what_the_sensors_say_of_starts(experiment: Experiment, std: tuple[float, ...]) -> None:
+    count, initial = 20_000, experiment.initial
+    seen = experiment.make_env(num_envs=count, seed=0).reset()["observation"]
+    torch.testing.assert_close(initial.std, torch.tensor(std, dtype=torch.float64))
+    assert ((seen.mean(0) - initial.mean).abs() / initial.std).max() < 4 / math.sqrt(count)
+    assert (seen.std(0) / initial.std - 1).abs().max() < 4 / math.sqrt(2 * count)
+
+
+def test_demonstrations_are_nested_and_begin_with_those_of_the_package() -> None:
+    shipped, every = shipped_demonstrations("double_pendulum"), ten_demonstrations().positions
+    assert torch.equal(every[:5], shipped.positions)
+    assert torch.equal(every[5:], link_positions(RECORDED))
+    for count in (2, 3, 10):
+        experiment = with_demonstrations(count)
+        assert torch.equal(experiment.demonstrations.positions, every[:count])
+        assert len(experiment.demonstrated_states) == 26 * count
+        assert torch.linalg.cholesky_ex(experiment.expert.cov).info.max() == 0
+
+
+def test_plain_level_is_the_plain_experiment_and_all_others_differ_in_name() -> None:
+    names = {factor.name: [experiment.name for experiment in factor.experiments()] for factor in FACTORS}
+    assert names == {
+        "start": ["double_pendulum", "double_pendulum_start_0.1rad", "double_pendulum_start_0.2rad"],
+        "noise": ["double_pendulum", *(f"double_pendulum_noise_{std}rad" for std in ("0.01", "0.02", "0.05"))],
+        "demonstrations": [
+            "double_pendulum_demonstrations_2",
+            "double_pendulum_demonstrations_3",
+            "double_pendulum",
+            "double_pendulum_demonstrations_10",
+        ],
+    }
+
+
+def test_every_experiment_is_learned_once_with_every_seed_in_another_process(tmp_path: Path) -> None:
+    runs = needed_runs(tmp_path, False)
+    assert [run.out for run in runs] == [tmp_path / name / f"seed_{seed}" for name in varied_experiments() for seed in SEEDS]
+    assert len(needed_runs(tmp_path, True)) == len(varied_experiments()) == 9
+    for run in runs:
+        sent, meant = (kept.learn.keywords["experiment"] for kept in (pickle.loads(pickle.dumps(run)), run))
+        starts = [experiment.make_env(seed=3).reset() for experiment in (sent, meant)]
+        assert (starts[0] == starts[1]).all()
+
+
+def test_every_number_is_at_its_level(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = list(varied_experiments())
+
+    def outcome(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, object]:
+        assert folder.parent.name == experiment.name
+        return {"experiment": experiment.name, "success_rate": names.index(experiment.name) / 10 + int(folder.name[-1]) / 100}
+
+    monkeypatch.setattr(robustness, "outcome", outcome)
+    made = report([Path(name, f"seed_{seed}") for name in names for seed in (0, 1)], quick=True)
+    plain = load_experiment("double_pendulum").name
+    for factor in FACTORS:
+        for name, experiment in zip(factor.names(), factor.experiments(), strict=True):
+            assert made.headline[f"success_{name}"] == pytest.approx(names.index(experiment.name) / 10 + 0.005)
+    assert made.headline["success_start_0.05rad"] == made.headline["success_noise_0rad"] == made.headline["success_demonstrations_5"]
+    assert sum(run["experiment"] == plain for run in made.details["measured"]) == 2
+    assert [panel.get_xlabel() for panel in made.figures["robustness"].axes] == [factor.label for factor in FACTORS]

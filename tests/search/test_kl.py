@@ -1,0 +1,106 @@
+"""Kullback-Leibler divergences, against torch's, quadrature, and the paper's gradients."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch.distributions import MultivariateNormal, kl_divergence
+
+from tests.helpers.draws import Draws
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
+from torch_pmil.search.kl import gaussian_kl, gaussian_kl_terms, mean_kl, trajectory_kl
+
+
+def test_kl_is_that_of_torch(draws: Draws) -> None:
+    p, q = draws.belief(3, 5, 4), draws.belief(3, 5, 4)
+    expected = kl_divergence(MultivariateNormal(p.mean, p.cov), MultivariateNormal(q.mean, q.cov))
+    torch.testing.assert_close(gaussian_kl(p, q), expected, rtol=1e-10, atol=1e-10)
+
+
+def test_kl_is_that_of_quadrature(draws: Draws) -> None:
+    p, q = draws.belief(1), draws.belief(1)
+    nodes, weights = (torch.as_tensor(a) for a in np.polynomial.hermite_e.hermegauss(20))
+    x = p.mean + nodes[:, None] * p.std
+    log_p, log_q = (MultivariateNormal(belief.mean, belief.cov).log_prob(x) for belief in (p, q))
+    expected = weights @ (log_p - log_q) / (2 * torch.pi) ** 0.5
+    torch.testing.assert_close(gaussian_kl(p, q), expected, rtol=1e-10, atol=1e-10)
+
+
+def test_gradients_in_the_prediction_are_those_of_the_paper(draws: Draws) -> None:
+    """Eq. 23, and Eq. 24 with the demonstrated covariance in the inner term, as it must be."""
+    p, q = draws.belief(4), draws.belief(4)
+    mean, cov = q.mean.clone().requires_grad_(), q.cov.clone().requires_grad_()
+    d_mean, d_cov = torch.autograd.grad(gaussian_kl(p, Gaussian(mean, cov)), (mean, cov))
+
+    inv_cov, delta = torch.linalg.inv(q.cov), p.mean - q.mean
+    eq_23 = -inv_cov @ delta
+    eq_24 = inv_cov / 2 - inv_cov @ (p.cov + torch.outer(delta, delta)) @ inv_cov / 2
+    torch.testing.assert_close(d_mean, eq_23, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(symmetric(d_cov), eq_24, rtol=1e-10, atol=1e-10)
+
+
+def test_kl_is_zero_for_equal_beliefs_alone(draws: Draws) -> None:
+    p, q = draws.belief(10, 3), draws.belief(10, 3)
+    torch.testing.assert_close(gaussian_kl(p, p), torch.zeros(10, dtype=torch.float64), rtol=0, atol=1e-12)
+    assert (gaussian_kl(p, q) > 0).all()
+    assert (gaussian_kl(p, Gaussian(p.mean, 1.01 * p.cov)) > 0).all()
+    assert (gaussian_kl(p, Gaussian(p.mean + 0.01, p.cov)) > 0).all()
+
+
+def test_kl_is_not_symmetric(draws: Draws) -> None:
+    p, q = draws.belief(3), draws.belief(3)
+    assert not torch.isclose(gaussian_kl(p, q), gaussian_kl(q, p))
+
+
+def test_kl_does_not_change_under_an_affine_map(draws: Draws) -> None:
+    p, q, matrix, offset = draws.belief(3), draws.belief(3), draws.normal(3, 3), draws.normal(3)
+    torch.testing.assert_close(gaussian_kl(p.affine(matrix, offset), q.affine(matrix, offset)), gaussian_kl(p, q))
+
+
+def test_batches_broadcast(draws: Draws) -> None:
+    p, q = draws.belief(4, 2), draws.belief(3, 4, 2)
+    together = gaussian_kl(p, q)
+    assert together.shape == (3, 4)
+    for i, j in np.ndindex(3, 4):
+        torch.testing.assert_close(together[i, j], gaussian_kl(p[j], q[i, j]))
+
+
+def test_trajectory_kl_is_the_sum_over_time(draws: Draws) -> None:
+    expert, predicted = draws.belief(6, 2), draws.belief(3, 6, 2)
+    expected = sum(gaussian_kl(expert[t], predicted[:, t]) for t in range(6))
+    torch.testing.assert_close(trajectory_kl(expert, predicted), expected)
+
+
+def test_mean_kl_is_the_kl_at_equal_covariances(draws: Draws) -> None:
+    expert, mean = draws.belief(5, 3), draws.normal(5, 3)
+    torch.testing.assert_close(mean_kl(expert, mean), gaussian_kl(expert, Gaussian(mean, expert.cov)))
+
+
+def test_singular_covariance_is_an_error_that_names_the_element(draws: Draws) -> None:
+    p, q = draws.belief(3, 2), draws.belief(3, 2)
+    q.cov[1] = -torch.eye(2)
+    with pytest.raises(NotPositiveDefiniteError, match=r"covariance of q .* batch element \(1,\)"):
+        gaussian_kl(p, q)
+
+
+def test_terms_sum_to_the_kl_and_none_is_negative(draws: Draws) -> None:
+    p, q = draws.belief(5, 3, 4), draws.belief(5, 3, 4)
+    terms = gaussian_kl_terms(p, q)
+    torch.testing.assert_close((terms.mean + terms.spread).sum(-1), gaussian_kl(p, q), rtol=1e-12, atol=1e-12)
+    assert terms.mean.shape == terms.spread.shape == (5, 3, 4)
+    assert (terms.mean >= 0).all() and (terms.spread >= 0).all()
+
+
+def test_terms_of_the_mean_are_the_kl_at_equal_covariances_and_those_of_the_spread_at_equal_means(draws: Draws) -> None:
+    p, q = draws.belief(6, 3), draws.belief(6, 3)
+    terms = gaussian_kl_terms(p, q)
+    torch.testing.assert_close(terms.mean.sum(-1), gaussian_kl(Gaussian(p.mean, q.cov), q), rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(terms.spread.sum(-1), gaussian_kl(Gaussian(q.mean, p.cov), q), rtol=1e-10, atol=1e-12)
+
+
+def test_terms_of_an_entry_are_what_it_adds_to_the_kl_of_those_before_it(draws: Draws) -> None:
+    p, q = draws.belief(6, 4), draws.belief(6, 4)
+    terms = gaussian_kl_terms(p, q)
+    of_first = torch.stack([gaussian_kl(*(belief.marginal(torch.arange(j)) for belief in (p, q))) for j in range(1, 5)], -1)
+    torch.testing.assert_close((terms.mean + terms.spread).cumsum(-1), of_first, rtol=1e-10, atol=1e-10)

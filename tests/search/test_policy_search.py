@@ -1,0 +1,316 @@
+"""The policy search on a damped integrator."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.helpers.draws import Draws
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
+from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
+from torch_pmil.search.policy_search import WORTHWHILE, SearchResult, SearchSettings, _evaluate, renew_policy, search_policy
+
+HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
+SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
+SETTINGS = SearchSettings(mean_iterations=5, stage_iterations=5, final_iterations=5, first_horizon=2, horizon_step=2, trusted=1.0)
+INITIAL = Gaussian(torch.ones(1, dtype=torch.float64), torch.full((1, 1), 0.01, dtype=torch.float64))
+REACHABLE = 0.75 ** torch.arange(1.0, HORIZON + 1, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def dynamics() -> GPDynamics:
+    """A damped integrator, learned from 30 random transitions."""
+    draws = Draws(seed=0)
+    x, u = draws.uniform(-1.5, 1.5, 30, 1), draws.uniform(-2, 2, 30, 1)
+    dynamics = GPDynamics(2, 1)
+    dynamics.fit(torch.cat([x, u], -1), 0.2 * (u - 0.5 * x) + 0.01 * draws.normal(30, 1))
+    return dynamics
+
+
+def make_policy(draws: Draws) -> RBFPolicy:
+    policy = RBFPolicy(draws.uniform(-1.5, 1.5, 8, 1), U_MAX, torch.ones(1))
+    policy.weights.data.copy_(0.1 * draws.normal(8, 1))
+    return policy
+
+
+def make_loss(dynamics: GPDynamics, draws: Draws, mean: Tensor) -> TrajectoryKLLoss:
+    """An expert of that mean (T,) and a standard deviation of 0.14."""
+    expert = Gaussian(mean[:, None], torch.full((HORIZON, 1, 1), 0.02, dtype=torch.float64))
+    return TrajectoryKLLoss(make_policy(draws), dynamics, SPACE, expert, noise_std=0.05)
+
+
+@pytest.fixture
+def loss(dynamics: GPDynamics, draws: Draws) -> TrajectoryKLLoss:
+    """What the expert shows can be reached; the random policy does not."""
+    return make_loss(dynamics, draws, REACHABLE)
+
+
+@pytest.fixture
+def hopeless(dynamics: GPDynamics, draws: Draws) -> TrajectoryKLLoss:
+    """From step 4 on the expert is where no torque leads."""
+    return make_loss(dynamics, draws, REACHABLE + 10 * (torch.arange(HORIZON) >= 3))
+
+
+@dataclass(frozen=True)
+class Search:
+    """A search, with what was reported and the policy's parameters that it left."""
+
+    result: SearchResult
+    reports: list[tuple[str, float]]
+    parameters: dict[str, Tensor]
+
+
+def search(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS, random: bool = False) -> Search:
+    reports: list[tuple[str, float]] = []
+    result = search_policy(loss, INITIAL, settings, lambda *report: reports.append(report), random)
+    return Search(result, reports, {name: value.clone() for name, value in loss.actor_network.state_dict().items()})
+
+
+@pytest.fixture(scope="module")
+def finished(dynamics: GPDynamics) -> Search:
+    """The search on ``loss``."""
+    return search(make_loss(dynamics, Draws(seed=0), REACHABLE))
+
+
+@pytest.fixture
+def found(loss: TrajectoryKLLoss, finished: Search) -> TrajectoryKLLoss:
+    """The loss with the policy that the search found."""
+    loss.actor_network.load_state_dict(finished.parameters)
+    return loss
+
+
+def test_search_lowers_the_kl_until_the_whole_horizon_is_matched(loss: TrajectoryKLLoss, finished: Search) -> None:
+    result = finished.result
+    assert result.kl < 0.5 * loss.per_step(INITIAL).sum().item()
+    assert result.matched and result.horizon == HORIZON
+    assert (result.per_step < SETTINGS.trusted).all()
+
+
+def test_result_is_that_of_the_policy_that_is_left(found: TrajectoryKLLoss, finished: Search) -> None:
+    assert torch.equal(finished.result.per_step, found.per_step(INITIAL).detach())
+    assert finished.result.kl == finished.result.per_step.sum().item()
+    assert finished.result.seconds > 0
+
+
+def horizons(search: Search, objective: str) -> list[int]:
+    """Horizons of the runs of L-BFGS on "mean" or "KL", as they were reported."""
+    assert all(stage.endswith(f"/{HORIZON}") for stage, _ in search.reports)
+    return [int(stage.split()[1].split("/")[0]) for stage, _ in search.reports if stage.startswith(objective)]
+
+
+def test_horizon_grows_step_by_step_each_with_a_run_on_the_mean_and_then_the_kl(finished: Search) -> None:
+    grown = [f"{objective} {horizon}/6" for horizon in (2, 4, 6) for objective in ("mean", "KL")]
+    assert [stage for stage, _ in finished.reports] == [*grown, "KL 6/6"]
+
+
+def test_last_report_is_the_result(finished: Search) -> None:
+    assert finished.reports[-1][1] == pytest.approx(finished.result.kl)
+
+
+@pytest.mark.parametrize(("first", "step", "expected"), [(2, 3, [2, 5, 6]), (4, 7, [4, 6]), (9, 3, [6])])
+def test_horizon_never_exceeds_that_of_the_expert(loss: TrajectoryKLLoss, first: int, step: int, expected: list[int]) -> None:
+    settings = SearchSettings(3, 3, 1, first_horizon=first, horizon_step=step, trusted=1.0)
+    assert horizons(search(loss, settings), "mean") == expected
+
+
+def test_policy_that_matches_is_searched_on_the_whole_kl_alone(found: TrajectoryKLLoss) -> None:
+    settings = SearchSettings(1, 1, 1, first_horizon=2, trusted=SETTINGS.trusted)
+    once = search(found, settings)
+    assert horizons(once, "KL") == [6]
+    assert horizons(once, "mean") == []
+
+
+@pytest.mark.parametrize(("leaps", "random", "expected"), [(False, True, [2, 4, 6]), (False, False, []), (True, True, [])])
+def test_random_policy_that_is_trusted_throughout_grows_step_by_step_if_the_horizon_does_not_leap(
+    found: TrajectoryKLLoss, leaps: bool, random: bool, expected: list[int]
+) -> None:
+    settings = SearchSettings(1, 1, 1, first_horizon=2, horizon_step=2, trusted=SETTINGS.trusted, leaps=leaps)
+    assert horizons(search(found, settings, random), "mean") == expected
+
+
+@pytest.mark.parametrize(("leaps", "expected"), [(True, [2, 6]), (False, [2, 3, 4, 5, 6])])
+def test_horizon_that_leaps_passes_over_what_is_trusted(
+    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, leaps: bool, expected: list[int]
+) -> None:
+    doubts = iter([torch.full((HORIZON,), 9.0), *[torch.zeros(HORIZON)] * 10])
+    monkeypatch.setattr(loss, "doubt", lambda *_: next(doubts))
+    settings = SearchSettings(1, 1, 1, first_horizon=2, horizon_step=1, trusted=1.0, leaps=leaps)
+    assert horizons(search(loss, settings), "mean") == expected
+
+
+def test_horizon_stops_where_the_last_steps_are_not_trusted(hopeless: TrajectoryKLLoss) -> None:
+    result = search(hopeless).result
+    assert result.horizon == 4
+    assert not result.matched
+    assert result.per_step.shape == (HORIZON,)
+    assert result.per_step[2:4].mean() > SETTINGS.trusted
+
+
+@pytest.mark.parametrize(("trusted", "horizon"), [(1e-9, 2), (0.0018, HORIZON), (0.5, HORIZON)])
+def test_costly_prediction_is_followed_as_far_as_it_is_sure(dynamics: GPDynamics, draws: Draws, trusted: float, horizon: int) -> None:
+    """The target is out of reach: every step costs more than may be doubted."""
+    cost = ExpectedSaturatingCost(make_policy(draws), dynamics, SPACE, torch.tensor([5.0]), width=1.5, horizon=HORIZON)
+    result = search(cost, SearchSettings(2, 2, 1, first_horizon=2, horizon_step=2, trusted=trusted)).result
+    assert (result.per_step > 0.5).all()
+    assert (result.horizon, result.complete) == (horizon, horizon == HORIZON)
+
+
+def test_same_start_gives_the_same_search(loss: TrajectoryKLLoss, finished: Search) -> None:
+    again = search(loss).result
+    assert torch.equal(again.per_step, finished.result.per_step)
+    assert again.evaluations == finished.result.evaluations
+
+
+def test_search_leaves_the_model_as_it_was(loss: TrajectoryKLLoss) -> None:
+    before = {name: value.clone() for name, value in loss.dynamics.state_dict().items()}
+    search(loss, SearchSettings(1, 1, 1))
+    assert all(torch.equal(value, before[name]) for name, value in loss.dynamics.state_dict().items())
+
+
+def fail_beyond(loss: TrajectoryKLLoss, step: int, monkeypatch: pytest.MonkeyPatch) -> Tensor:
+    """Predictions longer than ``step`` fail in the next one; returns those that are left."""
+    per_step = loss.per_step
+
+    def failing(initial: Gaussian, horizon: int | None = None) -> Tensor:
+        if (horizon or HORIZON) > step:
+            raise PredictionError(f"prediction of step {step + 1} failed", step + 1)
+        return per_step(initial, horizon)
+
+    monkeypatch.setattr(loss, "per_step", failing)
+    return per_step(INITIAL, step).detach() if step else torch.empty(0)
+
+
+@pytest.mark.parametrize("step", [1, 3, 5])
+def test_steps_beyond_a_failed_prediction_cost_infinitely_much(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, step: int) -> None:
+    known = fail_beyond(loss, step, monkeypatch)
+    evaluated = _evaluate(loss.per_step, INITIAL, HORIZON)
+    assert torch.equal(evaluated[:step], known)
+    assert evaluated[step:].tolist() == [math.inf] * (HORIZON - step)
+
+
+def test_failure_of_the_first_step_is_an_error(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch) -> None:
+    fail_beyond(loss, 0, monkeypatch)
+    with pytest.raises(PredictionError, match="prediction of step 1 failed"):
+        search_policy(loss, INITIAL, SETTINGS)
+
+
+def test_search_goes_on_where_the_prediction_can_be_followed(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The far part fails throughout, and is not searched."""
+    fail_beyond(loss, 3, monkeypatch)
+    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted=0.0)).result
+    assert (result.horizon, result.matched, result.kl) == (3, False, math.inf)
+    assert result.per_step[:3].isfinite().all()
+
+
+@pytest.mark.parametrize("error", [PredictionError("no Cholesky factor", 2), NotPositiveDefiniteError("no Cholesky factor")])
+def test_failures_within_a_run_are_survived_and_counted(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    mean_per_step, calls = loss.mean_per_step, []
+
+    def failing_once(initial: Gaussian, horizon: int) -> Tensor:
+        calls.append(horizon)
+        if len(calls) == 2:
+            raise error
+        return mean_per_step(initial, horizon)
+
+    monkeypatch.setattr(loss, "mean_per_step", failing_once)
+    result = search(loss, SearchSettings(5, 1, 1, first_horizon=6, trusted=0.0)).result
+    assert result.failures == 1
+    assert result.evaluations > len(calls) > 2
+
+
+def renewed(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS) -> tuple[Tensor, Tensor, RBFPolicy]:
+    """Actions before and after along the mean of the old policy, x_0 first, and the new policy as it was drawn."""
+    draws = Draws(seed=5)
+    new, policy = make_policy(draws), loss.actor_network
+    drawn = {name: value.clone() for name, value in new.state_dict().items()}
+    mean = predict_mean_trajectory(INITIAL.mean, policy, loss.dynamics, SPACE, HORIZON)
+    features = SPACE.features(torch.cat([INITIAL.mean[None], mean])).detach()
+    before = policy(features).detach()
+    renew_policy(loss, INITIAL, new, settings, draws.generator)
+    after = policy(features).detach()
+    new.load_state_dict(drawn)
+    return before, after, new
+
+
+def test_renewed_policy_acts_nearly_as_the_old_one_along_the_prediction(found: TrajectoryKLLoss) -> None:
+    before, after, drawn = renewed(found)
+    assert (after - before).abs().max() < 0.05 * U_MAX
+    features = SPACE.features(INITIAL.mean)
+    assert (drawn(features) - before[0]).abs() > 0.2 * U_MAX
+
+
+def test_renewed_policy_has_the_centres_and_widths_of_the_new_one(found: TrajectoryKLLoss) -> None:
+    _, _, drawn = renewed(found)
+    assert torch.equal(found.actor_network.centres, drawn.centres)
+    assert torch.equal(found.actor_network.log_widths, drawn.log_widths)
+    assert not torch.equal(found.actor_network.weights, drawn.weights)
+
+
+@pytest.mark.parametrize(("trusted", "same"), [(0.0, True), (math.inf, False)], ids=["nowhere", "everywhere"])
+def test_policy_is_renewed_at_the_start_and_where_the_prediction_is_trusted(found: TrajectoryKLLoss, trusted: float, same: bool) -> None:
+    """What a model predicts matters only where it is trusted."""
+    other = copy.deepcopy(found)
+    other.dynamics.set_data(other.dynamics.train_inputs, -other.dynamics.train_targets)
+    for loss in (found, other):
+        renew_policy(loss, INITIAL, make_policy(Draws(seed=5)), SearchSettings(first_horizon=1, trusted=trusted), Draws(seed=6).generator)
+    assert torch.equal(found.actor_network.weights, other.actor_network.weights) == same
+
+
+def test_renewal_with_the_same_seed_is_the_same(dynamics: GPDynamics) -> None:
+    losses = [make_loss(dynamics, Draws(seed=0), REACHABLE) for _ in range(2)]
+    (_, one, _), (_, other, _) = (renewed(loss) for loss in losses)
+    assert torch.equal(one, other)
+
+
+@pytest.mark.parametrize("known", [3, 4])
+def test_horizon_grows_no_further_than_the_prediction_can_be_followed(
+    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, known: int
+) -> None:
+    """The first three steps are matched, and beyond step ``known`` the prediction fails."""
+    fail_beyond(loss, known, monkeypatch)
+    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted=1.0)).result
+    assert (result.horizon, result.kl) == (known, math.inf)
+
+
+def test_without_iterations_of_the_mean_each_horizon_begins_with_the_loss(loss: TrajectoryKLLoss) -> None:
+    found = search(loss, replace(SETTINGS, mean_iterations=0))
+    assert horizons(found, "mean") == []
+    assert horizons(found, "KL")[:2] == [2, 4]
+    assert found.result.kl < 0.5 * make_loss(loss.dynamics, Draws(seed=0), REACHABLE).per_step(INITIAL).sum().item()
+
+
+def test_policy_whose_prediction_fails_early_is_renewed_as_far_as_it_can_be_followed(found: TrajectoryKLLoss) -> None:
+    def failing(*arguments: object) -> Gaussian:
+        if arguments[-1] > 2:
+            raise PredictionError("prediction of step 3 failed", 3)
+        return predict_trajectory(*arguments)
+
+    found.prediction = failing
+    before, after, _ = renewed(found, replace(SETTINGS, first_horizon=HORIZON))
+    assert (after - before)[:3].abs().max() < 0.05 * U_MAX
+
+
+def losses_at(found: Search, horizon: int) -> list[float]:
+    """Of the runs on the KL up to a horizon, the last search left out."""
+    return [loss for name, loss in found.reports[:-1] if name == f"KL {horizon}/{HORIZON}"]
+
+
+def test_horizon_that_is_not_trusted_is_searched_on_while_that_lowers_the_loss(hopeless: TrajectoryKLLoss) -> None:
+    """No torque leads to step 4: the search on the horizon that holds it goes on while runs of two iterations bring a tenth."""
+    found = search(hopeless, SearchSettings(1, 2, 1, first_horizon=4, horizon_step=1, trusted=1.0))
+    reached = losses_at(found, 4)
+    falls = [after / before for before, after in pairwise(reached)]
+    assert len(falls) > 1
+    assert all(fall < WORTHWHILE for fall in falls[:-1])
+    assert falls[-1] >= WORTHWHILE
+    assert found.result.horizon == 4

@@ -1,0 +1,93 @@
+"""The variables of the policy search: the same policies, the same loss, and a gradient that leads further."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.helpers.draws import Draws
+from tests.helpers.losses import HORIZON, make_kl
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.lbfgs import MinimiseResult, minimise
+from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.search.reparameterisation import NOISE_VARIANCE, ConditionedLoss
+
+START = Gaussian(torch.zeros(2, dtype=torch.float64), 0.01 * torch.eye(2, dtype=torch.float64))
+
+
+@pytest.fixture
+def loss() -> TrajectoryKLLoss:
+    return make_kl(seed=0)
+
+
+def gram(policy: RBFPolicy) -> Tensor:
+    """K + sigma^2 I of a network with one output and scale 1, from its definition."""
+    centres = policy.centres / policy.log_widths.exp()
+    squares = (centres[:, None] - centres).square().sum(-1)
+    return (-squares / 2).exp() + NOISE_VARIANCE * torch.eye(len(centres))
+
+
+def total(loss: TrajectoryKLLoss) -> Tensor:
+    return loss.per_step(START).sum()
+
+
+def test_start_is_the_policy_itself(loss: TrajectoryKLLoss) -> None:
+    """Its weights come back as accurately as the system for them is conditioned, and the loss is that of these weights."""
+    weights, condition = loss.actor_network.weights.detach().clone(), torch.linalg.cond(gram(loss.actor_network)).item()
+    conditioned = ConditionedLoss(loss)
+    value = conditioned.total(loss.per_step, START, HORIZON).item()
+    conditioned.write()
+    written = loss.actor_network.weights.detach()
+    assert (written - weights).norm() <= len(weights) * condition * torch.finfo(torch.float64).eps * weights.norm()
+    assert total(loss).item() == value
+
+
+def test_values_are_those_of_the_network_at_its_centres_with_noise(loss: TrajectoryKLLoss) -> None:
+    policy = loss.actor_network
+    policy.log_widths.data += 0.3
+    torch.testing.assert_close(ConditionedLoss(loss).values[0], gram(policy) @ policy.weights)
+
+
+def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(loss: TrajectoryKLLoss, draws: Draws) -> None:
+    policy, conditioned = loss.actor_network, ConditionedLoss(loss)
+    conditioned.values.data += 0.3 * draws.normal(*conditioned.values.shape)
+    value = conditioned.total(loss.per_step, START, HORIZON)
+    centres, values, widths = torch.autograd.grad(value, conditioned.variables)
+    conditioned.write()
+    of_centres, of_weights, of_widths = torch.autograd.grad(total(loss), [policy.centres, policy.weights, policy.log_widths])
+    torch.testing.assert_close(centres, of_centres)
+    torch.testing.assert_close(widths, of_widths)
+    torch.testing.assert_close(values[0], torch.linalg.solve(gram(policy), of_weights))
+
+
+def found_by_values(loss: TrajectoryKLLoss, iterations: int) -> MinimiseResult:
+    conditioned = ConditionedLoss(loss)
+    result = minimise(conditioned.variables, lambda: conditioned.total(loss.per_step, START, HORIZON), iterations)
+    conditioned.write()
+    return result
+
+
+def test_search_changes_the_policy_itself_and_keeps_its_parameters(loss: TrajectoryKLLoss) -> None:
+    before, names = list(loss.actor_network.parameters()), list(loss.actor_network.state_dict())
+    found = found_by_values(loss, iterations=5)
+    assert found.loss < found.initial_loss
+    assert total(loss).item() == pytest.approx(found.loss, rel=1e-9)
+    assert all(one is other for one, other in zip(before, loss.actor_network.parameters(), strict=True))
+    assert list(loss.actor_network.state_dict()) == names
+
+
+def test_overlapping_functions_are_searched_in_fewer_iterations() -> None:
+    """Sixty functions, twice as wide as their centres' spread."""
+
+    def overlapping() -> TrajectoryKLLoss:
+        loss, draws = make_kl(seed=0), Draws(seed=1)
+        loss.actor_network = RBFPolicy(draws.normal(60, 3), torch.tensor([2.0]), 2 * torch.ones(3))
+        loss.actor_network.weights.data.copy_(0.1 * draws.normal(60, 1))
+        return loss
+
+    plain = overlapping()
+    by_weights = minimise(plain.actor_network.parameters(), lambda: total(plain), max_iterations=15)
+    by_values = found_by_values(overlapping(), iterations=15)
+    assert by_values.loss < by_weights.loss

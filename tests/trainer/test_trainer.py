@@ -1,0 +1,398 @@
+"""Algorithm 1 as a trainer, on the first four steps of the double pendulum and with searches of a few evaluations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
+from types import SimpleNamespace
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from tests.helpers.short_run import PD_MOVEMENTS, quick_fits as shorten_fits, short_experiment
+from torch_pmil.control.exploration import RandomTorques
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.envs.rollouts import rollout_of, states_of, without_sensor_noise
+from torch_pmil.experiments.runs.training import make_trainer
+from torch_pmil.model.rollout import PredictionError
+from torch_pmil.search.policy_search import SearchResult, SearchSettings
+from torch_pmil.trainer.collector import RobotActor
+from torch_pmil.trainer.search_stepper import PROGRESS, PolicySearchStepper
+from torch_pmil.trainer.trainer import PMILTrainer, search_stepper as stepper_module
+from torch_pmil.trainer.trials import Candidate, Trial
+
+HORIZON, STARTS = 4, 20
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_fits() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        shorten_fits(patch)
+        yield
+
+
+def make(trials: int, seed: int = 0, progress_bar: bool = False, **changes: object) -> tuple[PMILTrainer, list[Trial]]:
+    """A trainer, and the list that its trials are told to."""
+    told: list[Trial] = []
+    return make_trainer(short_experiment(HORIZON, **changes), seed, trials, progress_bar, told.append), told
+
+
+def own_errors(*errors: float) -> Callable[[TensorDictBase], Tensor]:
+    """An error measure under which own rollouts have these errors, one after the other, and a quarter of the starts succeed."""
+    script, starts = iter(errors), torch.arange(STARTS) % 4
+    return lambda rollout: torch.tensor(next(script)) if rollout.ndim == 1 else 1.0 * starts
+
+
+@pytest.fixture(scope="module")
+def trained() -> PMILTrainer:
+    """Two trials, without success."""
+    trainer, _ = make(trials=2)
+    trainer.train()
+    return trainer
+
+
+def rollouts_of(trainer: PMILTrainer) -> list[TensorDict]:
+    return trainer.experience.transitions.split(HORIZON)
+
+
+def test_experience_is_the_random_rollout_and_one_of_each_trial(trained: PMILTrainer) -> None:
+    assert len(trained.experience) == trained.collected_frames == 3 * HORIZON
+    assert [trial.trial for trial in trained.trials] == [1, 2]
+    assert [trial.experience_s for trial in trained.trials] == pytest.approx([0.4, 0.8])
+
+
+def test_each_rollout_is_one_motion_from_a_start_of_its_own(trained: PMILTrainer) -> None:
+    """So that no measurement from other starts is among them."""
+    rollouts = rollouts_of(trained)
+    for rollout in rollouts:
+        assert torch.equal(rollout["next", "observation"][:-1], rollout["observation"][1:])
+    starts = torch.stack([rollout["observation"][0] for rollout in rollouts])
+    assert ((starts - trained.initial.mean).abs() < 5 * trained.initial.std).all()
+    assert len(starts.unique(dim=0)) == 3
+
+
+def test_first_rollout_is_random_within_a_fraction_of_the_limit() -> None:
+    trainer, _ = make(trials=1, random_torque=0.1)
+    trainer.train()
+    actions, u_max = rollouts_of(trainer)[0]["action"], trainer.actor.policy.u_max
+    assert (actions.abs() <= 0.1 * u_max).all()
+    assert actions.abs().max() > 0.02 * u_max.max()
+    assert len(actions.unique()) == actions.numel()
+
+
+def test_first_motion_may_be_several_rollouts_of_another_length() -> None:
+    trainer, told = make(trials=2, pd_movements=PD_MOVEMENTS)
+    sizes: list[int] = []
+    trainer.register_op("post_optim", lambda: sizes.append(len(trainer.loss_module.dynamics.train_inputs)))
+    trainer.train()
+    assert len(trainer.experience) == trainer.collected_frames == trainer.total_frames == 2 * 7 + 2 * HORIZON
+    assert sizes == [14, 14 + HORIZON]
+    assert [trial.experience_s for trial in told] == pytest.approx([1.4, 1.4 + 0.1 * HORIZON])
+    transitions = trainer.experience.transitions
+    for rollout in transitions.split([7, 7, HORIZON, HORIZON]):
+        assert torch.equal(rollout["next", "observation"][:-1], rollout["observation"][1:])
+    assert not torch.equal(transitions["next", "observation"][6], transitions["observation"][7])
+
+
+def test_first_motion_is_that_of_the_pd_controller_from_the_robots_starts() -> None:
+    """The collector tries out robot and motion when it is made."""
+    trainer, _ = make(trials=1, pd_movements=PD_MOVEMENTS)
+    trainer.train()
+    env, motion = short_experiment().make_env(seed=0), PD_MOVEMENTS.motion(torch.Generator().manual_seed(1_000_000))
+    motion(env.reset()["observation"])
+    for rollout in trainer.experience.transitions[:14].split(7):
+        motion.begin()
+        state = env.reset()["observation"]
+        for step in rollout:
+            action = motion(state)
+            torch.testing.assert_close((step["observation"], step["action"]), (state, action), rtol=0, atol=1e-12)
+            state = env.step(TensorDict({"action": action}))["next", "observation"]
+
+
+def test_later_rollouts_are_the_searched_policies(trained: PMILTrainer) -> None:
+    policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
+    for candidate, rollout in zip(trained.candidates, rollouts_of(trained)[1:], strict=True):
+        policy.load_state_dict(candidate.parameters)
+        expected = policy(trained.actor.space.features(rollout["observation"]))
+        torch.testing.assert_close(rollout["action"], expected.detach(), rtol=0, atol=1e-12)
+
+
+def test_own_error_is_that_of_the_rollout_that_became_experience(trained: PMILTrainer) -> None:
+    for trial, rollout in zip(trained.trials, rollouts_of(trained)[1:], strict=True):
+        assert trial.own_error == trained.error(rollout).item()
+
+
+def test_model_is_fitted_to_all_experience_before_each_search() -> None:
+    """The last rollout belongs to no search any more."""
+    trainer, _ = make(trials=2)
+    sizes: list[int] = []
+    trainer.register_op("post_optim", lambda: sizes.append(len(trainer.loss_module.dynamics.train_inputs)))
+    trainer.train()
+    assert sizes == [HORIZON, 2 * HORIZON]
+
+
+def test_hooks_of_a_user_are_called() -> None:
+    trainer, _ = make(trials=2)
+    calls: list[str] = []
+    for destination in ("batch_process", "process_optim_batch", "pre_steps_log", "post_steps_log", "post_optim_log"):
+        trainer.register_op(destination, lambda batch, name=destination: calls.append(name))
+    for destination in ("setup", "pre_optim_steps", "post_optim", "post_steps", "shutdown"):
+        trainer.register_op(destination, lambda name=destination: calls.append(name))
+    trainer.train()
+    of_a_batch, of_a_search = ("batch_process", "pre_steps_log", "post_steps", "post_steps_log"), ("pre_optim_steps", "post_optim")
+    assert [calls.count(name) for name in of_a_batch] == [3] * 4
+    assert [calls.count(name) for name in (*of_a_search, "process_optim_batch", "post_optim_log")] == [2] * 4
+    assert (calls[0], calls[-1], calls.count("setup"), calls.count("shutdown")) == ("setup", "shutdown", 1, 1)
+
+
+def test_rate_is_that_of_the_fresh_starts_and_decides_nothing() -> None:
+    trainer, told = make(trials=2, error=own_errors(9.0, 9.0), tolerance=0.5)
+    trainer.train()
+    assert [(trial.success_rate, trial.n_eval) for trial in told] == [(0.25, STARTS)] * 2
+    assert not any(trial.own_success for trial in told)
+
+
+def test_trials_are_told_one_by_one_when_their_rollout_is_done() -> None:
+    trainer, told = make(trials=2, error=own_errors(0.2, 0.9), tolerance=0.5)
+    trainer.train()
+    assert told == trainer.trials
+    assert [(trial.own_error, trial.own_success) for trial in told] == [(pytest.approx(0.2), True), (pytest.approx(0.9), False)]
+
+
+def test_error_is_of_the_rollout_as_the_environment_gives_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the states do not say: here, how fast the torques were."""
+    trainer, told = make(trials=1, error=lambda rollout: rollout["action"].norm(dim=-1).amax(-1), tolerance=0.0)
+    trainer.train()
+    assert told[0].own_error == rollouts_of(trainer)[1]["action"].norm(dim=-1).max().item()
+
+
+@pytest.mark.parametrize(("confirmations", "trials"), [(1, 1), (3, 5)])
+def test_experiment_says_how_many_successes_in_a_row_end_the_training(confirmations: int, trials: int) -> None:
+    trainer, told = make(trials=6, error=own_errors(0.1, 0.9, 0.1, 0.1, 0.1), tolerance=0.5, confirmations=confirmations)
+    trainer.train()
+    assert len(told) == trials
+    assert trainer.stop_reason.startswith("the own rollout")
+
+
+def test_no_confirmations_are_an_error() -> None:
+    with pytest.raises(ValueError, match="confirmations must be at least 1, got 0"):
+        make(trials=1, confirmations=0)
+
+
+def test_training_ends_after_two_own_successes_in_a_row() -> None:
+    trainer, told = make(trials=5, error=own_errors(0.1, 0.9, 0.1, 0.5), tolerance=0.5)
+    trainer.train()
+    assert [trial.own_success for trial in told] == [True, False, True, True]
+    assert trainer.stop_reason == "the own rollouts of two trials in a row succeeded"
+    assert len(trainer.experience) == 5 * HORIZON
+
+
+@pytest.mark.parametrize("errors", [(0.1,), (0.1, 0.9, 0.1), (0.9, 0.9)], ids=str)
+def test_training_ends_at_the_limit_of_trials_without_two_in_a_row(errors: tuple[float, ...]) -> None:
+    trainer, told = make(trials=len(errors), error=own_errors(*errors), tolerance=0.5)
+    trainer.train()
+    assert len(told) == len(errors)
+    assert trainer.stop_reason == "limit of trials"
+
+
+def timeless(trials: list[Trial]) -> list[dict[str, object]]:
+    return [asdict(replace(trial, gp_seconds=0.0, search_seconds=0.0)) for trial in trials]
+
+
+def test_same_seed_gives_the_same_trials_bit_for_bit_with_a_progress_bar_too(trained: PMILTrainer) -> None:
+    again, _ = make(trials=2, progress_bar=True)
+    again.train()
+    assert timeless(again.trials) == timeless(trained.trials)
+    for key in ("observation", "action"):
+        assert torch.equal(again.experience.transitions[key], trained.experience.transitions[key])
+
+
+def test_other_seed_gives_another_run(trained: PMILTrainer) -> None:
+    other, _ = make(trials=1, seed=1)
+    other.train()
+    assert timeless(other.trials) != timeless(trained.trials[:1])
+    ours, theirs = rollouts_of(trained)[0], rollouts_of(other)[0]
+    assert not torch.equal(ours["observation"][0], theirs["observation"][0])
+    assert not torch.equal(ours["action"], theirs["action"])
+
+
+def test_no_trials_are_an_error() -> None:
+    with pytest.raises(ValueError, match="trials must be at least 1, got 0"):
+        make(trials=0)
+
+
+# the choice of the policy
+
+
+@pytest.fixture
+def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Candidate]:
+    """Chooses among policies with these own errors and predicted KLs (None: the prediction fails), numbered from 1."""
+
+    def choose(*outcomes: tuple[float, float | None]) -> Candidate:
+        policy, made = trained.loss_module.actor_network, []
+        for trial, (own_error, _) in enumerate(outcomes, start=1):
+            parameters = {name: value.clone() for name, value in policy.state_dict().items()}
+            parameters["weights"].fill_(trial)
+            made.append(Candidate(trial, parameters, own_error))
+
+        def per_step(_: object) -> Tensor:
+            kl = outcomes[int(policy.weights[0, 0].item()) - 1][1]
+            if kl is None:
+                raise PredictionError("prediction of step 2 failed", 2)
+            return torch.tensor([kl / 2, kl / 2])
+
+        monkeypatch.setattr(trained, "candidates", made)
+        monkeypatch.setattr(trained, "tolerance", 0.25)
+        monkeypatch.setattr(trained.loss_module, "per_step", per_step)
+        return trained.best_policy()
+
+    return choose
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "best"),
+    [
+        ([(0.3, 1.0), (0.2, 9.0), (0.1, 5.0), (0.05, 7.0)], 3),
+        ([(0.25, 1.0), (0.1, 5.0)], 1),
+        ([(0.9, 1.0), (0.6, 9.0), (0.7, 2.0)], 2),
+        ([(0.1, None), (0.2, 5.0)], 2),
+        ([(0.1, None), (0.3, 5.0)], 1),
+    ],
+    ids=["least KL of the successes", "tolerance succeeds", "least error without success", "failed KL is worst", "success before KL"],
+)
+def test_best_policy(candidates: Callable[..., Candidate], trained: PMILTrainer, outcomes: list, best: int) -> None:
+    assert candidates(*outcomes).trial == best
+    assert (trained.loss_module.actor_network.weights == best).all()
+
+
+def test_best_policy_is_chosen_under_a_model_of_all_experience(candidates: Callable[..., Candidate], trained: PMILTrainer) -> None:
+    candidates((0.1, 1.0))
+    assert len(trained.loss_module.dynamics.train_inputs) == len(trained.experience)
+
+
+# the search of a trial
+
+
+class ScriptedSearches:
+    """A stepper whose searches end with these results; the policy's weights are then the number of the search, 1, 2, ..."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, results: list[tuple[float, int, bool]], restarts: int = 0) -> None:
+        self.loss = make(trials=1)[0].loss_module
+        self.renewed_from: list[int] = []  # numbers of the searches whose policies were renewed
+        self.random_at: list[int] = []  # and of those that were told that theirs is random
+        self.searches = 0
+        self._results = iter(results)
+        monkeypatch.setattr(stepper_module, "search_policy", self._search)
+        monkeypatch.setattr(stepper_module, "renew_policy", lambda *_: self.renewed_from.append(self.kept))
+        self.stepper = PolicySearchStepper(SearchSettings(restarts=restarts), self._random, torch.Generator(), lambda *_: None)
+
+    def _random(self) -> RBFPolicy:
+        policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
+        policy.weights.data.fill_(-1)
+        return policy
+
+    def _search(self, loss: torch.nn.Module, *_: object, random: bool) -> SearchResult:
+        assert not random or self.kept in (-1, 0)
+        self.searches += 1
+        self.random_at += [self.searches] if random else []
+        loss.actor_network.weights.data.fill_(self.searches)
+        kl, horizon, matched = next(self._results)
+        per_step = torch.full((HORIZON,), kl / HORIZON, dtype=torch.float64)
+        return SearchResult(kl, per_step, horizon, matched, evaluations=10, failures=1, seconds=0.5, stop_reason="iteration limit")
+
+    @property
+    def kept(self) -> int:
+        """Number of the search whose policy the loss holds."""
+        return int(self.loss.actor_network.weights[0, 0].item())
+
+    def step(self) -> int:
+        """One trial's search; number of the one whose policy was kept."""
+        start = TensorDict({"observation": {"mean": torch.zeros(4), "var": torch.eye(4)}})
+        loss = self.stepper.step(SimpleNamespace(loss_module=self.loss), start)["loss_kl"]
+        assert loss.item() == self.stepper.result.kl
+        return self.kept
+
+
+SLOW = 1.1 * PROGRESS * 100  # after a search that came to 100
+
+
+@pytest.mark.parametrize("second", [(0.9 * PROGRESS * 100, 2, False), (SLOW, 4, True)], ids=["well below", "complete"])
+def test_search_that_makes_progress_is_the_only_one(monkeypatch: pytest.MonkeyPatch, second: tuple[float, int, bool]) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), second])
+    assert [scripted.step(), scripted.step()] == [1, 2]
+    assert (scripted.renewed_from, scripted.random_at, scripted.stepper.renewed) == ([], [1], False)
+
+
+@pytest.mark.parametrize(("renewed", "kept"), [(50.0, 3), (99.0, 2)], ids=["better", "worse"])
+def test_search_without_progress_is_followed_by_one_of_the_renewed_policy_and_the_better_is_kept(
+    monkeypatch: pytest.MonkeyPatch, renewed: float, kept: int
+) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), (SLOW, 3, False), (renewed, 2, False)])
+    assert [scripted.step(), scripted.step()] == [1, kept]
+    assert (scripted.renewed_from, scripted.stepper.renewed) == ([2], True)
+    result = scripted.stepper.result
+    assert result.kl == min(renewed, SLOW)
+    assert (result.evaluations, result.failures, result.seconds) == (20, 2, 1.0)
+
+
+def test_searches_from_random_policies_follow_until_one_brings_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    results = [(100.0, 2, False), (SLOW, 2, False), (SLOW, 2, False), (99.0, 2, False), (50.0, 2, False)]
+    scripted = ScriptedSearches(monkeypatch, results, restarts=3)
+    assert [scripted.step(), scripted.step()] == [1, 5]
+    assert (scripted.renewed_from, scripted.random_at) == ([2], [1, 4, 5])
+    assert scripted.stepper.result.evaluations == 40
+
+
+def test_progress_is_from_the_least_loss_of_all_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), (150.0, 2, False), (140.0, 2, False), (SLOW, 2, False), (95.0, 2, False)])
+    assert [scripted.step() for _ in range(3)] == [1, 3, 4]
+    assert scripted.renewed_from == [2, 4]
+
+
+def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(math.inf, 2, False), (50.0, 2, False)])
+    assert scripted.step() == 2
+
+
+# what the robot executes
+
+
+@pytest.fixture
+def actor() -> RobotActor:
+    experiment = short_experiment(HORIZON)
+    generator = torch.Generator().manual_seed(0)
+    return RobotActor(experiment.make_policy(generator), experiment.space, RandomTorques(experiment.u_max, 0.4, HORIZON).motion(generator))
+
+
+def test_exploring_robot_acts_uniformly_within_its_fraction_of_the_limit(actor: RobotActor) -> None:
+    """Mean and variance of a uniform distribution, to four standard errors."""
+    fractions = actor(torch.zeros(2000, 4, dtype=torch.float64)) / (0.4 * actor.policy.u_max)
+    assert fractions.shape == (2000, 2)
+    assert (fractions.abs() <= 1).all()
+    assert (fractions.mean(0).abs() < 4 * (1 / 3 / 2000) ** 0.5).all()
+    assert ((fractions.square().mean(0) - 1 / 3).abs() < 4 * (4 / 45 / 2000) ** 0.5).all()
+
+
+def test_robot_that_no_longer_explores_follows_its_policy(actor: RobotActor) -> None:
+    actor.exploring = False
+    states = torch.linspace(-1, 1, 12, dtype=torch.float64).reshape(3, 4)
+    actions = actor(states)
+    torch.testing.assert_close(actions, actor.policy(actor.space.features(states)).detach(), rtol=1e-12, atol=0)
+    assert not actions.requires_grad
+
+
+def test_states_of_rollouts_are_the_start_and_all_that_followed() -> None:
+    path = torch.arange(2 * 5 * 3.0).reshape(2, 5, 3)
+    rollout = rollout_of(path)
+    assert rollout.batch_size == (2, 4)
+    assert torch.equal(rollout["next", "observation"], path[:, 1:])
+    assert torch.equal(states_of(rollout), path)
+    assert torch.equal(states_of(without_sensor_noise(rollout)), path)
+    truth = path + 1
+    rollout["state"], rollout["next", "state"] = truth[:, :-1], truth[:, 1:]
+    assert torch.equal(states_of(rollout), path)
+    assert torch.equal(states_of(without_sensor_noise(rollout)), truth)
+    assert torch.equal(states_of(rollout), path)

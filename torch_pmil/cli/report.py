@@ -1,0 +1,25 @@
+"""Write the report of a finished run anew, from the numbers, figures and video in its folder.
+
+Example:
+    pmil report runs/double_pendulum/seed_0
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.experiments.runs.summaries import RunError
+
+
+def main() -> None:
+    """Read the command line, write, say where."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", type=Path, metavar="RUN", help="folder of a finished run")
+    folder = parser.parse_args().folder
+    try:
+        print(f"wrote {write_report(folder)}")
+    except (RunError, OSError) as error:
+        sys.exit(f"error: {error}")

@@ -1,0 +1,48 @@
+"""Go on with a run that was stopped, or with more trials where their number ended it.
+
+Example:
+    pmil resume runs/double_pendulum/seed_0
+    pmil resume runs/double_pendulum/seed_0 trials=24
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+from torch_pmil.cli import train
+from torch_pmil.experiments.runs.run_folder import read_command
+from torch_pmil.experiments.runs.summaries import RunError
+
+
+def main() -> None:
+    """Read the command line, and train with the run's own settings."""
+    parser = argparse.ArgumentParser(
+        description=__doc__.partition("\n")[0], epilog="Relative paths among the settings count from where the run was started."
+    )
+    parser.add_argument("folder", type=Path, metavar="RUN", help="folder of the run")
+    parser.add_argument("settings", nargs="*", metavar="NAME=VALUE", help="settings to change, as trials=24")
+    arguments = parser.parse_args()
+    try:
+        sys.argv = ["pmil train", *overrides(arguments.folder, arguments.settings)]
+    except (RunError, OSError) as error:
+        sys.exit(f"error: {error}")
+    train.main()
+
+
+def overrides(folder: Path, changed: list[str]) -> list[str]:
+    """The settings of a run with some of them changed, and with its folder as it is called now.
+
+    Raises:
+        RunError: it was not begun by ``pmil train``.
+        OSError: the folder does not say how it was begun.
+    """
+    words = shlex.split(read_command(folder))
+    if words[:2] != ["pmil", "train"]:
+        raise RunError(f"{folder} was begun by {shlex.join(words)}, not by pmil train: use that command")
+    out = str(folder).replace("\\", "\\\\").replace("'", "\\'")
+    new = [*changed, f"out='{out}'", "resume=true"]
+    names = {setting.partition("=")[0] for setting in new}
+    return [word for word in words[2:] if word.partition("=")[0] not in names] + new

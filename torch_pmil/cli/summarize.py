@@ -1,0 +1,125 @@
+"""Put several runs of one experiment together: a table, their main numbers, and their mean success rate over experience.
+
+Example:
+    pmil summarize runs/double_pendulum --out results/double_pendulum
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import statistics
+import sys
+from pathlib import Path
+
+from torch_pmil.experiments.runs.run_folder import provenance
+from torch_pmil.experiments.runs.summaries import (
+    COVERAGE,
+    RunError,
+    SuccessCurve,
+    count_trials,
+    find_runs,
+    is_finished,
+    read_summary,
+    success_over_experience,
+)
+from torch_pmil.files import write_json
+from torch_pmil.plotting import plot_success_over_experience, save_figure
+
+SUCCESS_RATE = 0.95  # paper
+EXPERIENCE_S = 33.0  # paper
+INTERVAL = "95 %, Wilson, over runs; runs that ended are carried forward with their saved policy"
+HEADER = "experience (s)  trials  saved  success rate  computing (s)  ended because"
+
+
+def headline(runs: list[dict]) -> dict[str, float]:
+    """Main numbers over runs; a run has learned if its saved policy reaches the success rate within the paper's experience.
+
+    ``median_experience_s`` and ``max_experience_s`` count all rollouts, the two that confirm a success too. Runs of a method that predicts
+    nothing have no coverage.
+    """
+    experience = [run["experience_s"] for run in runs]
+    coverage = [run[COVERAGE] for run in runs if COVERAGE in run]
+    return {
+        "seeds": len(runs),
+        "learned_within_33s": sum(learned(run) for run in runs),
+        "median_experience_s": statistics.median(experience),
+        "max_experience_s": max(experience),
+        "mean_saved_success_rate": statistics.mean(run["saved_success_rate"] for run in runs),
+        "median_wall_seconds": statistics.median(run["wall_seconds"] for run in runs),
+        "max_wall_seconds": max(run["wall_seconds"] for run in runs),
+    } | ({COVERAGE: statistics.mean(coverage)} if coverage else {})
+
+
+def learned(run: dict) -> bool:
+    """Whether the saved policy of a run reaches the paper's success rate within its experience."""
+    return run["saved_success_rate"] >= SUCCESS_RATE and run["experience_s"] <= EXPERIENCE_S
+
+
+def summarize(folders: list[Path], out: Path | None, command: str) -> None:
+    """Print the table; write ``summary.json`` and ``success_over_experience.png``.
+
+    Raises:
+        RunError: a folder is no run, is damaged or of another experiment, or no run has ended.
+        OSError: the results cannot be written.
+    """
+    paths = find_runs(folders)
+    finished = {path: read_summary(path) for path in paths if is_finished(path)}
+    finished = dict(sorted(finished.items(), key=lambda item: item[1]["seed"]))
+    unfinished = {path: count_trials(path) for path in paths if path not in finished}
+    print(table(finished, unfinished))
+    runs = list(finished.values())
+    if not runs:
+        raise RunError(f"none of the runs has ended: {', '.join(map(str, paths))}")
+    names = sorted({run["experiment"] for run in runs})
+    if len(names) > 1:
+        raise RunError(f"runs must be of one experiment, got {', '.join(names)}")
+    curve = success_over_experience(runs)
+    out = out or Path(os.path.commonpath([path.parent for path in paths]))
+    if out in paths:
+        raise RunError(f"{out} is a run: the results would replace its summary.json")
+    merged = {
+        "experiment": names[0],
+        **provenance(command),
+        "headline": headline(runs),
+        "success_over_experience": plain(curve),
+        "runs": runs,
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "summary.json", merged)
+    save_figure(
+        plot_success_over_experience(curve.experience_s, curve.rates, curve.lower, curve.upper), out / "success_over_experience.png"
+    )
+    print("\n".join(f"{name}: {value:g}" for name, value in merged["headline"].items()))
+    print(f"see {out}/summary.json, {out}/success_over_experience.png")
+
+
+def table(finished: dict[Path, dict], unfinished: dict[Path, int]) -> str:
+    """A line for each run; those that have not ended come last and are not counted in any mean."""
+    width = max(len(str(path)) for path in (*finished, *unfinished))
+    lines = [f"{'run':{width}}  {HEADER}"]
+    for path, run in finished.items():
+        lines.append(
+            f"{path!s:{width}}  {run['experience_s']:14.1f}  {len(run['trials']):6d}  {run['saved_trial']:5d}  "
+            f"{run['saved_success_rate']:12.0%}  {run['wall_seconds']:13.0f}  {run['stop_reason']}"
+        )
+    lines += [f"{path!s:{width}}  {'':14}  {trials:6d}  not ended: left out" for path, trials in unfinished.items()]
+    return "\n".join(lines)
+
+
+def plain(curve: SuccessCurve) -> dict[str, object]:
+    """The curve as JSON says it; each run's own is in its trials."""
+    return {"interval": INTERVAL} | {name: getattr(curve, name).tolist() for name in ("experience_s", "mean", "lower", "upper")}
+
+
+def main() -> None:
+    """Read, sort by seed, write."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folders", metavar="DIR", type=Path, nargs="+", help="a run, or a folder of runs")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where to write; the folder that the runs lie in if not given")
+    arguments = parser.parse_args()
+    try:
+        summarize(arguments.folders, arguments.out, shlex.join(["pmil", "summarize", *sys.argv[1:]]))
+    except (OSError, RunError) as error:
+        sys.exit(f"error: {error}")

@@ -1,0 +1,124 @@
+"""Learn an experiment from its demonstrations and show what was learned.
+
+Example:
+    pmil train experiment=double_pendulum seed=0 trials=12 out=runs/double_pendulum/seed_0
+    pmil train -m "seed=range(10)"
+
+A run that was stopped goes on with the same command and resume=true.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import sys
+from functools import partial
+from pathlib import Path
+from typing import NoReturn
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig
+from tqdm import tqdm
+
+from torch_pmil.demonstrations import DemonstrationError, load_demonstrations
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.diagnosis.before_a_run import check
+from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
+from torch_pmil.experiments.runs.pictures import draw
+from torch_pmil.experiments.runs.sweep import register_launchers
+from torch_pmil.experiments.runs.training import train
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.trials import Trial
+
+CONFIG = Path(__file__).parent / "config"
+LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what a run may leave for the eye
+
+
+def main() -> None:
+    """Read the command line and learn."""
+    register_launchers(CONFIG / "launcher")
+    learn()
+
+
+@hydra.main(version_base="1.3", config_path=str(CONFIG), config_name="train")
+def learn(config: DictConfig) -> None:
+    """Learn, then draw: one run of a sweep, or the only one."""
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
+    out = Path(config.out)
+    job = HydraConfig.get()
+    alone = job.mode == RunMode.RUN
+    label = "" if alone else f"{out}: "
+    given = sys.argv[1:] if alone else [override.replace("\\", "") for override in job.overrides.task]  # Hydra escapes braces
+    command = shlex.join(["pmil", "train", *(given or [f"experiment={config.experiment}"])])
+    try:
+        os.chdir(job.runtime.cwd)  # where the sweep was started: a cluster's worker may be elsewhere
+        demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
+        experiment = load_experiment(config.experiment, demonstrations, config.shape, config.robot)
+        warn_of(label, check(experiment))
+        told = partial(print_trial, label, experiment.objective)
+        result = train(experiment, config.seed, config.trials, out, command, alone, told, config.resume, config.logger)
+    except KeyboardInterrupt:
+        print(f"\n{label}stopped; go on with: {command.removesuffix(' resume=true')} resume=true", file=sys.stderr)
+        sys.exit(130)
+    except (ImportError, ValueError, OSError, RuntimeError) as error:
+        fail(f"{label}error: {error}", alone)
+    draw(experiment, result, out)
+    print_summary(label, result.summary, out)
+
+
+def fail(message: str, alone: bool) -> NoReturn:
+    """End the run; the other runs of a sweep go on, and Hydra ends it with an error when all are done."""
+    if alone:
+        sys.exit(message)
+    print(message, file=sys.stderr, flush=True)
+    raise CompactHydraException(message)
+
+
+def say(label: str, text: str) -> None:
+    """Print lines above the progress bar, each with the label: the runs of a sweep print to one terminal."""
+    tqdm.write("\n".join(label + line for line in text.splitlines()))
+    sys.stdout.flush()
+
+
+def warn_of(label: str, findings: list[Finding]) -> None:
+    """Print what may go wrong with the demonstrations, once. Raises DemonstrationError at what must."""
+    for finding in findings:
+        if finding.fatal:
+            raise DemonstrationError(finding.message)
+    for finding in findings:
+        say(label, f"warning: {finding.message}")
+
+
+def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> None:
+    """One line for each trial."""
+    predicted = f"{objective.label} {trial.kl:6.1f} {objective.unit}".rstrip()
+    say(
+        label,
+        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {predicted}, "
+        f"own rollout {'succeeded' if trial.own_success else 'failed'}, "
+        f"success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s",
+    )
+
+
+def by_entry(summary: dict) -> str:
+    """The coverage of each entry of the state."""
+    return ", ".join(f"{name} {coverage:.0%}" for name, coverage in summary["two_sigma_coverage_by_entry"].items())
+
+
+def print_summary(label: str, summary: dict, out: Path) -> None:
+    """What the run came to, and where it is."""
+    say(
+        label,
+        f"policy of trial {summary['saved_trial']}: success rate {summary['saved_success_rate']:.0%} of "
+        f"{summary['saved_n_eval']} fresh starts after {summary['experience_s']:.1f} s of experience and "
+        f"{summary['wall_seconds']:.0f} s of computing ({summary['stop_reason']})\n"
+        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations: {by_entry(summary)}\n"
+        + "".join(f"likely reason: {reason['cause']}: {reason['message']}\n" for reason in summary["diagnosis"])
+        + f"see {', '.join(str(out / name) for name in LEFT if (out / name).exists())}",
+    )

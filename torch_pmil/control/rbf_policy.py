@@ -1,0 +1,181 @@
+r"""The policy: an RBF network squashed to the torque limits (Eqs. 25-27), on a state and on a belief.
+
+====================  ===========================================
+paper                 here
+====================  ===========================================
+c_i (Eq. 26)          ``centres`` (m, D'), shared by the outputs
+w_i (Eq. 25)          ``weights`` (m, F)
+gamma (Eq. 26)        ``exp(log_widths)`` (F, D'), each output its own
+u_max (Eq. 27)        ``u_max`` (F,)
+====================  ===========================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor, nn
+
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.kernel_expansion import KernelExpansion
+from torch_pmil.gp.moment_matching import Moments, moment_match
+from torch_pmil.gp.trigonometry import squash
+
+MAX_SINE = 0.999  # of a torque that is taken back through Eq. 27: at the limit itself its slope is zero
+
+
+class Policy(Protocol):
+    """What a prediction takes for a policy."""
+
+    @property
+    def controller(self) -> Controller:
+        """Of the features of a state, or of N of them if it is of N targets."""
+
+
+class RBFPolicy(nn.Module):
+    r""":math:`\pi(x) = u_{\max} \sin(\sum_i w_i \exp(-\tfrac12 (x - c_i)^\top \Gamma^{-1} (x - c_i)))` (Eqs. 25-27).
+
+    Inputs are divided by ``scale`` first, so that parameters of all inputs are of order one; the policy has
+    m (D' + F) + F D' parameters.
+
+    Args:
+        centres: (m, D'), in the units of the inputs.
+        u_max: torque limits (F,), N·m.
+        scale: typical size of each input (D',), in its unit.
+
+    Example:
+        >>> policy = RBFPolicy(torch.zeros(100, 6), u_max=torch.tensor([3.5, 3.5]), scale=torch.ones(6))
+        >>> sum(p.numel() for p in policy.parameters())
+        812
+        >>> policy(torch.zeros(6)).shape
+        torch.Size([2])
+    """
+
+    u_max: Tensor
+    scale: Tensor
+
+    def __init__(self, centres: Tensor, u_max: Tensor, scale: Tensor) -> None:
+        super().__init__()
+        m, inputs = centres.shape
+        if scale.shape != (inputs,) or not (scale > 0).all():
+            raise ValueError(f"scale must hold {inputs} positive numbers, got {scale.tolist()}")
+        if u_max.ndim != 1 or not (u_max > 0).all():
+            raise ValueError(f"u_max must be a vector of positive torque limits, got {u_max.tolist()}")
+        self.register_buffer("u_max", u_max.double())
+        self.register_buffer("scale", scale.double())
+        self.centres = nn.Parameter(centres.double() / self.scale)
+        self.weights = nn.Parameter(torch.zeros(m, len(u_max), dtype=torch.float64))
+        self.log_widths = nn.Parameter(torch.zeros(len(u_max), inputs, dtype=torch.float64))
+
+    @property
+    def controller(self) -> Controller:
+        """The policy as a function of its present parameters, with their graph: build it once for a rollout."""
+        network = KernelExpansion(
+            inputs=self.centres * self.scale,
+            weights=self.weights.mT,
+            lengthscales=self.log_widths.exp() * self.scale,
+            signal_variance=torch.ones_like(self.u_max),
+        )
+        return Controller(network, self.u_max)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Action (*batch, F), N·m, at features of the state (*batch, D')."""
+        return self.controller(features.double())
+
+    @torch.no_grad()
+    def fit_weights(self, features: Tensor, actions: Tensor, ridge: float = 0.1) -> None:
+        """Set the weights so that the policy acts as told: ridge regression around the present weights (Eq. 25).
+
+        Args:
+            features: (S, D').
+            actions: (S, F), N·m, within the limits.
+            ridge: penalty of a change of the weights; actions before squashing count in rad.
+
+        Example:
+            >>> policy = RBFPolicy(torch.zeros(1, 1), u_max=torch.ones(1), scale=torch.ones(1))
+            >>> policy.fit_weights(torch.zeros(1, 1), torch.full((1, 1), 0.5), ridge=1e-9)
+            >>> round(policy(torch.zeros(1)).item(), 6)
+            0.5
+        """
+        basis = self.controller.network.kernel(features.double()).transpose(0, 1)  # (F, S, m)
+        raw = torch.asin((actions / self.u_max).clamp(-MAX_SINE, MAX_SINE)).mT[..., None]  # (F, S, 1)
+        weights = self.weights.mT[..., None]
+        gram = basis.mT @ basis + ridge * torch.eye(len(self.centres)).to(basis)
+        change = torch.cholesky_solve(basis.mT @ (raw - basis @ weights), torch.linalg.cholesky(gram))
+        self.weights.copy_((weights + change)[..., 0].mT)
+
+    @torch.no_grad()
+    def for_target(self, target: Tensor) -> RBFPolicy:
+        """The policy of the features alone that acts as this one does for a target (K,), the last of its inputs (Eq. 31).
+
+        Example:
+            >>> policy = RBFPolicy(torch.zeros(5, 8), torch.ones(3), torch.ones(8)).for_target(torch.zeros(2))
+            >>> policy(torch.zeros(6)).shape
+            torch.Size([3])
+        """
+        D = len(self.scale) - len(target)
+        network = self.controller.network.at_known(target.double()[None])
+        policy = RBFPolicy(network.inputs, self.u_max, self.scale[:D])
+        policy.weights.copy_(network.weights[0].mT)
+        policy.log_widths.copy_(self.log_widths[:, :D])
+        return policy
+
+
+@dataclass(frozen=True)
+class PolicyAtTargets:
+    """A policy whose last K inputs are a target, at N targets: row i of a batch of N states is for target i.
+
+    A target is known exactly, so it has no variance and its part of the network is a factor of the weights (Eq. 31).
+
+    Args:
+        policy: sees the features of the state, then the target.
+        targets: (N, K).
+    """
+
+    policy: RBFPolicy
+    targets: Tensor
+
+    @property
+    def controller(self) -> Controller:
+        """Of the features of N states."""
+        controller = self.policy.controller
+        return Controller(controller.network.at_known(self.targets), controller.u_max)
+
+
+@dataclass(frozen=True)
+class Controller:
+    """An RBF network and the torque limits that its output is squashed to (Eq. 27)."""
+
+    network: KernelExpansion
+    u_max: Tensor
+
+    def __call__(self, features: Tensor) -> Tensor:
+        """Action (*batch, F), N·m, at features of the state (*batch, D')."""
+        return self.u_max * self.network.mean(features).sin()
+
+    @property
+    def parameters(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D') of the network, in the units of its inputs."""
+        return self.network.inputs, self.network.weights, self.network.lengthscales
+
+    def with_parameters(self, centres: Tensor, weights: Tensor, widths: Tensor) -> Controller:
+        """The same with another network."""
+        return Controller(KernelExpansion(centres, weights, widths, self.network.signal_variance), self.u_max)
+
+    def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
+        """Exact moments of the network at an uncertain input, then of its squashing.
+
+        Args:
+            features: belief over the policy's inputs.
+
+        Returns:
+            The belief over the action (N·m), and Sigma^-1 cov(features, action), (*batch, D', F).
+        """
+        return self.squashed(moment_match(self.network, features))
+
+    def squashed(self, raw: Moments) -> tuple[Gaussian, Tensor]:
+        """As :meth:`on_belief`, from the moments of the network."""
+        action, slope = squash(raw.gaussian, self.u_max)
+        return action, raw.inv_cov_cross_cov * slope[..., None, :]

@@ -1,0 +1,135 @@
+"""What the entries of a state mean: which are angles, what models and policies see of it, and where trajectories are matched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.trigonometry import Augmentation
+
+
+@dataclass(frozen=True)
+class MatchSpace:
+    r"""The space in which demonstrations were observed: affine in the state and in sin/cos of linear combinations of it.
+
+    .. math:: z = B\,[x, \sin(Ax), \cos(Ax)]
+
+    Args:
+        names: one for each of the M observed entries.
+        units: one for each entry.
+        angles: A, (K, D), rad.
+        weights: B, (M, D + 2K).
+
+    Example:
+        >>> tip = MatchSpace(("x", "y"), ("m", "m"), torch.ones(1, 1), torch.tensor([[0.0, 0.5, 0.0], [0.0, 0.0, 0.5]]))
+        >>> tip(torch.zeros(1))
+        tensor([0.0000, 0.5000])
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    angles: Tensor
+    weights: Tensor
+
+    def __post_init__(self) -> None:
+        entries = len(self.names), 2 * self.angles.shape[0] + self.angles.shape[1]
+        if len(self.units) != len(self.names) or self.weights.shape != entries:
+            raise ValueError(f"weights must have shape {entries} and units {len(self.names)} entries, got {tuple(self.weights.shape)}")
+
+    @property
+    def dim(self) -> int:
+        """Number M of observed entries."""
+        return len(self.names)
+
+    def __call__(self, states: Tensor) -> Tensor:
+        """Observations (*batch, M) of states (*batch, D)."""
+        angles = states @ self.angles.to(states).mT
+        return torch.cat([states, angles.sin(), angles.cos()], -1) @ self.weights.to(states).mT
+
+    def belief(self, state: Gaussian) -> Gaussian:
+        """Exact mean and covariance of the observation of an uncertain state."""
+        return self._augmentation.to(state.mean)(state)[0].affine(self.weights.to(state.mean))
+
+    @cached_property
+    def _augmentation(self) -> Augmentation:
+        return Augmentation.of(torch.eye(self.angles.shape[-1], dtype=torch.float64), self.angles.double())
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """A robot's state: names and units of its D entries, which are angles, and its match space.
+
+    Models and policies see the other entries as they are and sin and cos in place of each angle (D' = D + number of angles).
+
+    Args:
+        names, units: one for each entry.
+        angles: indices of the entries that are angles (rad) and wrap around.
+        match: where predictions are compared with demonstrations.
+
+    Example:
+        >>> space = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s")))
+        >>> space.feature_names
+        ('dq', 'sin q', 'cos q')
+        >>> space.features(torch.zeros(2))
+        tensor([0., 0., 1.])
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    angles: tuple[int, ...]
+    match: MatchSpace
+
+    def __post_init__(self) -> None:
+        if len(self.units) != self.dim or self.match.angles.shape[-1] != self.dim:
+            raise ValueError(
+                f"units and the match space must be for the {self.dim} entries of {self.names}, "
+                f"got {len(self.units)} units and a match space of {self.match.angles.shape[-1]}"
+            )
+        if not set(self.angles) <= set(range(self.dim)):
+            raise ValueError(f"angles must be indices below {self.dim}, got {self.angles}")
+
+    @property
+    def dim(self) -> int:
+        """Number D of entries."""
+        return len(self.names)
+
+    @property
+    def plain(self) -> tuple[int, ...]:
+        """Indices of the entries that are no angles."""
+        return tuple(i for i in range(self.dim) if i not in self.angles)
+
+    @property
+    def feature_names(self) -> tuple[str, ...]:
+        """Names of the D' entries that models and policies see."""
+        sines, cosines = ([f"{f} {self.names[i]}" for i in self.angles] for f in ("sin", "cos"))
+        return (*(self.names[i] for i in self.plain), *sines, *cosines)
+
+    def features(self, states: Tensor) -> Tensor:
+        """What models and policies see of states (*batch, D): (*batch, D')."""
+        selected = states @ self.augmentation.to(states).rows.mT
+        plain, for_sine, for_cosine = selected.split([len(self.plain), len(self.angles), len(self.angles)], -1)
+        return torch.cat([plain, for_sine.sin(), for_cosine.cos()], -1)
+
+    def belief(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
+        """Exact moments of the features of an uncertain state, and Sigma_x^-1 cov(x, features), (*batch, D, D')."""
+        return self.augmentation.to(state.mean)(state)
+
+    @cached_property
+    def augmentation(self) -> Augmentation:
+        """What makes the features of an uncertain state."""
+        identity = torch.eye(self.dim, dtype=torch.float64)
+        return Augmentation.of(identity[list(self.plain)], identity[list(self.angles)])
+
+
+def joint_match(names: tuple[str, ...], units: tuple[str, ...]) -> MatchSpace:
+    """The match space that is the state itself.
+
+    Example:
+        >>> joint_match(("q",), ("rad",))(torch.ones(1))
+        tensor([1.])
+    """
+    return MatchSpace(names, units, torch.zeros(0, len(names)), torch.eye(len(names)))

@@ -1,0 +1,83 @@
+"""From aligned demonstrations to the demonstrated trajectory distribution (Eqs. 9-12)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.gp.gaussian import Gaussian, symmetric
+
+
+def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tensor) -> Gaussian:
+    r"""Marginals :math:`\mathcal N(\hat\mu_t^{\exp}, \hat\Sigma_t^{\exp} + \sigma_{\mathrm{obs}}^2 I)` at t = 1..T, unbiased (Eqs. 10-12).
+
+    A few demonstrations have a singular sample covariance, and positions of links lie on circles: the observation noise
+    :math:`\sigma_{\mathrm{obs}}` is therefore part of the model, and the same is added to the prediction.
+
+    Args:
+        demonstrations: N aligned demonstrations of T + 1 samples, the first at t = 0.
+        noise_std: standard deviation of the observation noise, in the units of the match space: one number, or one for each entry, (M,).
+
+    Returns:
+        Mean (T, M) and covariance (T, M, M).
+
+    Raises:
+        ValueError: the noise is not positive, or has another number of entries.
+
+    Example:
+        >>> positions = torch.tensor([[[0.0], [1.0]], [[0.0], [3.0]]], dtype=torch.float64)
+        >>> expert = expert_distribution(Demonstrations(positions, 0.1, ("x",)), noise_std=0.5)
+        >>> expert.mean.item(), expert.cov.item()
+        (2.0, 2.25)
+    """
+    observed = demonstrations.positions[:, 1:]
+    noise = torch.as_tensor(noise_std, dtype=torch.float64)
+    if not (noise > 0).all():
+        raise ValueError(f"noise_std must be positive, got {noise.tolist()}")
+    if noise.shape not in ((), observed.shape[-1:]):
+        raise ValueError(f"noise_std must be a number or one for each of {', '.join(demonstrations.names)}, got {noise.tolist()}")
+    mean = observed.mean(0)  # Eq. 10
+    deviation = observed - mean
+    cov = torch.einsum("ntj,ntk->tjk", deviation, deviation) / (len(observed) - 1)  # Eq. 11
+    return Gaussian(mean, symmetric(cov)).add_noise(noise**2)
+
+
+def rms_error(demonstrations: Demonstrations, executed: Tensor) -> Tensor:
+    r"""Root mean square distance of rollouts from the demonstrated mean (Eq. 10), over rollouts and t = 1..T, for each observed entry.
+
+    .. math:: \sqrt{\frac{1}{N T} \sum_{n, t} (z_{nt} - \hat\mu_t^{\exp})^2}
+
+    Args:
+        demonstrations: of M entries.
+        executed: rollouts in the match space, z_0..z_T, (N, T + 1, M).
+
+    Returns:
+        (M,), in the units of the match space.
+
+    Example:
+        >>> import torch
+        >>> shown = Demonstrations(torch.tensor([[[0.0], [1.0]], [[0.0], [3.0]]]), 0.1, ("q",))
+        >>> rms_error(shown, torch.tensor([[[0.0], [5.0]]]))
+        tensor([3.], dtype=torch.float64)
+    """
+    return (executed[:, 1:] - demonstrations.positions[:, 1:].mean(0)).square().mean((0, 1)).sqrt()
+
+
+def demonstration_spread(demonstrations: Demonstrations) -> Tensor:
+    r"""What :func:`rms_error` may be compared with: the demonstrations' own standard deviation (Eq. 11) over t = 1..T, for each entry.
+
+    .. math:: \sqrt{\frac{1}{T} \sum_t \hat\Sigma_{t, jj}^{\exp}}
+
+    Unbiased, without observation noise. A further demonstration would have an rms error of :math:`\sqrt{1 + 1/N}` times this.
+
+    Returns:
+        (M,), in the units of the match space.
+
+    Example:
+        >>> import torch
+        >>> shown = Demonstrations(torch.tensor([[[0.0], [1.0]], [[0.0], [3.0]]]), 0.1, ("q",))
+        >>> demonstration_spread(shown).square()
+        tensor([2.0000], dtype=torch.float64)
+    """
+    return demonstrations.positions[:, 1:].var(0).mean(0).sqrt()

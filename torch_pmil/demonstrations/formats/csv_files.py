@@ -1,0 +1,121 @@
+"""CSV: one file with a row for each sample, or a folder with a file for each demonstration."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_pmil.demonstrations.errors import DemonstrationError, readable, within
+from torch_pmil.demonstrations.formats.entries import choose, natural_order
+from torch_pmil.demonstrations.recordings import Recordings
+
+TARGET_PREFIX = "target "  # of the columns that hold a target
+
+
+class _Row(NamedTuple):
+    place: str
+    cells: list[str]
+
+
+def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
+    """The recordings of a CSV file, or of a folder of them.
+
+    A file starts with a header ``demonstration,time,NAME,...`` and has one row per sample: the number or name of the demonstration, the
+    time in s, and the observed entries. In a folder each file is a demonstration that has the file's name; its header is
+    ``time,NAME,...``. Columns ``target NAME`` hold the target, the same in all rows of a demonstration.
+
+    Args:
+        path: of the file or folder.
+        keys: names of the columns to read, in that order; none for all.
+
+    Raises:
+        DemonstrationError: a file is malformed; the message names row and column.
+        OSError: a file cannot be read.
+    """
+    header, rows = _folder(path) if path.is_dir() else _file(path, ("demonstration", "time"))
+    entries, targets = _columns(header, keys)
+    read = [header.index(name) for name in ("time", *entries, *targets)]
+    parts: dict[str, list[_Row]] = {}
+    for row in rows:
+        parts.setdefault(row.cells[0].strip(), []).append(row)
+    if len(parts) < 2:
+        raise DemonstrationError(f"at least two demonstrations are needed, got {len(parts)}")
+    tables = [np.array([_numbers(row, header, read) for row in part]) for part in parts.values()]
+    times, values, shown = zip(*(np.split(table, [1, 1 + len(entries)], axis=1) for table in tables), strict=True)
+    return Recordings(
+        tuple(parts),
+        tuple(torch.from_numpy(column[:, 0]) for column in times),
+        tuple(map(torch.from_numpy, values)),
+        tuple(entries),
+        _targets(shown, list(parts.values()), targets) if targets else None,
+        tuple(name.removeprefix(TARGET_PREFIX).strip() for name in targets),
+        format="CSV",
+        places=tuple(tuple(row.place for row in part) for part in parts.values()),
+    )
+
+
+def _file(path: Path, leading: tuple[str, ...]) -> tuple[list[str], list[_Row]]:
+    """Header and rows of a file whose header begins with those names."""
+    with path.open(newline="", encoding="utf-8-sig") as file, readable("CSV file", csv.Error):
+        lines = list(csv.reader(file, strict=True))
+    header = [cell.strip() for cell in lines[0]] if lines else []
+    if tuple(header[: len(leading)]) != leading or all(name.startswith(TARGET_PREFIX) for name in header[len(leading) :]):
+        raise DemonstrationError(f"row 1 must be {','.join(leading)},NAME,..., got {','.join(header)}")
+    rows = [_Row(f"row {number}", line) for number, line in enumerate(lines[1:], start=2) if line]
+    for row in rows:
+        if len(row.cells) != len(header):
+            raise DemonstrationError(f"{row.place} must have {len(header)} columns, got {len(row.cells)}")
+    return header, rows
+
+
+def _folder(path: Path) -> tuple[list[str], list[_Row]]:
+    """The files of a folder as if they were one."""
+    header: list[str] = []
+    rows: list[_Row] = []
+    for file in sorted(path.glob("*.csv"), key=lambda file: natural_order(file.name)):
+        with within(file.name):
+            own, lines = _file(file, ("time",))
+            header = header or own
+            if own != header:
+                raise DemonstrationError(f"row 1 must be {','.join(header)} as in the files before it, got {','.join(own)}")
+        rows += [_Row(f"{file.name}: {line.place}", [file.stem, *line.cells]) for line in lines]
+    return ["demonstration", *header], rows
+
+
+def _columns(header: list[str], keys: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Names of the columns that are read: entries and targets."""
+    targets = [name for name in header[2:] if name.startswith(TARGET_PREFIX)]
+    names = [name for name in header[2:] if name not in targets]
+    if len(set(names)) != len(names):
+        raise DemonstrationError(f"names must be {len(names)} different names, one per column, got {tuple(names)}")
+    return [entry.name for entry in choose({name: [name] for name in names}, keys, names)], targets
+
+
+def _targets(columns: Sequence[np.ndarray], parts: Sequence[Sequence[_Row]], names: Sequence[str]) -> Tensor:
+    """The target of each demonstration (N, K), of columns (T_n, K) that must each hold one number."""
+    for rows, part in zip(columns, parts, strict=True):
+        for sample, entry in np.argwhere(rows != rows[0])[:1]:
+            raise DemonstrationError(
+                f"{part[sample].place}, column {names[entry]} must be {rows[0, entry]:g} as in {part[0].place} of the same "
+                f"demonstration, got {rows[sample, entry]:g}"
+            )
+    return torch.from_numpy(np.stack([rows[0] for rows in columns]))
+
+
+def _numbers(row: _Row, header: Sequence[str], read: Sequence[int]) -> list[float]:
+    numbers = []
+    for column in read:
+        try:
+            numbers.append(float(row.cells[column]))
+        except ValueError:
+            numbers.append(math.nan)
+        if not math.isfinite(numbers[-1]):
+            raise DemonstrationError(f"{row.place}, column {header[column]} must be a finite number, got {row.cells[column]!r}")
+    return numbers

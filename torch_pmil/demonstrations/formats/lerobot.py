@@ -1,0 +1,126 @@
+"""LeRobot data sets: Parquet files with a row for each frame."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from torch_pmil.demonstrations.errors import DemonstrationError, optional, readable, within
+from torch_pmil.demonstrations.formats.entries import choose, columns_of, names_of, natural_order
+from torch_pmil.demonstrations.recordings import Recordings
+
+OBSERVED = "observation"  # how the names of columns begin that may be read; no actions
+TOLERANCE = 1e-4  # s, by which LeRobot's timestamps, single precision, may be off the rate that its data set states
+
+
+def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
+    """What was observed in the episodes of a LeRobot data set, version 2 or 3.
+
+    Args:
+        path: the folder with ``meta/info.json`` and ``data/chunk-*/*.parquet``, or a single Parquet file.
+        keys: columns, which begin with ``observation``, or single entries by the names in ``info.json``, or as ``observation.state_0``
+            where it has none; none for ``observation.state``.
+
+    Raises:
+        DemonstrationError: the data set is malformed, or keys are not in it.
+        ImportError: pyarrow is missing.
+        OSError: a file cannot be read.
+    """
+    info = _info(path) if path.is_dir() else {}
+    files = sorted(path.glob("data/*/*.parquet"), key=lambda file: natural_order(str(file))) if path.is_dir() else [path]
+    if not files:
+        raise DemonstrationError("a LeRobot data set must hold files data/chunk-*/*.parquet, found none")
+    frames = _joined([_read(file, path) for file in files])
+    episodes, stamps = (frames.pop(name) for name in ("episode_index", "timestamp"))
+    for row in np.flatnonzero(~np.isfinite(episodes))[:1]:
+        raise DemonstrationError(f"row {row}, column episode_index must hold a number, got none")
+    entries = choose(_groups(frames, info), keys, ["observation.state"])
+    values, labels = columns_of(frames, entries), np.unique(episodes)
+    return Recordings(
+        tuple(f"{label:.0f}" for label in labels),
+        tuple(torch.from_numpy(_times(stamps[episodes == label], info.get("fps"))) for label in labels),
+        tuple(torch.from_numpy(values[episodes == label]) for label in labels),
+        tuple(entry.name for entry in entries),
+        format="LeRobot",
+    )
+
+
+def _info(folder: Path) -> dict[str, Any]:
+    with readable("LeRobot data set"):
+        info = json.loads((folder / "meta" / "info.json").read_text())
+    fps = info.get("fps") if isinstance(info, dict) else None
+    if not isinstance(fps, int | float) or not fps > 0 or not isinstance(info.get("features", {}), dict):
+        raise DemonstrationError(f"meta/info.json must hold a positive fps and features, got fps {fps}")
+    return info
+
+
+def _read(file: Path, root: Path) -> dict[str, np.ndarray]:
+    """Columns of a file that may be read: (T,) or (T, width) each."""
+    with within(file.relative_to(root)) if file != root else nullcontext():
+        table = _table(file)
+        return {name: _array(name, table[name]) for name in table.column_names}
+
+
+def _table(file: Path) -> Any:
+    pyarrow, parquet = optional("pyarrow"), optional("pyarrow.parquet")
+    with file.open("rb") as opened, readable("Parquet file", pyarrow.ArrowException), parquet.ParquetFile(opened) as content:
+        schema = content.schema_arrow
+        missing = {"episode_index", "timestamp"} - set(schema.names)
+        if missing:
+            raise DemonstrationError(f"column {min(missing)} is missing, found {', '.join(schema.names)}")
+        observed = [name for name in schema.names if name.startswith(OBSERVED) and _is_numeric(pyarrow.types, schema.field(name).type)]
+        return content.read(columns=["episode_index", "timestamp", *observed])
+
+
+def _is_numeric(types: Any, kind: Any) -> bool:
+    if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
+        kind = kind.value_type
+    return types.is_floating(kind) or types.is_integer(kind)
+
+
+def _array(name: str, column: Any) -> np.ndarray:
+    rows = column.to_pylist()
+    try:
+        return np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        widths = [len(row) if isinstance(row, list) else row for row in rows]
+        odd = next((number for number, width in enumerate(widths) if width != widths[0]), 0)
+        raise DemonstrationError(f"row {odd}, column {name} must hold numbers like row 0, got {rows[odd]}") from error
+
+
+def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The same columns of all files, one after the other."""
+    shared = [name for name in tables[0] if all(name in table and table[name].shape[1:] == tables[0][name].shape[1:] for table in tables)]
+    return {name: np.concatenate([table[name] for table in tables]) for name in shared}
+
+
+def _groups(frames: dict[str, np.ndarray], info: dict[str, Any]) -> dict[str, Sequence[str]]:
+    """Names of the entries of each column: those that the data set gives, if they are one for each and no other column has them."""
+    groups: dict[str, Sequence[str]] = {}
+    taken: set[str] = set()
+    for key, array in frames.items():
+        own, given = names_of(key, array.shape), _given_names(info.get("features", {}).get(key))
+        groups[key] = given if len(set(given) - taken) == len(own) == len(given) else own
+        taken.update(groups[key])
+    return groups
+
+
+def _given_names(feature: object) -> list[str]:
+    """A list, or lists under the names of the parts of a robot."""
+    names = feature.get("names") if isinstance(feature, dict) else None
+    parts = names.values() if isinstance(names, dict) else [names]
+    return [str(name) for part in parts if isinstance(part, list) for name in part]
+
+
+def _times(stamps: np.ndarray, fps: float | None) -> np.ndarray:
+    """Times of an episode in double precision: even if the stamps are, but for their rounding."""
+    steps = np.arange(len(stamps))
+    step = 1 / fps if fps else (stamps[-1] - stamps[0]) / max(1, len(stamps) - 1)
+    even = stamps[0] + step * steps
+    return even if np.abs(even - stamps).max() <= TOLERANCE else stamps

@@ -1,0 +1,1 @@
+"""What makes demonstrations of recordings: alignment, smoothing, jumps, a camera's view, drawings."""

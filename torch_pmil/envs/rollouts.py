@@ -1,0 +1,54 @@
+"""Rollouts as TorchRL gives them, and the states in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+
+def states_of(rollout: TensorDictBase) -> Tensor:
+    """States x_0..x_T of rollouts (*batch, T), as the robot's sensors say: (*batch, T + 1, D)."""
+    return torch.cat([rollout["observation"][..., :1, :], rollout["next", "observation"]], -2)
+
+
+def rollout_of(states: Tensor) -> TensorDict:
+    """The rollouts (*batch, T) of which :func:`states_of` gives these states x_0..x_T, (*batch, T + 1, D); nothing else is known of them.
+
+    Example:
+        >>> states_of(rollout_of(torch.zeros(7, 26, 4))).shape
+        torch.Size([7, 26, 4])
+    """
+    batch = (*states.shape[:-2], states.shape[-2] - 1)
+    return TensorDict({"observation": states[..., :-1, :], "next": {"observation": states[..., 1:, :]}}, batch)
+
+
+def without_sensor_noise(rollout: TensorDictBase) -> TensorDictBase:
+    """The rollouts as exact sensors would have shown them."""
+    if "state" not in set(rollout.keys()):
+        return rollout
+    true = rollout.copy()
+    true["observation"], true["next", "observation"] = rollout["state"], rollout["next", "state"]
+    return true
+
+
+def of_states(error: Callable[[Tensor], Tensor]) -> Callable[[TensorDictBase], Tensor]:
+    """An error of rollouts (*batch, T) that is a function of their states x_0..x_T, (*batch, T + 1, D) to (*batch).
+
+    Example:
+        >>> last = of_states(lambda states: states[..., -1, :].norm(dim=-1))
+        >>> last(rollout_of(torch.ones(7, 26, 4))).shape
+        torch.Size([7])
+    """
+    return _OfStates(error)
+
+
+@dataclass(frozen=True)
+class _OfStates:
+    error: Callable[[Tensor], Tensor]
+
+    def __call__(self, rollout: TensorDictBase) -> Tensor:
+        return self.error(states_of(rollout))

@@ -1,0 +1,1 @@
+"""What records demonstrations in simulation: planned and tracked motions, and kinesthetic teaching."""

@@ -1,0 +1,317 @@
+"""Why a run did not learn: likely reasons in words, from what was predicted and what the robot did; knows no robot.
+
+A threshold lies beyond what was measured of any run that learned; the comments say the nearest value, of ``results/diagnosis/summary.json``
+(``benchmarks/diagnosis.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.calibration import two_sigma_coverage, within_two_sigma
+from torch_pmil.search.kl import gaussian_kl_terms
+
+LEARNED = 0.95  # success rate of a run that has nothing to explain: the paper's
+COVERED = 0.75  # share of one-step errors within two standard deviations; learned: 0.81 and more
+FOLLOWED = 0.7  # share of executed entries within two predicted standard deviations; learned: 0.75 and more
+UNKNOWN = 0.2  # share of the executed steps at which the model knows little; learned: up to 0.04
+LITTLE = 0.5  # posterior over prior standard deviation, from which on it knows little
+MISMATCH = 1.5  # largest doubt of a step over what the search trusts; learned: up to 1.31
+NEAR_LIMIT = 0.95  # of a torque's limit
+SATURATED = 0.5  # share of the steps near the limit; learned: up to 0.38
+MOVED = 0.25  # farthest from the start, over the demonstrated; learned: 0.77 and more
+FEWEST_STEPS = 20  # from which a share is told
+LATEST = 3  # trials in which a search should come further
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a run did not learn.
+
+    Args:
+        cause: its name, one of a few.
+        message: one or two sentences with the numbers, and what to do about it.
+    """
+
+    cause: str
+    message: str
+
+
+def saturated_fraction(actions: Tensor, limits: Tensor) -> Tensor:
+    """Fraction of steps at which each torque is within 5 % of its limit.
+
+    Args:
+        actions: of rollouts, (N, T, F), N·m.
+        limits: (F,), N·m.
+
+    Returns:
+        (F,), from 0 to 1.
+
+    Example:
+        >>> import torch
+        >>> saturated_fraction(torch.tensor([[[3.5, 0.0], [-3.4, 1.0]]]), torch.tensor([3.5, 3.5]))
+        tensor([1., 0.], dtype=torch.float64)
+    """
+    return (actions.abs() >= NEAR_LIMIT * limits).double().mean((0, 1))
+
+
+def covered_fraction(residuals: Tensor) -> Tensor:
+    """Share of standardised one-step errors (S, D) within two predicted standard deviations, (D,)."""
+    return (residuals.abs() <= 2).double().mean(0)
+
+
+def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | None:
+    """First step t at which fewer than half of the rollouts are within two predicted standard deviations, and in which entry.
+
+    Args:
+        predicted: marginals at t = 1..T, mean (T, D).
+        executed: rollouts x_0..x_T, (N, T + 1, D).
+
+    Returns:
+        (t, entry), or None where they never leave.
+
+    Example:
+        >>> import torch
+        >>> first_departure(Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1)), torch.tensor([[[0.0], [1.0], [3.0]]]))
+        (2, 0)
+    """
+    inside = within_two_sigma(predicted, executed).mean(0)
+    left = (inside < 0.5).any(-1).nonzero().flatten()
+    return (int(left[0]) + 1, int(inside[left[0]].argmin())) if len(left) else None
+
+
+def first_mismatch(doubt: Tensor, trusted: float) -> int | None:
+    """First step t that a search does not trust, where some are far from it.
+
+    Args:
+        doubt: of the steps t = 1..T, (T,): their KL.
+        trusted: by the search, in the same unit.
+
+    Example:
+        >>> import torch
+        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 30.0]), trusted=3.0)
+        3
+        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 0.5]), trusted=3.0)
+    """
+    if doubt.amax() <= MISMATCH * trusted:
+        return None
+    return int((doubt > trusted).nonzero()[0]) + 1
+
+
+def group(findings: Sequence[Finding]) -> list[Reason]:
+    """One reason for each cause among what was found in the demonstrations, the first finding of each in full.
+
+    Example:
+        >>> group([Finding("a", "one is off"), Finding("a", "two is off")])
+        [Reason(cause='a', message='one is off (and 1 more of this kind)')]
+    """
+    messages: dict[str, list[str]] = {}
+    for finding in findings:
+        messages.setdefault(finding.cause, []).append(finding.message)
+    return [
+        Reason(cause, first + (f" (and {len(others)} more of this kind)" if others else "")) for cause, (first, *others) in messages.items()
+    ]
+
+
+def check_torques(actions: Tensor, limits: Tensor, names: Sequence[str], needed: Tensor | None) -> Reason | None:
+    """A torque that is at its limit most of the time.
+
+    Args:
+        actions: of rollouts, (N, T, F), N·m.
+        limits: (F,), N·m.
+        names: of the F motors.
+        needed: largest torques along the demonstrations, (F,), N·m; None where nobody knows.
+
+    Example:
+        >>> import torch
+        >>> check_torques(torch.ones(20, 25, 1), torch.ones(1), ["tau"], torch.tensor([3.0])).message.partition(";")[0]
+        'motor tau is within 5 % of its limit of 1 N·m in 100 % of the steps, and the demonstrations need up to 3.0 N·m'
+    """
+    fraction = saturated_fraction(actions, limits)
+    motor = int(fraction.argmax())
+    if fraction[motor] <= SATURATED:
+        return None
+    return Reason(
+        "torque at its limit",
+        f"motor {names[motor]} is within 5 % of its limit of {limits[motor]:g} N·m in {_percent(fraction[motor])} of the steps"
+        + _need(limits[motor].item(), None if needed is None else needed[motor].item()),
+    )
+
+
+def _need(limit: float, needed: float | None) -> str:
+    """Whether a motor is too weak for the demonstrations, and what to do."""
+    if needed is None:
+        return "; a stronger motor, or a slower or smaller demonstration, leaves it room to correct"
+    if needed > limit:
+        return f", and the demonstrations need up to {needed:.1f} N·m; give it more torque, or show the motion more slowly or smaller"
+    return f", though the demonstrations need no more than {needed:.1f} N·m: the policy swings from limit to limit; try another seed"
+
+
+def check_motion(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> Reason | None:
+    """A robot that hardly moved.
+
+    Args:
+        executed: rollouts in the match space, z_0..z_T, (N, T + 1, M).
+        demonstrated: likewise, of any number.
+        noise_std: observation noise, () or (M,), in whose units distances are compared.
+
+    Example:
+        >>> import torch
+        >>> way = torch.linspace(0, 1, 5)[None, :, None]
+        >>> check_motion(0.1 * way, way, torch.tensor(0.05)).message.partition(":")[0]
+        'the robot went 10 % as far from its start as the demonstrations'
+    """
+    moved = moved_fraction(executed, demonstrated, noise_std)
+    if not moved < MOVED:  # demonstrations that stand still give no number
+        return None
+    return Reason(
+        "robot did not move",
+        f"the robot went {_percent(moved)} as far from its start as the demonstrations: torques below its weight or static friction move "
+        "and teach nothing; begin at torques that hold it (holding_torques), and let its first motion be larger (first_motion)",
+    )
+
+
+def moved_fraction(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> float:
+    """How far the robot went from its start, over how far the demonstrations go; see :func:`check_motion`."""
+    return (_farthest(executed, noise_std) / _farthest(demonstrated, noise_std)).item()
+
+
+def _farthest(positions: Tensor, noise_std: Tensor) -> Tensor:
+    """Largest distance from the start, the median over trajectories (N, T + 1, M)."""
+    return ((positions - positions[:, :1]) / noise_std).norm(dim=-1).amax(-1).median()
+
+
+def check_model(residuals: Tensor, predicted: Gaussian, executed: Tensor, names: Sequence[str], time_step: float) -> Reason | None:
+    """A model that promises more than the robot keeps, from step to step or over the trajectory.
+
+    Args:
+        residuals: one-step errors of rollouts that the model was not fitted to, in predicted standard deviations, (S, D).
+        predicted: marginals at t = 1..T, mean (T, D).
+        executed: the rollouts x_0..x_T, (N, T + 1, D).
+        names: of the D entries.
+        time_step: s.
+
+    Example:
+        >>> import torch
+        >>> still = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
+        >>> check_model(torch.full((30, 1), 4.0), still, torch.full((10, 4, 1), 4.0), ("q",), 0.1).message.partition(" (")[0]
+        '0 % of the one-step errors in q, and 0 % of the executed states, lie within two predicted standard deviations'
+    """
+    covered, followed = covered_fraction(residuals), two_sigma_coverage(predicted, executed)
+    told = len(residuals) >= FEWEST_STEPS
+    if followed >= FOLLOWED and not (told and covered.amin() < COVERED):
+        return None
+    left, worst = first_departure(predicted, executed), int(covered.argmin())
+    return Reason(
+        "model not right",
+        (f"{_percent(covered[worst])} of the one-step errors in {names[worst]}, and " if told else "")
+        + f"{_percent(followed)} of the executed states, lie within two predicted standard deviations (95 % if the model were right)"
+        + (f"; the rollouts leave the prediction at {left[0] * time_step:.2f} s, first in {names[left[1]]}" if left else "")
+        + "; give it more data there (more trials, a larger first motion), and see that load, friction, delay and sensors have not changed",
+    )
+
+
+def check_experience(unknown: Tensor, data: int, time_step: float) -> Reason | None:
+    """Experience that is far from where the policy goes.
+
+    Args:
+        unknown: at which steps t = 0..T-1 of the rollouts the model knows little, bool, (N, T).
+        data: number of transitions that the model was fitted to.
+        time_step: s.
+
+    Example:
+        >>> import torch
+        >>> away = torch.arange(10) >= 4
+        >>> check_experience(away.expand(20, -1), 50, 0.1).message.partition(";")[0]
+        'in 60 % of the executed steps, first at 0.40 s, the robot is where the 50 transitions of its model tell little'
+    """
+    share = unknown.double().mean()
+    if share <= UNKNOWN:
+        return None
+    first = int((unknown.double().mean(0) > UNKNOWN).nonzero()[0])
+    return Reason(
+        "too little experience",
+        f"in {_percent(share)} of the executed steps, first at {first * time_step:.2f} s, the robot is where the {data} transitions of its "
+        "model tell little; give it more of them: more trials, or a longer or larger first motion",
+    )
+
+
+def check_search(doubt: Tensor, step: int, name: str, unit: str, mismatch: str, horizons: Sequence[int], time_step: float) -> Reason:
+    """A search that is stuck at a step.
+
+    Args:
+        doubt: of the steps t = 1..T, (T,).
+        step: where it begins, see :func:`first_mismatch`.
+        name, unit: of the doubt.
+        mismatch: what does not match there, see :func:`worst_entry`.
+        horizons: step up to which the search of each trial went.
+        time_step: s.
+
+    Example:
+        >>> import torch
+        >>> doubt = torch.tensor([0.1, 0.5, 14.0, 30.0])
+        >>> check_search(doubt, 3, "KL", "nats", "most in q", [2, 2, 2, 2], 0.1).message.partition(";")[0]
+        'the KL of a step rises from 0.5 at 0.20 s to 14 nats at 0.30 s (step 3 of 4), most in q'
+    """
+    T, before = len(doubt), f"rises from {doubt[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to" if step > 1 else "is"
+    return Reason(
+        "search stuck",
+        f"the {name} of a step {before} {doubt[step - 1]:.3g} {unit} at {step * time_step:.2f} s (step {step} of {T}), {mismatch}; "
+        f"the last searches went up to step {', '.join(map(str, horizons[-LATEST - 2 :]))}: "
+        + (
+            "more trials may lead them further"
+            if _advancing(horizons)
+            else f"{LATEST} trials led them no further, so try another seed, more iterations or a larger trusted (SearchSettings), "
+            "or a larger noise_std, which forgives more"
+        ),
+    )
+
+
+def _advancing(horizons: Sequence[int]) -> bool:
+    """Whether the last searches went further than those before, or there were few."""
+    return len(horizons) <= LATEST or max(horizons[-LATEST:]) > max(horizons[:-LATEST])
+
+
+def worst_entry(expert: Gaussian, predicted: Gaussian, names: Sequence[str], units: Sequence[str]) -> str:
+    """The entry with the largest part in the KL of a step (:func:`~torch_pmil.search.kl.gaussian_kl_terms`), its means and standard deviations.
+
+    Args:
+        expert, predicted: marginals of the step, mean (M,), observation noise included.
+        names, units: of the M entries.
+
+    Example:
+        >>> import torch
+        >>> at = Gaussian(torch.zeros(2), 0.01 * torch.eye(2))
+        >>> worst_entry(at, Gaussian(torch.tensor([0.0, 1.0]), 0.04 * torch.eye(2)), ("x", "y"), ("m", "m"))
+        'most in y (predicted 1.00 ± 0.20 m, demonstrated 0.00 ± 0.10 m)'
+    """
+    terms = gaussian_kl_terms(expert, predicted)
+    worst = int((terms.mean + terms.spread).argmax())
+    said = (f"{belief.mean[worst]:.2f} ± {belief.std[worst]:.2f} {units[worst]}" for belief in (predicted, expert))
+    return "most in {} (predicted {}, demonstrated {})".format(names[worst], *said)
+
+
+def unexplained(failed: int, count: int, tolerance: float, largest: str) -> Reason:
+    """What to say of a run in which nothing is wrong but its success rate.
+
+    Args:
+        failed: number of rollouts that are no success.
+        count: of all.
+        tolerance: error up to which a rollout is a success.
+        largest: what is left of the objective, and where.
+    """
+    return Reason(
+        "success criterion",
+        f"the robot does what was predicted, and the search is content with it, yet {failed} of {count} rollouts have an error above "
+        f"{tolerance:.3g}: the criterion asks for more than the objective does. {largest}; a smaller noise_std, or more trials "
+        "and confirmations, bring the robot nearer to the demonstrations",
+    )
+
+
+def _percent(share: Tensor | float) -> str:
+    return f"{100 * share:.0f} %"

@@ -1,0 +1,209 @@
+"""Demonstrations that break what the method assumes, told before a robot learns from them; knows no robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from scipy.stats import chi2
+from torch import Tensor
+
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.experiments.diagnosis.modes import split_in_two
+from torch_pmil.gp.gaussian import Gaussian
+
+SIGNIFICANCE = 0.01  # of two modes: false alarms
+LEAST_EXPLAINED = 0.75  # of all scatter, by two modes
+START_SIGNIFICANCE = 1e-3  # of a start beside p(x_0), for all demonstrations together
+SAME = 0.01  # largest difference of two that are one, in standard deviations of the observation noise
+LEAST_JUMP = 6.0  # second difference of a jump, in standard deviations of the observation noise
+LONE_JUMP = 3.0  # the same, beside the largest one of the other demonstrations
+NEARBY = 2  # samples before and after, in which the others are compared
+OUT_OF_REACH = 2.0  # standard deviations of the observation noise
+STOP_MARGIN = 0.05  # rad or m, that a joint may be beyond its stop
+TORQUE_MARGIN = 1.3  # of the limit: so uncertain are torques of a motion known at the control rate
+UNREACHABLE, FEW = "demonstrations out of reach", "too few demonstrations"  # causes that several checks tell
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with demonstrations, in words.
+
+    Args:
+        cause: its name, one of a few.
+        message: one line: what, where, what to do.
+        fatal: whether nothing good can come of it.
+    """
+
+    cause: str
+    message: str
+    fatal: bool = False
+
+
+def check_modes(sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor) -> list[Finding]:
+    """Two modes in the demonstrations of one target.
+
+    Args:
+        sets: demonstrations of each target.
+        numbers: what a message calls them.
+        noise_std: observation noise, () or (M,), in whose units the entries are compared.
+
+    Example:
+        >>> way = torch.linspace(0, torch.pi, 20).sin()
+        >>> ways = torch.stack([sign * way + 0.01 * k for sign in (-1, 1) for k in range(4)])
+        >>> found = check_modes([Demonstrations(ways[..., None], 0.1, ("x",))], [range(8)], torch.tensor(0.1))
+        >>> found[0].message.partition(";")[0]
+        'demonstrations 0, 1, 2, 3 and 4, 5, 6, 7 are two different ways (100 % of the spread is between them, p = 0.0000)'
+    """
+    findings = []
+    for demonstrations, known in zip(sets, numbers, strict=True):
+        split = split_in_two(demonstrations.positions / noise_std)
+        if split and split.p_value < SIGNIFICANCE and split.explained > LEAST_EXPLAINED:
+            first, second = (", ".join(str(known[member]) for member in part) for part in split.parts)
+            findings.append(
+                Finding(
+                    "contradictory demonstrations",
+                    f"demonstrations {first} and {second} are two different ways "
+                    f"({100 * split.explained:.0f} % of the spread is between them, p = {split.p_value:.4f}); "
+                    "their mean is neither: train on one of them alone",
+                )
+            )
+    return findings
+
+
+def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
+    """Too few demonstrations to estimate their spread (Eq. 11)."""
+    count = sum(len(each.positions) for each in sets)
+    if count - len(sets) >= 2:
+        return []
+    return [
+        Finding(
+            FEW,
+            f"{count} demonstrations tell the spread in one direction alone, the observation noise stands for the others; "
+            "three to five are better",
+        )
+    ]
+
+
+def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[Finding]:
+    """Demonstrations that are copies of one another: they say less spread than there is."""
+    scaled = demonstrations.positions / noise_std
+    largest = (scaled[:, None] - scaled).abs().amax((-2, -1))
+    pairs = (largest < SAME).triu(1).nonzero().tolist()
+    return [Finding(FEW, f"demonstrations {first} and {second} are the same; leave one of them out") for first, second in pairs]
+
+
+def check_start(demonstrations: Demonstrations, start: Gaussian, noise_std: Tensor) -> list[Finding]:
+    r"""Demonstrations that begin where the robot does not: beyond the :math:`\chi^2` quantile of the observed p(x_0).
+
+    Args:
+        demonstrations: N of them.
+        start: p(x_0) in the match space, (M,).
+        noise_std: observation noise, () or (M,).
+    """
+    belief = start.add_noise(noise_std**2)
+    deviation = demonstrations.positions[:, 0] - belief.mean
+    white = torch.linalg.solve_triangular(torch.linalg.cholesky(belief.cov), deviation.mT, upper=False)
+    bound = chi2.isf(START_SIGNIFICANCE / len(deviation), len(belief.mean))
+    findings = []
+    for number in (white.square().sum(0) > bound).nonzero().flatten().tolist():
+        entry = int((deviation[number] / belief.std).abs().argmax())
+        off, std = deviation[number, entry].item(), belief.std[entry].item()
+        findings.append(
+            Finding(
+                "demonstrations start elsewhere",
+                f"demonstration {number} starts at {demonstrations.names[entry]} = {demonstrations.positions[number, 0, entry]:.3g}, "
+                f"{off:+.3g} from where the robot starts (standard deviation {std:.3g}); cut it, shift it, or start the robot there",
+            )
+        )
+    return findings
+
+
+def check_jumps(sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor) -> list[Finding]:
+    """Jumps from sample to sample, as of a tracker that lost its point: second differences that no other demonstration has near that time.
+
+    Args:
+        sets, numbers, noise_std: as for :func:`check_modes`.
+    """
+    findings = []
+    for demonstrations, known in zip(sets, numbers, strict=True):
+        differences = (demonstrations.positions / noise_std).diff(n=2, dim=1)  # (N, T - 1, M)
+        if not differences.shape[1]:
+            continue
+        size = differences.norm(dim=-1)
+        near = torch.nn.functional.max_pool1d(size[:, None], 2 * NEARBY + 1, 1, NEARBY)[:, 0]
+        for number, own in enumerate(size):
+            others = torch.cat([near[:number], near[number + 1 :]]).amax(0)
+            excess = torch.where(own > LONE_JUMP * others, own, 0.0)
+            at = int(excess.argmax())
+            if excess[at] > LEAST_JUMP:
+                entry = demonstrations.names[int(differences[number, at].abs().argmax())]
+                findings.append(
+                    Finding(
+                        "jumps in demonstrations",
+                        f"demonstration {known[number]} jumps in {entry} at {(at + 1) * demonstrations.time_step:.2f} s; "
+                        "pmil align --fastest SPEED leaves jumps out of a recording",
+                    )
+                )
+    return findings
+
+
+def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor) -> list[Finding]:
+    """Places where the robot cannot be.
+
+    Args:
+        demonstrations: N of them.
+        shown: what the robot shows in the states that were recovered from them, (N, T + 1, M).
+        noise_std: observation noise, () or (M,).
+    """
+    apart = (demonstrations.positions - shown).abs()
+    return [
+        Finding(
+            UNREACHABLE,
+            f"demonstration {number} leaves the workspace: at {step * demonstrations.time_step:.2f} s the robot is no nearer than "
+            f"{apart[number, step, entry]:.3g} in {demonstrations.names[entry]}; scale it or place it elsewhere",
+            fatal=True,
+        )
+        for number, step, entry in _worst(apart / noise_std, OUT_OF_REACH)
+    ]
+
+
+def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
+    """Joints beyond their stops: excess (N, T + 1, J) in rad or m, 0 within."""
+    return [
+        Finding(
+            UNREACHABLE,
+            f"demonstration {number} leaves the workspace: at {step * time_step:.2f} s joint {joint} would be "
+            f"{excess[number, step, joint]:.3g} beyond its stop; scale it or place it elsewhere",
+            fatal=True,
+        )
+        for number, step, joint in _worst(excess, STOP_MARGIN)
+    ]
+
+
+def check_torques(torques: Tensor, limits: Tensor, names: Sequence[str], time_step: float) -> list[Finding]:
+    """Motions that need more torque than there is.
+
+    Args:
+        torques: of each control period, (N, T, F), N·m.
+        limits: (F,), N·m.
+        names: of the F motors.
+        time_step: the control period, s.
+    """
+    return [
+        Finding(
+            UNREACHABLE,
+            f"demonstration {number} needs {torques[number, step, motor].abs():.1f} N·m of motor {names[motor]} "
+            f"at {step * time_step:.2f} s, which has {limits[motor]:g} N·m; show it more slowly or smaller, or smooth it",
+        )
+        for number, step, motor in _worst(torques.abs() / limits, TORQUE_MARGIN)
+    ]
+
+
+def _worst(sizes: Tensor, bound: float) -> Iterator[tuple[int, int, int]]:
+    """Demonstration, step and entry of the largest size (N, T, K) of each demonstration in which it is more than a bound."""
+    for number, size in enumerate(sizes):
+        step, entry = divmod(int(size.argmax()), size.shape[1])
+        if size[step, entry] > bound:
+            yield number, step, entry

@@ -1,0 +1,1 @@
+"""One learning run and many: the folder of a run, its figures and report, and summaries of several."""

@@ -1,0 +1,53 @@
+"""The figures, the video and the report of a finished run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from torch_pmil.envs import MujocoRobotEnv
+from torch_pmil.experiments.runs.figures import SKETCHES, figures_of
+from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.experiments.runs.training import RunResult
+from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
+from torch_pmil.plotting import save_figure
+from torch_pmil.plotting.video import dense_states, film_rollout, render_rollout, write_gif, write_video
+
+FRAMES_PER_SECOND = 50
+
+
+def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
+    """Figures, video (as a GIF too) and report of a run."""
+    for name, figure in figures_of(experiment, result):
+        save_figure(figure, out / "figures" / f"{name}.png")
+    env = experiment.first_robot(seed=0)
+    if isinstance(env, MujocoRobotEnv):
+        film(env, experiment, result.outcomes[0], out / "video.mp4")
+    else:
+        film_as_shown(experiment, result, out / "video.mp4")
+    if (out / "video.mp4").exists():
+        write_gif(out / "video.gif", out / "video.mp4")
+    write_report(out)
+
+
+def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Path) -> None:
+    """The first executed rollout, as the simulator draws it; without OpenGL, as lines, or not at all."""
+    start, actions = outcome.executed[0, 0], outcome.rollouts["action"][0]
+    try:
+        write_video(path, render_rollout(env, start, actions), FRAMES_PER_SECOND)
+    except RuntimeError as error:
+        if experiment.name not in SKETCHES:
+            print(f"there is no video, because {error}")
+            return
+        print(f"{path} is a sketch, because {error}")
+        positions = experiment.space.match(dense_states(env, start, actions))
+        write_video(path, SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND), FRAMES_PER_SECOND)
+
+
+def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None:
+    """The policy from a fresh start, as the environment shows itself, if it does."""
+    try:
+        env = experiment.make_env(from_pixels=True, seed=0)
+        pictures = film_rollout(env, result.policy.policy, experiment.space, experiment.horizon)
+        write_video(path, pictures, 1 / experiment.demonstrations.time_step)
+    except Exception as error:  # every renderer fails with a type of its own
+        print(f"there is no video, because the environment gives no pictures: {str(error).partition(chr(10))[0]}")

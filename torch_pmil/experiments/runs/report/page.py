@@ -1,0 +1,111 @@
+"""The page itself: what is in a run's folder, put into one HTML file."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+
+from torch_pmil.experiments.runs.report.captions import Caption, caption_of, place_of
+from torch_pmil.experiments.runs.report.tables import tables
+from torch_pmil.experiments.runs.report.words import headline, next_steps, percent, say
+from torch_pmil.experiments.runs.summaries import RunError, read_summary
+from torch_pmil.files import replacing
+
+PNG = b"\x89PNG\r\n\x1a\n"
+DENSITY, DENSEST = 1.5, 2.8  # pixels of a picture to one of the page: as it is shown, and so that its text can still be read
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the page.
+
+    Args:
+        caption: says what it shows.
+        pixels: width and height of the file.
+        data: the file in base64.
+    """
+
+    caption: Caption
+    pixels: tuple[int, int]
+    data: str
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height on a page that is wide enough, in pixels of the page."""
+        width, height = self.pixels
+        return round(width / DENSITY), round(height / DENSITY)
+
+    @property
+    def least_width(self) -> int:
+        """Below which it scrolls and does not shrink, in pixels of the page."""
+        return round(self.pixels[0] / DENSEST)
+
+
+def write_report(folder: Path | str) -> Path:
+    """Write ``report.html`` from what a finished run left in its folder: summary, figures, video.
+
+    The page holds all of it and asks for nothing from elsewhere. What a run did not leave, it does without.
+
+    Args:
+        folder: of the run.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        RunError: there is no summary, or it or a figure is damaged.
+        OSError: the page cannot be written.
+
+    Example:
+        >>> write_report("runs/double_pendulum/seed_0")  # doctest: +SKIP
+        PosixPath('runs/double_pendulum/seed_0/report.html')
+    """
+    folder = Path(folder)
+    summary = read_summary(folder)
+    page = folder / "report.html"
+    text = _template().render(
+        summary=summary,
+        headline=headline(summary),
+        pictures=_pictures(folder, summary),
+        video=_encoded(folder / "video.mp4") if (folder / "video.mp4").exists() else None,
+        tables=list(tables(summary)),
+        steps=list(next_steps(summary, folder)),
+    )
+    with replacing(page) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return page
+
+
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("torch_pmil.experiments.runs", "report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"say": say, "percent": percent}
+    return environment.get_template("page.html")
+
+
+def _pictures(folder: Path, summary: dict) -> list[Picture]:
+    """All figures, in the order of the page."""
+    targets = list(summary.get("saved_success_rate_by_target", {}))
+    paths = sorted((folder / "figures").glob("*.png"), key=lambda path: place_of(path.stem))
+    return [Picture(caption_of(path.stem, targets), _pixels(path), _encoded(path)) for path in paths]
+
+
+def _pixels(path: Path) -> tuple[int, int]:
+    """Width and height of a PNG file."""
+    with path.open("rb") as file:
+        head = file.read(24)
+    if len(head) < 24 or not head.startswith(PNG):
+        raise RunError(f"{path} must be a PNG file, got one that begins with {head[:8]!r}")
+    return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+
+
+def _encoded(path: Path) -> str:
+    return base64.b64encode(path.read_bytes()).decode()

@@ -1,0 +1,81 @@
+"""What a run came to, in words, and how to go on."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+from torch_pmil.experiments.diagnosis.causes import LEARNED
+
+
+def headline(summary: dict) -> tuple[str, str]:
+    """A class, "good", "part" or "bad", and a sentence on what the run came to.
+
+    Example:
+        >>> headline({"saved_success_rate": 1.0, "saved_n_eval": 20, "experience_s": 17.5})
+        ('good', 'It learned: 20 of 20 fresh starts succeed, after 17.5 s of experience.')
+    """
+    rate, count = summary["saved_success_rate"], summary["saved_n_eval"]
+    succeeded = f"{round(rate * count) or 'none'} of {count} fresh starts succeed, after {summary['experience_s']:g} s of experience."
+    if rate >= LEARNED:
+        return "good", f"It learned: {succeeded}"
+    return ("part", f"It learned in part: {succeeded}") if rate > 0 else ("bad", f"It did not learn: {succeeded}")
+
+
+def say(value: object) -> str:
+    """A value as a table says it.
+
+    Example:
+        >>> [say(value) for value in (None, True, 0.123456, [1.0, 2.5], "text", {"a": 1, "b": None})]
+        ['–', 'yes', '0.1235', '1, 2.5', 'text', 'a = 1, b = –']
+    """
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return ", ".join(f"({say(item)})" if isinstance(item, list) else say(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{name} = {say(item)}" for name, item in value.items())
+    return str(value)
+
+
+def percent(fraction: float) -> str:
+    """A fraction from 0 to 1.
+
+    Example:
+        >>> percent(0.95)
+        '95 %'
+    """
+    return f"{100 * fraction:.0f} %"
+
+
+def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
+    """What can be done with the run: a sentence, and the command or the lines of Python for it."""
+    words = _words(summary["command"])
+    if words[:2] == ["pmil", "train"]:
+        if summary["stop_reason"] == "limit of trials":
+            further = [*_without(words, "trials=", "resume="), f"trials={2 * len(summary['trials'])}", "resume=true"]
+            yield "Go on where it stopped, with twice as many trials:", shlex.join(further)
+        anew = [*_without(words, "seed=", "out=", "resume="), f"seed={summary['seed'] + 1}"]
+        yield "Learn it anew, from another random motion:", shlex.join(anew)
+    yield "Repeat it:", shlex.join(_without(words, "resume="))
+    if (folder / "policy.pt").exists():
+        lines = "from torch_pmil import load_policy", f"policy = load_policy({str(folder / 'policy.pt')!r})", "torque = policy(state)"
+        yield "Use the policy:", "\n".join(lines)
+
+
+def _words(command: str) -> list[str]:
+    """Of a command line; one that no shell would take is one word."""
+    try:
+        return shlex.split(command)
+    except ValueError:
+        return [command]
+
+
+def _without(words: list[str], *beginnings: str) -> list[str]:
+    """The words of a command that do not begin so."""
+    return [word for word in words if not word.startswith(beginnings)]

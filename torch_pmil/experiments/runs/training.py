@@ -1,0 +1,239 @@
+"""One learning run: Algorithm 1 on an experiment, and what it leaves in its folder."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import fmean
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.record.loggers import Logger
+
+from torch_pmil.control.policy_file import save_policy
+from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.demonstrations.distribution import demonstration_spread, rms_error
+from torch_pmil.experiments.diagnosis.after_a_run import likely_reasons
+from torch_pmil.experiments.diagnosis.causes import saturated_fraction
+from torch_pmil.experiments.runs.run_folder import (
+    LOGGERS,
+    check_whole,
+    clear_folder,
+    open_logger,
+    prepare_folder,
+    provenance,
+    save_tensors,
+    write_metrics,
+    write_origin,
+)
+from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
+from torch_pmil.files import write_json
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.trainer.checkpoints import rotation_in
+from torch_pmil.trainer.trainer import PMILTrainer
+from torch_pmil.trainer.trials import Candidate, Trial, success_rate
+
+EVALUATION_STARTS = 20
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A finished run.
+
+    Args:
+        summary: what ``summary.json`` holds.
+        trials: all of them.
+        outcomes: what the saved policy was predicted to do under the newest model, and did from fresh starts, task by task.
+        policy: the saved policy.
+        dynamics: the newest model.
+    """
+
+    summary: dict
+    trials: list[Trial]
+    outcomes: list[Outcome]
+    policy: StatePolicy
+    dynamics: GPDynamics
+
+
+def train(
+    experiment: Experiment,
+    seed: int,
+    trials: int,
+    out: Path,
+    command: str,
+    progress_bar: bool = True,
+    on_trial: Callable[[Trial], None] = lambda trial: None,
+    resume: bool = False,
+    logger: str | None = None,
+) -> RunResult:
+    """Learn an experiment and write ``metrics.csv`` (after every trial), ``policy.pt``, ``dynamics.pt`` and ``summary.json``.
+
+    ``run.json`` says how the run was begun. A checkpoint is written into ``checkpoints/`` after every rollout of the robot. A run that was killed goes on from there with
+    ``resume`` and ends with the very same policy and model; one that has ended comes to the same end again, or goes on if ``trials``
+    was its limit and is larger now.
+
+    Args:
+        experiment: what to learn.
+        seed: of the robot's starts, the random torques and the policy; same seed, same run.
+        trials: largest number of trials.
+        out: folder of the run.
+        command: said in the summary, so that the run can be repeated.
+        progress_bar: whether to show progress.
+        on_trial: called with each finished trial.
+        resume: whether to go on from the newest checkpoint in the folder; without one the run begins anew.
+        logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``; None for none.
+
+    Raises:
+        OSError: the folder cannot be written to.
+        ValueError: a setting is out of range, or the checkpoint is of a run with other settings.
+        UnfinishedRunError: the folder holds a run that was stopped, and ``resume`` is not set.
+        CheckpointError: all checkpoints are damaged.
+        ImportError: the library of that logger is missing.
+    """
+    check_whole("seed", seed, least=0)
+    check_whole("trials", trials, least=1)
+    if logger not in (None, *LOGGERS):
+        raise ValueError(f"logger must be one of {', '.join(LOGGERS)} or null, got {logger}")
+    source = provenance(command)
+    rotation = rotation_in(out / "checkpoints")
+    if resume:
+        _check_same_run(rotation, _identity(experiment, seed))
+    else:
+        clear_folder(out)
+    (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
+    prepare_folder(out)
+    write_origin(out, source)
+
+    def record(trial: Trial) -> None:
+        write_metrics(out / "metrics.csv", Trial, trainer.trials)
+        on_trial(trial)
+
+    opened = None if logger is None else open_logger(logger, out, experiment.name, seed)
+    trainer = make_trainer(experiment, seed, trials, progress_bar, record, opened, rotation)
+    if resume:
+        trainer.resume()
+    write_metrics(out / "metrics.csv", Trial, trainer.trials)
+    trainer.train()
+    best = trainer.best_policy()
+    network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
+    policy = StatePolicy(network, experiment.space, trainer.control_period, experiment.demonstrations.target_names)
+    save_policy(out / "policy.pt", network, experiment.space, trainer.control_period, policy.target_names)
+    save_tensors(out / "dynamics.pt", dynamics.state_dict())
+    outcomes = experiment.outcomes(*_predict_and_execute(trainer, experiment))
+    horizons = [trial.horizon for trial in trainer.trials]
+    summary = {
+        "experiment": experiment.name,
+        "seed": seed,
+        **source,
+        "settings": {"trials": trials, **experiment.settings},
+        "wall_seconds": round(trainer.seconds, 2),
+        **_measured(trainer, best, experiment, outcomes),
+        "diagnosis": [asdict(reason) for reason in likely_reasons(experiment, trainer.loss_module, outcomes, horizons)],
+        "trials": [_plain(trial) for trial in trainer.trials],
+    }
+    write_json(out / "summary.json", summary)
+    return RunResult(summary, trainer.trials, outcomes, policy, dynamics)
+
+
+def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
+    """What a resumed run must have in common with the one that was stopped, as JSON says it."""
+    positions = experiment.demonstrations.positions.contiguous().numpy().tobytes()
+    identity = {"experiment": experiment.name, "seed": seed, "demonstrations": hashlib.sha256(positions).hexdigest()}
+    return json.loads(json.dumps({**identity, **experiment.settings}))
+
+
+def _check_same_run(rotation: CheckpointRotation, identity: dict[str, object]) -> None:
+    if rotation.latest() is None:
+        return
+    saved = Checkpoint.manifest(rotation.latest())["metadata"]
+    for name, value in identity.items():
+        if saved.get(name) != value:
+            raise ValueError(f"the run in {rotation.directory} has {name} = {saved.get(name)}, got {value}: it cannot go on so")
+
+
+def make_trainer(
+    experiment: Experiment,
+    seed: int,
+    trials: int,
+    progress_bar: bool,
+    on_trial: Callable[[Trial], None],
+    logger: Logger | None = None,
+    rotation: CheckpointRotation | None = None,
+) -> PMILTrainer:
+    """The trainer of an experiment, with every source of randomness seeded."""
+    generators = [torch.Generator().manual_seed(seed + offset) for offset in (0, 1_000_000)]
+    policy = experiment.make_policy(generators[0])
+    return PMILTrainer(
+        env=experiment.robot(seed),
+        evaluation_env=experiment.robots(EVALUATION_STARTS, seed + 2_000_000),
+        loss_module=experiment.make_loss(policy, experiment.make_dynamics()),
+        initial=experiment.initial,
+        limits=experiment.limits,
+        error=experiment.error,
+        tolerance=experiment.tolerance,
+        confirmations=experiment.confirmations,
+        trials=trials,
+        search=experiment.search,
+        make_policy=experiment.make_policy,
+        first_motion=experiment.first_motion,
+        policy_generator=generators[0],
+        generator=generators[1],
+        on_trial=on_trial,
+        progress_bar=progress_bar,
+        logger=logger,
+        checkpoint_rotation=rotation,
+        checkpoint_metadata=_identity(experiment, seed),
+    )
+
+
+@torch.no_grad()
+def _predict_and_execute(trainer: PMILTrainer, experiment: Experiment) -> tuple[Gaussian, TensorDictBase]:
+    loss = trainer.loss_module
+    return loss.predict_states(experiment.initial), trainer.evaluation_env.rollout(loss.horizon, trainer.robot_policy)
+
+
+def _measured(trainer: PMILTrainer, best: Candidate, experiment: Experiment, outcomes: list[Outcome]) -> dict[str, object]:
+    """What the run came to; the saved policy is measured anew, from starts that no trial saw. Of several targets, the mean."""
+    rates = {outcome.label: success_rate(experiment.error(outcome.rollouts), experiment.tolerance) for outcome in outcomes}
+    covered = torch.stack([two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in outcomes]).mean(0)
+    spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in outcomes])
+    errors = torch.stack([rms_error(outcome.demonstrations, experiment.space.match(outcome.executed)) for outcome in outcomes])
+    saturated = torch.stack([saturated_fraction(outcome.rollouts["action"], experiment.u_max) for outcome in outcomes]).mean(0)
+    return {
+        "stop_reason": trainer.stop_reason,
+        "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
+        "saved_trial": best.trial,
+        "saved_success_rate": fmean(rates.values()),
+        "saved_n_eval": sum(len(outcome.executed) for outcome in outcomes),
+        **({"saved_success_rate_by_target": rates} if len(outcomes) > 1 else {}),
+        "two_sigma_coverage": fmean(two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in outcomes),
+        "two_sigma_coverage_by_entry": _by_name(experiment.space.names, covered),
+        "rms_error": _by_name(experiment.space.match.names, errors.square().mean(0).sqrt()),
+        "demonstration_spread": _by_name(experiment.space.match.names, spread.square().mean(0).sqrt()),
+        "saturated": _by_name(trainer.evaluation_env.motor_names, saturated),
+        "kl_per_step": _per_step(trainer, experiment),
+    }
+
+
+@torch.no_grad()
+def _per_step(trainer: PMILTrainer, experiment: Experiment) -> list[float]:
+    """Summands of the saved policy's predicted loss under the newest model, (T,)."""
+    return trainer.loss_module.per_step(experiment.initial).tolist()
+
+
+def _by_name(names: tuple[str, ...], values: Tensor) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))
+
+
+def _plain(trial: Trial) -> dict[str, object]:
+    """A trial as JSON can say it: a KL that is not finite is null."""
+    values = asdict(trial)
+    return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in values.items()}

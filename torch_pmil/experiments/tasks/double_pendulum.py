@@ -1,0 +1,101 @@
+"""Section 5.1: swing up and balance the double pendulum, from five demonstrations of its link positions."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
+from torch_pmil.envs.rollouts import of_states
+from torch_pmil.experiments.tasks.experiment import Experiment, check_demonstrations
+from torch_pmil.gp.gaussian import Gaussian
+
+NOISE_STD = 0.05  # m
+SUCCESS_DISTANCE = 0.25  # m
+REACH_DISTANCE = 0.1  # m, of the tip that reaches a target
+FINAL_SAMPLES = 6  # samples of the last 0.5 s at 10 Hz, both ends included
+
+
+def double_pendulum_space() -> StateSpace:
+    """State [q1, dq1, q2, dq2], matched in the positions of the two link ends.
+
+    Example:
+        >>> double_pendulum_space().match(torch.zeros(4, dtype=torch.float64))
+        tensor([0.0000, 0.5000, 0.0000, 1.0000], dtype=torch.float64)
+    """
+    absolute = torch.tensor([[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 1.0, 0.0]], dtype=torch.float64)
+    links = torch.zeros(4, 8, dtype=torch.float64)  # columns: state, sin of the absolute angles, cos of them
+    links[0, 4] = links[2, 4] = links[2, 5] = LINK_LENGTH
+    links[1, 6] = links[3, 6] = links[3, 7] = LINK_LENGTH
+    match = MatchSpace(("x1", "y1", "x2", "y2"), ("m",) * 4, absolute, links)
+    return StateSpace(("q1", "dq1", "q2", "dq2"), ("rad", "rad/s", "rad", "rad/s"), (0, 2), match)
+
+
+def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
+    """States (..., T, 4) that show link positions (..., T, 4): angles by arctangent, velocities by central differences."""
+    x1, y1, x2, y2 = positions.unbind(-1)
+    first, second = torch.atan2(x1, y1), torch.atan2(x2 - x1, y2 - y1)
+    columns = []
+    for angle in (first, second):
+        step = angle.diff(dim=-1)
+        step = torch.atan2(step.sin(), step.cos())  # between -pi and pi
+        columns.append(angle[..., :1] + torch.cat([torch.zeros_like(step[..., :1]), step.cumsum(-1)], -1))
+    q1, q2 = columns[0], columns[1] - columns[0]
+    dq1, dq2 = (torch.gradient(q, spacing=time_step, dim=-1)[0] for q in (q1, q2))
+    return torch.stack([q1, dq1, q2, dq2], -1)
+
+
+def distance_from_upright(states: Tensor) -> Tensor:
+    """Largest distance (m) of [x1, y1, x2, y2] from upright over the last 0.5 s; states (*batch, T + 1, 4) to (*batch)."""
+    upright = torch.tensor([0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH], dtype=states.dtype)
+    positions = double_pendulum_space().match(states[..., -FINAL_SAMPLES:, :])
+    return (positions - upright).norm(dim=-1).amax(-1)
+
+
+def distance_from_target(states: Tensor, targets: Tensor) -> Tensor:
+    """Largest distance (m) of the tip from its target over the last 0.5 s.
+
+    Args:
+        states: x_0..x_T, (*batch, T + 1, 4).
+        targets: [x, y] of the tip, m, (*batch, 2); batches broadcast.
+
+    Returns:
+        (*batch).
+
+    Example:
+        >>> upright = torch.zeros(26, 4, dtype=torch.float64)
+        >>> distance_from_target(upright, torch.tensor([0.0, 0.9], dtype=torch.float64))
+        tensor(0.1000, dtype=torch.float64)
+    """
+    tips = double_pendulum_space().match(states[..., -FINAL_SAMPLES:, :])[..., 2:]
+    return (tips - targets[..., None, :]).norm(dim=-1).amax(-1)
+
+
+def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
+    """The experiment of Section 5.1: 100 basis functions, 812 policy parameters, 2.5 s at 10 Hz.
+
+    Args:
+        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz; those that come with the package if None.
+
+    Raises:
+        DemonstrationError: they hold something else, or at another rate.
+    """
+    demonstrations = demonstrations or shipped_demonstrations("double_pendulum")
+    env = DoublePendulumEnv()
+    check_demonstrations(demonstrations, double_pendulum_space(), env)
+    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    return Experiment(
+        name="double_pendulum",
+        make_env=DoublePendulumEnv,
+        space=double_pendulum_space(),
+        demonstrations=demonstrations,
+        noise_std=NOISE_STD,
+        initial=Gaussian(env.initial_mean, torch.diag(env.initial_std**2)),
+        u_max=env.action_spec.space.high,
+        demonstrated_states=states.reshape(-1, 4),
+        num_centres=100,
+        error=of_states(distance_from_upright),
+        tolerance=SUCCESS_DISTANCE,
+    )

@@ -1,0 +1,213 @@
+"""What an experiment is: a robot, its demonstrations, the settings of the method, and when a rollout succeeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from torch_pmil.control.exploration import FirstMotion, PDMovements, RandomTorques
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations
+from torch_pmil.demonstrations.distribution import expert_distribution
+from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
+from torch_pmil.envs.rollouts import states_of
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+
+HELD_STARTS = 200  # at which a new policy is told to hold the robot
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a policy was predicted to do and did, beside what was demonstrated; of one target if there are several.
+
+    Args:
+        label: names the target; "" where there is one task alone.
+        demonstrations: of it.
+        expert: their marginals at t = 1..T, mean (T, M).
+        predicted: p(x_1..T), mean (T, D).
+        rollouts: from fresh starts, (N, T), as the environment gives them.
+    """
+
+    label: str
+    demonstrations: Demonstrations
+    expert: Gaussian
+    predicted: Gaussian
+    rollouts: TensorDictBase
+
+    @property
+    def executed(self) -> Tensor:
+        """States x_0..x_T of the rollouts, (N, T + 1, D)."""
+        return states_of(self.rollouts)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """An imitation task.
+
+    Args:
+        name: as on the command line.
+        make_env: environment for given ``num_envs`` (None or N), ``from_pixels`` and ``seed``.
+        space: the robot's state space; the demonstrations are in its match space.
+        demonstrations: N demonstrations.
+        noise_std: observation noise, in the units of the match space: one number, or one for each entry, (M,).
+        initial: p(x_0).
+        u_max: torque limits (F,), N·m.
+        demonstrated_states: states recovered from the demonstrations, (S, D), where the policy's centres are drawn.
+        num_centres: m.
+        error: of rollouts (*batch, T), as the environment gives them, (*batch); :func:`~torch_pmil.trainer.collector.of_states` makes it of a
+            function of the states x_0..x_T.
+        tolerance: error up to which a rollout is a success.
+        confirmations: successes of own rollouts in a row that end a run: more where a success is a lenient measure.
+        random_torque: of the first rollout, as a fraction of u_max.
+        pd_movements: the robot's first motion; random torques for one horizon if None.
+        initial_weight_std: of the policy's initial weights.
+        input_scale: width of the policy's initial basis functions, in standard deviations of the demonstrated features; a policy is
+            nothing beyond the reach of its functions, so starts at the rim of what was demonstrated may need more than 1.
+        input_widths: the widths themselves (D',), in the units of the features; None for those by ``input_scale``.
+        holding_torques: torques (S, F) that hold the robot in states (S, D); a new policy holds it at the start. None: it need not.
+        search: budget and horizon of the policy search.
+
+    ``objective`` is the class of the loss that :meth:`make_loss` gives.
+    """
+
+    objective: ClassVar[type[TrajectoryLoss]] = TrajectoryKLLoss
+
+    name: str
+    make_env: Callable[..., MujocoRobotEnv | AdaptedEnv]
+    space: StateSpace
+    demonstrations: Demonstrations
+    noise_std: float | Tensor
+    initial: Gaussian
+    u_max: Tensor
+    demonstrated_states: Tensor
+    num_centres: int
+    error: Callable[[TensorDictBase], Tensor]
+    tolerance: float
+    confirmations: int = 2
+    random_torque: float = 0.4
+    pd_movements: PDMovements | None = None
+    initial_weight_std: float = 0.1
+    input_scale: float = 1.0
+    input_widths: Tensor | None = None
+    holding_torques: Callable[[Tensor], Tensor] | None = None
+    search: SearchSettings = field(default_factory=SearchSettings)
+
+    @property
+    def horizon(self) -> int:
+        """T, number of control steps."""
+        return self.demonstrations.positions.shape[1] - 1
+
+    @property
+    def expert(self) -> Gaussian:
+        """Demonstrated marginals at t = 1..T, observation noise included."""
+        return expert_distribution(self.demonstrations, self.noise_std)
+
+    @property
+    def first_motion(self) -> FirstMotion:
+        """How the robot moves before anything is learned."""
+        return self.pd_movements or RandomTorques(self.u_max, self.random_torque, self.horizon)
+
+    @property
+    def limits(self) -> Tensor:
+        """Largest absolute values of the state (D,) that the model learns from: three times the demonstrated, angles without limit."""
+        limits = 3 * self.demonstrated_states.abs().amax(0)
+        limits[list(self.space.angles)] = torch.inf
+        return limits
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """Numbers that a run depends on, as its summary and its checkpoints hold them."""
+        return {
+            "horizon": self.horizon,
+            "num_centres": self.num_centres,
+            "noise_std": torch.as_tensor(self.noise_std, dtype=torch.float64).tolist(),
+            "random_torque": self.random_torque,
+            "first_motion": self.first_motion.settings,
+            "initial_weight_std": self.initial_weight_std,
+            "input_scale": self.input_scale,
+            "input_widths": None if self.input_widths is None else self.input_widths.tolist(),
+            "holds_start": self.holding_torques is not None,
+            "tolerance": self.tolerance,
+            "confirmations": self.confirmations,
+            "search": asdict(self.search),
+        }
+
+    def robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
+        """The robot that learns."""
+        return self.make_env(seed=seed)
+
+    def robots(self, starts: int, seed: int) -> MujocoRobotEnv | AdaptedEnv:
+        """Robots to measure a policy on, from so many fresh starts."""
+        return self.make_env(num_envs=starts, seed=seed)
+
+    def first_robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
+        """One robot for the first task, to be filmed."""
+        return self.make_env(seed=seed)
+
+    def outcomes(self, predicted: Gaussian, rollouts: TensorDictBase) -> list[Outcome]:
+        """What was predicted for the robot, and rollouts of :meth:`robots`, task by task."""
+        return [Outcome("", self.demonstrations, self.expert, predicted, rollouts)]
+
+    def make_dynamics(self) -> GPDynamics:
+        """A forward model of the robot, without data."""
+        return GPDynamics(len(self.space.feature_names) + len(self.u_max), self.space.dim)
+
+    def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:
+        """What the policy is searched for: the KL between demonstrated and predicted trajectories."""
+        return TrajectoryKLLoss(policy, dynamics, self.space, self.expert, self.noise_std)
+
+    def make_policy(self, generator: torch.Generator) -> RBFPolicy:
+        """A new policy: centres near demonstrated states, small random weights; it holds the robot at the start if the experiment can."""
+        return self.policy_near(self.demonstrated_inputs, generator)
+
+    def policy_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
+        """As :meth:`make_policy`: centres near some of the inputs (S, D'), widths those of all unless the experiment says them."""
+        std = inputs.std(0)
+        chosen = torch.randint(len(inputs), (self.num_centres,), generator=generator)
+        jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)
+        policy = RBFPolicy(inputs[chosen] + 0.1 * std * jitter, self.u_max, self.widths(std))
+        white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
+        policy.weights.data.copy_(self.initial_weight_std * white)
+        if self.holding_torques is not None:
+            starts = self.initial.sample(HELD_STARTS, generator)
+            policy.fit_weights(self.start_inputs(starts), self.holding_torques(starts))
+        return policy
+
+    def widths(self, std: Tensor) -> Tensor:
+        """Of a new policy's basis functions (D'), from the standard deviations of its demonstrated inputs."""
+        return self.input_scale * std if self.input_widths is None else self.input_widths
+
+    @property
+    def demonstrated_inputs(self) -> Tensor:
+        """What a policy sees of the demonstrated states, (S, D')."""
+        return self.space.features(self.demonstrated_states)
+
+    def start_inputs(self, starts: Tensor) -> Tensor:
+        """What a policy sees of starts (S, D): (S, D')."""
+        return self.space.features(starts)
+
+
+def check_demonstrations(
+    demonstrations: Demonstrations, space: StateSpace, env: MujocoRobotEnv | AdaptedEnv, target_names: tuple[str, ...] = ()
+) -> None:
+    """Raise DemonstrationError unless the demonstrations are of the match space and these targets, at the robot's control rate."""
+    if demonstrations.target_names != target_names:
+        wanted, found = (", ".join(names) or "none" for names in (target_names, demonstrations.target_names))
+        raise DemonstrationError(f"targets of the demonstrations must be {wanted}, got {found}")
+    if demonstrations.names != space.match.names:
+        raise DemonstrationError(f"demonstrations must be of {', '.join(space.match.names)}, got {', '.join(demonstrations.names)}")
+    if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
+        raise DemonstrationError(
+            f"demonstrations must have a time step of {env.control_period} s, the robot's control period, "
+            f"got {demonstrations.time_step} s; pmil align --time-step {env.control_period} resamples a recording"
+        )

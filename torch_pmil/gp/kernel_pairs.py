@@ -1,0 +1,72 @@
+"""The pairs of kernels that moment matching integrates over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Products:
+    """Which kernels moment matching integrates: the E single ones, then the P = E(E+1)/2 products of two, of each output with itself first.
+
+    Args:
+        first, second: the two outputs of each product, (P,).
+        position: where the product of outputs a and b stands among the products, (E * E,).
+        precision: summed precisions, (E + P, D).
+        root: outer products of the square roots of these, (E + P, D, D).
+        shares: what the first and the second factor have of the sum, (2, P, D).
+        forms: quadratic forms of one belief: of x_i for the single kernels; of x_i, of x_j, and of both for the products. They are
+            ``constant + factor * B``, (E + 3P, D, D), with B of the integral ``integrals`` (E + 3P,).
+        constant, factor, integrals: see above.
+        log_factor: log alpha^2 of each single kernel, then of the first and of the second factor of each product, (E + 2P,).
+        minus_log_det: where -log|I + Sigma P| / 2 counts among these, (E + 2P, E + P).
+    """
+
+    first: Tensor
+    second: Tensor
+    position: Tensor
+    precision: Tensor
+    root: Tensor
+    shares: Tensor
+    constant: Tensor
+    factor: Tensor
+    integrals: Tensor
+    log_factor: Tensor
+    minus_log_det: Tensor
+
+    @classmethod
+    def of(cls, precision: Tensor, log_signal_variance: Tensor) -> Products:
+        """Built from the diagonals of Lambda_a^-1, (E, D), and log alpha_a^2, (E,)."""
+        E, D = precision.shape
+        outputs = torch.arange(E, device=precision.device)
+        a, b = torch.triu_indices(E, E, offset=1, device=precision.device)
+        first, second = torch.cat([outputs, a]), torch.cat([outputs, b])
+        P = len(first)
+        position = torch.empty(E, E, dtype=torch.long, device=precision.device)
+        position[first, second] = position[second, first] = torch.arange(P, device=precision.device)
+        factors = torch.stack([precision[first], precision[second]])  # (2, P, D)
+        shares = factors / factors.sum(0)
+        precisions = torch.cat([precision, factors.sum(0)])
+        distance = torch.diag_embed(factors[0] * shares[1])  # (Lambda_a + Lambda_b)^-1
+        integrals = torch.arange(E + P, device=precision.device)
+        own_terms = _outer(shares, shares).flatten(0, 1)
+        return cls(
+            first=first,
+            second=second,
+            position=position.flatten(),
+            precision=precisions,
+            root=_outer(precisions.sqrt(), precisions.sqrt()),
+            shares=shares,
+            constant=torch.cat([precision.new_zeros(E, D, D), distance / -2, distance / -2, distance]),
+            factor=torch.cat([precision.new_full((E, D, D), -0.5), own_terms / -2, -_outer(*shares)]),
+            integrals=torch.cat([integrals, integrals[E:], integrals[E:]]),
+            log_factor=torch.cat([log_signal_variance, log_signal_variance[first], log_signal_variance[second]]),
+            minus_log_det=-torch.eye(E + 2 * P, E + P, dtype=precision.dtype, device=precision.device),
+        )
+
+
+def _outer(a: Tensor, b: Tensor) -> Tensor:
+    return a[..., :, None] * b[..., None, :]

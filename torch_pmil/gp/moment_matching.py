@@ -1,0 +1,123 @@
+r"""Exact moments of squared-exponential expansions at a Gaussian input (Eqs. 14-18), for GPs and RBF networks alike.
+
+==========================================  ===========================================
+paper                                       here
+==========================================  ===========================================
+:math:`\nu_i = x_i - \mu`                   ``nu1`` of :class:`GaussianIntegrals`, with a last row of ones
+:math:`q_i` (Eq. 15)                        ``q`` of these
+:math:`Q_{ij}` (Eq. 17)                     exp(left_i . right_j) of these, never kept
+:math:`\beta, K^{-1}`                       ``weights``, ``gram_inverse`` of the expansion
+==========================================  ===========================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gpytorch
+import torch
+from torch import Tensor
+
+from torch_pmil.gp.exponential_sums import ExponentialSum
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.gaussian_integrals import GaussianIntegrals
+from torch_pmil.gp.kernel_expansion import KernelExpansion
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Moments of f(x) when x is Gaussian and f an expansion of E outputs.
+
+    Args:
+        mean: (*batch, E), in the units of the outputs.
+        cov: (*batch, E, E).
+        inv_cov_cross_cov: Sigma_x^-1 cov(x, f), (*batch, D, E): multiply by Sigma_x for the covariance itself, see
+            :meth:`cross_cov`. It stays finite where Sigma_x is singular.
+    """
+
+    mean: Tensor  # (*batch, E)
+    cov: Tensor  # (*batch, E, E)
+    inv_cov_cross_cov: Tensor  # (*batch, D, E)
+
+    @property
+    def gaussian(self) -> Gaussian:
+        """The Gaussian with this mean and covariance."""
+        return Gaussian(self.mean, self.cov)
+
+    def unflatten(self, batch_shape: torch.Size) -> Moments:
+        """With the batch shape in place of a single batch dimension."""
+        if len(batch_shape) == 1:
+            return self
+        return Moments(*(t.reshape(*batch_shape, *t.shape[1:]) for t in (self.mean, self.cov, self.inv_cov_cross_cov)))
+
+    def cross_cov(self, belief: Gaussian) -> Tensor:
+        """cov(x, f), (*batch, D, E), for the ``belief`` over x that these moments were computed at."""
+        return belief.cov @ self.inv_cov_cross_cov
+
+
+def moment_match(
+    model: KernelExpansion | gpytorch.models.ExactGP,
+    belief: Gaussian,
+    observation_noise: bool = False,
+    products: tuple[Tensor, Tensor] | None = None,
+) -> Moments:
+    r"""Mean, covariance and input-output covariance of a GP or an RBF network at an uncertain input (Eqs. 14-18).
+
+    Exact, no sampling: the true distribution of f(x) is not Gaussian, its first two moments are these. Differentiable
+    in the belief, the data and the hyper-parameters (once).
+
+    Args:
+        model: a trained GPyTorch ``ExactGP`` (``ScaleKernel(RBFKernel)``, zero or constant mean, E outputs as its batch), or a
+            :class:`KernelExpansion`, which keeps its Cholesky factors' results between calls.
+        belief: over the input, D entries, any batch shape; its covariance may be singular or zero.
+        observation_noise: add the likelihood's noise to the variances (Eq. 5), as for the distribution of an observation.
+        products: those that :class:`RecordedMoments` kept of the same model at the same beliefs, which saves nearly all of the work.
+
+    Returns:
+        Moments in the units of the outputs.
+
+    Raises:
+        ValueError: the belief's entries are not the model's inputs.
+        NotPositiveDefiniteError: the covariance has a clearly negative eigenvalue, or is not finite.
+
+    Source: Deisenroth (2010), section 2.3.
+
+    Example:
+        >>> f = KernelExpansion(torch.zeros(1, 2), torch.ones(1, 1), torch.ones(1, 2), torch.ones(1))
+        >>> moment_match(f, Gaussian(torch.zeros(2), torch.zeros(2, 2))).mean
+        tensor([1.])
+    """
+    f = model if isinstance(model, KernelExpansion) else KernelExpansion.from_exact_gp(model)
+    beliefs = belief.flattened
+    integrals = GaussianIntegrals.of(f, beliefs)
+    sums = (f.weights * integrals.q) @ integrals.nu1.mT  # sum_i beta_i q_i [nu_i, 1], (N, E, D + 1)
+    second = ExponentialSum.apply(integrals.left, integrals.right, *f.pair_weights, f.self_weights, f.num_inputs, products)
+    return combine(f, sums[..., -1], first_slope(integrals.precision, sums), second, observation_noise).unflatten(belief.batch_shape)
+
+
+def first_slope(precision: Tensor, sums: Tensor) -> Tensor:
+    r"""Sigma^-1 cov(x, f), (N, E, D), which is the gradient of the mean: B sum_i beta_i q_i nu_i.
+
+    Args:
+        precision: B of all integrals, (N, E + P, D, D).
+        sums: sum_i beta_i q_i [nu_i, 1] of each output, (N, E, D + 1).
+    """
+    return (precision[:, : sums.shape[1]] @ sums[..., :-1, None]).squeeze(-1)
+
+
+def combine(f: KernelExpansion, mean: Tensor, slope: Tensor, second: Tensor, observation_noise: bool) -> Moments:
+    r"""Covariance (Eq. 16) and offsets, for N beliefs.
+
+    Args:
+        f: the expansion.
+        mean: without offsets (Eq. 14), (N, E).
+        slope: (N, E, D).
+        second: E[f_a f_b] of each pair of outputs, without offsets and prior variance, (N, P).
+        observation_noise: as in :func:`moment_match`.
+    """
+    E = f.num_outputs
+    second = second.index_select(-1, f.products.position).view(-1, E, E)
+    cov = torch.baddbmm(second, mean[:, :, None], mean[:, None], alpha=-1)
+    if f.gram_inverse is not None:
+        cov = cov + (f.observed_prior_cov if observation_noise else f.prior_cov)
+    return Moments(mean + f.offset, cov, slope.mT)

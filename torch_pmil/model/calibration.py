@@ -1,0 +1,100 @@
+r"""How sure a model is of its next state, against how right it is: one-step predictions beside transitions that were executed."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.experience import gp_data
+
+
+@torch.no_grad()
+def standardised_residuals(dynamics: GPDynamics, space: StateSpace, states: Tensor, actions: Tensor) -> Tensor:
+    r"""Errors of the one-step prediction at every executed transition, in predicted standard deviations.
+
+    .. math:: z_{t+1} = \frac{x_{t+1} - \mu(x_t, u_t)}{\sqrt{\sigma^2(x_t, u_t) + \sigma_\varepsilon^2}}
+
+    Of a model that is as sure as it is right these are standard normal (Eqs. 6 and 7, with the noise of Eq. 2).
+
+    Args:
+        dynamics: the forward model.
+        space: of the same robot.
+        states: rollouts x_0..x_T, (*batch, T + 1, D), best of such that the model has not learned from.
+        actions: u_0..u_{T-1}, (*batch, T, F).
+
+    Returns:
+        z_1..z_T, (*batch, T, D), without a unit.
+
+    Raises:
+        RuntimeError: the model has no data.
+
+    Example:
+        >>> from torch_pmil.control.state_space import joint_match
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> dynamics = GPDynamics(num_inputs=2, num_outputs=1)
+        >>> dynamics.set_data(torch.zeros(2, 2), torch.zeros(2, 1))
+        >>> standardised_residuals(dynamics, space, torch.zeros(4, 3, 1).double(), torch.zeros(4, 2, 1).double()).shape
+        torch.Size([4, 2, 1])
+    """
+    inputs, targets = gp_data(states[..., :-1, :], actions, states[..., 1:, :], space, dynamics.targets)
+    mean, variance = dynamics.expansion.predict(inputs)
+    return (targets - mean) / (variance + dynamics.expansion.noise).sqrt()
+
+
+def observed_coverage(residuals: Tensor, probabilities: Tensor) -> Tensor:
+    r"""Fraction of standardised residuals inside the central interval that should hold them with a given probability.
+
+    .. math:: \widehat{\Pr}\big[ |z| \le \Phi^{-1}(\tfrac{1 + p}{2}) \big]
+
+    Args:
+        residuals: (\*batch, D).
+        probabilities: p of K intervals, from 0 to 1, (K,).
+
+    Returns:
+        For each entry, (K, D).
+
+    Example:
+        >>> observed_coverage(torch.tensor([[0.0], [1.0], [3.0]]), torch.tensor([0.0, 0.5, 0.95, 1.0])).flatten()
+        tensor([0.3333, 0.3333, 0.6667, 1.0000])
+    """
+    reach = math.sqrt(2) * torch.special.erfinv(probabilities)
+    inside = residuals.reshape(-1, residuals.shape[-1]).abs() <= reach[:, None, None]
+    return inside.to(residuals.dtype).mean(1)
+
+
+def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
+    """Fraction of executed entries inside the predicted mean plus or minus two standard deviations.
+
+    Args:
+        predicted: marginals at t = 1..T, mean (T, D).
+        executed: rollouts x_0..x_T, (N, T + 1, D).
+
+    Example:
+        >>> import torch
+        >>> still = Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1))
+        >>> two_sigma_coverage(still, torch.tensor([[[0.0], [1.0], [3.0]]]))
+        0.5
+    """
+    return within_two_sigma(predicted, executed).mean().item()
+
+
+def two_sigma_coverage_by_entry(predicted: Gaussian, executed: Tensor) -> Tensor:
+    """The same for each entry of the state, (D,).
+
+    Example:
+        >>> import torch
+        >>> still = Gaussian(torch.zeros(1, 2), torch.eye(2)[None])
+        >>> two_sigma_coverage_by_entry(still, torch.tensor([[[0.0, 0.0], [1.0, 3.0]]]))
+        tensor([1., 0.], dtype=torch.float64)
+    """
+    return within_two_sigma(predicted, executed).mean((0, 1))
+
+
+def within_two_sigma(predicted: Gaussian, executed: Tensor) -> Tensor:
+    """Which executed entries at t = 1..T are inside, 1 or 0, (N, T, D); see :func:`two_sigma_coverage`."""
+    return ((executed[:, 1:] - predicted.mean).abs() <= 2 * predicted.std).double()

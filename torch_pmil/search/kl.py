@@ -1,0 +1,130 @@
+"""Kullback-Leibler divergence of Gaussians, and of factorised trajectory distributions (Eqs. 19-24)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torch_pmil.gp.gaussian import Gaussian, cholesky
+
+
+def _log_det(factor: Tensor) -> Tensor:
+    return 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+
+
+def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
+    r"""Kullback-Leibler divergence KL(p‖q) of two Gaussians (Eq. 8 in closed form: Eq. 19, sign of the log term corrected).
+
+    .. math:: \tfrac12 \left[ \operatorname{tr}(\Sigma_q^{-1}\Sigma_p) + \delta^\top \Sigma_q^{-1} \delta - D
+              + \log\tfrac{|\Sigma_q|}{|\Sigma_p|} \right], \qquad \delta = \mu_p - \mu_q
+
+    Its gradients are Eqs. 23 and 24 (the latter with the inner term :math:`\Sigma_p`, as it must be).
+
+    Args:
+        p, q: beliefs over D entries; batches broadcast. Both covariances positive definite.
+
+    Returns:
+        Nats, (*batch). Not symmetric: p is the demonstrated, q the predicted marginal.
+
+    Raises:
+        NotPositiveDefiniteError: names the batch element whose covariance has no Cholesky factor.
+
+    Example:
+        >>> p = Gaussian(torch.zeros(2), torch.eye(2))
+        >>> gaussian_kl(p, p)
+        tensor(0.)
+    """
+    L_p, L_q, white = _whitened(p, q)
+    trace_and_mahalanobis = white.square().sum((-2, -1))
+    return (trace_and_mahalanobis - p.dim + _log_det(L_q) - _log_det(L_p)) / 2
+
+
+def _whitened(p: Gaussian, q: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
+    """L_p, L_q, and L_q^-1 [L_p, mu_p - mu_q], (*batch, D, D + 1)."""
+    L_p, L_q = cholesky(p.cov, "covariance of p"), cholesky(q.cov, "covariance of q")
+    delta = (p.mean - q.mean)[..., None]
+    residuals = torch.cat([L_p.expand(*delta.shape[:-2], -1, -1), delta], -1)
+    return L_p, L_q, torch.linalg.solve_triangular(L_q, residuals, upper=False)
+
+
+class KLTerms(NamedTuple):
+    """Where a KL comes from, entry by entry, in nats; none is negative.
+
+    Args:
+        mean: from means that differ, (*batch, D).
+        spread: from covariances that differ, (*batch, D).
+    """
+
+    mean: Tensor
+    spread: Tensor
+
+
+def gaussian_kl_terms(p: Gaussian, q: Gaussian) -> KLTerms:
+    r"""The terms of :func:`gaussian_kl`: their sum is the KL(p‖q), exactly (Eq. 19).
+
+    By the chain rule a KL is the sum, over the entries in their order, of the expected KL of each entry given those before it,
+    :math:`\mathrm{E}_p\,\mathrm{KL}(p(z_j \mid z_{<j}) \,\|\, q(z_j \mid z_{<j}))`. With Cholesky factors L,
+    :math:`m = L_q^{-1} (\mu_p - \mu_q)` and :math:`M = L_q^{-1} L_p` these are
+
+    .. math:: \tfrac12 m_j^2 \quad\text{and}\quad \tfrac12 \Big[ \sum_{k \le j} M_{jk}^2 - 1 - \log M_{jj}^2 \Big].
+
+    The sums of either over the entries do not depend on their order. How dependent entries share them does: what two of them show
+    alike counts with the first.
+
+    Args:
+        p, q: as in :func:`gaussian_kl`.
+
+    Returns:
+        The two terms of each entry, (*batch, D).
+
+    Raises:
+        NotPositiveDefiniteError: as in :func:`gaussian_kl`.
+
+    Example:
+        >>> p, q = Gaussian(torch.zeros(2), torch.eye(2)), Gaussian(torch.tensor([0.0, 2.0]), torch.eye(2))
+        >>> gaussian_kl_terms(p, q).mean
+        tensor([0., 2.])
+    """
+    _, _, white = _whitened(p, q)
+    M, m = white[..., :-1], white[..., -1]
+    return KLTerms(m.square() / 2, (M.square().sum(-1) - 1) / 2 - M.diagonal(dim1=-2, dim2=-1).log())
+
+
+def trajectory_kl(expert: Gaussian, predicted: Gaussian) -> Tensor:
+    r"""KL of two trajectory distributions that factorise over time (Eq. 20): the sum of their marginals' KLs.
+
+    Args:
+        expert, predicted: marginals at t = 1..T, mean (*batch, T, M), in the match space.
+
+    Returns:
+        Nats, (*batch).
+
+    Example:
+        >>> marginals = Gaussian(torch.zeros(25, 4), torch.eye(4).expand(25, 4, 4))
+        >>> trajectory_kl(marginals, marginals)
+        tensor(0.)
+    """
+    return gaussian_kl(expert, predicted).sum(-1)
+
+
+def mean_kl(expert: Gaussian, mean: Tensor) -> Tensor:
+    r"""KL of each marginal when the prediction is a mean alone, given the expert's covariance (Eq. 19 with equal covariances).
+
+    .. math:: \tfrac12 \delta^\top (\Sigma^{\mathrm{exp}})^{-1} \delta
+
+    Args:
+        expert: marginals, mean (*batch, M).
+        mean: predicted means (*batch, M).
+
+    Returns:
+        Nats, (*batch).
+
+    Example:
+        >>> mean_kl(Gaussian(torch.zeros(2), torch.eye(2)), torch.ones(2))
+        tensor(1.)
+    """
+    L = cholesky(expert.cov, "covariance of the expert")
+    white = torch.linalg.solve_triangular(L, (expert.mean - mean)[..., None], upper=False)
+    return white.square().sum((-2, -1)) / 2

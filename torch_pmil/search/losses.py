@@ -1,0 +1,178 @@
+"""What a policy is searched for: the KL between demonstrated and predicted trajectories (Eq. 20), or PILCO's cost (Eq. 28)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.rollout import predict_trajectory
+from torch_pmil.search.kl import gaussian_kl, mean_kl
+from torch_pmil.search.saturating_cost import expected_saturating_cost, saturating_cost
+from torch_pmil.search.trajectory_loss import Prediction, Reduction, TrajectoryLoss
+
+
+class TrajectoryKLLoss(TrajectoryLoss):
+    r""":math:`J_{\mathrm{IL}} = \sum_t \mathrm{KL}(p(x_t^{\exp}) \,\|\, p(x_t^\pi))` (Eq. 20), in nats.
+
+    Reads start beliefs or, as :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes ``"loss_kl"``. Keys and masks are
+    those of :class:`TrajectoryLoss`.
+
+    Args:
+        actor_network: the policy, whose parameters are learned.
+        dynamics: the forward model, constant here.
+        space: the robot's state space.
+        expert: demonstrated marginals at t = 1..T in the match space, observation noise included.
+        noise_std: observation noise added to the prediction too, in the units of the match space: one number, or one for each entry, (M,).
+        reduction, prediction: as in :class:`TrajectoryLoss`.
+
+    Raises:
+        ValueError: the expert or the noise is not in the match space, or the reduction is unknown.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> from torch_pmil.control.state_space import joint_match
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> dynamics, policy = GPDynamics(2, 1), RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
+        >>> expert = Gaussian(torch.zeros(5, 1).double(), torch.ones(5, 1, 1).double())
+        >>> loss = TrajectoryKLLoss(policy, dynamics, space, expert, noise_std=0.1)
+        >>> start = {"mean": torch.zeros(1).double(), "var": torch.eye(1).double()}
+        >>> loss(TensorDict({"observation": start}))["loss_kl"].shape
+        torch.Size([])
+    """
+
+    out_keys = ["loss_kl"]
+    label, unit = "KL", "nats"
+
+    def __init__(
+        self,
+        actor_network: RBFPolicy,
+        dynamics: GPDynamics,
+        space: StateSpace,
+        expert: Gaussian,
+        noise_std: float | Tensor,
+        reduction: Reduction = "mean",
+        prediction: Prediction = predict_trajectory,
+    ) -> None:
+        super().__init__(actor_network, dynamics, space, reduction, prediction)
+        if expert.dim != space.match.dim:
+            raise ValueError(f"expert must have the {space.match.dim} entries {space.match.names}, got {expert.dim}")
+        if torch.as_tensor(noise_std).shape not in ((), (expert.dim,)):
+            raise ValueError(f"noise_std must be a number or one for each of {space.match.names}, got {noise_std}")
+        self.noise_std = noise_std
+        self.register_buffer("expert_mean", expert.mean)
+        self.register_buffer("expert_cov", expert.cov)
+
+    @property
+    def horizon(self) -> int:
+        """T, number of demonstrated steps after the start."""
+        return self.expert_mean.shape[-2]
+
+    def _observe(self, states: Gaussian) -> Gaussian:
+        return super()._observe(states).add_noise(self.noise_std**2)
+
+    def _costs(self, observed: Gaussian) -> Tensor:
+        return gaussian_kl(self._expert(observed.batch_shape[-1]), observed)
+
+    def _mean_costs(self, observed: Tensor) -> Tensor:
+        return mean_kl(self._expert(observed.shape[-2]), observed)
+
+    def _expert(self, horizon: int) -> Gaussian:
+        return Gaussian(self.expert_mean[..., :horizon, :], self.expert_cov[..., :horizon, :, :])
+
+
+class ExpectedSaturatingCost(TrajectoryLoss):
+    r"""PILCO's cost of not being at a target (Eq. 28), its expectation summed over the horizon: between 0 and T, without unit.
+
+    .. math:: \sum_t \mathbb E\left[1 - \exp\left(-\frac{d(z_t)^2}{2\sigma^2}\right)\right], \qquad
+              d(z)^2 = (z - z_{\mathrm{target}})^\top W (z - z_{\mathrm{target}})
+
+    The observation z is in the match space, where its predicted moments are exact; the expectation is that of a Gaussian
+    of these moments, in closed form, without observation noise. Eq. 28 itself has :math:`\sigma` = 2 and W = I.
+
+    Reads start beliefs or, as :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes ``"loss_cost"``. Keys and masks are
+    those of :class:`TrajectoryLoss`.
+
+    Args:
+        actor_network: the policy, whose parameters are learned.
+        dynamics: the forward model, constant here.
+        space: the robot's state space.
+        target: where to be, (M,), in the match space.
+        width: distance :math:`\sigma` beyond which the cost saturates, in the unit of d.
+        horizon: T, number of steps after the start.
+        weight: W, (M, M), symmetric and positive semi-definite; the identity by default. Zeros ignore an entry.
+        reduction, prediction: as in :class:`TrajectoryLoss`.
+
+    Raises:
+        ValueError: shapes do not fit the match space, a number is not positive, W is indefinite, or the reduction is unknown.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> from torch_pmil.control.state_space import joint_match
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> dynamics, policy = GPDynamics(2, 1), RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
+        >>> loss = ExpectedSaturatingCost(policy, dynamics, space, target=torch.ones(1), width=0.5, horizon=5)
+        >>> start = {"mean": torch.zeros(1).double(), "var": torch.eye(1).double()}
+        >>> 0 < loss(TensorDict({"observation": start}))["loss_cost"].item() < 5
+        True
+    """
+
+    out_keys = ["loss_cost"]
+    label, unit = "cost", ""
+
+    def __init__(
+        self,
+        actor_network: RBFPolicy,
+        dynamics: GPDynamics,
+        space: StateSpace,
+        target: Tensor,
+        width: float,
+        horizon: int,
+        weight: Tensor | None = None,
+        reduction: Reduction = "mean",
+        prediction: Prediction = predict_trajectory,
+    ) -> None:
+        super().__init__(actor_network, dynamics, space, reduction, prediction)
+        M = space.match.dim
+        if target.shape != (M,):
+            raise ValueError(f"target must have shape ({M},), the entries {space.match.names}, got {tuple(target.shape)}")
+        if not width > 0 or horizon < 1:
+            raise ValueError(f"width must be positive and horizon at least 1, got {width} and {horizon}")
+        weight = torch.eye(M) if weight is None else weight
+        if weight.shape != (M, M):
+            raise ValueError(f"weight must have shape ({M}, {M}), got {tuple(weight.shape)}")
+        self._horizon = horizon
+        self.register_buffer("target", target.double())
+        self.register_buffer("to_widths", _root(weight.double()) / width)
+
+    @property
+    def horizon(self) -> int:
+        """T, number of steps after the start."""
+        return self._horizon
+
+    def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """What the spread of each predicted marginal would cost around the target, (*batch, horizon). Raises PredictionError.
+
+        The cost itself would not do: it is high far from the target, however sure the prediction is.
+        """
+        observed = self.predict(initial, horizon)
+        return self._score(Gaussian(self.target.expand_as(observed.mean), observed.cov))
+
+    def _costs(self, observed: Gaussian) -> Tensor:
+        return expected_saturating_cost(Gaussian(observed.mean - self.target, observed.cov).affine(self.to_widths))
+
+    def _mean_costs(self, observed: Tensor) -> Tensor:
+        return saturating_cost((observed - self.target) @ self.to_widths.mT)
+
+
+def _root(weight: Tensor) -> Tensor:
+    """R with R'R = W, of a W that may be singular."""
+    values, vectors = torch.linalg.eigh(weight)
+    if not torch.allclose(weight, weight.mT) or values[0] < -1e-12 * values[-1]:
+        raise ValueError(f"weight must be symmetric and positive semi-definite, got {weight.tolist()}")
+    return values.clamp(min=0).sqrt()[:, None] * vectors.mT

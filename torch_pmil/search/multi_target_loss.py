@@ -1,0 +1,86 @@
+r"""One policy for many targets: the mean of the targets' KL sums (Eq. 31)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.rbf_policy import PolicyAtTargets, RBFPolicy
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.rollout import predict_trajectory
+from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.search.trajectory_loss import Prediction, Reduction
+
+
+class MultiTargetKLLoss(TrajectoryKLLoss):
+    r""":math:`J_{\mathrm{MT}} = \frac1S \sum_{i=1}^S \mathrm{KL}(p(\tau_i^{\exp}) \,\|\, p(\tau^\pi | \eta_i))` (Eq. 31), in nats.
+
+    The policy :math:`\pi(x, \eta)` has one set of parameters; its last K inputs are the target. From each start belief it is predicted
+    for all S targets, in one batch. :meth:`rollout_loss` takes such beliefs, (\*batch, S, t, D). Keys, masks and what is written are
+    those of :class:`TrajectoryKLLoss`.
+
+    Args:
+        actor_network: the policy, whose parameters are learned.
+        dynamics, space, noise_std, reduction, prediction: as in :class:`TrajectoryKLLoss`.
+        expert: demonstrated marginals of each target at t = 1..T, mean (S, T, M), observation noise included.
+        targets: :math:`\eta_i`, (S, K).
+
+    Raises:
+        ValueError: shapes do not fit each other, or the reduction is unknown.
+
+    Example:
+        >>> from torch_pmil.control.state_space import joint_match
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> dynamics, policy = GPDynamics(2, 1), RBFPolicy(torch.zeros(3, 2), torch.ones(1), torch.ones(2))
+        >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
+        >>> expert = Gaussian(torch.zeros(4, 5, 1).double(), torch.ones(4, 5, 1, 1).double())
+        >>> loss = MultiTargetKLLoss(policy, dynamics, space, expert, torch.arange(4.0)[:, None], noise_std=0.1)
+        >>> loss.per_step(Gaussian(torch.zeros(1).double(), torch.eye(1).double())).shape
+        torch.Size([5])
+    """
+
+    def __init__(
+        self,
+        actor_network: RBFPolicy,
+        dynamics: GPDynamics,
+        space: StateSpace,
+        expert: Gaussian,
+        targets: Tensor,
+        noise_std: float | Tensor,
+        reduction: Reduction = "mean",
+        prediction: Prediction = predict_trajectory,
+    ) -> None:
+        super().__init__(actor_network, dynamics, space, expert, noise_std, reduction, prediction)
+        if targets.ndim != 2 or expert.batch_shape[:-1] != targets.shape[:1]:
+            got = f"targets {tuple(targets.shape)} and an expert of batch shape {tuple(expert.batch_shape)}"
+            raise ValueError(f"targets must have shape (S, K) and the expert's marginals batch shape (S, T), got {got}")
+        features, inputs = space.feature_names, len(actor_network.scale)
+        if inputs != len(features) + targets.shape[1]:
+            raise ValueError(f"the policy must see {', '.join(features)} and a target of {targets.shape[1]}, got one of {inputs} inputs")
+        self.register_buffer("targets", targets.double())
+
+    def begin(self, initial: Gaussian) -> tuple[Gaussian, PolicyAtTargets]:
+        """Each belief (*batch, D) once for every target, (*batch, S, D), and the policy at these."""
+        batch, S = initial.batch_shape, len(self.targets)
+        mean, cov = initial.mean[..., None, :], initial.cov[..., None, :, :]
+        start = Gaussian(mean.expand(*batch, S, -1), cov.expand(*batch, S, -1, -1))
+        return start, PolicyAtTargets(self.actor_network, self.targets.repeat(batch.numel(), 1))
+
+    def policy_inputs(self, states: Tensor) -> Tensor:
+        """Features of states (*batch, S, t, D), and the targets."""
+        features = super().policy_inputs(states)
+        return torch.cat([features, self.targets[:, None].expand(*features.shape[:-1], -1)], -1)
+
+    def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """KL of each predicted marginal up to a horizon, the mean over the targets, (*batch, horizon). Raises PredictionError."""
+        return super().per_step(initial, horizon).mean(-2)
+
+    def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """The same for the model's mean alone."""
+        return super().mean_per_step(initial, horizon).mean(-2)
+
+    def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """The largest KL of all targets, (*batch, horizon): a search goes on where it may rely on all of them. Raises PredictionError."""
+        return super().per_step(initial, horizon).amax(-2)

@@ -1,0 +1,212 @@
+"""What the objectives of a policy search share: a TorchRL loss that predicts a trajectory and sums the costs of its steps (Eq. 21)."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import dispatch
+from tensordict.utils import NestedKey, unravel_key
+from torch import Tensor, nn
+from torchrl.objectives import LossModule
+
+from torch_pmil.control.rbf_policy import Policy, RBFPolicy
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory
+
+Reduction = Literal["none", "mean", "sum"]
+Prediction = Callable[[Gaussian, Policy, GPDynamics, StateSpace, int], Gaussian]
+
+
+class TrajectoryLoss(LossModule):
+    r"""What the losses of this package share: a cost of each step of a predicted trajectory, summed over the steps.
+
+    Called, it predicts: it reads the start beliefs p(x_0) at ``("observation", "mean")``, (\*batch, D), and
+    ``("observation", "var")``, (\*batch, D, D). :meth:`rollout_loss` (``trainer.compute_loss(batch, "rollout_loss")``) reads beliefs
+    that are predicted already, as a rollout through an imagined environment leaves them. Both write ``out_keys``.
+
+    ``set_keys(mean=..., var=...)`` sets other keys. ``loss_mask_key`` is TorchRL's: the entry, (\*batch) or (\*batch, T), that is
+    False where a belief or a step does not count; by default ``("collector", "mask")`` and ``"shifted_valid"`` are looked for.
+    What does not count may hold anything. Beliefs of another dtype are computed in that of the policy.
+
+    The policy is trained, the model constant: ``parameters()`` gives the policy's alone, while ``state_dict()`` holds all.
+
+    Args:
+        actor_network: the policy, whose parameters are learned.
+        dynamics: the forward model.
+        space: the robot's state space.
+        reduction: "mean", over trajectories, of the sum over their steps; "sum" over both; "none" gives all steps, (\*batch, T),
+            with 0 where they do not count.
+        prediction: how p(x_1..T) is predicted: exact moment matching, or :class:`ParticlePrediction`.
+
+    Raises:
+        ValueError: the reduction is none of these.
+    """
+
+    label: str  # as progress and figures name it
+    unit: str  # likewise, "" for none
+
+    @dataclass
+    class _AcceptedKeys:
+        """Keys that ``set_keys`` takes: mean and covariance of the belief over the state."""
+
+        mean: NestedKey = ("observation", "mean")
+        var: NestedKey = ("observation", "var")
+
+    default_keys = _AcceptedKeys
+    tensor_keys: _AcceptedKeys
+
+    def __init__(
+        self, actor_network: RBFPolicy, dynamics: GPDynamics, space: StateSpace, reduction: Reduction, prediction: Prediction
+    ) -> None:
+        super().__init__()
+        if reduction not in ("none", "mean", "sum"):
+            raise ValueError(f'reduction must be "none", "mean" or "sum", got {reduction!r}')
+        self.actor_network = actor_network
+        self.dynamics = dynamics
+        self.space = space
+        self.reduction = reduction
+        self.prediction = prediction
+
+    @property
+    @abstractmethod
+    def horizon(self) -> int:
+        """T, number of steps after the start."""
+
+    @abstractmethod
+    def _costs(self, observed: Gaussian) -> Tensor:
+        """Of each of the first steps, (*batch, steps)."""
+
+    @abstractmethod
+    def _mean_costs(self, observed: Tensor) -> Tensor:
+        """The same of a mean alone."""
+
+    @property
+    def functional(self) -> bool:
+        """False: the policy is used as it is, not through a copy of its parameters."""
+        return False
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """Keys of the belief over the start state."""
+        return [self.tensor_keys.mean, self.tensor_keys.var]
+
+    @property
+    def rollout_keys(self) -> list[NestedKey]:
+        """Keys of the predicted beliefs of a rollout: the same below "next"."""
+        return [unravel_key(("next", key)) for key in self.in_keys]
+
+    def predict(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
+        """Predicted observations at t = 1..horizon: mean (*batch, horizon, M). Raises PredictionError."""
+        return self._observe(self.predict_states(initial, horizon))
+
+    def predict_states(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
+        """Predicted states at t = 1..horizon: mean (*batch, horizon, D). Raises PredictionError."""
+        return self.prediction(*self.begin(initial), self.dynamics, self.space, horizon or self.horizon)
+
+    def begin(self, initial: Gaussian) -> tuple[Gaussian, Policy]:
+        """Where the trajectories begin that are predicted for p(x_0), and what acts there."""
+        return initial, self.actor_network
+
+    def policy_inputs(self, states: Tensor) -> Tensor:
+        """What the policy sees of states, a batch of the trajectories' shape before the last dimension."""
+        return self.space.features(states)
+
+    def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """Cost of each predicted marginal up to a horizon, (*batch, horizon). Raises PredictionError."""
+        return self._score(self.predict(initial, horizon))
+
+    def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """The same for the model's mean alone: cheap, and no local optimum of wide predictions."""
+        start, policy = self.begin(initial)
+        states = predict_mean_trajectory(start.mean, policy, self.dynamics, self.space, horizon or self.horizon)
+        return self._mean_costs(self.space.match(states))
+
+    def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """How little a search should rely on each predicted marginal, (*batch, horizon); the cost itself. Raises PredictionError."""
+        return self.per_step(initial, horizon)
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Loss of what the policy is predicted to do from the start beliefs (*batch, D).
+
+        Raises:
+            KeyError: a belief is missing.
+            ValueError: it is not over the state.
+            PredictionError: names the step at which the prediction fails.
+        """
+        initial = self._belief(tensordict, self.in_keys)
+        counted = self._counted(tensordict, (*initial.batch_shape, self.horizon))
+        return self._reduced(self.per_step(_where(counted.any(-1), initial)), counted)
+
+    @dispatch(source="rollout_keys")
+    def rollout_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Loss of beliefs over the state that are predicted already, (*batch, t, D) with t up to T; gradients flow into them.
+
+        Raises:
+            KeyError: a belief is missing.
+            ValueError: it is not over the state, or not a trajectory, or too long a one.
+            PredictionError: names the step at which the belief is degenerate.
+        """
+        states = self._belief(tensordict, self.rollout_keys)
+        if not states.batch_shape or states.batch_shape[-1] > self.horizon:
+            raise ValueError(f"a trajectory must have shape (*batch, t, D) with t up to {self.horizon}, got {tuple(states.mean.shape)}")
+        counted = self._counted(tensordict, states.batch_shape)
+        return self._reduced(self._score(self._observe(_where(counted, states))), counted)
+
+    def named_parameters(self, prefix: str = "", recurse: bool = True) -> Iterator[tuple[str, nn.Parameter]]:
+        """The policy's."""
+        constant = set(self.dynamics.parameters())
+        return ((name, parameter) for name, parameter in super().named_parameters(prefix, recurse) if parameter not in constant)
+
+    def reset_parameters_recursive(self) -> None:
+        """An RBF policy begins at the demonstrations, not at numbers that it could draw by itself."""
+        raise NotImplementedError("the policy cannot reset itself: load a new one with actor_network.load_state_dict(new.state_dict())")
+
+    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
+        """The loss has no value estimator."""
+
+    def _observe(self, states: Gaussian) -> Gaussian:
+        return self.space.match.belief(states)
+
+    def _score(self, observed: Gaussian) -> Tensor:
+        try:
+            return self._costs(observed)
+        except NotPositiveDefiniteError as error:
+            step = error.element[-1] + 1
+            raise PredictionError(f"comparison of step {step} of {observed.batch_shape[-1]} failed: {error}", step) from error
+
+    def _belief(self, tensordict: TensorDictBase, keys: list[NestedKey]) -> Gaussian:
+        present = tensordict.keys(include_nested=True)
+        for key in keys:
+            if key not in present:
+                raise KeyError(f"{type(self).__name__} reads {key!r}, got a tensordict with {sorted(present, key=str)}")
+        belief = Gaussian(*(tensordict.get(key).to(self.actor_network.centres.dtype) for key in keys))
+        if belief.dim != self.space.dim:
+            raise ValueError(f"{keys[0]!r} must hold the {self.space.dim} entries {self.space.names}, got {belief.dim}")
+        return belief
+
+    def _counted(self, tensordict: TensorDictBase, shape: tuple[int, ...]) -> Tensor:
+        """Which steps TorchRL's masks leave, bool of a shape (*batch, steps)."""
+        ones = torch.ones(shape, device=self.actor_network.centres.device)
+        return self._reduce_loss(ones, tensordict, reduction="none").bool()
+
+    def _reduced(self, costs: Tensor, counted: Tensor) -> TensorDict:
+        costs = torch.where(counted, costs, 0.0)
+        if self.reduction == "mean":
+            costs = costs.sum(-1).sum() / counted.any(-1).sum().clamp(min=1)
+        elif self.reduction == "sum":
+            costs = costs.sum()
+        return TensorDict({self.out_keys[0]: costs})
+
+
+def _where(counted: Tensor, belief: Gaussian) -> Gaussian:
+    """A standard belief in place of those that do not count, lest they raise an error."""
+    standard = torch.eye(belief.dim).to(belief.cov)
+    return Gaussian(torch.where(counted[..., None], belief.mean, 0.0), torch.where(counted[..., None, None], belief.cov, standard))

@@ -1,0 +1,94 @@
+"""What runs on the robot, and how its rollouts are collected."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
+
+from torch_pmil.control.exploration import FirstMotion, Motion
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace
+
+
+class RobotActor(torch.nn.Module):
+    """What the robot executes: its first motion until the first search, then the policy.
+
+    Args:
+        policy: sees the features of the state.
+        space: gives those.
+        motion: the first one.
+    """
+
+    def __init__(self, policy: RBFPolicy, space: StateSpace, motion: Motion) -> None:
+        super().__init__()
+        self.policy, self.space, self.motion = policy, space, motion
+        self.exploring = True
+
+    @torch.no_grad()
+    def forward(self, observation: Tensor, target: Tensor | None = None) -> Tensor:
+        """Torques (*batch, F), N·m, for states (*batch, D), and what the robots are to do, (*batch, K), if the policy is of targets."""
+        if self.exploring:
+            return self.motion(observation)
+        features = self.space.features(observation)
+        return self.policy(features if target is None else torch.cat([features, target], -1))
+
+
+class RolloutCollector(Collector):
+    """TorchRL's collector of one rollout of each robot a batch, without end; the first is all rollouts of the first motion in a row.
+
+    Its state holds the batch that it handed out last: with a loaded state it begins with that one. A checkpoint that is written as
+    soon as the robot has moved thus holds the motion, and a resumed loop learns from it as the first one did.
+
+    Args:
+        env: the robot.
+        policy: what it executes.
+        actor: inside of the policy.
+        first_motion: its rollouts and their steps.
+        horizon: steps of the other rollouts of each robot.
+    """
+
+    _latest: TensorDictBase | None = None
+    _repeated = False
+
+    def __init__(self, env: EnvBase, policy: TensorDictModule, actor: RobotActor, first_motion: FirstMotion, horizon: int) -> None:
+        settings = {"reset_at_each_iter": True, "auto_register_policy_transforms": False}
+        super().__init__(env, policy, frames_per_batch=horizon * env.batch_size.numel(), total_frames=-1, **settings)
+        self._executed, self._actor, self._first_motion = policy, actor, first_motion
+
+    def rollout(self) -> TensorDictBase:
+        """The next batch, (*robots, steps)."""
+        if self._frames:
+            return super().rollout()
+        rollouts = []
+        for _ in range(self._first_motion.rollouts):
+            self._actor.motion.begin()
+            rollouts.append(self.env.rollout(self._first_motion.steps, self._executed))
+        return torch.cat(rollouts, -1)
+
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """The batch of a loaded state, then new ones."""
+        if self._repeated:
+            self._repeated = False
+            yield self._latest
+        for self._latest in super().iterator():
+            yield self._latest
+
+    def state_dict(self) -> dict[str, object]:
+        """TorchRL's, which leaves out what a plain environment remembers, with that and the latest batch."""
+        latest = None if self._latest is None else {"entries": self._latest.to_dict(), "shape": list(self._latest.shape)}
+        return {**super().state_dict(), "env_state_dict": self.env.state_dict(), "latest": latest}
+
+    def load_state_dict(self, state_dict: Mapping[str, Any], **kwargs: Any) -> None:
+        """Restore what :meth:`state_dict` gave."""
+        state = dict(state_dict)
+        latest = state.pop("latest")
+        super().load_state_dict(state, **kwargs)
+        self._repeated = latest is not None
+        self._latest = TensorDict(latest["entries"], latest["shape"]) if self._repeated else None

@@ -1,0 +1,86 @@
+"""The optimisation step of Algorithm 1, as TorchRL's trainer takes it."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.trainers import OptimizationStepper, Trainer
+
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.search.policy_search import SearchResult, SearchSettings, renew_policy, search_policy
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+
+PROGRESS = 0.8  # of the least loss so far: what a search should come to
+
+
+class PolicySearchStepper(OptimizationStepper):
+    """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
+
+    A search starts from the policy that the last one left. Where it neither matches the whole horizon nor brings the loss well below the
+    least so far, another starts from what it found, renewed (:func:`renew_policy`), and where that brings no more, others start from
+    random policies if the settings say so. The best one is kept.
+
+    Args:
+        settings: budget and horizon of a search.
+        make_policy: a new random policy of the same shape.
+        generator: of the renewal.
+        report: called with the name and the loss of each run of L-BFGS.
+    """
+
+    result: SearchResult  # of the last step
+
+    def __init__(
+        self,
+        settings: SearchSettings,
+        make_policy: Callable[[], RBFPolicy],
+        generator: torch.Generator,
+        report: Callable[[str, float], None],
+    ) -> None:
+        self.settings, self.make_policy, self.generator, self.report = settings, make_policy, generator, report
+        self.renewed = False
+        self._least = math.inf
+
+    def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
+        """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
+        loss = trainer.loss_module
+        initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
+        self.result = search_policy(loss, initial, self.settings, self.report, random=self._least == math.inf)
+        self.renewed = not self._enough()
+        if self.renewed:
+            self._search_also(loss, initial, lambda: renew_policy(loss, initial, self.make_policy(), self.settings, self.generator))
+        for _ in range(self.settings.restarts):
+            if not self._enough():
+                self._search_also(loss, initial, lambda: loss.actor_network.load_state_dict(self.make_policy().state_dict()), random=True)
+        self._least = min(self._least, self.result.kl)
+        return TensorDict({loss.out_keys[0]: torch.tensor(self.result.kl, dtype=torch.float64)})
+
+    def state_dict(self) -> dict[str, float]:
+        """What the next search depends on, besides policy and model."""
+        return {"least": self._least}
+
+    def load_state_dict(self, state_dict: dict[str, float]) -> None:
+        """Restore what :meth:`state_dict` gave."""
+        self._least = state_dict["least"]
+
+    def _enough(self) -> bool:
+        return self.result.complete or self.result.kl < PROGRESS * self._least
+
+    def _search_also(self, loss: TrajectoryLoss, initial: Gaussian, begin: Callable[[], object], random: bool = False) -> None:
+        found = copy.deepcopy(loss.actor_network.state_dict())
+        begin()
+        second = search_policy(loss, initial, self.settings, self.report, random=random)
+        better = second if second.kl < self.result.kl else self.result
+        if better is not second:
+            loss.actor_network.load_state_dict(found)
+        self.result = replace(
+            better,
+            seconds=self.result.seconds + second.seconds,
+            evaluations=self.result.evaluations + second.evaluations,
+            failures=self.result.failures + second.failures,
+        )

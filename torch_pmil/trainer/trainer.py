@@ -1,0 +1,301 @@
+"""Algorithm 1: fit the model, search the policy on it, run it on the robot, again; as a TorchRL trainer.
+
+:class:`PMILTrainer` is the loop; its optimisation step is in ``search_stepper.py``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.envs import EnvBase
+from torchrl.record.loggers import Logger
+from torchrl.trainers import Trainer
+
+from torch_pmil.control.exploration import FirstMotion
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.experience import Experience
+from torch_pmil.model.rollout import PredictionError
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
+from torch_pmil.trainer.collector import RobotActor, RolloutCollector
+from torch_pmil.trainer.search_stepper import PolicySearchStepper
+from torch_pmil.trainer.trials import Candidate, Trial, success_rate
+
+NUMERALS = {2: "two", 3: "three", 4: "four"}
+
+
+class PMILTrainer(Trainer):
+    """Probabilistic model-based imitation learning (Algorithm 1).
+
+    The first batch is the robot's first motion. After each batch the model is fitted to all experience, the policy is searched on it
+    and measured from fresh starts (which decides nothing, and is no experience); the next batch is that policy's rollout on the
+    robot. Training ends when the own rollouts of some trials in a row succeeded, or at the limit of trials.
+    :meth:`best_policy` then chooses among the policies that ran.
+
+    With a ``checkpoint_rotation`` everything is written down as soon as the robot has moved, before anything is learned from that.
+    :meth:`resume` goes on from there, and ends with the very same parameters.
+
+    Args:
+        env: the robot, one of it; or, for a policy of targets, one for each target, which says it under ``"target"``.
+        evaluation_env: a batch of robots for the measurement.
+        loss_module: the objective with policy and model.
+        initial: p(x_0).
+        limits: of the state (D,); transitions beyond are experience, but no data of the model.
+        error: of rollouts (*batch, T), as the environment gives them, (*batch).
+        tolerance: error up to which a rollout is a success.
+        confirmations: number of successes in a row that end the training.
+        trials: largest number of trials.
+        search: budget and horizon of each policy search.
+        make_policy: a new random policy, drawn from a generator.
+        first_motion: of the robot.
+        policy_generator: of new policies.
+        generator: of the first motion and of the renewal of policies.
+        on_trial: called with each trial when its own rollout is done.
+        progress_bar: whether to show progress.
+        logger: TorchRL's, for the numbers of every trial; None for none.
+        checkpoint_rotation: where checkpoints go; None for none.
+        checkpoint_metadata: what a checkpoint's manifest says of the run, as JSON can.
+
+    Example: see ``torch_pmil/experiments/runs/training.py``.
+    """
+
+    def __init__(
+        self,
+        *,
+        env: EnvBase,
+        evaluation_env: EnvBase,
+        loss_module: TrajectoryLoss,
+        initial: Gaussian,
+        limits: Tensor,
+        error: Callable[[TensorDictBase], Tensor],
+        tolerance: float,
+        confirmations: int,
+        trials: int,
+        search: SearchSettings,
+        make_policy: Callable[[torch.Generator], RBFPolicy],
+        first_motion: FirstMotion,
+        policy_generator: torch.Generator,
+        generator: torch.Generator,
+        on_trial: Callable[[Trial], None] = lambda trial: None,
+        progress_bar: bool = True,
+        logger: Logger | None = None,
+        checkpoint_rotation: CheckpointRotation | None = None,
+        checkpoint_metadata: Mapping[str, object] | None = None,
+    ) -> None:
+        if trials < 1:
+            raise ValueError(f"trials must be at least 1, got {trials}")
+        if confirmations < 1:
+            raise ValueError(f"confirmations must be at least 1, got {confirmations}")
+        horizon = loss_module.horizon
+        frames = env.batch_size.numel() * (first_motion.rollouts * first_motion.steps + trials * horizon)
+        actor = RobotActor(loss_module.actor_network, loss_module.space, first_motion.motion(generator))
+        in_keys = [key for key in ("observation", "target") if key in env.observation_spec]
+        self.robot_policy = TensorDictModule(actor, in_keys=in_keys, out_keys=["action"])
+        super().__init__(
+            collector=RolloutCollector(env, self.robot_policy, actor, first_motion, horizon),
+            total_frames=frames,
+            frame_skip=1,
+            optim_steps_per_batch=1,
+            loss_module=loss_module,
+            optimization_stepper=PolicySearchStepper(search, lambda: make_policy(policy_generator), generator, self._report),
+            progress_bar=progress_bar,
+            logger=logger,
+            log_interval=0,
+            checkpoint=new_checkpoint(),
+        )
+        self.actor, self.evaluation_env, self.initial, self.limits = actor, evaluation_env, initial, limits
+        self.error, self.tolerance, self.confirmations, self.on_trial = error, tolerance, confirmations, on_trial
+        self.control_period = env.control_period
+        self.experience = Experience(capacity=frames)
+        self.trials: list[Trial] = []
+        self.candidates: list[Candidate] = []
+        self.rotation, self.metadata = checkpoint_rotation, checkpoint_metadata
+        self._pending: Trial | None = None
+        self._begun = time.perf_counter()
+        self._register_state(policy_generator, generator)
+        self._register_hooks()
+
+    @property
+    def stop_reason(self) -> str:
+        """Why training ended."""
+        return self._stop_reason or "limit of trials"
+
+    @property
+    def seconds(self) -> float:
+        """Wall time since the run began, that before a resumption included."""
+        return time.perf_counter() - self._begun
+
+    def resume(self) -> Path | None:
+        """Go on from the newest undamaged checkpoint, with a warning for a damaged one; None if there is none.
+
+        Raises:
+            CheckpointError: all checkpoints are damaged, or the newest is of another kind of run.
+        """
+        path = newest_undamaged(self.rotation)
+        if path is not None:
+            saved = Checkpoint.manifest(path)["components"]
+            new = self._sync_checkpoint_components().components.keys() - saved.keys()
+            self.load_from_file(path, strict="ignore" if new == {"logger"} else "error")  # a logger may begin at any time
+        return path
+
+    def train(self) -> None:
+        """Run Algorithm 1 to its end."""
+        super().train()
+        if self.progress_bar:
+            self._pbar.close()
+
+    def optim_steps(self, batch: TensorDictBase) -> None:
+        """Fit and search, unless training is over and only the last rollout was missing."""
+        if not (self._stop_training or self.collected_frames >= self.total_frames):
+            super().optim_steps(batch)
+
+    def fit_dynamics(self) -> None:
+        """Fit the forward model to all experience."""
+        dynamics = self.loss_module.dynamics
+        data = self.experience.training_data(self.loss_module.space, dynamics.targets, self.limits)
+        self._fit = dynamics.fit(*data)
+
+    def best_policy(self) -> Candidate:
+        """The policy of least predicted loss under a model of all experience, among those whose own rollout did best.
+
+        A success does best; where there is none, the least error. The policy of the loss then holds its parameters.
+        """
+        self.fit_dynamics()
+        least = min(candidate.own_error for candidate in self.candidates)
+        best = [c for c in self.candidates if c.own_error <= max(least, self.tolerance)]
+        chosen = min(best, key=self._predicted_loss)
+        self.loss_module.actor_network.load_state_dict(chosen.parameters)
+        return chosen
+
+    @torch.no_grad()
+    def _predicted_loss(self, candidate: Candidate) -> float:
+        self.loss_module.actor_network.load_state_dict(candidate.parameters)
+        try:
+            return self.loss_module.per_step(self.initial).sum().item()
+        except PredictionError:
+            return float("inf")
+
+    def _register_state(self, policy_generator: torch.Generator, generator: torch.Generator) -> None:
+        """All that a checkpoint holds besides TorchRL's own parts."""
+        self.register_module("evaluation_env", self.evaluation_env)
+        self.register_module("policy_generator", GeneratorState(policy_generator))
+        self.register_module("generator", GeneratorState(generator))
+        self.register_module("experience", self.experience)
+        self.register_module("progress", _Progress(self))
+
+    def _register_hooks(self) -> None:
+        """What TorchRL's loop calls: a checkpoint before anything is learned, Algorithm 1, and what is logged of it."""
+        self.register_op("setup", self._show_progress)
+        self.register_op("batch_process", self._save)
+        self.register_op("batch_process", self._learn_from_rollout)
+        self.register_op("pre_steps_log", self._log_own_rollout)
+        self.register_op("pre_optim_steps", self.fit_dynamics)
+        self.register_op("process_optim_batch", self._start_belief)
+        self.register_op("post_steps_log", self._measure)
+        self.register_op("post_steps_log", self._log_search)
+
+    def _save(self, batch: TensorDictBase) -> TensorDictBase:
+        """Write a checkpoint: the collector's part holds ``batch``, the others are from before it."""
+        if self.rotation is not None:
+            self.rotation.save(self._sync_checkpoint_components(), step=self.collected_frames, metadata=self.metadata)
+        return batch
+
+    def _show_progress(self) -> None:
+        if self.progress_bar:
+            self._pbar.update(self.collected_frames)
+
+    def _learn_from_rollout(self, batch: TensorDictBase) -> TensorDictBase:
+        """The rollout becomes experience, and completes the trial whose policy ran."""
+        self.experience.extend(batch)
+        if self._pending is None:
+            return batch
+        own_error = self.error(batch).max().item()
+        trial = replace(self._pending, own_error=own_error, own_success=own_error <= self.tolerance)
+        parameters = {k: v.clone() for k, v in self.loss_module.actor_network.state_dict().items()}
+        self.trials.append(trial)
+        self._pending = None
+        self.candidates.append(Candidate(trial.trial, parameters, own_error))
+        self.on_trial(trial)
+        last = self.trials[-self.confirmations :]
+        if len(last) == self.confirmations and all(t.own_success for t in last):
+            self.request_stop(f"the own rollouts of {NUMERALS.get(len(last), len(last))} trials in a row succeeded")
+        return batch
+
+    def _start_belief(self, batch: TensorDictBase) -> TensorDictBase:
+        return TensorDict({"observation": {"mean": self.initial.mean, "var": self.initial.cov}})
+
+    def _measure(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
+        """Success rate of the new policy from fresh starts."""
+        if self._stop_training or self.collected_frames >= self.total_frames:
+            return None
+        self.actor.exploring = False
+        errors = self.error(self.evaluation_env.rollout(self.loss_module.horizon, self.robot_policy))
+        search = self.optimization_stepper.result
+        self._pending = Trial(
+            trial=len(self.trials) + 1,
+            experience_s=len(self.experience) * self.control_period,
+            success_rate=success_rate(errors, self.tolerance),
+            n_eval=len(errors),
+            own_error=float("nan"),
+            own_success=False,
+            kl=search.kl,
+            horizon=search.horizon,
+            renewed=self.optimization_stepper.renewed,
+            gp_seconds=self._fit.seconds,
+            search_seconds=search.seconds,
+            evaluations=search.evaluations,
+            stop_reason=search.stop_reason,
+        )
+        shown = {key: getattr(self._pending, key) for key in ("trial", "experience_s", "kl", "success_rate")}
+        return {**shown, "log_pbar": True}
+
+    def _log_search(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
+        """What else the logger gets of a search."""
+        if self._pending is None:
+            return None
+        return {key: getattr(self._pending, key) for key in ("horizon", "renewed", "gp_seconds", "search_seconds", "evaluations")}
+
+    def _log_own_rollout(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
+        if not self.trials:
+            return None
+        return {key: getattr(self.trials[-1], key) for key in ("own_error", "own_success")}
+
+    def _report(self, stage: str, loss: float) -> None:
+        if self.progress_bar:
+            self._pbar.set_postfix_str(f"search: {stage} = {loss:.1f} {self.loss_module.unit}".rstrip())
+
+
+class _Progress:
+    """What the trainer itself remembers, as a checkpoint takes it."""
+
+    def __init__(self, trainer: PMILTrainer) -> None:
+        self.trainer = trainer
+
+    def state_dict(self) -> dict[str, object]:
+        trainer = self.trainer
+        return {
+            "exploring": trainer.actor.exploring,
+            "seconds": trainer.seconds,
+            "trials": [asdict(trial) for trial in trainer.trials],
+            "pending": None if trainer._pending is None else asdict(trainer._pending),
+            "candidates": [vars(candidate) for candidate in trainer.candidates],
+        }
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        trainer, pending = self.trainer, state_dict["pending"]
+        trainer.actor.exploring = state_dict["exploring"]
+        trainer._begun = time.perf_counter() - state_dict["seconds"]
+        trainer.trials = [Trial(**trial) for trial in state_dict["trials"]]
+        trainer._pending = None if pending is None else Trial(**pending)
+        trainer.candidates = [Candidate(**candidate) for candidate in state_dict["candidates"]]

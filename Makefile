@@ -1,7 +1,7 @@
 # Python 3.11 or later is all that must be there; the rest goes into .venv. The newest that is found is taken, or PYTHON=python3.12.
 # For torch's CPU-only wheels: make train TORCH_ARGS="--index-url https://download.pytorch.org/whl/cpu"
 
-PYTHON ?= $(firstword $(foreach version,3.14 3.13 3.12 3.11,$(shell command -v python$(version))) python3)
+PYTHON ?= $(shell for p in python3.14 python3.13 python3.12 python3.11; do $$p -c '' 2>/dev/null && echo $$p && break; done || echo python3)
 PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-user-action=ignore
 ARGS ?=
 SEEDS := 0 1 2 3 4 5 6 7 8 9

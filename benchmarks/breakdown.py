@@ -1,7 +1,9 @@
-"""Where the time of one KL with its policy gradient goes: CPU milliseconds of its parts, for several numbers n of data.
+"""Where the time of one KL with its policy gradient goes: CPU milliseconds of its parts, for
+several numbers n of data.
 
-The parts are timed where they are called, in one process with one thread, and the least of several evaluations counts for each, so that
-they need not add up exactly. What a part contains stands in ``PARTS``.
+The parts are timed where they are called, in one process with one thread, and the least of several
+evaluations counts for each, so that they need not add up exactly. What a part contains stands in
+``PARTS``.
 
 Example:
     python -m benchmarks.breakdown --sizes 50 100 200 400 --json results/prediction/breakdown.json
@@ -40,9 +42,24 @@ PARTS = {
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--sizes", nargs="+", type=int, default=[50, 100, 200, 400], metavar="N", help="numbers n of data")
-    parser.add_argument("--repeats", type=int, default=30, metavar="N", help="evaluations, of which the fastest counts")
-    parser.add_argument("--json", type=Path, default=ROOT / "results/prediction/breakdown.json", help="to write")
+    parser.add_argument(
+        "--sizes",
+        nargs="+",
+        type=int,
+        default=[50, 100, 200, 400],
+        metavar="N",
+        help="numbers n of data",
+    )
+    parser.add_argument(
+        "--repeats",
+        type=int,
+        default=30,
+        metavar="N",
+        help="evaluations, of which the fastest counts",
+    )
+    parser.add_argument(
+        "--json", type=Path, default=ROOT / "results/prediction/breakdown.json", help="to write"
+    )
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     clock = Clock()
@@ -51,8 +68,14 @@ def main() -> None:
     clock.watch(linearised_moments.RecordedMoments, "_sum_up", "sums")
     clock.watch(rollout._MomentStep, "jacobian", "jacobian")
     clock.watch(rollout._MomentStep, "parameter_gradients", "policy gradient")
-    rows = [{"n": n, "horizon": HORIZON, "cpu_ms": clock.least(evaluation(n), arguments.repeats)} for n in arguments.sizes]
-    report = provenance(shlex.join(["python", "-m", "benchmarks.breakdown", *sys.argv[1:]])) | {"parts": PARTS, "rows": rows}
+    rows = [
+        {"n": n, "horizon": HORIZON, "cpu_ms": clock.least(evaluation(n), arguments.repeats)}
+        for n in arguments.sizes
+    ]
+    report = provenance(shlex.join(["python", "-m", "benchmarks.breakdown", *sys.argv[1:]])) | {
+        "parts": PARTS,
+        "rows": rows,
+    }
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     write_json(arguments.json, report)
     print("\n".join(table(rows)))
@@ -84,7 +107,9 @@ class Clock:
         setattr(owner, name, timed)
 
     def least(self, evaluate: Callable[[], object], repeats: int) -> dict[str, float]:
-        """The least milliseconds of each part in several evaluations, after one that is not counted."""
+        """The least milliseconds of each part in several evaluations, after one that is not
+        counted.
+        """
         evaluate()
         runs = []
         for _ in range(repeats):
@@ -98,7 +123,9 @@ class Clock:
 def table(rows: list[dict]) -> list[str]:
     """Lines for the eye."""
     header = "".join(f"{'n = ' + str(row['n']):>10}" for row in rows)
-    return [f"{'CPU ms':<18}{header}"] + [f"{part:<18}" + "".join(f"{row['cpu_ms'][part]:>10.1f}" for row in rows) for part in PARTS]
+    return [f"{'CPU ms':<18}{header}"] + [
+        f"{part:<18}" + "".join(f"{row['cpu_ms'][part]:>10.1f}" for row in rows) for part in PARTS
+    ]
 
 
 if __name__ == "__main__":

@@ -1,9 +1,11 @@
-"""What the thresholds of ``torch_pmil/experiments/diagnosis/causes.py`` come from: its measures of runs that learned and of runs that did not.
+"""What the thresholds of ``torch_pmil/experiments/diagnosis/causes.py`` come from: its measures of
+runs that learned and of runs that did not.
 
     python benchmarks/diagnosis.py runs results/diagnosis/summary.json
 
-reads every finished run below a folder, lets its policy run from fresh starts, and writes the measures of each run and, for the runs that
-learned, the value that comes nearest to each threshold. Runs that the summary holds already are not measured again.
+reads every finished run below a folder, lets its policy run from fresh starts, and writes the
+measures of each run and, for the runs that learned, the value that comes nearest to each threshold.
+Runs that the summary holds already are not measured again.
 """
 
 from __future__ import annotations
@@ -21,7 +23,13 @@ from reproduction.masses import SECOND_LINKS, with_second_link
 from reproduction.robustness import varied_experiments
 from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.after_a_run import known_steps, likely_reasons
-from torch_pmil.experiments.diagnosis.causes import FEWEST_STEPS, LEARNED, covered_fraction, moved_fraction, saturated_fraction
+from torch_pmil.experiments.diagnosis.causes import (
+    FEWEST_STEPS,
+    LEARNED,
+    covered_fraction,
+    moved_fraction,
+    saturated_fraction,
+)
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.experiments.runs.summaries import read_summary
 from torch_pmil.experiments.tasks.experiment import Outcome
@@ -31,13 +39,20 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.trainer.trials import success_rate
 
 STARTS, START_SEED = 20, 7_000_000  # no start that a run has seen
-SMALLEST, LARGEST = ("covered", "followed", "moved"), ("unknown", "saturated", "mismatch")  # values that are bad
+SMALLEST, LARGEST = (
+    ("covered", "followed", "moved"),
+    ("unknown", "saturated", "mismatch"),
+)  # values that are bad
 
 
 def known_experiments() -> dict[str, Experiment]:
     """All that runs may be of, but for handwriting."""
     shipped = [load_experiment(name) for name in EXPERIMENTS if name != "handwriting"]
-    varied = [*varied_experiments().values(), *variations().values(), *map(with_second_link, SECOND_LINKS)]
+    varied = [
+        *varied_experiments().values(),
+        *variations().values(),
+        *map(with_second_link, SECOND_LINKS),
+    ]
     return {experiment.name: experiment for experiment in [*varied, *shipped]}
 
 
@@ -51,7 +66,9 @@ def experiment_of(name: str, known: dict[str, Experiment]) -> Experiment:
 
 @torch.no_grad()
 def measured(folder: Path, experiment: Experiment) -> dict[str, object]:
-    """What is measured of the saved policy of a run, of the worst of its targets, and what is said of it."""
+    """What is measured of the saved policy of a run, of the worst of its targets, and what is said
+    of it.
+    """
     learned = load_learned(folder, experiment)
     loss = experiment.make_loss(learned.policy.policy, learned.dynamics)
     rollouts = learned.rollouts(experiment, STARTS, START_SEED)
@@ -62,7 +79,10 @@ def measured(folder: Path, experiment: Experiment) -> dict[str, object]:
         "run": str(folder),
         "experiment": experiment.name,
         "success_rate": success_rate(experiment.error(rollouts), experiment.tolerance),
-        **{name: (min if name in SMALLEST else max)(each[name] for each in of_each) for name in of_each[0]},
+        **{
+            name: (min if name in SMALLEST else max)(each[name] for each in of_each)
+            for name in of_each[0]
+        },
         "mismatch": loss.doubt(experiment.initial).amax().item() / experiment.search.trusted,
         "causes": [reason.cause for reason in likely_reasons(experiment, loss, outcomes, horizons)],
     }
@@ -70,12 +90,19 @@ def measured(folder: Path, experiment: Experiment) -> dict[str, object]:
 
 def of_outcome(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> dict[str, float]:
     """The same of one target."""
-    residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, outcome.rollouts["action"])
+    residuals = standardised_residuals(
+        dynamics, experiment.space, outcome.executed, outcome.rollouts["action"]
+    )
     known = known_steps(experiment, dynamics, outcome)
     noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
-    executed, demonstrated = experiment.space.match(outcome.executed), outcome.demonstrations.positions
+    executed, demonstrated = (
+        experiment.space.match(outcome.executed),
+        outcome.demonstrations.positions,
+    )
     return {
-        "covered": covered_fraction(residuals[known]).amin().item() if known.sum() >= FEWEST_STEPS else 1.0,
+        "covered": covered_fraction(residuals[known]).amin().item()
+        if known.sum() >= FEWEST_STEPS
+        else 1.0,
         "followed": two_sigma_coverage(outcome.predicted, outcome.executed),
         "unknown": (~known).double().mean().item(),
         "saturated": saturated_fraction(outcome.rollouts["action"], experiment.u_max).amax().item(),
@@ -86,16 +113,36 @@ def of_outcome(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -
 def main(root: str, out: str) -> None:
     """Measure, write, print."""
     torch.set_num_threads(1)
-    known, runs = known_experiments(), json.loads(Path(out).read_text())["runs"] if Path(out).exists() else []
+    known, runs = (
+        known_experiments(),
+        json.loads(Path(out).read_text())["runs"] if Path(out).exists() else [],
+    )
     before = {run["run"] for run in runs}
     for path in sorted(Path(root).rglob("summary.json")):
         if str(path.parent) not in before:
-            runs.append(measured(path.parent, experiment_of(read_summary(path.parent)["experiment"], known)))
+            runs.append(
+                measured(path.parent, experiment_of(read_summary(path.parent)["experiment"], known))
+            )
             print(runs[-1], flush=True)
     learned = [run for run in runs if run["success_rate"] >= LEARNED]
-    nearest = {name: (min if name in SMALLEST else max)(run[name] for run in learned) for name in (*SMALLEST, *LARGEST)}
-    headline = {"runs_that_learned": len(learned), "other_runs": len(runs) - len(learned), **nearest}
-    write_json(Path(out), {**provenance(shlex.join(["python", *sys.argv])), "starts": STARTS, "headline": headline, "runs": runs})
+    nearest = {
+        name: (min if name in SMALLEST else max)(run[name] for run in learned)
+        for name in (*SMALLEST, *LARGEST)
+    }
+    headline = {
+        "runs_that_learned": len(learned),
+        "other_runs": len(runs) - len(learned),
+        **nearest,
+    }
+    write_json(
+        Path(out),
+        {
+            **provenance(shlex.join(["python", *sys.argv])),
+            "starts": STARTS,
+            "headline": headline,
+            "runs": runs,
+        },
+    )
     print(headline)
 
 

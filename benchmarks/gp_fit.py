@@ -1,9 +1,11 @@
-"""CPU time and marginal likelihood of fitting the double pendulum's forward model, beside plain GPyTorch; one thread.
+"""CPU time and marginal likelihood of fitting the double pendulum's forward model, beside plain
+GPyTorch; one thread.
 
-Ours starts cold (from PILCO's starts) or warm (from the optimum of the data without their last rollout). Plain GPyTorch is
-a batch of exact GPs on the same data, from the first of PILCO's starts, by at most 100 iterations of L-BFGS on
-``ExactMarginalLogLikelihood``, without PILCO's penalties, which cost ours some tenths of a nat. Evaluations are of one
-output's likelihood; nats are the total negative log likelihood, without penalties.
+Ours starts cold (from PILCO's starts) or warm (from the optimum of the data without their last
+rollout). Plain GPyTorch is a batch of exact GPs on the same data, from the first of PILCO's starts,
+by at most 100 iterations of L-BFGS on ``ExactMarginalLogLikelihood``, without PILCO's penalties,
+which cost ours some tenths of a nat. Evaluations are of one output's likelihood; nats are the total
+negative log likelihood, without penalties.
 
 Example:
     python -m benchmarks.gp_fit --sizes 100 200 300 --repeats 7
@@ -36,44 +38,76 @@ from torch_pmil.trainer.collector import RobotActor
 ROLLOUT = 25  # transitions
 ITERATIONS = 100
 
-Fit = Callable[[], tuple[gpytorch.models.ExactGP, int]]  # the fitted batch and the number of evaluations
+Fit = Callable[
+    [], tuple[gpytorch.models.ExactGP, int]
+]  # the fitted batch and the number of evaluations
 
 
 def main() -> None:
     """Read the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--sizes", type=int, nargs="+", default=[300], help=f"numbers of transitions, more than {ROLLOUT + 1} each")
+    parser.add_argument(
+        "--sizes",
+        type=int,
+        nargs="+",
+        default=[300],
+        help=f"numbers of transitions, more than {ROLLOUT + 1} each",
+    )
     parser.add_argument("--repeats", type=int, default=7, help="fits of each kind")
     parser.add_argument("--seed", type=int, default=0, help="of the rollouts")
-    parser.add_argument("--json", type=Path, default=Path("results/gp_fit/summary.json"), help="file to write")
+    parser.add_argument(
+        "--json", type=Path, default=Path("results/gp_fit/summary.json"), help="file to write"
+    )
     arguments = parser.parse_args()
     if min(arguments.sizes) < ROLLOUT + 2 or arguments.repeats < 1:
-        parser.error(f"sizes must be more than {ROLLOUT + 1} and repeats at least 1, got {arguments.sizes} and {arguments.repeats}")
+        parser.error(
+            f"sizes must be more than {ROLLOUT + 1} and repeats at least 1, got {arguments.sizes} "
+            f"and {arguments.repeats}"
+        )
     torch.set_num_threads(1)
     source = provenance(shlex.join(["python", "-m", "benchmarks.gp_fit", *sys.argv[1:]]))
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    rows = [row for n in arguments.sizes for row in measure(*experience(n, arguments.seed), arguments.repeats)]
-    summary = {**source, "seed": arguments.seed, "repeats": arguments.repeats, "headline": headline(rows), "rows": rows}
+    rows = [
+        row
+        for n in arguments.sizes
+        for row in measure(*experience(n, arguments.seed), arguments.repeats)
+    ]
+    summary = {
+        **source,
+        "seed": arguments.seed,
+        "repeats": arguments.repeats,
+        "headline": headline(rows),
+        "rows": rows,
+    }
     write_json(arguments.json, summary)
     print(table(rows))
 
 
 def experience(n: int, seed: int) -> tuple[Tensor, Tensor]:
-    """GP inputs (n, 8) and targets (n, 4) of random rollouts with the first trial's moderate torques, as the trainer has them."""
+    """GP inputs (n, 8) and targets (n, 4) of random rollouts with the first trial's moderate
+    torques, as the trainer has them.
+    """
     task = load_experiment("double_pendulum")
     rollouts = 2 * -(-n // ROLLOUT)  # of some, a part is beyond the limits
-    env, generator = task.make_env(num_envs=rollouts, seed=seed), torch.Generator().manual_seed(seed)
+    env, generator = (
+        task.make_env(num_envs=rollouts, seed=seed),
+        torch.Generator().manual_seed(seed),
+    )
     actor = RobotActor(task.make_policy(generator), task.space, task.first_motion.motion(generator))
     past = Experience(capacity=rollouts * ROLLOUT)
     past.extend(env.rollout(ROLLOUT, actor))
     inputs, targets = past.training_data(task.space, "difference", task.limits)
     if len(inputs) < n:
-        raise ValueError(f"{rollouts} rollouts gave {len(inputs)} transitions within the limits, expected {n}")
+        raise ValueError(
+            f"{rollouts} rollouts gave {len(inputs)} transitions within the limits, expected {n}"
+        )
     return inputs[:n], targets[:n]
 
 
 def measure(inputs: Tensor, targets: Tensor, repeats: int) -> list[dict[str, object]]:
-    """A row for each kind of fit; the kinds take turns, so that what else the machine does meets all of them."""
+    """A row for each kind of fit; the kinds take turns, so that what else the machine does meets
+    all of them.
+    """
     earlier = GPDynamics(inputs.shape[-1], targets.shape[-1])
     earlier.fit(inputs[:-ROLLOUT], targets[:-ROLLOUT])
     fits: dict[str, Callable[[], Fit]] = {
@@ -90,9 +124,18 @@ def measure(inputs: Tensor, targets: Tensor, repeats: int) -> list[dict[str, obj
             model, evaluations = fit()
             if repeat:
                 seconds[name].append(time.process_time() - start)
-            rows[name] = {"evaluations": evaluations, "nats": total_negative_log_likelihood(model, inputs, targets)}
+            rows[name] = {
+                "evaluations": evaluations,
+                "nats": total_negative_log_likelihood(model, inputs, targets),
+            }
     return [
-        {"fit": name, "n": len(inputs), "cpu_s_min": min(times), "cpu_s_median": statistics.median(times), **rows[name]}
+        {
+            "fit": name,
+            "n": len(inputs),
+            "cpu_s_min": min(times),
+            "cpu_s_median": statistics.median(times),
+            **rows[name],
+        }
         for name, times in seconds.items()
     ]
 
@@ -110,7 +153,9 @@ def ours(model: GPDynamics, inputs: Tensor, targets: Tensor) -> Fit:
 def plain_gpytorch(inputs: Tensor, targets: Tensor) -> Fit:
     """GPyTorch's model, likelihood and loss, and ``torch.optim.LBFGS`` on all outputs together."""
     model = PlainGP(inputs, targets)
-    optimizer = torch.optim.LBFGS(model.parameters(), max_iter=ITERATIONS, line_search_fn="strong_wolfe")
+    optimizer = torch.optim.LBFGS(
+        model.parameters(), max_iter=ITERATIONS, line_search_fn="strong_wolfe"
+    )
     objective = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)
     evaluations = 0
 
@@ -130,30 +175,47 @@ def plain_gpytorch(inputs: Tensor, targets: Tensor) -> Fit:
 
 
 class PlainGP(gpytorch.models.ExactGP):
-    """A batch of outputs at PILCO's start; GPyTorch's own constraints, but for its least noise, which is more than the robot's."""
+    """A batch of outputs at PILCO's start; GPyTorch's own constraints, but for its least noise,
+    which is more than the robot's.
+    """
 
     def __init__(self, inputs: Tensor, targets: Tensor) -> None:
         batch = torch.Size([targets.shape[-1]])
-        likelihood = gpytorch.likelihoods.GaussianLikelihood(batch_shape=batch, noise_constraint=gpytorch.constraints.Positive())
+        likelihood = gpytorch.likelihoods.GaussianLikelihood(
+            batch_shape=batch, noise_constraint=gpytorch.constraints.Positive()
+        )
         super().__init__(inputs.expand(*batch, -1, -1), targets.mT.contiguous(), likelihood)
         self.mean_module = gpytorch.means.ZeroMean(batch_shape=batch)
         rbf = gpytorch.kernels.RBFKernel(ard_num_dims=inputs.shape[-1], batch_shape=batch)
         self.covar_module = gpytorch.kernels.ScaleKernel(rbf, batch_shape=batch)
         self.double()
         start = torch.stack([pilco_starts(inputs, target)[0] for target in targets.mT]).exp()
-        rbf.lengthscale, self.covar_module.outputscale, likelihood.noise = start[:, None, :-2], start[:, -2], start[:, -1:]
+        rbf.lengthscale, self.covar_module.outputscale, likelihood.noise = (
+            start[:, None, :-2],
+            start[:, -2],
+            start[:, -1:],
+        )
 
     def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
 
 @torch.no_grad()
-def total_negative_log_likelihood(model: gpytorch.models.ExactGP, inputs: Tensor, targets: Tensor) -> float:
+def total_negative_log_likelihood(
+    model: gpytorch.models.ExactGP, inputs: Tensor, targets: Tensor
+) -> float:
     """Over the outputs, nats, without penalties."""
     kernel = model.covar_module
-    parts = kernel.base_kernel.lengthscale[:, 0], kernel.outputscale[:, None], model.likelihood.noise
+    parts = (
+        kernel.base_kernel.lengthscale[:, 0],
+        kernel.outputscale[:, None],
+        model.likelihood.noise,
+    )
     log_parameters = torch.cat(parts, -1).log()
-    return sum(negative_log_likelihood(inputs, *pair).item() for pair in zip(targets.mT, log_parameters, strict=True))
+    return sum(
+        negative_log_likelihood(inputs, *pair).item()
+        for pair in zip(targets.mT, log_parameters, strict=True)
+    )
 
 
 def headline(rows: list[dict[str, object]]) -> dict[str, object]:
@@ -164,10 +226,15 @@ def headline(rows: list[dict[str, object]]) -> dict[str, object]:
 
 def table(rows: list[dict[str, object]]) -> str:
     """The rows for the eye."""
-    lines = [f"{'n':>4}  {'fit':<9} {'CPU s min':>9} {'median':>7} {'-log likelihood, nats':>22} {'evaluations':>12}"]
+    lines = [
+        f"{'n':>4}  {'fit':<9} {'CPU s min':>9} {'median':>7} {'-log likelihood, nats':>22} "
+        f"{'evaluations':>12}"
+    ]
     for row in rows:
         times = f"{row['cpu_s_min']:>9.3f} {row['cpu_s_median']:>7.3f}"
-        lines.append(f"{row['n']:>4}  {row['fit']:<9} {times} {row['nats']:>22.4f} {row['evaluations']:>12}")
+        lines.append(
+            f"{row['n']:>4}  {row['fit']:<9} {times} {row['nats']:>22.4f} {row['evaluations']:>12}"
+        )
     return "\n".join(lines)
 
 

@@ -1,4 +1,5 @@
-"""Measure one piece of work in this process and print its row as JSON; ``prediction.py`` starts one process for each.
+"""Measure one piece of work in this process and print its row as JSON; ``prediction.py`` starts one
+process for each.
 
 Example:
     python -m benchmarks.measure torch_pmil --n 100 --horizon 25 --threads 1 --repeats 7
@@ -34,12 +35,14 @@ def main() -> None:
 def measure(library: str, n: int, horizon: int, threads: int, repeats: int) -> dict[str, object]:
     """Time and memory of a value and its gradient.
 
-    CPU and wall seconds are the least of ``repeats`` evaluations after a first one; ``system_seconds`` are those of the CPU
-    seconds that the kernel took, nearly all of them to hand out memory.
+    CPU and wall seconds are the least of ``repeats`` evaluations after a first one;
+    ``system_seconds`` are those of the CPU seconds that the kernel took, nearly all of them to hand
+    out memory.
 
-    ``peak_mb`` (10^6 bytes) is the most memory that the process held during all of them, the model with its inverse Gram
-    matrices included; ``building_peak_mb`` the most while the problem was made, that model's matrices among it. Left out is what it
-    held before (libraries, and what they keep after a tiny evaluation). What the allocator keeps of freed memory counts.
+    ``peak_mb`` (10^6 bytes) is the most memory that the process held during all of them, the model
+    with its inverse Gram matrices included; ``building_peak_mb`` the most while the problem was
+    made, that model's matrices among it. Left out is what it held before (libraries, and what they
+    keep after a tiny evaluation). What the allocator keeps of freed memory counts.
 
     Raises:
         ValueError: the loss is not finite.
@@ -84,18 +87,26 @@ def timed(evaluate: Callable[[], object]) -> tuple[float, float, float]:
 
 def clocks() -> tuple[float, float, float]:
     """CPU seconds of this process, its seconds in the kernel, and wall seconds."""
-    return time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_stime, time.perf_counter()
+    return (
+        time.process_time(),
+        resource.getrusage(resource.RUSAGE_SELF).ru_stime,
+        time.perf_counter(),
+    )
 
 
 def memory_mb(name: str) -> float:
-    """What this process holds now (``VmRSS``), or held at most since its peak was forgotten (``VmHWM``), in 10^6 bytes."""
+    """What this process holds now (``VmRSS``), or held at most since its peak was forgotten
+    (``VmHWM``), in 10^6 bytes.
+    """
     lines = Path("/proc/self/status").read_text().splitlines()
     kibibytes = next(line.split()[1] for line in lines if line.startswith(f"{name}:"))
     return int(kibibytes) * 1024 / 1e6
 
 
 def forget_peak() -> None:
-    """Give freed memory back, and let ``VmHWM`` begin again at what the process then holds (see proc(5), clear_refs)."""
+    """Give freed memory back, and let ``VmHWM`` begin again at what the process then holds (see
+    proc(5), clear_refs).
+    """
     ctypes.CDLL(None).malloc_trim(0)
     Path("/proc/self/clear_refs").write_text("5")
 

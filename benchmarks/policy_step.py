@@ -1,7 +1,9 @@
-"""Time of one step of the double pendulum's policy, from a state to a torque: NumPy, PyTorch and exported; one thread.
+"""Time of one step of the double pendulum's policy, from a state to a torque: NumPy, PyTorch and
+exported; one thread.
 
-CPU and wall time of each single call, in microseconds, after some that are not counted. The three forms take turns, so that what else
-the machine does meets all of them; where it does much, the wall time says how long the step had to wait.
+CPU and wall time of each single call, in microseconds, after some that are not counted. The three
+forms take turns, so that what else the machine does meets all of them; where it does much, the wall
+time says how long the step had to wait.
 
 Example:
     python -m benchmarks.policy_step --steps 10000
@@ -32,7 +34,9 @@ def main() -> None:
     """Read the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--steps", type=int, default=10_000, help="counted for each form")
-    parser.add_argument("--json", type=Path, default=Path("results/policy_step/summary.json"), help="file to write")
+    parser.add_argument(
+        "--json", type=Path, default=Path("results/policy_step/summary.json"), help="file to write"
+    )
     arguments = parser.parse_args()
     if arguments.steps < 1:
         parser.error(f"steps must be at least 1, got {arguments.steps}")
@@ -45,13 +49,18 @@ def main() -> None:
 
 
 def measure(steps: int) -> list[dict[str, object]]:
-    """A row for each form: least and median CPU time, median and 99th percentile of the wall time, in microseconds."""
+    """A row for each form: least and median CPU time, median and 99th percentile of the wall time,
+    in microseconds.
+    """
     forms = make_forms()
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in forms}
     for _ in range(WARM_UP + steps):
         for name, step in forms.items():
             times[name].append(timed(step))
-    return [{"form": name, **statistics_of(1e6 * np.array(values[WARM_UP:]))} for name, values in times.items()]
+    return [
+        {"form": name, **statistics_of(1e6 * np.array(values[WARM_UP:]))}
+        for name, values in times.items()
+    ]
 
 
 def timed(step: Callable[[], object]) -> tuple[float, float]:
@@ -74,18 +83,27 @@ def make_forms() -> dict[str, Callable[[], object]]:
     experiment = load_experiment("double_pendulum")
     network = experiment.make_policy(torch.Generator().manual_seed(0))
     with tempfile.TemporaryDirectory() as folder:
-        save_policy(f"{folder}/policy.pt", network, experiment.space, experiment.demonstrations.time_step)
+        save_policy(
+            f"{folder}/policy.pt", network, experiment.space, experiment.demonstrations.time_step
+        )
         policy = load_policy(f"{folder}/policy.pt")
         policy.export(f"{folder}/policy.pt2")
         program = torch.export.load(f"{folder}/policy.pt2").module()
     state = experiment.initial.mean
     array = state.numpy()
-    return {"numpy": lambda: policy(array), "torch": lambda: policy(state), "exported": lambda: program(state)}
+    return {
+        "numpy": lambda: policy(array),
+        "torch": lambda: policy(state),
+        "exported": lambda: program(state),
+    }
 
 
 def table(rows: list[dict[str, object]]) -> list[str]:
     """Lines for the eye."""
-    lines = [f"{'form':<9} {'CPU least':>10} {'median':>10} {'wall median':>12} {'99 %':>10}  (microseconds)"]
+    lines = [
+        f"{'form':<9} {'CPU least':>10} {'median':>10} {'wall median':>12} {'99 %':>10}  "
+        "(microseconds)"
+    ]
     for row in rows:
         lines.append(
             f"{row['form']:<9} {row['cpu_us_min']:>10.1f} {row['cpu_us_median']:>10.1f} "

@@ -1,9 +1,12 @@
-"""Time and memory of a predicted trajectory's KL with its policy gradient: this package, TorchRL, and the exponentials alone.
+"""Time and memory of a predicted trajectory's KL with its policy gradient: this package, TorchRL,
+and the exponentials alone.
 
-What is measured, and how, stands in ``workloads.py`` and ``measure.py``; each row comes from a process of its own.
+What is measured, and how, stands in ``workloads.py`` and ``measure.py``; each row comes from a
+process of its own.
 
 Example:
-    python benchmarks/prediction.py --sizes 50 100 200 400 --threads 1 --json results/prediction/summary.json
+    python benchmarks/prediction.py --sizes 50 100 200 400 --threads 1 --json
+    results/prediction/summary.json
 """
 
 from __future__ import annotations
@@ -50,7 +53,9 @@ def main() -> None:
         if not any(row["library"] == OURS for row in report["rows"]):
             raise RuntimeError(f"{OURS} could not be measured")
         write_json(arguments.json, report)
-        save_figure(plot(report["rows"], arguments.horizon), arguments.json.with_name("prediction.png"))
+        save_figure(
+            plot(report["rows"], arguments.horizon), arguments.json.with_name("prediction.png")
+        )
     except (ValueError, OSError, RuntimeError) as error:
         sys.exit(f"error: {error}")
     print("\n".join(f"{name}: {value:.4g}" for name, value in report["headline"].items()))
@@ -60,20 +65,60 @@ def parse_arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     whole = {"type": int, "metavar": "N"}
-    parser.add_argument("--sizes", nargs="+", default=[50, 100, 200, 400], **whole, help="numbers n of data for all libraries")
-    parser.add_argument("--growth-sizes", nargs="*", default=[25, 1000], **whole, help="more of them for torch_pmil alone")
+    parser.add_argument(
+        "--sizes",
+        nargs="+",
+        default=[50, 100, 200, 400],
+        **whole,
+        help="numbers n of data for all libraries",
+    )
+    parser.add_argument(
+        "--growth-sizes",
+        nargs="*",
+        default=[25, 1000],
+        **whole,
+        help="more of them for torch_pmil alone",
+    )
     parser.add_argument("--horizon", default=25, **whole, help="time steps T")
-    parser.add_argument("--growth-horizons", nargs="*", default=[50, 100], **whole, help="more of them, at the two largest n")
-    parser.add_argument("--threads", default=1, **whole, help="of all rows but those of the speed-up")
-    parser.add_argument("--speedup-rounds", default=3, **whole, help="processes with one and with two threads, in turn; 0 for none")
-    parser.add_argument("--repeats", default=7, **whole, help="evaluations, of which the fastest counts")
-    parser.add_argument("--json", type=Path, default=ROOT / "results/prediction/summary.json", help="to write; the plot goes beside it")
+    parser.add_argument(
+        "--growth-horizons",
+        nargs="*",
+        default=[50, 100],
+        **whole,
+        help="more of them, at the two largest n",
+    )
+    parser.add_argument(
+        "--threads", default=1, **whole, help="of all rows but those of the speed-up"
+    )
+    parser.add_argument(
+        "--speedup-rounds",
+        default=3,
+        **whole,
+        help="processes with one and with two threads, in turn; 0 for none",
+    )
+    parser.add_argument(
+        "--repeats", default=7, **whole, help="evaluations, of which the fastest counts"
+    )
+    parser.add_argument(
+        "--json",
+        type=Path,
+        default=ROOT / "results/prediction/summary.json",
+        help="to write; the plot goes beside it",
+    )
     return parser.parse_args()
 
 
 def check(arguments: argparse.Namespace) -> None:
     """Raise ValueError if a number is out of range."""
-    least = {"sizes": 2, "growth_sizes": 2, "horizon": 1, "growth_horizons": 1, "threads": 1, "speedup_rounds": 0, "repeats": 1}
+    least = {
+        "sizes": 2,
+        "growth_sizes": 2,
+        "horizon": 1,
+        "growth_horizons": 1,
+        "threads": 1,
+        "speedup_rounds": 0,
+        "repeats": 1,
+    }
     for name, smallest in least.items():
         values = getattr(arguments, name)
         for value in values if isinstance(values, list) else [values]:
@@ -89,9 +134,14 @@ def make_report(arguments: argparse.Namespace) -> dict[str, object]:
         libraries.append(TORCHRL)
         source["versions"]["botorch"] = version("botorch")
     else:
-        left_out.append(f"{TORCHRL}: its GPWorldModel needs botorch; pip install -c constraints.txt -e '.[benchmark]'")
+        left_out.append(
+            f"{TORCHRL}: its GPWorldModel needs botorch; pip install -c constraints.txt -e "
+            "'.[benchmark]'"
+        )
         print(left_out[-1])
-    print(f"{'library':<22}{'n':>6}{'T':>5}{'threads':>9}{'CPU s':>10}{'wall s':>10}{'peak MB':>10}{'of ours':>10}{'of floor':>10}")
+    print(
+        f"{'library':<22}{'n':>6}{'T':>5}{'threads':>9}{'CPU s':>10}{'wall s':>10}{'peak MB':>10}{'of ours':>10}{'of floor':>10}"
+    )
     rows: list[dict] = []
     for library, n, horizon in plan(arguments, libraries):
         row = measure(library, n, horizon, arguments.threads, arguments.repeats, left_out)
@@ -114,22 +164,36 @@ def make_report(arguments: argparse.Namespace) -> dict[str, object]:
 def plan(arguments: argparse.Namespace, libraries: list[str]) -> list[tuple[str, int, int]]:
     """Library, n and T of each row; what is compared is measured one after the other."""
     compared = [(library, n, arguments.horizon) for n in arguments.sizes for library in libraries]
-    grown = [(library, n, arguments.horizon) for n in arguments.growth_sizes for library in (FLOOR, OURS)]
+    grown = [
+        (library, n, arguments.horizon) for n in arguments.growth_sizes for library in (FLOOR, OURS)
+    ]
     largest = {max(arguments.sizes), max([*arguments.sizes, *arguments.growth_sizes])}
     longer = [(OURS, n, horizon) for n in sorted(largest) for horizon in arguments.growth_horizons]
     return compared + grown + longer
 
 
-def measure(library: str, n: int, horizon: int, threads: int, repeats: int, left_out: list[str]) -> dict | None:
+def measure(
+    library: str, n: int, horizon: int, threads: int, repeats: int, left_out: list[str]
+) -> dict | None:
     """A row, from a process of its own; None, with a line in ``left_out``, if that process fails."""
     numbers = {"--n": n, "--horizon": horizon, "--threads": threads, "--repeats": repeats}
-    command = [sys.executable, "-m", "benchmarks.measure", library, *(str(part) for item in numbers.items() for part in item)]
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks.measure",
+        library,
+        *(str(part) for item in numbers.items() for part in item),
+    ]
     limits = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS"), str(threads))
-    process = subprocess.run(command, cwd=ROOT, env=os.environ | limits, capture_output=True, text=True, check=False)
+    process = subprocess.run(
+        command, cwd=ROOT, env=os.environ | limits, capture_output=True, text=True, check=False
+    )
     if process.returncode == 0:
         return json.loads(process.stdout.splitlines()[-1])
     reason = (process.stderr.strip().splitlines() or ["no memory left?"])[-1]
-    left_out.append(f"{library} n={n} T={horizon}: ended with status {process.returncode}, {reason}")
+    left_out.append(
+        f"{library} n={n} T={horizon}: ended with status {process.returncode}, {reason}"
+    )
     print(left_out[-1])
     return None
 
@@ -140,22 +204,37 @@ def thread_rows(n: int, arguments: argparse.Namespace, left_out: list[str]) -> l
         print("one core: no speed-up of two threads to measure")
         return []
     turns = [1, 2] * arguments.speedup_rounds
-    tries = [measure(OURS, n, arguments.horizon, threads, arguments.repeats, left_out) for threads in turns]
+    tries = [
+        measure(OURS, n, arguments.horizon, threads, arguments.repeats, left_out)
+        for threads in turns
+    ]
     return [row for row in tries if row]
 
 
 def line(row: dict, rows: list[dict]) -> str:
-    """A row of the table, with its CPU seconds over those of ours and of the floor at the same n and T."""
-    ratios = (ratio(row, find(rows, library, row["n"], row["horizon"])) for library in (OURS, FLOOR))
+    """A row of the table, with its CPU seconds over those of ours and of the floor at the same n
+    and T.
+    """
+    ratios = (
+        ratio(row, find(rows, library, row["n"], row["horizon"])) for library in (OURS, FLOOR)
+    )
     return (
         f"{row['library']:<22}{row['n']:>6}{row['horizon']:>5}{row['threads']:>9}{row['cpu_seconds']:>10.4f}{row['wall_seconds']:>10.4f}"
-        f"{row['peak_mb']:>10.1f}" + "".join(f"{value:>10.3g}" if value else f"{'':>10}" for value in ratios)
+        f"{row['peak_mb']:>10.1f}"
+        + "".join(f"{value:>10.3g}" if value else f"{'':>10}" for value in ratios)
     )
 
 
 def find(rows: list[dict], library: str, n: int, horizon: int) -> dict | None:
     """The row of that library, n and T."""
-    return next((row for row in rows if (row["library"], row["n"], row["horizon"]) == (library, n, horizon)), None)
+    return next(
+        (
+            row
+            for row in rows
+            if (row["library"], row["n"], row["horizon"]) == (library, n, horizon)
+        ),
+        None,
+    )
 
 
 def ratio(row: dict | None, other: dict | None) -> float | None:
@@ -164,7 +243,9 @@ def ratio(row: dict | None, other: dict | None) -> float | None:
 
 
 def headline(rows: list[dict], horizon: int) -> dict[str, float]:
-    """Main numbers: CPU seconds (system: those of them in the kernel), peak memory (10^6 bytes) and ratios of CPU seconds."""
+    """Main numbers: CPU seconds (system: those of them in the kernel), peak memory (10^6 bytes) and
+    ratios of CPU seconds.
+    """
     numbers = {}
     for row in rows:
         n, steps = row["n"], row["horizon"]
@@ -184,8 +265,14 @@ def headline(rows: list[dict], horizon: int) -> dict[str, float]:
 
 def thread_headline(rows: list[dict], n: int) -> dict[str, float]:
     """Wall seconds with one thread over those with two: medians over the processes."""
-    one, two = ([row["wall_seconds"] for row in rows if row["threads"] == threads] for threads in (1, 2))
-    return {f"thread_speedup_n{n}": statistics.median(one) / statistics.median(two)} if one and two else {}
+    one, two = (
+        [row["wall_seconds"] for row in rows if row["threads"] == threads] for threads in (1, 2)
+    )
+    return (
+        {f"thread_speedup_n{n}": statistics.median(one) / statistics.median(two)}
+        if one and two
+        else {}
+    )
 
 
 def cores() -> int:
@@ -196,7 +283,10 @@ def cores() -> int:
 def cpu_model() -> str:
     """Name of the processor."""
     lines = Path("/proc/cpuinfo").read_text().splitlines()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+    return next(
+        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
+        platform.machine(),
+    )
 
 
 def plot(rows: list[dict], horizon: int) -> Figure:
@@ -204,7 +294,10 @@ def plot(rows: list[dict], horizon: int) -> Figure:
     figure = Figure(figsize=(9.4, 3.8), layout="constrained")
     time, memory = figure.subplots(1, 2)
     for library in DRAWN:
-        drawn = sorted((row for row in rows if (row["library"], row["horizon"]) == (library, horizon)), key=lambda row: row["n"])
+        drawn = sorted(
+            (row for row in rows if (row["library"], row["horizon"]) == (library, horizon)),
+            key=lambda row: row["n"],
+        )
         draw(time, drawn, "cpu_seconds", library)
         if library != FLOOR:
             draw(memory, drawn, "peak_mb", library)
@@ -216,7 +309,11 @@ def plot(rows: list[dict], horizon: int) -> Figure:
         panel.set_xticks(sizes, map(str, sizes))
         panel.xaxis.set_minor_locator(NullLocator())
         style(panel)
-    figure.suptitle(f"value and policy gradient of the KL, double pendulum, T = {horizon}, threads: {rows[0]['threads']}", fontsize=10)
+    figure.suptitle(
+        f"value and policy gradient of the KL, double pendulum, T = {horizon}, threads: "
+        f"{rows[0]['threads']}",
+        fontsize=10,
+    )
     return figure
 
 
@@ -224,9 +321,23 @@ def draw(panel: Axes, rows: list[dict], quantity: str, library: str) -> None:
     """One line and its name."""
     if rows:
         colour, marker = DRAWN[library]
-        panel.plot([row["n"] for row in rows], [row[quantity] for row in rows], color=colour, marker=marker, markersize=5)
+        panel.plot(
+            [row["n"] for row in rows],
+            [row[quantity] for row in rows],
+            color=colour,
+            marker=marker,
+            markersize=5,
+        )
         end = (rows[-1]["n"], rows[-1][quantity])
-        panel.annotate(LABELS[library], end, xytext=(7, 0), textcoords="offset points", color=colour, va="center", fontsize=9)
+        panel.annotate(
+            LABELS[library],
+            end,
+            xytext=(7, 0),
+            textcoords="offset points",
+            color=colour,
+            va="center",
+            fontsize=9,
+        )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
-"""Time of the loss of several targets, and its policy gradient, beside that of one: the BioRob's policy of 250 basis functions.
+"""Time of the loss of several targets, and its policy gradient, beside that of one: the BioRob's
+policy of 250 basis functions.
 
-Targets are one batch (Eq. 31), so three need not take three times as long. The numbers of targets take turns in one process; CPU
-and wall seconds are the least of the repeats; the ratio is that of CPU seconds for one thread, of wall seconds for more. The data are
-transitions of the robot's first movements.
+Targets are one batch (Eq. 31), so three need not take three times as long. The numbers of targets
+take turns in one process; CPU and wall seconds are the least of the repeats; the ratio is that of
+CPU seconds for one thread, of wall seconds for more. The data are transitions of the robot's first
+movements.
 
 Example:
     python -m benchmarks.targets --sizes 60 120 240 --threads 1 2
@@ -36,21 +38,38 @@ COUNTS = (1, 3)  # of targets
 def main() -> None:
     """Read the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--sizes", type=int, nargs="+", default=[60, 120, 240, 480], help="transitions that the model knows")
+    parser.add_argument(
+        "--sizes",
+        type=int,
+        nargs="+",
+        default=[60, 120, 240, 480],
+        help="transitions that the model knows",
+    )
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--json", type=Path, default=Path("results/targets/summary.json"), help="file to write")
+    parser.add_argument(
+        "--json", type=Path, default=Path("results/targets/summary.json"), help="file to write"
+    )
     arguments = parser.parse_args()
     if min(*arguments.sizes, *arguments.threads, arguments.repeats) < 1:
         parser.error("sizes, threads and repeats must be at least 1")
     source = provenance(shlex.join(["python", "-m", "benchmarks.targets", *sys.argv[1:]]))
-    rows = [row for size in arguments.sizes for row in measure(size, arguments.threads, arguments.repeats)]
+    rows = [
+        row
+        for size in arguments.sizes
+        for row in measure(size, arguments.threads, arguments.repeats)
+    ]
     headline = {f"three_over_one_{row['n']}_threads_{row['threads']}": row["ratio"] for row in rows}
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    write_json(arguments.json, {**source, "repeats": arguments.repeats, "headline": headline, "rows": rows})
+    write_json(
+        arguments.json, {**source, "repeats": arguments.repeats, "headline": headline, "rows": rows}
+    )
     for row in rows:
         one, ratio = row["cpu_s"][0], row["ratio"]
-        print(f"n = {row['n']:4d}, {row['threads']} threads: {one:.3f} CPU s for one target, three take {ratio:.2f} times as long")
+        print(
+            f"n = {row['n']:4d}, {row['threads']} threads: {one:.3f} CPU s for one target, three "
+            f"take {ratio:.2f} times as long"
+        )
 
 
 def measure(n: int, threads: list[int], repeats: int) -> list[dict[str, object]]:
@@ -59,7 +78,12 @@ def measure(n: int, threads: list[int], repeats: int) -> list[dict[str, object]]
     dynamics, rows = make_dynamics(experiment, n), []
     policy = experiment.make_policy(torch.Generator().manual_seed(SEED))
     expert, targets = experiment.expert, experiment.targets
-    losses = [MultiTargetKLLoss(policy, dynamics, experiment.space, expert[:S], targets[:S], experiment.noise_std) for S in COUNTS]
+    losses = [
+        MultiTargetKLLoss(
+            policy, dynamics, experiment.space, expert[:S], targets[:S], experiment.noise_std
+        )
+        for S in COUNTS
+    ]
     for count in threads:
         torch.set_num_threads(count)
         evaluations = [evaluation(loss, experiment) for loss in losses]
@@ -87,10 +111,16 @@ def evaluation(loss: MultiTargetKLLoss, experiment: TargetExperiment) -> Callabl
 def make_dynamics(experiment: TargetExperiment, n: int) -> GPDynamics:
     """The model of n transitions of the first movements, with PILCO's first hyper-parameters."""
     env = experiment.robots_at(experiment.targets[:1].expand(-(-n // STEPS), -1), SEED)
-    motion = replace(experiment.first_motion, rollouts=1).motion(torch.Generator().manual_seed(SEED))
-    rollout = env.rollout(STEPS, TensorDictModule(motion, in_keys=["observation"], out_keys=["action"]))
+    motion = replace(experiment.first_motion, rollouts=1).motion(
+        torch.Generator().manual_seed(SEED)
+    )
+    rollout = env.rollout(
+        STEPS, TensorDictModule(motion, in_keys=["observation"], out_keys=["action"])
+    )
     states = states_of(rollout)
-    inputs = torch.cat([experiment.space.features(states[:, :-1]), rollout["action"]], -1).flatten(0, 1)[:n]
+    inputs = torch.cat([experiment.space.features(states[:, :-1]), rollout["action"]], -1).flatten(
+        0, 1
+    )[:n]
     changes = states.diff(dim=1).flatten(0, 1)[:n]
     dynamics = experiment.make_dynamics()
     dynamics.set_data(inputs, changes)

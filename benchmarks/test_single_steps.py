@@ -1,6 +1,8 @@
-"""Time of single steps, with pytest-benchmark: ``make benchmark-steps``. ``make test`` leaves them out.
+"""Time of single steps, with pytest-benchmark: ``make benchmark-steps``. ``make test`` leaves them
+out.
 
-Every one is measured with its gradient: the least time is comparable between machines that do other work besides.
+Every one is measured with its gradient: the least time is comparable between machines that do other
+work besides.
 """
 
 from __future__ import annotations
@@ -43,8 +45,12 @@ def test_moments_of_the_gp(benchmark, n: int) -> None:
     mean, cov = belief.mean.requires_grad_(), belief.cov.requires_grad_()
 
     def step() -> None:
-        moments = moment_match(problem.dynamics.expansion, Gaussian(mean, cov), observation_noise=True)
-        torch.autograd.grad(moments.mean.sum() + moments.cov.sum() + moments.inv_cov_cross_cov.sum(), [mean, cov])
+        moments = moment_match(
+            problem.dynamics.expansion, Gaussian(mean, cov), observation_noise=True
+        )
+        torch.autograd.grad(
+            moments.mean.sum() + moments.cov.sum() + moments.inv_cov_cross_cov.sum(), [mean, cov]
+        )
 
     benchmark(step)
 
@@ -67,7 +73,12 @@ def test_step_of_a_prediction(benchmark, n: int) -> None:
     problem = make_problem(n, horizon=1)
 
     def step() -> torch.Tensor:
-        state = predict_step(problem.experiment.initial, problem.policy.controller, problem.dynamics, problem.experiment.space)
+        state = predict_step(
+            problem.experiment.initial,
+            problem.policy.controller,
+            problem.dynamics,
+            problem.experiment.space,
+        )
         return state.mean.sum() + state.cov.sum()
 
     benchmark(with_gradient(problem, step))

@@ -1,16 +1,19 @@
 r"""Where TorchRL's ``GPWorldModel`` differs from its own Gaussian process, and ours does not.
 
-Both models are fitted, each by its own ``fit``, to the same transitions of the double pendulum under random torques, and see the
-four states themselves. The noise that is said beside each is its own estimate in physical units.
+Both models are fitted, each by its own ``fit``, to the same transitions of the double pendulum
+under random torques, and see the four states themselves. The noise that is said beside each is its
+own estimate in physical units.
 
-* Zero covariance: moment matching of a certain input must give the GP's posterior mean and variance. Each model is held against
-  its own GP (botorch's, GPyTorch's) at states and torques drawn like the data. Mean errors are in posterior standard deviations;
-  variances are ratios, observation noise included on both sides.
-* Units: botorch standardises the targets, and its GP's noise is in units of their variance. That number is compared with what
-  moment matching takes it for: squared units of the state.
+* Zero covariance: moment matching of a certain input must give the GP's posterior mean and
+  variance. Each model is held against its own GP (botorch's, GPyTorch's) at states and torques
+  drawn like the data. Mean errors are in posterior standard deviations; variances are ratios,
+  observation noise included on both sides.
+* Units: botorch standardises the targets, and its GP's noise is in units of their variance. That
+  number is compared with what moment matching takes it for: squared units of the state.
 * Saved states, and gradients of the prediction from a certain state.
 
-``torchrl_our_posterior`` is TorchRL's moment matching with the data, hyper-parameters and units of our fit.
+``torchrl_our_posterior`` is TorchRL's moment matching with the data, hyper-parameters and units of
+our fit.
 
 Example:
     python -m benchmarks.torchrl_model --n 100
@@ -42,7 +45,9 @@ POINTS = 20  # at which posterior and moments are compared
 
 @dataclass(frozen=True)
 class Posterior:
-    """A model's own GP at some points: mean (N, D) and noisy variance (N, D) of the next state, and the noise (D,), in physical units."""
+    """A model's own GP at some points: mean (N, D) and noisy variance (N, D) of the next state, and
+    the noise (D,), in physical units.
+    """
 
     mean: Tensor
     variance: Tensor
@@ -52,9 +57,16 @@ class Posterior:
 def main() -> None:
     """Read the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--n", type=int, default=100, help="transitions that the models are fitted to")
+    parser.add_argument(
+        "--n", type=int, default=100, help="transitions that the models are fitted to"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the transitions")
-    parser.add_argument("--json", type=Path, default=Path("results/torchrl_model/summary.json"), help="file to write")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        default=Path("results/torchrl_model/summary.json"),
+        help="file to write",
+    )
     arguments = parser.parse_args()
     if arguments.n < 2:
         parser.error(f"--n must be at least 2, got {arguments.n}")
@@ -62,24 +74,42 @@ def main() -> None:
     source = provenance(shlex.join(["python", "-m", "benchmarks.torchrl_model", *sys.argv[1:]]))
     rows = measure(arguments.n, arguments.seed)
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    settings = {"botorch": version("botorch"), "n": arguments.n, "seed": arguments.seed, "points": POINTS}
+    settings = {
+        "botorch": version("botorch"),
+        "n": arguments.n,
+        "seed": arguments.seed,
+        "points": POINTS,
+    }
     write_json(arguments.json, {**source, **settings, "rows": rows})
     print(table(rows))
 
 
 def measure(n: int, seed: int) -> list[dict[str, object]]:
     """A row for each model; n transitions to learn from and ``POINTS`` others to predict at."""
-    states, torques, successors = random_transitions(load_experiment("double_pendulum"), n + POINTS, torch.Generator().manual_seed(seed))
+    states, torques, successors = random_transitions(
+        load_experiment("double_pendulum"), n + POINTS, torch.Generator().manual_seed(seed)
+    )
     order = torch.randperm(n + POINTS, generator=torch.Generator().manual_seed(seed))
-    data = TensorDict({"observation": states, "action": torques, "next": {"observation": successors}}, [n + POINTS])[order]
+    data = TensorDict(
+        {"observation": states, "action": torques, "next": {"observation": successors}},
+        [n + POINTS],
+    )[order]
     known, points = data[:n], data[n:]
     ours, theirs = (cls(obs_dim=4, action_dim=2) for cls in (GPWorldModel, TorchRLModel))
     for model in (ours, theirs):
         model.fit(known)
     mixed = world_model(ours.dynamics)
     return [
-        {"model": "torch_pmil", **limit(ours, own_posterior(ours, points), points), **habits(ours, points)},
-        {"model": "torchrl", **limit(theirs, torchrl_posterior(theirs, points), points), **habits(theirs, points)},
+        {
+            "model": "torch_pmil",
+            **limit(ours, own_posterior(ours, points), points),
+            **habits(ours, points),
+        },
+        {
+            "model": "torchrl",
+            **limit(theirs, torchrl_posterior(theirs, points), points),
+            **habits(theirs, points),
+        },
         {"model": "torchrl_our_posterior", **limit(mixed, own_posterior(ours, points), points)},
     ]
 
@@ -90,15 +120,25 @@ def own_posterior(model: GPWorldModel, points: TensorDictBase) -> Posterior:
     gp = model.dynamics.gp.eval()
     x = torch.cat([points["observation"], points["action"]], -1)
     prediction = gp.likelihood(gp(x.expand(model.obs_dim, *x.shape)))
-    return Posterior(points["observation"] + prediction.mean.mT, prediction.variance.mT, gp.likelihood.noise[:, 0])
+    return Posterior(
+        points["observation"] + prediction.mean.mT,
+        prediction.variance.mT,
+        gp.likelihood.noise[:, 0],
+    )
 
 
 @torch.no_grad()
 def torchrl_posterior(model: TorchRLModel, points: TensorDictBase) -> Posterior:
     """As botorch computes it, back in physical units."""
     x = torch.cat([points["observation"], points["action"]], -1)
-    noisy, noiseless = ([gp.posterior(x, observation_noise=noise) for gp in model.model_list.models] for noise in (True, False))
-    mean, variance = torch.cat([p.mean for p in noisy], -1), torch.cat([p.variance for p in noisy], -1)
+    noisy, noiseless = (
+        [gp.posterior(x, observation_noise=noise) for gp in model.model_list.models]
+        for noise in (True, False)
+    )
+    mean, variance = (
+        torch.cat([p.mean for p in noisy], -1),
+        torch.cat([p.variance for p in noisy], -1),
+    )
     noise = variance - torch.cat([p.variance for p in noiseless], -1)
     return Posterior(points["observation"] + mean, variance, noise.mean(0))
 
@@ -122,18 +162,30 @@ def limit(model: nn.Module, posterior: Posterior, points: TensorDictBase) -> dic
 
 def taken_noise(model: nn.Module) -> Tensor:
     """The noise that moment matching adds, (D,)."""
-    return model.sigma_sq_eps if isinstance(model, TorchRLModel) else model.dynamics.expansion.noise_variance
+    return (
+        model.sigma_sq_eps
+        if isinstance(model, TorchRLModel)
+        else model.dynamics.expansion.noise_variance
+    )
 
 
 def beliefs(states: Tensor, actions: Tensor) -> TensorDictBase:
     """Certain ones, with all of TorchRL's keys."""
     (n, D), F = states.shape, actions.shape[-1]
-    action = {"mean": actions, "var": states.new_zeros(n, F, F), "cross_covariance": states.new_zeros(n, D, F)}
-    return TensorDict({"observation": {"mean": states, "var": states.new_zeros(n, D, D)}, "action": action}, [n])
+    action = {
+        "mean": actions,
+        "var": states.new_zeros(n, F, F),
+        "cross_covariance": states.new_zeros(n, D, F),
+    }
+    return TensorDict(
+        {"observation": {"mean": states, "var": states.new_zeros(n, D, D)}, "action": action}, [n]
+    )
 
 
 def habits(model: nn.Module, points: TensorDictBase) -> dict[str, object]:
-    """Whether the state loads into a new model, with the first words of the error where it does not; and whether there are gradients."""
+    """Whether the state loads into a new model, with the first words of the error where it does
+    not; and whether there are gradients.
+    """
     try:
         type(model)(obs_dim=4, action_dim=2).load_state_dict(model.state_dict())
         loading = "loads"
@@ -141,17 +193,28 @@ def habits(model: nn.Module, points: TensorDictBase) -> dict[str, object]:
         loading = textwrap.shorten(str(error).splitlines()[1], 60, placeholder=" ...")
     states = points["observation"].clone().requires_grad_()
     mean = model(beliefs(states, points["action"]))["next", "observation", "mean"]
-    (gradient,) = torch.autograd.grad((mean - states).sum(), states, allow_unused=True, materialize_grads=True)
+    (gradient,) = torch.autograd.grad(
+        (mean - states).sum(), states, allow_unused=True, materialize_grads=True
+    )
     return {"state_dict": loading, "gradients": bool(gradient.abs().max() > 0)}
 
 
 def table(rows: list[dict[str, object]]) -> str:
     """The rows for the eye."""
-    lines = [f"{'model':<22} {'variance / GP variance':>24} {'mean error, std':>16} {'noise / GP noise':>22}  gradients  state_dict"]
+    lines = [
+        f"{'model':<22} {'variance / GP variance':>24} {'mean error, std':>16} "
+        f"{'noise / GP noise':>22}  gradients  state_dict"
+    ]
     for row in rows:
-        variance, noise = (f"{row[f'{name}_ratio_min']:.6g} to {row[f'{name}_ratio_max']:.6g}" for name in ("variance", "noise"))
+        variance, noise = (
+            f"{row[f'{name}_ratio_min']:.6g} to {row[f'{name}_ratio_max']:.6g}"
+            for name in ("variance", "noise")
+        )
         habits = f"{row['gradients']!s:<9}  {row['state_dict']}" if "gradients" in row else ""
-        lines.append(f"{row['model']:<22} {variance:>24} {row['mean_error_std']:>16.2g} {noise:>22}  {habits}")
+        lines.append(
+            f"{row['model']:<22} {variance:>24} {row['mean_error_std']:>16.2g} {noise:>22}  "
+            f"{habits}"
+        )
     return "\n".join(lines)
 
 

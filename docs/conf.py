@@ -34,10 +34,13 @@ nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", rf"({name})\b.*")
     for name in (
-        "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",  # their objects are not ours
+        # their objects are not ours
+        "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",
         "argparse|collections|functools|os|pathlib|types|typing",
-        "nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError",  # by the names that annotations and docstrings have for them
-        r"torch_pmil\.(state_policy\.State|trajectory_loss\.TrajectoryLoss\._AcceptedKeys)",  # a type variable and a private class
+        # by the names that annotations and docstrings have for them
+        "nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError",
+        # a type variable and a private class
+        r"torch_pmil\.(state_policy\.State|trajectory_loss\.TrajectoryLoss\._AcceptedKeys)",
     )
 ]
 
@@ -57,10 +60,13 @@ nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 1800  # s, for a cell
 
-# kernels of the notebooks: no settings of the user's own, and no warning that they speak TCP on this machine
+# kernels of the notebooks: no settings of the user's own, and no warning that they speak TCP on
+# this machine
 ipython = DOCS / "_build" / "ipython"
 (ipython / "profile_default").mkdir(parents=True, exist_ok=True)
-(ipython / "profile_default" / "ipython_kernel_config.py").write_text('c.IPKernelApp.log_level = "ERROR"\n')
+(ipython / "profile_default" / "ipython_kernel_config.py").write_text(
+    'c.IPKernelApp.log_level = "ERROR"\n'
+)
 os.environ["IPYTHONDIR"] = str(ipython)
 logging.getLogger("traitlets").setLevel(logging.WARNING)  # a line for each notebook else
 

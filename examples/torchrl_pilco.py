@@ -1,9 +1,11 @@
-"""TorchRL's PILCO task, InvertedPendulum-v5, with this package's world model, policy and imagined environment dropped in.
+"""TorchRL's PILCO task, InvertedPendulum-v5, with this package's world model, policy and imagined
+environment dropped in.
 
-The recipe is that of TorchRL's ``sota-implementations/pilco``: 200 steps of random forces, then three times a fit of the model, a
-minimisation of TorchRL's expected cost of an imagined rollout, and a rollout on the robot; but the minimisation is L-BFGS, where TorchRL
-takes 100 steps of Adam. Learned means: the pole stays up for all 1000 steps (40 s) of every evaluation episode.
-With ``--compare N``, N gradient steps of the same work are timed with these pieces and with TorchRL's.
+The recipe is that of TorchRL's ``sota-implementations/pilco``: 200 steps of random forces, then
+three times a fit of the model, a minimisation of TorchRL's expected cost of an imagined rollout,
+and a rollout on the robot; but the minimisation is L-BFGS, where TorchRL takes 100 steps of Adam.
+Learned means: the pole stays up for all 1000 steps (40 s) of every evaluation episode. With
+``--compare N``, N gradient steps of the same work are timed with these pieces and with TorchRL's.
 
 Example:
     python -m examples.torchrl_pilco --compare 2
@@ -39,7 +41,9 @@ TRANSITION = ("observation", "action", ("next", "observation"))
 
 
 def main() -> int:
-    """Read the command line, learn, and say whether the task was learned: the exit status is 0 if it was."""
+    """Read the command line, learn, and say whether the task was learned: the exit status is 0 if
+    it was.
+    """
     arguments = parse()
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)
@@ -54,9 +58,10 @@ def main() -> int:
         search, seconds = improve(model, policy, env, arguments)
         episode = act(env, policy, arguments.rollout_steps)
         print(
-            f"epoch {epoch + 1}: fit to {len(data)} transitions in {fit.seconds:.1f} s, "
-            f"cost {search.initial_loss:.3f} to {search.loss:.3f} in {search.evaluations} gradient steps of {seconds:.2f} CPU s, "
-            f"then up for {len(episode)} of {arguments.rollout_steps} steps"
+            f"epoch {epoch + 1}: fit to {len(data)} transitions in {fit.seconds:.1f} s, cost "
+            f"{search.initial_loss:.3f} to {search.loss:.3f} in {search.evaluations} gradient "
+            f"steps of {seconds:.2f} CPU s, then up for {len(episode)} of "
+            f"{arguments.rollout_steps} steps"
         )
         data = tensordict.cat([data, episode])[-arguments.most_data :]
     lengths = [len(act(env, policy, EPISODE)) for _ in range(arguments.episodes)]
@@ -68,29 +73,59 @@ def main() -> int:
 def parse() -> argparse.Namespace:
     """The command line; ends with one line where it or the installation will not do."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seed", type=int, default=0, help="of the robot, the random forces and the policy")
-    parser.add_argument("--epochs", type=int, default=3, help="times the model is fitted and the policy improved")
-    parser.add_argument("--random-steps", type=int, default=200, help="on the robot, before the first fit")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of the robot, the random forces and the policy"
+    )
+    parser.add_argument(
+        "--epochs", type=int, default=3, help="times the model is fitted and the policy improved"
+    )
+    parser.add_argument(
+        "--random-steps", type=int, default=200, help="on the robot, before the first fit"
+    )
     parser.add_argument("--iterations", type=int, default=60, help="of L-BFGS in each epoch")
     parser.add_argument("--horizon", type=int, default=40, help="steps of an imagined rollout")
     parser.add_argument("--basis", type=int, default=10, help="basis functions of the policy")
-    parser.add_argument("--rollout-steps", type=int, default=100, help="at most, of the policy on the robot in each epoch")
-    parser.add_argument("--most-data", type=int, default=350, help="newest transitions that the model is fitted to")
+    parser.add_argument(
+        "--rollout-steps",
+        type=int,
+        default=100,
+        help="at most, of the policy on the robot in each epoch",
+    )
+    parser.add_argument(
+        "--most-data", type=int, default=350, help="newest transitions that the model is fitted to"
+    )
     parser.add_argument("--episodes", type=int, default=10, help="of the evaluation at the end")
-    parser.add_argument("--compare", type=int, default=0, metavar="N", help="also time N gradient steps of ours and of TorchRL's pieces")
+    parser.add_argument(
+        "--compare",
+        type=int,
+        default=0,
+        metavar="N",
+        help="also time N gradient steps of ours and of TorchRL's pieces",
+    )
     arguments = parser.parse_args()
     wanted = ["gymnasium", *(["botorch"] if arguments.compare else [])]
     missing = [name for name in wanted if find_spec(name) is None]
     if missing:
-        parser.error(f"needs {' and '.join(missing)}: pip install 'torch_pmil[gym]', and [benchmark] for --compare")
-    wrong = [name for name, value in vars(arguments).items() if value <= 0 and name not in ("seed", "compare")]
+        parser.error(
+            f"needs {' and '.join(missing)}: pip install 'torch_pmil[gym]', and [benchmark] for "
+            "--compare"
+        )
+    wrong = [
+        name
+        for name, value in vars(arguments).items()
+        if value <= 0 and name not in ("seed", "compare")
+    ]
     if wrong:
-        parser.error(f"--{wrong[0].replace('_', '-')} must be positive, got {vars(arguments)[wrong[0]]}")
+        parser.error(
+            f"--{wrong[0].replace('_', '-')} must be positive, got {vars(arguments)[wrong[0]]}"
+        )
     return arguments
 
 
 def make_policy(env: EnvBase, basis: int) -> BeliefPolicy:
-    """Random, as TorchRL's ``RBFController`` begins: centres of standard deviation 0.5, weights 0.1, unit widths."""
+    """Random, as TorchRL's ``RBFController`` begins: centres of standard deviation 0.5, weights
+    0.1, unit widths.
+    """
     policy = RBFPolicy(0.5 * torch.randn(basis, 4), u_max=env.action_spec.high, scale=torch.ones(4))
     torch.nn.init.normal_(policy.weights, std=0.1)
     return BeliefPolicy(policy)
@@ -107,8 +142,12 @@ def act(env: EnvBase, policy: BeliefPolicy, steps: int) -> TensorDictBase:
     return env.rollout(steps, policy).select(*TRANSITION).double()
 
 
-def improve(model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, arguments: argparse.Namespace) -> tuple[MinimiseResult, float]:
-    """Minimise the expected cost of imagined rollouts; also says the mean CPU seconds of a gradient step."""
+def improve(
+    model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, arguments: argparse.Namespace
+) -> tuple[MinimiseResult, float]:
+    """Minimise the expected cost of imagined rollouts; also says the mean CPU seconds of a gradient
+    step.
+    """
     evaluate = imagined_cost(ImaginedEnv(model, env), policy, arguments.horizon)
     start = time.process_time()
     with tqdm(desc="gradient steps", leave=False, disable=not sys.stderr.isatty()) as bar:
@@ -117,41 +156,71 @@ def improve(model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, arguments: 
             bar.update()
             return evaluate()
 
-        result = minimise(policy.parameters(), cost, arguments.iterations, survives=(NotPositiveDefiniteError,))
+        result = minimise(
+            policy.parameters(), cost, arguments.iterations, survives=(NotPositiveDefiniteError,)
+        )
     return result, (time.process_time() - start) / result.evaluations
 
 
-def imagined_cost(env: EnvBase, policy: TensorDictModule, horizon: int) -> Callable[[], torch.Tensor]:
-    """The sum of TorchRL's expected saturating costs over an imagined rollout from the start belief."""
+def imagined_cost(
+    env: EnvBase, policy: TensorDictModule, horizon: int
+) -> Callable[[], torch.Tensor]:
+    """The sum of TorchRL's expected saturating costs over an imagined rollout from the start
+    belief.
+    """
     loss = ExponentialQuadraticCost(reduction="none")
-    start = TensorDict({"observation": {"mean": torch.zeros(4).double(), "var": START_VARIANCE * torch.eye(4).double()}})
+    start = TensorDict(
+        {
+            "observation": {
+                "mean": torch.zeros(4).double(),
+                "var": START_VARIANCE * torch.eye(4).double(),
+            }
+        }
+    )
     start = start.expand(env.batch_size)
     return lambda: loss(env.rollout(horizon, policy, tensordict=start))["loss_cost"].sum(-1).mean()
 
 
-def loop_cost(model: GPWorldModel, policy: BeliefPolicy, horizon: int) -> Callable[[], torch.Tensor]:
+def loop_cost(
+    model: GPWorldModel, policy: BeliefPolicy, horizon: int
+) -> Callable[[], torch.Tensor]:
     """The same cost by the package's own loop, without an environment."""
     loss = ExponentialQuadraticCost(reduction="sum")
     start = Gaussian(torch.zeros(4).double(), START_VARIANCE * torch.eye(4).double())
 
     def evaluate() -> torch.Tensor:
         later = predict_trajectory(start, policy.policy, model.dynamics, model.space, horizon - 1)
-        mean, var = torch.cat([start.mean[None], later.mean]), torch.cat([start.cov[None], later.cov])
+        mean, var = (
+            torch.cat([start.mean[None], later.mean]),
+            torch.cat([start.cov[None], later.cov]),
+        )
         return loss(TensorDict({"observation": {"mean": mean, "var": var}}))["loss_cost"]
 
     return evaluate
 
 
-def compare(model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, horizon: int, steps: int) -> None:
-    """Print the time of a gradient step of ours and of TorchRL's pieces, which are given the same posterior and the same policy."""
-    torchrl_policy = TensorDictModule(rbf_controller(policy.policy), in_keys=STATE_BELIEF, out_keys=ACTION_BELIEF)
+def compare(
+    model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, horizon: int, steps: int
+) -> None:
+    """Print the time of a gradient step of ours and of TorchRL's pieces, which are given the same
+    posterior and the same policy.
+    """
+    torchrl_policy = TensorDictModule(
+        rbf_controller(policy.policy), in_keys=STATE_BELIEF, out_keys=ACTION_BELIEF
+    )
     torchrl_env = TorchRLImaginedEnv(world_model(model.dynamics), env)
     ways = {
-        "torch_pmil in TorchRL's form": (imagined_cost(ImaginedEnv(model, env), policy, horizon), policy),
+        "torch_pmil in TorchRL's form": (
+            imagined_cost(ImaginedEnv(model, env), policy, horizon),
+            policy,
+        ),
         "torch_pmil's own loop": (loop_cost(model, policy, horizon), policy),
         "TorchRL's pieces": (imagined_cost(torchrl_env, torchrl_policy, horizon), torchrl_policy),
     }
-    print(f"a gradient step with n = {len(model.dynamics.train_inputs)} transitions and {horizon} steps, least of {steps}:")
+    print(
+        f"a gradient step with n = {len(model.dynamics.train_inputs)} transitions and {horizon} "
+        f"steps, least of {steps}:"
+    )
     for name, (evaluate, actor) in ways.items():
         seconds = []
         for _ in range(steps):
@@ -160,7 +229,10 @@ def compare(model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, horizon: in
             gradients = torch.autograd.grad(cost, list(actor.parameters()))
             seconds.append(time.process_time() - start)
         size = torch.cat([gradient.flatten() for gradient in gradients]).norm()
-        print(f"  {name:<28} {min(seconds):7.2f} CPU s, cost {cost:.5f}, |gradient| {size:.4f}", flush=True)
+        print(
+            f"  {name:<28} {min(seconds):7.2f} CPU s, cost {cost:.5f}, |gradient| {size:.4f}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""How the tests execute the notebooks: each in a process of its own, one thread each, the long ones only when all tests are asked for."""
+"""How the tests execute the notebooks: each in a process of its own, one thread each, the long ones
+only when all tests are asked for.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ ROOT = Path(__file__).parents[1]
 
 def pytest_configure() -> None:
     """Kernels import the package that is tested, not one that is installed."""
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    os.environ["PYTHONPATH"] = os.pathsep.join(
+        filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])
+    )
     os.environ["OMP_NUM_THREADS"] = "1"
 
 

@@ -13,5 +13,18 @@ from reproduction.masses import MASSES
 from reproduction.reaching import REACHING
 from reproduction.robustness import ROBUSTNESS
 
-EXPERIMENTS = (FIGURE6, FIGURE7A, FIGURE7B, MASSES, ROBUSTNESS, ABLATION, FIGURE9, BIOROB, HIDDEN_MOTORS, FIGURE11, REACHING, HANDWRITING)
+EXPERIMENTS = (
+    FIGURE6,
+    FIGURE7A,
+    FIGURE7B,
+    MASSES,
+    ROBUSTNESS,
+    ABLATION,
+    FIGURE9,
+    BIOROB,
+    HIDDEN_MOTORS,
+    FIGURE11,
+    REACHING,
+    HANDWRITING,
+)
 PAPER = {experiment.name: experiment for experiment in EXPERIMENTS}

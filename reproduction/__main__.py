@@ -1,11 +1,12 @@
-"""Reproduce an experiment of the paper: its numbers in results/NAME/summary.json, and its figures beside them.
+"""Reproduce an experiment of the paper: its numbers in results/NAME/summary.json, and its figures
+beside them.
 
 Example:
     python scripts/reproduce.py figure6
     python scripts/reproduce.py figure6 --quick
 
-What was learned before is not learned again, and what was stopped goes on. A quick reproduction takes minutes, and has runs and
-results of its own, in runs/quick and results/quick.
+What was learned before is not learned again, and what was stopped goes on. A quick reproduction
+takes minutes, and has runs and results of its own, in runs/quick and results/quick.
 """
 
 from __future__ import annotations
@@ -22,10 +23,14 @@ def main() -> None:
     """Learn, write, say where."""
     names = "\n".join(f"  {name:10} {experiment.shows}" for name, experiment in PAPER.items())
     parser = argparse.ArgumentParser(
-        description=__doc__.partition("\n")[0], epilog=f"experiments:\n{names}", formatter_class=argparse.RawDescriptionHelpFormatter
+        description=__doc__.partition("\n")[0],
+        epilog=f"experiments:\n{names}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("name", metavar="NAME", choices=PAPER, help=", ".join(PAPER))
-    parser.add_argument("--quick", action="store_true", help="in minutes: fewer trials and fewer samples")
+    parser.add_argument(
+        "--quick", action="store_true", help="in minutes: fewer trials and fewer samples"
+    )
     arguments = parser.parse_args()
     command = shlex.join(["python", "scripts/reproduce.py", *sys.argv[1:]])
     try:
@@ -35,7 +40,12 @@ def main() -> None:
         sys.exit(130)
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         sys.exit(f"error: {error}")
-    print("\n".join(f"{name}: {'never' if value is None else f'{value:.4g}'}" for name, value in report.headline.items()))
+    print(
+        "\n".join(
+            f"{name}: {'never' if value is None else f'{value:.4g}'}"
+            for name, value in report.headline.items()
+        )
+    )
     print(f"see {out}/summary.json, {', '.join(f'{out}/{name}.png' for name in report.figures)}")
 
 

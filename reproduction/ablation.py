@@ -50,7 +50,8 @@ class Variation(Experiment):
     Args:
         targets: what the model learns.
         prediction: how the loss predicts.
-        random_centres: whether the policy's centres are all over the state space, and not near demonstrated states.
+        random_centres: whether the policy's centres are all over the state space, and not near
+            demonstrated states.
     """
 
     targets: Targets = "difference"
@@ -60,34 +61,52 @@ class Variation(Experiment):
     @property
     def settings(self) -> dict[str, object]:
         """Numbers that a run depends on."""
-        prediction = vars(self.prediction) if isinstance(self.prediction, ParticlePrediction) else "moment matching"
-        own = {"targets": self.targets, "prediction": prediction, "random_centres": self.random_centres}
+        prediction = (
+            vars(self.prediction)
+            if isinstance(self.prediction, ParticlePrediction)
+            else "moment matching"
+        )
+        own = {
+            "targets": self.targets,
+            "prediction": prediction,
+            "random_centres": self.random_centres,
+        }
         return super().settings | own | {"angles": list(self.space.angles)}
 
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""
-        return GPDynamics(len(self.space.feature_names) + len(self.u_max), self.space.dim, self.targets)
+        return GPDynamics(
+            len(self.space.feature_names) + len(self.u_max), self.space.dim, self.targets
+        )
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryKLLoss:
         """The KL between demonstrated and predicted trajectories."""
-        return TrajectoryKLLoss(policy, dynamics, self.space, self.expert, self.noise_std, prediction=self.prediction)
+        return TrajectoryKLLoss(
+            policy, dynamics, self.space, self.expert, self.noise_std, prediction=self.prediction
+        )
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near demonstrated states or near random ones, small random weights."""
         if self.random_centres:
-            return self.policy_near(self.space.features(random_states(self.space, VELOCITY_STD, generator)), generator)
+            return self.policy_near(
+                self.space.features(random_states(self.space, VELOCITY_STD, generator)), generator
+            )
         return super().make_policy(generator)
 
 
 def variations() -> dict[str, Variation]:
-    """The double pendulum as it is, and with each choice made otherwise; iterations that a choice would save go elsewhere.
+    """The double pendulum as it is, and with each choice made otherwise; iterations that a choice
+    would save go elsewhere.
 
     Example:
         >>> variations()["noise_0.1m"].noise_std
         0.1
     """
     task = load_experiment("double_pendulum")
-    ours, search = Variation(**{entry.name: getattr(task, entry.name) for entry in fields(task)}), task.search
+    ours, search = (
+        Variation(**{entry.name: getattr(task, entry.name) for entry in fields(task)}),
+        task.search,
+    )
     at_once = replace(
         search,
         first_horizon=task.horizon,
@@ -98,21 +117,36 @@ def variations() -> dict[str, Variation]:
         "ours": {},
         "no_growing_horizon": {"search": at_once},
         "no_mean_start": {
-            "search": replace(search, mean_iterations=0, stage_iterations=search.stage_iterations + search.mean_iterations // MEAN_COST)
+            "search": replace(
+                search,
+                mean_iterations=0,
+                stage_iterations=search.stage_iterations + search.mean_iterations // MEAN_COST,
+            )
         },
         "random_centres": {"random_centres": True},
         "noise_0.02m": {"noise_std": 0.02},
         "noise_0.1m": {"noise_std": 0.1},
-        "plain_angles": {"space": replace(task.space, angles=()), "demonstrated_states": near_start(task)},
+        "plain_angles": {
+            "space": replace(task.space, angles=()),
+            "demonstrated_states": near_start(task),
+        },
         "successors": {"targets": "successor"},
         "particles": {"prediction": ParticlePrediction(PARTICLES)},
     }
-    return {name: replace(ours, name=f"double_pendulum_ablation_{name}", **change) for name, change in changes.items()}
+    return {
+        name: replace(ours, name=f"double_pendulum_ablation_{name}", **change)
+        for name, change in changes.items()
+    }
 
 
 def near_start(task: Experiment) -> Tensor:
-    """The demonstrated states (S, D), whole turns taken off each demonstration so that its angles begin nearest to those of p(x_0)."""
-    states, angles = task.demonstrated_states.unflatten(0, (-1, task.horizon + 1)).clone(), list(task.space.angles)
+    """The demonstrated states (S, D), whole turns taken off each demonstration so that its angles
+    begin nearest to those of p(x_0).
+    """
+    states, angles = (
+        task.demonstrated_states.unflatten(0, (-1, task.horizon + 1)).clone(),
+        list(task.space.angles),
+    )
     turns = ((states[:, :1, angles] - task.initial.mean[angles]) / (2 * math.pi)).round()
     states[..., angles] -= 2 * math.pi * turns
     return states.flatten(0, 1)
@@ -121,28 +155,54 @@ def near_start(task: Experiment) -> Tensor:
 def needed_runs(root: Path, quick: bool) -> list[Run]:
     """Each variation with each seed."""
     seeds, trials = (QUICK_SEEDS, QUICK_TRIALS) if quick else (SEEDS, TRIALS)
-    return [learning_run(root, experiment, seed, trials) for experiment in variations().values() for seed in seeds]
+    return [
+        learning_run(root, experiment, seed, trials)
+        for experiment in variations().values()
+        for seed in seeds
+    ]
 
 
 def report(folders: Sequence[Path], quick: bool) -> Report:
     """Success of the saved policies, and the experience up to the first own rollout that succeeded."""
     outcomes = [outcome(read_summary(folder)) for folder in folders]
-    rates, seconds, succeeded = (np.array(values).reshape(len(LABELS), -1) for values in zip(*outcomes, strict=True))
-    headline = {f"{name}_success": rate for name, rate in zip(LABELS, rates.mean(1).tolist(), strict=True)}
-    headline |= {f"{name}_first_success_s": mean for name, mean in zip(LABELS, seconds.mean(1).tolist(), strict=True)}
-    headline |= {f"{name}_runs_with_success": count for name, count in zip(LABELS, succeeded.sum(1).tolist(), strict=True)}
+    rates, seconds, succeeded = (
+        np.array(values).reshape(len(LABELS), -1) for values in zip(*outcomes, strict=True)
+    )
+    headline = {
+        f"{name}_success": rate for name, rate in zip(LABELS, rates.mean(1).tolist(), strict=True)
+    }
+    headline |= {
+        f"{name}_first_success_s": mean
+        for name, mean in zip(LABELS, seconds.mean(1).tolist(), strict=True)
+    }
+    headline |= {
+        f"{name}_runs_with_success": count
+        for name, count in zip(LABELS, succeeded.sum(1).tolist(), strict=True)
+    }
     figure = plot_variants(list(LABELS.values()), rates, np.where(succeeded, seconds, np.inf))
-    details = {"particles": PARTICLES, "variations": list(LABELS), "success": rates.tolist(), "first_success_s": seconds.tolist()}
+    details = {
+        "particles": PARTICLES,
+        "variations": list(LABELS),
+        "success": rates.tolist(),
+        "first_success_s": seconds.tolist(),
+    }
     return Report(headline, {"ablation": figure}, details)
 
 
 def outcome(summary: dict) -> tuple[float, float, bool]:
-    """Of a run: success rate of the saved policy; seconds of experience before the first own rollout that succeeded; whether one did.
+    """Of a run: success rate of the saved policy; seconds of experience before the first own
+    rollout that succeeded; whether one did.
 
     Without success they are all its seconds: no fewer would have done.
     """
-    first = next((trial["experience_s"] for trial in summary["trials"] if trial["own_success"]), None)
-    return summary["saved_success_rate"], summary["experience_s"] if first is None else first, first is not None
+    first = next(
+        (trial["experience_s"] for trial in summary["trials"] if trial["own_success"]), None
+    )
+    return (
+        summary["saved_success_rate"],
+        summary["experience_s"] if first is None else first,
+        first is not None,
+    )
 
 
 ABLATION = PaperExperiment("ablation", "what each choice of the method earns", needed_runs, report)

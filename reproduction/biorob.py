@@ -1,4 +1,6 @@
-"""Section 5.2.4, Figures 8 and 10: the BioRob learns to hit a ball from kinesthetic teaching; ten seeds of at most four trials."""
+"""Section 5.2.4, Figures 8 and 10: the BioRob learns to hit a ball from kinesthetic teaching; ten
+seeds of at most four trials.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,12 @@ from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.summaries import read_summary, success_over_experience
 from torch_pmil.experiments.runs.training import EVALUATION_STARTS
 from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.plotting import Figure, plot_distributions, plot_photo_series, plot_success_over_experience
+from torch_pmil.plotting import (
+    Figure,
+    plot_distributions,
+    plot_photo_series,
+    plot_success_over_experience,
+)
 
 SEEDS, TRIALS = range(10), 4
 QUICK_SEEDS, QUICK_TRIALS = range(1), 2
@@ -37,7 +44,9 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 
 
 def report(folders: Sequence[Path], quick: bool) -> Report:
-    """How many seeds solved it, how far the motions are from the demonstrated ones, how honest the prediction is; seed 0 is drawn."""
+    """How many seeds solved it, how far the motions are from the demonstrated ones, how honest the
+    prediction is; seed 0 is drawn.
+    """
     experiment, runs = load_experiment("biorob"), [read_summary(folder) for folder in folders]
     learned = load_learned(folders[0], experiment)
     rollouts = learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
@@ -53,7 +62,9 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
             predicted.affine(IN_DEGREES),
             executed,
         ),
-        "hits_over_experience": plot_success_over_experience(curve.experience_s, curve.rates, curve.lower, curve.upper),
+        "hits_over_experience": plot_success_over_experience(
+            curve.experience_s, curve.rates, curve.lower, curve.upper
+        ),
     }
     try:
         figures["figure8"] = photo_series(rollouts[0], experiment)
@@ -64,10 +75,15 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
 
 def headline_of(runs: Sequence[dict]) -> dict[str, float | None]:
     """The main numbers of some runs' summaries."""
-    coverages = {name: float(np.mean([run["two_sigma_coverage_by_entry"][name] for run in runs])) for name in runs[0]["rms_error"]}
+    coverages = {
+        name: float(np.mean([run["two_sigma_coverage_by_entry"][name] for run in runs]))
+        for name in runs[0]["rms_error"]
+    }
     errors = [joint_degrees(run["rms_error"]) for run in runs]
     return {
-        "seeds_solved_by_trial_4": sum(run["saved_success_rate"] >= SOLVED and len(run["trials"]) <= TRIALS for run in runs),
+        "seeds_solved_by_trial_4": sum(
+            run["saved_success_rate"] >= SOLVED and len(run["trials"]) <= TRIALS for run in runs
+        ),
         "seeds": len(runs),
         "hit_rate": float(np.mean([run["saved_success_rate"] for run in runs])),
         "max_experience_s": max(run["experience_s"] for run in runs),
@@ -94,26 +110,45 @@ def joint_degrees(by_entry: dict[str, float]) -> float:
 
 def measured(run: dict) -> dict[str, object]:
     """What a run came to, for the details."""
-    keys = ("seed", "saved_success_rate", "saved_trial", "experience_s", "rms_error", "two_sigma_coverage_by_entry")
+    keys = (
+        "seed",
+        "saved_success_rate",
+        "saved_trial",
+        "experience_s",
+        "rms_error",
+        "two_sigma_coverage_by_entry",
+    )
     hits = [trial["success_rate"] for trial in run["trials"]]
-    return {**{key: run[key] for key in keys}, "joint_rms_error_deg": joint_degrees(run["rms_error"]), "hit_rates": hits}
+    return {
+        **{key: run[key] for key in keys},
+        "joint_rms_error_deg": joint_degrees(run["rms_error"]),
+        "hit_rates": hits,
+    }
 
 
 def photo_series(rollout: TensorDictBase, experiment: Experiment) -> Figure:
-    """The first demonstration that comes with the package, led by hand anew, above a rollout (T,) of the robot (Figure 8).
+    """The first demonstration that comes with the package, led by hand anew, above a rollout (T,)
+    of the robot (Figure 8).
 
     Raises:
         RuntimeError: OpenGL is not available.
     """
     env: BioRobEnv = experiment.make_env(seed=0)
-    shown = record_strike(env.model, Variation().of(Strike(), env.model, np.random.default_rng(0))).physics
+    shown = record_strike(
+        env.model, Variation().of(Strike(), env.model, np.random.default_rng(0))
+    ).physics
     done = env.replay(rollout["observation"][0], rollout["action"], env.substeps)
     frames = [round(time / env.model.opt.timestep) for time in PHOTOGRAPHED]
     photos = {"demonstrated": torch.from_numpy(shown[frames]), "learned": done[frames]}
     try:
-        return plot_photo_series({name: [env.draw(one) for one in states] for name, states in photos.items()}, PHOTOGRAPHED)
+        return plot_photo_series(
+            {name: [env.draw(one) for one in states] for name, states in photos.items()},
+            PHOTOGRAPHED,
+        )
     finally:
         env.close()
 
 
-BIOROB = PaperExperiment("biorob", "the BioRob hits a ball (Section 5.2.4, Figures 8 and 10)", needed_runs, report)
+BIOROB = PaperExperiment(
+    "biorob", "the BioRob hits a ball (Section 5.2.4, Figures 8 and 10)", needed_runs, report
+)

@@ -1,4 +1,6 @@
-"""Swing-ups recorded with their torques: a cloned policy, and the torques with which other robots would move so (Section 5.1.2)."""
+"""Swing-ups recorded with their torques: a cloned policy, and the torques with which other robots
+would move so (Section 5.1.2).
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ DEMONSTRATIONS = 5
 
 
 def record_pairs(seeds: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
-    """Five swing-ups with each seed: states (5, T + 1, 4) and the torques that the expert applied, (5, T, 2), in N·m.
+    """Five swing-ups with each seed: states (5, T + 1, 4) and the torques that the expert applied,
+    (5, T, 2), in N·m.
 
     Those of seed 0 are the demonstrations that come with the package.
     """
@@ -34,7 +37,11 @@ def clone_double_pendulum(states: Tensor, torques: Tensor) -> StatePolicy:
     """The policy that imitates the torques of recorded swing-ups."""
     experiment = load_experiment("double_pendulum")
     return clone_behavior(
-        states[:, :-1].flatten(0, 1), torques.flatten(0, 1), experiment.space, experiment.u_max, experiment.demonstrations.time_step
+        states[:, :-1].flatten(0, 1),
+        torques.flatten(0, 1),
+        experiment.space,
+        experiment.u_max,
+        experiment.demonstrations.time_step,
     )
 
 
@@ -52,4 +59,6 @@ def peak_tracking_torques(states: Tensor, torques: Tensor, masses: Sequence[floa
     env = DoublePendulumEnv((FIRST_LINK, DEMONSTRATED), seed=0)
     motions = [motion_of(env, *rollout)[:2] for rollout in zip(states, torques, strict=True)]
     models = [double_pendulum_model((FIRST_LINK, mass)) for mass in masses]
-    return torch.tensor([[tracking_torques(model, *motion).abs().max() for model in models] for motion in motions])
+    return torch.tensor(
+        [[tracking_torques(model, *motion).abs().max() for model in models] for motion in motions]
+    )

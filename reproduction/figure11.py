@@ -1,4 +1,6 @@
-"""Section 5.2.5, Figure 11: one policy of the BioRob hits balls in a plane; five seeds of at most fifteen trials."""
+"""Section 5.2.5, Figure 11: one policy of the BioRob hits balls in a plane; five seeds of at most
+fifteen trials.
+"""
 
 from __future__ import annotations
 
@@ -49,8 +51,12 @@ def set_up() -> np.ndarray | None:
     try:
         return draw_targets()
     except RuntimeError as error:
-        warnings.warn(f"figure 11 has no picture of the set-up: {error}", RuntimeWarning, stacklevel=1)
+        warnings.warn(
+            f"figure 11 has no picture of the set-up: {error}", RuntimeWarning, stacklevel=1
+        )
         return None
 
 
-FIGURE11 = PaperExperiment("figure11", "one policy hits balls in a plane (Section 5.2.5, Figure 11)", needed_runs, report)
+FIGURE11 = PaperExperiment(
+    "figure11", "one policy hits balls in a plane (Section 5.2.5, Figure 11)", needed_runs, report
+)

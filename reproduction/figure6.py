@@ -1,4 +1,6 @@
-"""Section 5.1, one learned policy: what was demonstrated, what is predicted, what the robot does (Figures 2 to 6)."""
+"""Section 5.1, one learned policy: what was demonstrated, what is predicted, what the robot does
+(Figures 2 to 6).
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,14 @@ from torch_pmil.experiments.runs.training import EVALUATION_STARTS
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import two_sigma_coverage
-from torch_pmil.plotting import Figure, plot_demonstrations, plot_distributions, plot_gp, plot_moment_matching, plot_poses
+from torch_pmil.plotting import (
+    Figure,
+    plot_demonstrations,
+    plot_distributions,
+    plot_gp,
+    plot_moment_matching,
+    plot_poses,
+)
 from torch_pmil.search.kl import trajectory_kl
 from torch_pmil.trainer.trials import success_rate
 
@@ -34,7 +43,10 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     """Distributions, rollouts and poses of that run; the small figures of the method's parts."""
     experiment, (folder,) = load_experiment("double_pendulum"), folders
     learned = load_learned(folder, experiment)
-    states, rollouts = learned.predicted(experiment), learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
+    states, rollouts = (
+        learned.predicted(experiment),
+        learned.rollouts(experiment, EVALUATION_STARTS, START_SEED),
+    )
     executed = states_of(rollouts)
     match = experiment.space.match
     predicted = match.belief(states).add_noise(experiment.noise_std**2)
@@ -51,14 +63,21 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
         "figure4": figure4,
         "figure5": plot_poses(match(executed[0]), experiment.demonstrations.time_step),
         "figure6": plot_distributions(
-            match.names, match.units, experiment.demonstrations.time_step, experiment.expert, predicted, match(executed)[:, 1:]
+            match.names,
+            match.units,
+            experiment.demonstrations.time_step,
+            experiment.expert,
+            predicted,
+            match(executed)[:, 1:],
         ),
     }
     return Report(headline | moment_matching, figures)
 
 
 def comparison(expert: Gaussian, predicted: Gaussian) -> dict[str, float]:
-    """How far the predicted positions are from the demonstrated: KL, largest difference of the means, and how their spreads in x1 agree."""
+    """How far the predicted positions are from the demonstrated: KL, largest difference of the
+    means, and how their spreads in x1 agree.
+    """
     spreads = torch.stack([expert.std[:, 0], predicted.std[:, 0]])
     return {
         "kl_nats": trajectory_kl(expert, predicted).item(),
@@ -70,32 +89,55 @@ def comparison(expert: Gaussian, predicted: Gaussian) -> dict[str, float]:
 def demonstrations_figure(experiment: Experiment) -> Figure:
     """Figure 3, of the double pendulum's demonstrations."""
     match, demonstrations = experiment.space.match, experiment.demonstrations
-    return plot_demonstrations(match.names, match.units, demonstrations.time_step, demonstrations.positions, experiment.expert)
+    return plot_demonstrations(
+        match.names,
+        match.units,
+        demonstrations.time_step,
+        demonstrations.positions,
+        experiment.expert,
+    )
 
 
 def gp_figure() -> Figure:
     """Figure 2."""
     gp, grid = one_dimension.fitted_gp(), torch.linspace(-6, 6, 400, dtype=torch.float64)
     inputs, targets = gp.train_inputs[:, 0], gp.train_targets[:, 0]
-    return plot_gp(inputs, targets, grid, one_dimension.posterior(gp, grid), one_dimension.TEST_INPUT)
+    return plot_gp(
+        inputs, targets, grid, one_dimension.posterior(gp, grid), one_dimension.TEST_INPUT
+    )
 
 
 def moment_matching_figure() -> tuple[dict[str, float], Figure]:
     """Figure 4, and how well the moments agree with the samples."""
-    gp, belief, grid = one_dimension.fitted_gp(), one_dimension.BELIEF, torch.linspace(-3.2, 2.0, 400, dtype=torch.float64)
-    samples = one_dimension.sample_output(gp, belief, one_dimension.SAMPLES, torch.Generator().manual_seed(0))
+    gp, belief, grid = (
+        one_dimension.fitted_gp(),
+        one_dimension.BELIEF,
+        torch.linspace(-3.2, 2.0, 400, dtype=torch.float64),
+    )
+    samples = one_dimension.sample_output(
+        gp, belief, one_dimension.SAMPLES, torch.Generator().manual_seed(0)
+    )
     matched = one_dimension.matched_output(gp, belief).gaussian
     figure = plot_moment_matching(grid, one_dimension.posterior(gp, grid), belief, samples, matched)
     return agreement(matched, samples), figure
 
 
 def agreement(matched: Gaussian, samples: Tensor) -> dict[str, float]:
-    """Difference of the means in standard errors of the samples' mean, and ratio of the standard deviations."""
+    """Difference of the means in standard errors of the samples' mean, and ratio of the standard
+    deviations.
+    """
     standard_error = samples.std() / len(samples) ** 0.5
     return {
-        "moment_matching_mean_difference_se": ((matched.mean[0] - samples.mean()) / standard_error).item(),
+        "moment_matching_mean_difference_se": (
+            (matched.mean[0] - samples.mean()) / standard_error
+        ).item(),
         "moment_matching_std_ratio": (matched.std[0] / samples.std()).item(),
     }
 
 
-FIGURE6 = PaperExperiment("figure6", "demonstrated, predicted and executed trajectories of one learned policy", needed_runs, report)
+FIGURE6 = PaperExperiment(
+    "figure6",
+    "demonstrated, predicted and executed trajectories of one learned policy",
+    needed_runs,
+    report,
+)

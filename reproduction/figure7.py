@@ -1,4 +1,6 @@
-"""What Figures 7a and 7b have in common: the success of several methods over seconds of experience, mean of independent runs."""
+"""What Figures 7a and 7b have in common: the success of several methods over seconds of experience,
+mean of independent runs.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,11 @@ from pathlib import Path
 
 from reproduction.reproduction import Report, Run, learning_run
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.summaries import SuccessCurve, read_summary, success_over_experience
+from torch_pmil.experiments.runs.summaries import (
+    SuccessCurve,
+    read_summary,
+    success_over_experience,
+)
 from torch_pmil.plotting import plot_success_of_methods
 
 SEEDS = range(10)  # each with its own random rollout of 2.5 s, the same for all methods
@@ -33,14 +39,25 @@ def success_curves(folders: Sequence[Path], methods: Sequence[str]) -> dict[str,
     """The curve of each method; they have equally many runs, one method's after the other's."""
     each = len(folders) // len(methods)
     runs = [read_summary(folder) for folder in folders]
-    return {method: success_over_experience(runs[k * each : (k + 1) * each]) for k, method in enumerate(methods)}
+    return {
+        method: success_over_experience(runs[k * each : (k + 1) * each])
+        for k, method in enumerate(methods)
+    }
 
 
-def success_report(curves: Mapping[str, SuccessCurve], headline: dict[str, float | None], name: str) -> Report:
+def success_report(
+    curves: Mapping[str, SuccessCurve], headline: dict[str, float | None], name: str
+) -> Report:
     """The figure of that name, and the curves as JSON can say them."""
-    drawn = {method: (curve.experience_s, curve.mean, curve.lower, curve.upper) for method, curve in curves.items()}
+    drawn = {
+        method: (curve.experience_s, curve.mean, curve.lower, curve.upper)
+        for method, curve in curves.items()
+    }
     details = {
-        method: {key: getattr(curve, key).tolist() for key in ("experience_s", "mean", "lower", "upper", "rates")}
+        method: {
+            key: getattr(curve, key).tolist()
+            for key in ("experience_s", "mean", "lower", "upper", "rates")
+        }
         for method, curve in curves.items()
     }
     return Report(headline, {name: plot_success_of_methods(drawn)}, {"curves": details})

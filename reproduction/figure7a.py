@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from reproduction.figure7 import GOAL, OURS, THEIR_TRIALS, our_runs, size, success_curves, success_report
+from reproduction.figure7 import (
+    GOAL,
+    OURS,
+    THEIR_TRIALS,
+    our_runs,
+    size,
+    success_curves,
+    success_report,
+)
 from reproduction.reproduction import PaperExperiment, Report, Run, learning_run
 from torch_pmil.experiments import load_experiment
 
@@ -15,7 +23,9 @@ PILCO = "PILCO"
 def needed_runs(root: Path, quick: bool) -> list[Run]:
     """Ours, then PILCO's."""
     seeds, trials = size(quick, THEIR_TRIALS)
-    return our_runs(root, quick) + [learning_run(root, load_experiment("double_pendulum_pilco"), seed, trials) for seed in seeds]
+    return our_runs(root, quick) + [
+        learning_run(root, load_experiment("double_pendulum_pilco"), seed, trials) for seed in seeds
+    ]
 
 
 def report(folders: Sequence[Path], quick: bool) -> Report:
@@ -33,4 +43,6 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     return success_report(curves, headline, "figure7a")
 
 
-FIGURE7A = PaperExperiment("figure7a", "success over experience: imitation and PILCO", needed_runs, report)
+FIGURE7A = PaperExperiment(
+    "figure7a", "success over experience: imitation and PILCO", needed_runs, report
+)

@@ -1,4 +1,6 @@
-"""Section 5.2.3, Figure 9: at which sampling frequency a model of the BioRob predicts best (Eq. 30)."""
+"""Section 5.2.3, Figure 9: at which sampling frequency a model of the BioRob predicts best (Eq.
+30).
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,12 @@ from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.files import write_json
-from torch_pmil.model.sampling_frequency import FrequencyScore, Interval, Recording, score_frequencies
+from torch_pmil.model.sampling_frequency import (
+    FrequencyScore,
+    Interval,
+    Recording,
+    score_frequencies,
+)
 from torch_pmil.plotting import Figure, plot_frequencies
 
 SEEDS = range(3)  # of recordings
@@ -26,7 +33,10 @@ QUICK_FREQUENCIES = (5.0, 10.0, 20.0)
 TIME_STEP = 0.01  # s, of the recordings
 HOLD = 10  # time steps for which a torque is held: the robot is controlled at 10 Hz
 PARTS, PART = 12, 2.0  # of a recording, and their length in s
-LENGTHS = (6.0, 24.0)  # s, of what is used: that of the first movements, and about all that the paper's robot recorded
+LENGTHS = (
+    6.0,
+    24.0,
+)  # s, of what is used: that of the first movements, and about all that the paper's robot recorded
 FORMS = ("raw", "standardised")
 
 
@@ -39,15 +49,25 @@ def recorded_movements(seed: int) -> list[Recording]:
         if step % HOLD == 0:
             torque = motion(states[-1])
         torques.append(torque)
-        states.append(env.step(TensorDict({"action": torque}, batch_size=[PARTS]))["next", "observation"])
-    return [Recording(*part) for part in zip(torch.stack(states, 1), torch.stack(torques, 1), strict=True)]
+        states.append(
+            env.step(TensorDict({"action": torque}, batch_size=[PARTS]))["next", "observation"]
+        )
+    return [
+        Recording(*part)
+        for part in zip(torch.stack(states, 1), torch.stack(torques, 1), strict=True)
+    ]
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """The scores of each recording at each frequency, which take long where there are many transitions; no policy is learned."""
+    """The scores of each recording at each frequency, which take long where there are many
+    transitions; no policy is learned.
+    """
     lengths, seeds, frequencies = size(quick)
     return [
-        Run(root / "figure9" / f"{length:g}s_{frequency:g}hz_seed_{seed}", partial(_score, length=length, frequency=frequency, seed=seed))
+        Run(
+            root / "figure9" / f"{length:g}s_{frequency:g}hz_seed_{seed}",
+            partial(_score, length=length, frequency=frequency, seed=seed),
+        )
         for length in lengths
         for frequency in frequencies
         for seed in seeds
@@ -60,7 +80,9 @@ def size(quick: bool) -> tuple[Sequence[float], Sequence[int], Sequence[float]]:
 
 
 def report(folders: Sequence[Path], quick: bool) -> Report:
-    """Mean score at each frequency over the recordings, with its t interval, and the best frequency, for each length."""
+    """Mean score at each frequency over the recordings, with its t interval, and the best
+    frequency, for each length.
+    """
     lengths, seeds, frequencies = size(quick)
     scores = iter([read_score(folder) for folder in folders])
     headline: dict[str, float] = {}
@@ -70,11 +92,25 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
         of_length = [[next(scores) for _ in seeds] for _ in frequencies]
         forms = {form: [_interval(of_seeds, form) for of_seeds in of_length] for form in FORMS}
         for form, intervals in forms.items():
-            headline[f"best_frequency_{form}_{length:g}s_hz"] = max(zip(intervals, frequencies, strict=True))[1]
-            headline |= {f"{form}_{length:g}s_{f:g}hz": interval.mean for f, interval in zip(frequencies, intervals, strict=True)}
-        half_widths = {form: [interval.half_width for interval in intervals] for form, intervals in forms.items()}
-        details[f"{length:g}s"] = {"transitions": [of_seeds[0].transitions for of_seeds in of_length], "half_widths": half_widths}
-        drawn = {form: ([interval.mean for interval in intervals], half_widths[form]) for form, intervals in forms.items()}
+            headline[f"best_frequency_{form}_{length:g}s_hz"] = max(
+                zip(intervals, frequencies, strict=True)
+            )[1]
+            headline |= {
+                f"{form}_{length:g}s_{f:g}hz": interval.mean
+                for f, interval in zip(frequencies, intervals, strict=True)
+            }
+        half_widths = {
+            form: [interval.half_width for interval in intervals]
+            for form, intervals in forms.items()
+        }
+        details[f"{length:g}s"] = {
+            "transitions": [of_seeds[0].transitions for of_seeds in of_length],
+            "half_widths": half_widths,
+        }
+        drawn = {
+            form: ([interval.mean for interval in intervals], half_widths[form])
+            for form, intervals in forms.items()
+        }
         figures[f"figure9_{length:g}s"] = plot_frequencies(frequencies, drawn)
     return Report(headline, figures, details)
 
@@ -87,7 +123,10 @@ def read_score(folder: Path) -> FrequencyScore:
     """
     try:
         summary = json.loads((folder / "summary.json").read_text())
-        values = (torch.tensor(summary[name], dtype=torch.float64) for name in ("log_likelihood", "spread"))
+        values = (
+            torch.tensor(summary[name], dtype=torch.float64)
+            for name in ("log_likelihood", "spread")
+        )
         return FrequencyScore(summary["frequency"], summary["transitions"], *values)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunError(f"{folder}: summary.json is no score of a frequency: {error}") from error
@@ -96,16 +135,36 @@ def read_score(folder: Path) -> FrequencyScore:
 def _score(out: Path, command: str, length: float, frequency: float, seed: int) -> None:
     source, begun = provenance(command), time.perf_counter()
     recordings = recorded_movements(seed)[: round(length / PART)]
-    (score,) = score_frequencies(recordings, TIME_STEP, [frequency], load_experiment("biorob").space)
+    (score,) = score_frequencies(
+        recordings, TIME_STEP, [frequency], load_experiment("biorob").space
+    )
     out.mkdir(parents=True, exist_ok=True)
-    values = {"log_likelihood": score.log_likelihood.tolist(), "spread": score.spread.tolist(), "transitions": score.transitions}
-    run = {"experiment": "figure9", "seed": seed, **source, "length_s": length, "frequency": frequency, **values}
+    values = {
+        "log_likelihood": score.log_likelihood.tolist(),
+        "spread": score.spread.tolist(),
+        "transitions": score.transitions,
+    }
+    run = {
+        "experiment": "figure9",
+        "seed": seed,
+        **source,
+        "length_s": length,
+        "frequency": frequency,
+        **values,
+    }
     write_json(out / "summary.json", run | {"wall_seconds": round(time.perf_counter() - begun, 2)})
 
 
 def _interval(scores: Sequence[FrequencyScore], form: str) -> Interval:
     """Over recordings."""
-    return Interval.of(torch.tensor([getattr(score, form).mean for score in scores], dtype=torch.float64))
+    return Interval.of(
+        torch.tensor([getattr(score, form).mean for score in scores], dtype=torch.float64)
+    )
 
 
-FIGURE9 = PaperExperiment("figure9", "how well models of the BioRob predict at each sampling frequency", needed_runs, report)
+FIGURE9 = PaperExperiment(
+    "figure9",
+    "how well models of the BioRob predict at each sampling frequency",
+    needed_runs,
+    report,
+)

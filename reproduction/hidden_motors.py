@@ -1,4 +1,6 @@
-"""What it costs the BioRob's model that the motors' angles are hidden from it: one step predicted with and without them (Section 5.2.1)."""
+"""What it costs the BioRob's model that the motors' angles are hidden from it: one step predicted
+with and without them (Section 5.2.1).
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,12 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.plotting import plot_errors_over_data
 
 SEEDS, QUICK_SEEDS = range(5), range(1)
-ROLLOUTS = (3, 6, 12, 24)  # of 2 s, that the model learns from; the first are as many as a learning run begins with
+ROLLOUTS = (
+    3,
+    6,
+    12,
+    24,
+)  # of 2 s, that the model learns from; the first are as many as a learning run begins with
 TESTED = 20  # further rollouts of 2 s
 TEST_SEED = 8_000_000
 
@@ -29,10 +36,14 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 
 
 def report(folders: Sequence[Path], quick: bool) -> Report:
-    """Errors of the predicted change of each position and velocity, from the observed state alone, and from that and the motors'."""
+    """Errors of the predicted change of each position and velocity, from the observed state alone,
+    and from that and the motors'.
+    """
     seeds = QUICK_SEEDS if quick else SEEDS
     tested = record_movements(TEST_SEED, TESTED)
-    errors = np.array([[one_step_errors(seed, count, tested) for count in ROLLOUTS] for seed in seeds])  # (seeds, K, 2, 6)
+    errors = np.array(
+        [[one_step_errors(seed, count, tested) for count in ROLLOUTS] for seed in seeds]
+    )  # (seeds, K, 2, 6)
     rms = np.sqrt(np.square(errors).mean(0))  # (K, 2, 6)
     names = load_experiment("biorob").space.names
     headline = {
@@ -42,32 +53,55 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
         for name, value in zip(names, values, strict=True)
     }
     ratios = rms[:, 0] / rms[:, 1]
-    headline |= {f"ratio_{2 * count}s": float(np.exp(np.log(values).mean())) for count, values in zip(ROLLOUTS, ratios, strict=True)}
+    headline |= {
+        f"ratio_{2 * count}s": float(np.exp(np.log(values).mean()))
+        for count, values in zip(ROLLOUTS, ratios, strict=True)
+    }
     panels = {
         f"{quantity} ({unit})": {
-            label: np.sqrt(np.square(errors[:, :, kind, part]).mean(-1)) for kind, label in enumerate(("motors hidden", "motors known"))
+            label: np.sqrt(np.square(errors[:, :, kind, part]).mean(-1))
+            for kind, label in enumerate(("motors hidden", "motors known"))
         }
-        for quantity, unit, part in (("error of positions", "rad", slice(3)), ("error of velocities", "rad/s", slice(3, 6)))
+        for quantity, unit, part in (
+            ("error of positions", "rad", slice(3)),
+            ("error of velocities", "rad/s", slice(3, 6)),
+        )
     }
     figure = plot_errors_over_data([2 * count for count in ROLLOUTS], panels)
-    return Report(headline, {"hidden_motors": figure}, {"rollouts": list(ROLLOUTS), "tested": TESTED, "errors": errors.tolist()})
+    return Report(
+        headline,
+        {"hidden_motors": figure},
+        {"rollouts": list(ROLLOUTS), "tested": TESTED, "errors": errors.tolist()},
+    )
 
 
-def one_step_errors(seed: int, rollouts: int, tested: tuple[Tensor, Tensor, Tensor, Tensor]) -> np.ndarray:
-    """Root mean square error of the predicted change of each entry of the state, (2, 6): motors hidden, and known."""
+def one_step_errors(
+    seed: int, rollouts: int, tested: tuple[Tensor, Tensor, Tensor, Tensor]
+) -> np.ndarray:
+    """Root mean square error of the predicted change of each entry of the state, (2, 6): motors
+    hidden, and known.
+    """
     learned = record_movements(seed, rollouts)
     errors = []
     for known in (False, True):
-        (inputs, targets), (test_inputs, test_targets) = (model_data(*data, known) for data in (learned, tested))
+        (inputs, targets), (test_inputs, test_targets) = (
+            model_data(*data, known) for data in (learned, tested)
+        )
         model = GPDynamics(inputs.shape[1], targets.shape[1])
         model.fit(inputs, targets)
-        errors.append((model.expansion.predict(test_inputs)[0] - test_targets).square().mean(0).sqrt())
+        errors.append(
+            (model.expansion.predict(test_inputs)[0] - test_targets).square().mean(0).sqrt()
+        )
     return torch.stack(errors).numpy()
 
 
-def model_data(states: Tensor, motors: Tensor, torques: Tensor, successors: Tensor, known: bool) -> tuple[Tensor, Tensor]:
+def model_data(
+    states: Tensor, motors: Tensor, torques: Tensor, successors: Tensor, known: bool
+) -> tuple[Tensor, Tensor]:
     """GP inputs, with the motors' angles and speeds or without, and the changes of the state."""
-    return torch.cat([states, motors, torques] if known else [states, torques], -1), successors - states
+    return torch.cat(
+        [states, motors, torques] if known else [states, torques], -1
+    ), successors - states
 
 
 @torch.no_grad()
@@ -86,9 +120,18 @@ def record_movements(seed: int, rollouts: int) -> tuple[Tensor, Tensor, Tensor, 
         motion.begin()
         rollout = env.rollout(movements.steps, controller)
         physics = env.replay(rollout["observation"][0], rollout["action"], 1)
-        recorded.append((rollout["observation"], physics[:-1, columns], rollout["action"], rollout["next", "observation"]))
+        recorded.append(
+            (
+                rollout["observation"],
+                physics[:-1, columns],
+                rollout["action"],
+                rollout["next", "observation"],
+            )
+        )
     states, motors, actions, successors = (torch.cat(each) for each in zip(*recorded, strict=True))
     return states, motors, actions, successors
 
 
-HIDDEN_MOTORS = PaperExperiment("hidden_motors", "what the hidden motor angles cost the BioRob's model", needed_runs, report)
+HIDDEN_MOTORS = PaperExperiment(
+    "hidden_motors", "what the hidden motor angles cost the BioRob's model", needed_runs, report
+)

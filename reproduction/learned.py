@@ -36,7 +36,9 @@ class Learned:
     @torch.no_grad()
     def predicted(self, experiment: Experiment) -> Gaussian:
         """p(x_1..T) of the policy under its model, mean (T, D)."""
-        return experiment.make_loss(self.policy.policy, self.dynamics).predict_states(experiment.initial)
+        return experiment.make_loss(self.policy.policy, self.dynamics).predict_states(
+            experiment.initial
+        )
 
     @torch.no_grad()
     def rollouts(self, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
@@ -58,19 +60,26 @@ def load_learned(folder: Path, experiment: Experiment) -> Learned:
     """
     summary = read_summary(folder)
     if summary["experiment"] != experiment.name:
-        raise RunError(f"{folder} must be a run of {experiment.name}, got one of {summary['experiment']}")
+        raise RunError(
+            f"{folder} must be a run of {experiment.name}, got one of {summary['experiment']}"
+        )
     dynamics = experiment.make_dynamics()
     try:
-        dynamics.load_state_dict(torch.load(folder / "dynamics.pt", weights_only=True, map_location="cpu"))
+        dynamics.load_state_dict(
+            torch.load(folder / "dynamics.pt", weights_only=True, map_location="cpu")
+        )
     except (RuntimeError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
         reason = " ".join(str(error).split())
-        raise RunError(f"{folder}: dynamics.pt is damaged, or of another version: {reason}") from error
+        raise RunError(
+            f"{folder}: dynamics.pt is damaged, or of another version: {reason}"
+        ) from error
     return Learned(summary, load_policy(folder / "policy.pt"), dynamics)
 
 
 @torch.no_grad()
 def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, seed: int) -> float:
-    """Success rate of a policy on an experiment's robot, judged by where the robot truly is, whatever its sensors say.
+    """Success rate of a policy on an experiment's robot, judged by where the robot truly is,
+    whatever its sensors say.
 
     Args:
         policy: of the robot's states.
@@ -108,6 +117,8 @@ def outcome(folder: Path, experiment: Experiment, starts: int, seed: int) -> dic
     }
 
 
-def _rollouts(policy: StatePolicy, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
+def _rollouts(
+    policy: StatePolicy, experiment: Experiment, starts: int, seed: int
+) -> TensorDictBase:
     env = experiment.robots(starts, seed)
     return env.rollout(experiment.horizon, policy.as_tensordict_module())

@@ -1,4 +1,6 @@
-"""Robots of other masses than the demonstrator's: ours, behavioural cloning, and the torques of exact tracking (Section 5.1.2)."""
+"""Robots of other masses than the demonstrator's: ours, behavioural cloning, and the torques of
+exact tracking (Section 5.1.2).
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
-from reproduction.cloning import DEMONSTRATED, FIRST_LINK, clone_double_pendulum, peak_tracking_torques, record_pairs
+from reproduction.cloning import (
+    DEMONSTRATED,
+    FIRST_LINK,
+    clone_double_pendulum,
+    peak_tracking_torques,
+    record_pairs,
+)
 from reproduction.learned import load_learned, measured_success, outcome
 from reproduction.reproduction import PaperExperiment, Report, Run, learning_run
 from torch_pmil.demonstrations import shipped_demonstrations
@@ -23,13 +31,16 @@ from torch_pmil.plotting import plot_success_over_mass
 SECOND_LINKS = (0.15, 0.3, 0.4, 0.5, 0.57, 0.65, 0.8, 1.0)  # kg, second link of the robots
 SEEDS = range(3)  # of our runs on each robot
 TRIALS = 13
-CLONED = range(10)  # seeds of the demonstrations that are cloned; 0 are those that come with the package
+CLONED = range(
+    10
+)  # seeds of the demonstrations that are cloned; 0 are those that come with the package
 STARTS = 100
 START_SEED = 5_000_000  # no start that a run has seen
 
 
 def with_second_link(mass: float) -> Experiment:
-    """The double pendulum with a second link of that mass in kg, to learn from the demonstrations that come with the package.
+    """The double pendulum with a second link of that mass in kg, to learn from the demonstrations
+    that come with the package.
 
     Example:
         >>> with_second_link(0.3).name, with_second_link(DEMONSTRATED).name
@@ -38,29 +49,52 @@ def with_second_link(mass: float) -> Experiment:
     experiment = load_experiment("double_pendulum")
     if mass == DEMONSTRATED:
         return experiment
-    return replace(experiment, name=f"double_pendulum_{mass:g}kg", make_env=partial(DoublePendulumEnv, (FIRST_LINK, mass)))
+    return replace(
+        experiment,
+        name=f"double_pendulum_{mass:g}kg",
+        make_env=partial(DoublePendulumEnv, (FIRST_LINK, mass)),
+    )
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
     """Ours on each robot; that of the demonstrator's mass is the plain double pendulum."""
     seeds, trials = (SEEDS[:1], 3) if quick else (SEEDS, TRIALS)
-    return [learning_run(root, with_second_link(mass), seed, trials) for mass in SECOND_LINKS for seed in seeds]
+    return [
+        learning_run(root, with_second_link(mass), seed, trials)
+        for mass in SECOND_LINKS
+        for seed in seeds
+    ]
 
 
 def report(folders: Sequence[Path], quick: bool) -> Report:
-    """Success over the mass, of each run of ours and of several sets of demonstrations for cloning; peak torques of the shipped set."""
+    """Success over the mass, of each run of ours and of several sets of demonstrations for cloning;
+    peak torques of the shipped set.
+    """
     sets, starts = (CLONED[:2], 20) if quick else (CLONED, STARTS)
     robots = [with_second_link(mass) for mass in SECOND_LINKS]
     runs_each = len(folders) // len(robots)
     learned_on = [robot for robot in robots for _ in range(runs_each)]
-    runs = [outcome(folder, robot, starts, START_SEED) for robot, folder in zip(learned_on, folders, strict=True)]
+    runs = [
+        outcome(folder, robot, starts, START_SEED)
+        for robot, folder in zip(learned_on, folders, strict=True)
+    ]
     ours = np.reshape([run["success_rate"] for run in runs], (len(robots), runs_each)).T
-    rollouts = [load_learned(run, robot).rollouts(robot, starts, START_SEED) for robot, run in zip(learned_on, folders, strict=True)]
-    departures = np.array([departure(states_of(own), robot) for own, robot in zip(rollouts, learned_on, strict=True)])
+    rollouts = [
+        load_learned(run, robot).rollouts(robot, starts, START_SEED)
+        for robot, run in zip(learned_on, folders, strict=True)
+    ]
+    departures = np.array(
+        [departure(states_of(own), robot) for own, robot in zip(rollouts, learned_on, strict=True)]
+    )
     departures = departures.reshape(ours.T.shape)
     pairs = list(record_pairs(sets))
     clones = [clone_double_pendulum(*pair) for pair in pairs]
-    cloning = np.array([[measured_success(clone, robot, starts, START_SEED) for robot in robots] for clone in clones])
+    cloning = np.array(
+        [
+            [measured_success(clone, robot, starts, START_SEED) for robot in robots]
+            for clone in clones
+        ]
+    )
     peaks = peak_tracking_torques(*pairs[0], SECOND_LINKS).numpy()
     limit = robots[0].u_max.max().item()
     difference = link_positions(pairs[0][0]) - shipped_demonstrations("double_pendulum").positions
@@ -81,12 +115,15 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
         "cloning_success_rates": cloning.tolist(),
         "peak_torques": peaks.tolist(),
     }
-    figure = plot_success_over_mass(SECOND_LINKS, {"ours": ours, "behavioural cloning": cloning}, peaks, limit, DEMONSTRATED)
+    figure = plot_success_over_mass(
+        SECOND_LINKS, {"ours": ours, "behavioural cloning": cloning}, peaks, limit, DEMONSTRATED
+    )
     return Report(headline, {"masses": figure}, details)
 
 
 def departure(states: Tensor, robot: Experiment) -> float:
-    """Root mean square distance (m) of the two link ends from the demonstrated mean, over rollouts x_0..x_T (N, T + 1, 4) and steps 1..T.
+    """Root mean square distance (m) of the two link ends from the demonstrated mean, over rollouts
+    x_0..x_T (N, T + 1, 4) and steps 1..T.
 
     Example:
         >>> robot = with_second_link(DEMONSTRATED)
@@ -98,7 +135,12 @@ def departure(states: Tensor, robot: Experiment) -> float:
 
 
 def _by_mass(name: str, values: np.ndarray) -> dict[str, float]:
-    return {f"{name}_{mass:g}kg": value for mass, value in zip(SECOND_LINKS, values.tolist(), strict=True)}
+    return {
+        f"{name}_{mass:g}kg": value
+        for mass, value in zip(SECOND_LINKS, values.tolist(), strict=True)
+    }
 
 
-MASSES = PaperExperiment("masses", "ours and behavioural cloning on robots of other masses", needed_runs, report)
+MASSES = PaperExperiment(
+    "masses", "ours and behavioural cloning on robots of other masses", needed_runs, report
+)

@@ -1,4 +1,6 @@
-"""A Gaussian process of one input and one output, for the figures that explain the method (Figures 2 and 4)."""
+"""A Gaussian process of one input and one output, for the figures that explain the method (Figures
+2 and 4).
+"""
 
 from __future__ import annotations
 
@@ -31,15 +33,23 @@ def true_function(x: Tensor) -> Tensor:
 
 
 def posterior(gp: GPDynamics, points: Tensor) -> Gaussian:
-    """Mean (K, 1) and covariance (K, 1, 1) of the next state at inputs (K,), without measurement noise (Eqs. 6 and 7)."""
+    """Mean (K, 1) and covariance (K, 1, 1) of the next state at inputs (K,), without measurement
+    noise (Eqs. 6 and 7).
+    """
     mean, variance = gp.expansion.predict(points[:, None])
     return Gaussian(mean, variance[..., None])
 
 
-def sample_output(gp: GPDynamics, belief: Gaussian, count: int, generator: torch.Generator) -> Tensor:
+def sample_output(
+    gp: GPDynamics, belief: Gaussian, count: int, generator: torch.Generator
+) -> Tensor:
     """Draws (count,) from the exact distribution of the output at an uncertain input (Eq. 13)."""
     mean, variance = gp.expansion.predict(belief.sample(count, generator))
-    return (mean + variance.clamp(min=0).sqrt() * torch.randn(mean.shape, dtype=mean.dtype, generator=generator))[:, 0]
+    return (
+        mean
+        + variance.clamp(min=0).sqrt()
+        * torch.randn(mean.shape, dtype=mean.dtype, generator=generator)
+    )[:, 0]
 
 
 def matched_output(gp: GPDynamics, belief: Gaussian) -> Moments:

@@ -1,4 +1,6 @@
-"""Section 5.2.5's method on another robot: one policy of the double pendulum reaches places with its tip; three seeds."""
+"""Section 5.2.5's method on another robot: one policy of the double pendulum reaches places with
+its tip; three seeds.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,22 @@ from pathlib import Path
 from reproduction.reproduction import PaperExperiment, Report, Run
 from reproduction.target_study import TargetStudy
 from torch_pmil.envs.teachers.reaching import COLUMNS, ROWS
-from torch_pmil.experiments.tasks.double_pendulum_targets import distance_of_tip, double_pendulum_targets
+from torch_pmil.experiments.tasks.double_pendulum_targets import (
+    distance_of_tip,
+    double_pendulum_targets,
+)
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 
 NARROW = 0.5  # target_scale
 
 
 def narrow() -> TargetExperiment:
-    """The same with basis functions that are narrow in the target: half the largest distance between the training targets."""
-    return replace(double_pendulum_targets(), name="double_pendulum_targets_narrow", target_scale=NARROW)
+    """The same with basis functions that are narrow in the target: half the largest distance
+    between the training targets.
+    """
+    return replace(
+        double_pendulum_targets(), name="double_pendulum_targets_narrow", target_scale=NARROW
+    )
 
 
 PLACES = TargetStudy(
@@ -34,7 +43,9 @@ NARROW_PLACES = replace(PLACES, name="reaching_narrow", experiment=narrow)
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """As ``pmil train experiment=double_pendulum_targets`` learns, and with narrow functions; and what comes of each everywhere."""
+    """As ``pmil train experiment=double_pendulum_targets`` learns, and with narrow functions; and
+    what comes of each everywhere.
+    """
     studies = [study.quick if quick else study for study in (PLACES, NARROW_PLACES)]
     return [run for study in studies for run in study.needed_runs(root)]
 
@@ -44,7 +55,14 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     half = len(folders) // 2
     wide, thin = PLACES.report(folders[:half]), NARROW_PLACES.report(folders[half:])
     kept = ("training_success_rate", "grid_fraction", "triangle_fraction")
-    return replace(wide, headline={**wide.headline, **{f"narrow_{name}": thin.headline[name] for name in kept}})
+    return replace(
+        wide, headline={**wide.headline, **{f"narrow_{name}": thin.headline[name] for name in kept}}
+    )
 
 
-REACHING = PaperExperiment("reaching", "one policy of the double pendulum reaches places, as in Section 5.2.5", needed_runs, report)
+REACHING = PaperExperiment(
+    "reaching",
+    "one policy of the double pendulum reaches places, as in Section 5.2.5",
+    needed_runs,
+    report,
+)

@@ -1,4 +1,6 @@
-"""What an experiment of the paper is made of, and how it is run: in parallel, and on from where it was stopped."""
+"""What an experiment of the paper is made of, and how it is run: in parallel, and on from where it
+was stopped.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,15 @@ from torch_pmil.files import write_json
 from torch_pmil.plotting import Figure, save_figure
 from torch_pmil.trainer.trials import Measurement
 
-OF_RUN = ("experiment", "seed", "command", "date", "commit", "experience_s", "wall_seconds")  # what results say of each run
+OF_RUN = (
+    "experiment",
+    "seed",
+    "command",
+    "date",
+    "commit",
+    "experience_s",
+    "wall_seconds",
+)  # what results say of each run
 
 
 @dataclass(frozen=True)
@@ -30,8 +40,8 @@ class Run:
 
     Args:
         out: its folder; it is finished when there is a ``summary.json``.
-        learn: called with the folder and a command to say in the summary, perhaps in another process. It goes on from where it was
-            stopped, and writes ``summary.json`` last.
+        learn: called with the folder and a command to say in the summary, perhaps in another
+            process. It goes on from where it was stopped, and writes ``summary.json`` last.
     """
 
     out: Path
@@ -61,7 +71,8 @@ class PaperExperiment:
         name: as on the command line.
         shows: what, in one line.
         runs: what must be learned, below a folder of runs; smaller ones if quick.
-        report: numbers and figures from the folders of those runs, in that order; from fewer samples if quick.
+        report: numbers and figures from the folders of those runs, in that order; from fewer
+            samples if quick.
 
     Example:
         >>> from torch_pmil.experiments import load_experiment
@@ -82,7 +93,8 @@ class PaperExperiment:
 
 
 def learning_run(root: Path, experiment: Experiment, seed: int, trials: int = 12) -> Run:
-    """A run of an experiment, in the folder in which ``pmil train`` would leave it if ``root`` is ``runs``.
+    """A run of an experiment, in the folder in which ``pmil train`` would leave it if ``root`` is
+    ``runs``.
 
     Args:
         root: folder of runs.
@@ -95,11 +107,15 @@ def learning_run(root: Path, experiment: Experiment, seed: int, trials: int = 12
         >>> str(learning_run(Path("runs"), load_experiment("double_pendulum"), seed=3).out)
         'runs/double_pendulum/seed_3'
     """
-    return Run(root / experiment.name / f"seed_{seed}", partial(_learn, experiment=experiment, seed=seed, trials=trials))
+    return Run(
+        root / experiment.name / f"seed_{seed}",
+        partial(_learn, experiment=experiment, seed=seed, trials=trials),
+    )
 
 
 def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[Path, Report]:
-    """Learn what has not been learned yet, then write ``summary.json`` and the figures to ``results/NAME``.
+    """Learn what has not been learned yet, then write ``summary.json`` and the figures to
+    ``results/NAME``.
 
     A quick reproduction has runs and results of its own, in ``runs/quick`` and ``results/quick``.
 
@@ -123,27 +139,39 @@ def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[P
     out.mkdir(parents=True, exist_ok=True)
     for name, figure in report.figures.items():
         save_figure(figure, out / f"{name}.png")
-    summary = {"experiment": experiment.name, **source, "quick": quick, "headline": report.headline, **report.details}
+    summary = {
+        "experiment": experiment.name,
+        **source,
+        "quick": quick,
+        "headline": report.headline,
+        **report.details,
+    }
     write_json(out / "summary.json", {**summary, "runs": [_origin(run.out) for run in runs]})
     return out, report
 
 
 def finish(runs: Sequence[Run], command: str) -> None:
-    """Learn those runs that are not finished, as many at once as there are cores; each goes on from where it was stopped.
+    """Learn those runs that are not finished, as many at once as there are cores; each goes on from
+    where it was stopped.
 
     Args:
         runs: some may be finished.
         command: said in their summaries.
 
     Raises:
-        RunError: some failed, after the others were given their time; the message has a line for each.
+        RunError: some failed, after the others were given their time; the message has a line for
+            each.
     """
     missing = [run for run in runs if not is_finished(run.out)]
     if not missing:
         return
     jobs = min(joblib.cpu_count(), len(missing))
-    ended = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(joblib.delayed(_attempt)(run, command) for run in missing)
-    complaints = [complaint for complaint in tqdm(ended, total=len(missing), unit="run") if complaint]
+    ended = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(
+        joblib.delayed(_attempt)(run, command) for run in missing
+    )
+    complaints = [
+        complaint for complaint in tqdm(ended, total=len(missing), unit="run") if complaint
+    ]
     if complaints:
         raise RunError("\n".join(sorted(complaints)))
 
@@ -160,12 +188,24 @@ def _attempt(run: Run, command: str) -> str | None:
 
 
 def _learn(out: Path, command: str, experiment: Experiment, seed: int, trials: int) -> None:
-    train(experiment, seed, trials, out, command, progress_bar=False, on_trial=partial(tell_trial, out), resume=True)
+    train(
+        experiment,
+        seed,
+        trials,
+        out,
+        command,
+        progress_bar=False,
+        on_trial=partial(tell_trial, out),
+        resume=True,
+    )
 
 
 def tell_trial(out: Path, trial: Measurement) -> None:
     """Say how a trial of a run went, above the progress bar of all runs."""
-    tqdm.write(f"{out}: trial {trial.trial}, {trial.experience_s:.1f} s of experience, success rate {trial.success_rate:.0%}")
+    tqdm.write(
+        f"{out}: trial {trial.trial}, {trial.experience_s:.1f} s of experience, success rate "
+        f"{trial.success_rate:.0%}"
+    )
 
 
 def _origin(folder: Path) -> dict[str, object]:

@@ -1,4 +1,6 @@
-"""How far ours may be taken from its setting: wider starts, noisy sensors, fewer or more demonstrations."""
+"""How far ours may be taken from its setting: wider starts, noisy sensors, fewer or more
+demonstrations.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +27,16 @@ TRIALS = 13
 STARTS = 100
 START_SEED = 6_000_000  # no start that a run has seen
 PLAIN_START_STD = 0.05  # rad
-VELOCITY_NOISE = 10.0  # 1/s: noise of the velocities, for one of the angles; differences of angles 0.1 s apart have sqrt(2) / 0.1 s of it
+# 1/s: noise of the velocities, for one of the angles; differences of angles 0.1 s apart have
+# sqrt(2) / 0.1 s of it
+VELOCITY_NOISE = 10.0
 RECORDED_SEED = 1  # of the demonstrations beyond the five that come with the package, which have 0
 
 
 def with_start_std(std: float) -> Experiment:
-    """The double pendulum with starts that vary by ``std`` (rad), and in proportion in their velocities; p(x_0) is told."""
+    """The double pendulum with starts that vary by ``std`` (rad), and in proportion in their
+    velocities; p(x_0) is told.
+    """
     experiment = load_experiment("double_pendulum")
     spread = experiment.initial.std * std / PLAIN_START_STD
     return replace(
@@ -41,9 +47,11 @@ def with_start_std(std: float) -> Experiment:
 
 
 def with_noise(std: float) -> Experiment:
-    """The double pendulum whose sensors have noise of ``std`` (rad) in the angles; p(x_0) is what they say of the start.
+    """The double pendulum whose sensors have noise of ``std`` (rad) in the angles; p(x_0) is what
+    they say of the start.
 
-    The states that the policy sees and the model learns from are noisy. So are those by which a run judges its own rollouts.
+    The states that the policy sees and the model learns from are noisy. So are those by which a run
+    judges its own rollouts.
     """
     experiment = load_experiment("double_pendulum")
     noise = std * torch.tensor([1.0, VELOCITY_NOISE, 1.0, VELOCITY_NOISE], dtype=torch.float64)
@@ -55,9 +63,13 @@ def with_noise(std: float) -> Experiment:
 
 
 def with_demonstrations(count: int) -> Experiment:
-    """The double pendulum with the first ``count`` of ten demonstrations; five of them come with the package."""
+    """The double pendulum with the first ``count`` of ten demonstrations; five of them come with
+    the package.
+    """
     demonstrations = ten_demonstrations()
-    return load_experiment("double_pendulum", replace(demonstrations, positions=demonstrations.positions[:count]))
+    return load_experiment(
+        "double_pendulum", replace(demonstrations, positions=demonstrations.positions[:count])
+    )
 
 
 @cache
@@ -102,21 +114,36 @@ class Factor:
 
 
 FACTORS = (
-    Factor("start", "spread of the start, sd (rad)", "rad", (0.05, 0.1, 0.2), PLAIN_START_STD, with_start_std),
-    Factor("noise", "noise of the sensors, sd (rad)", "rad", (0.0, 0.01, 0.02, 0.05), 0.0, with_noise),
+    Factor(
+        "start",
+        "spread of the start, sd (rad)",
+        "rad",
+        (0.05, 0.1, 0.2),
+        PLAIN_START_STD,
+        with_start_std,
+    ),
+    Factor(
+        "noise", "noise of the sensors, sd (rad)", "rad", (0.0, 0.01, 0.02, 0.05), 0.0, with_noise
+    ),
     Factor("demonstrations", "demonstrations", "", (2, 3, 5, 10), 5, with_demonstrations),
 )
 
 
 def varied_experiments() -> dict[str, Experiment]:
     """All experiments of all factors by name, the plain one once."""
-    return {experiment.name: experiment for factor in FACTORS for experiment in factor.experiments()}
+    return {
+        experiment.name: experiment for factor in FACTORS for experiment in factor.experiments()
+    }
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
     """Ours at each level of each factor; the plain double pendulum is learned once for all."""
     seeds, trials = (SEEDS[:1], 3) if quick else (SEEDS, TRIALS)
-    return [learning_run(root, experiment, seed, trials) for experiment in varied_experiments().values() for seed in seeds]
+    return [
+        learning_run(root, experiment, seed, trials)
+        for experiment in varied_experiments().values()
+        for seed in seeds
+    ]
 
 
 def report(folders: Sequence[Path], quick: bool) -> Report:
@@ -125,9 +152,18 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     experiments = varied_experiments()
     runs_each = len(folders) // len(experiments)
     learned = [experiment for experiment in experiments.values() for _ in range(runs_each)]
-    runs = [outcome(folder, experiment, starts, START_SEED) for experiment, folder in zip(learned, folders, strict=True)]
-    rates = {name: [run["success_rate"] for run in runs if run["experiment"] == name] for name in experiments}
-    by_factor = {factor: np.array([rates[experiment.name] for experiment in factor.experiments()]).T for factor in FACTORS}
+    runs = [
+        outcome(folder, experiment, starts, START_SEED)
+        for experiment, folder in zip(learned, folders, strict=True)
+    ]
+    rates = {
+        name: [run["success_rate"] for run in runs if run["experiment"] == name]
+        for name in experiments
+    }
+    by_factor = {
+        factor: np.array([rates[experiment.name] for experiment in factor.experiments()]).T
+        for factor in FACTORS
+    }
     headline = {
         f"success_{name}": rate
         for factor, values in by_factor.items()
@@ -138,4 +174,6 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     return Report(headline, {"robustness": figure}, {"starts": starts, "measured": runs})
 
 
-ROBUSTNESS = PaperExperiment("robustness", "ours with other starts, sensors and demonstrations", needed_runs, report)
+ROBUSTNESS = PaperExperiment(
+    "robustness", "ours with other starts, sensors and demonstrations", needed_runs, report
+)

@@ -1,4 +1,6 @@
-"""The set-up of the experiment with several targets as a picture (Figure 11 (a)): the robot, the balls, the region they may hang in."""
+"""The set-up of the experiment with several targets as a picture (Figure 11 (a)): the robot, the
+balls, the region they may hang in.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +17,26 @@ from torch_pmil.envs.mujoco import open_renderer
 BLUE, CLEAR_BLUE = (0.0, 0.447, 0.698, 1.0), (0.0, 0.447, 0.698, 0.25)
 FRAME = 0.005  # m, radius of the region's edges
 THICKNESS = 0.001  # m
-LOOK_AT, DISTANCE, AZIMUTH, ELEVATION = (0.42, 0.0, 0.86), 2.0, 140.0, -14.0  # m, m, degrees: from the front, to the robot's right
+LOOK_AT, DISTANCE, AZIMUTH, ELEVATION = (
+    (0.42, 0.0, 0.86),
+    2.0,
+    140.0,
+    -14.0,
+)  # m, m, degrees: from the front, to the robot's right
 
 
-def draw_targets(targets: Tensor = TRAINING_TARGETS, region: Tensor = GRID, pixel_size: tuple[int, int] = (600, 800)) -> np.ndarray:
-    """The robot at its start, a ball on its string at each target, and the rectangle around a region in the hitting plane.
+def draw_targets(
+    targets: Tensor = TRAINING_TARGETS,
+    region: Tensor = GRID,
+    pixel_size: tuple[int, int] = (600, 800),
+) -> np.ndarray:
+    """The robot at its start, a ball on its string at each target, and the rectangle around a
+    region in the hitting plane.
 
     Args:
         targets: [y, z] of the balls, (N, 2), m.
-        region: points in the plane, (R, 2), m; the rectangle is the least one that holds all of them.
+        region: points in the plane, (R, 2), m; the rectangle is the least one that holds all of
+            them.
         pixel_size: height and width of the picture.
 
     Returns:
@@ -47,38 +60,78 @@ def draw_targets(targets: Tensor = TRAINING_TARGETS, region: Tensor = GRID, pixe
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         for place in others:
             _add_ball(renderer.scene, model, place.numpy())
-        _add_rectangle(renderer.scene, *(ball_at(corner).numpy() for corner in (region.amin(0), region.amax(0))))
+        _add_rectangle(
+            renderer.scene,
+            *(ball_at(corner).numpy() for corner in (region.amin(0), region.amax(0))),
+        )
         return renderer.render()
 
 
 def _camera() -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
-    camera.lookat, camera.distance, camera.azimuth, camera.elevation = LOOK_AT, DISTANCE, AZIMUTH, ELEVATION
+    camera.lookat, camera.distance, camera.azimuth, camera.elevation = (
+        LOOK_AT,
+        DISTANCE,
+        AZIMUTH,
+        ELEVATION,
+    )
     return camera
 
 
 def _add_ball(scene: mujoco.MjvScene, model: mujoco.MjModel, place: np.ndarray) -> None:
     """A ball as the model's own, and its string."""
     radius, knot = model.geom("ball").size, place + model.site("knot").pos
-    _add(scene, mujoco.mjtGeom.mjGEOM_SPHERE, model.mat("ball").rgba, size=np.repeat(radius[:1], 3), place=place)
-    _add_line(scene, model.mat("string").rgba, model.tendon_width[model.tendon("string").id], knot, place + np.array([0.0, 0.0, STRING]))
+    _add(
+        scene,
+        mujoco.mjtGeom.mjGEOM_SPHERE,
+        model.mat("ball").rgba,
+        size=np.repeat(radius[:1], 3),
+        place=place,
+    )
+    _add_line(
+        scene,
+        model.mat("string").rgba,
+        model.tendon_width[model.tendon("string").id],
+        knot,
+        place + np.array([0.0, 0.0, STRING]),
+    )
 
 
 def _add_rectangle(scene: mujoco.MjvScene, low: np.ndarray, high: np.ndarray) -> None:
     """A clear rectangle between two corners of the plane, and its edges."""
-    _add(scene, mujoco.mjtGeom.mjGEOM_BOX, CLEAR_BLUE, size=(high - low) / 2 + np.array([THICKNESS, 0.0, 0.0]), place=(low + high) / 2)
+    _add(
+        scene,
+        mujoco.mjtGeom.mjGEOM_BOX,
+        CLEAR_BLUE,
+        size=(high - low) / 2 + np.array([THICKNESS, 0.0, 0.0]),
+        place=(low + high) / 2,
+    )
     corners = np.array([low, [low[0], high[1], low[2]], high, [low[0], low[1], high[2]]])
     for start, end in zip(corners, np.roll(corners, -1, 0), strict=True):
         _add_line(scene, BLUE, FRAME, start, end)
 
 
-def _add(scene: mujoco.MjvScene, kind: mujoco.mjtGeom, colour: Sequence[float], size: np.ndarray, place: np.ndarray) -> mujoco.MjvGeom:
+def _add(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    colour: Sequence[float],
+    size: np.ndarray,
+    place: np.ndarray,
+) -> mujoco.MjvGeom:
     geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(geom, kind, size, place, np.eye(3).flatten(), np.asarray(colour, dtype=np.float32))
+    mujoco.mjv_initGeom(
+        geom, kind, size, place, np.eye(3).flatten(), np.asarray(colour, dtype=np.float32)
+    )
     scene.ngeom += 1
     return geom
 
 
-def _add_line(scene: mujoco.MjvScene, colour: Sequence[float], radius: float, start: np.ndarray, end: np.ndarray) -> None:
+def _add_line(
+    scene: mujoco.MjvScene,
+    colour: Sequence[float],
+    radius: float,
+    start: np.ndarray,
+    end: np.ndarray,
+) -> None:
     geom = _add(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, colour, np.zeros(3), start)
     mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)

@@ -23,7 +23,9 @@ def main() -> None:
         sys.exit(f"expected one argument, the folder of the archives, got {len(sys.argv) - 1}")
     folder, tracked = Path(sys.argv[1]), tracked_files()
     source, wheel = only(folder, "*.tar.gz"), only(folder, "*.whl")
-    in_source = {name for name in source_files(source) - MADE if not name.startswith("torch_pmil.egg-info/")}
+    in_source = {
+        name for name in source_files(source) - MADE if not name.startswith("torch_pmil.egg-info/")
+    }
     in_wheel = {name for name in wheel_files(wheel) if ".dist-info/" not in name}
     compare(source, in_source, tracked)
     compare(wheel, in_wheel, {name for name in tracked if name.startswith(PACKAGE)})
@@ -35,10 +37,21 @@ def main() -> None:
 
 def tracked_files() -> set[str]:
     """What git holds. A link to a folder is the files of that folder, as in an archive."""
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     names = set(filter(None, listed.stdout.split("\0")))
-    links = {name: (ROOT / name).resolve().relative_to(ROOT).as_posix() for name in names if (ROOT / name).is_dir()}
-    behind = {link + name.removeprefix(folder) for link, folder in links.items() for name in names if name.startswith(f"{folder}/")}
+    links = {
+        name: (ROOT / name).resolve().relative_to(ROOT).as_posix()
+        for name in names
+        if (ROOT / name).is_dir()
+    }
+    behind = {
+        link + name.removeprefix(folder)
+        for link, folder in links.items()
+        for name in names
+        if name.startswith(f"{folder}/")
+    }
     return (names - links.keys()) | behind
 
 
@@ -66,7 +79,10 @@ def compare(archive: Path, held: set[str], wanted: set[str]) -> None:
     """Exit with 1 unless the archive holds what it should and nothing else."""
     for names, verb in ((wanted - held, "lacks"), (held - wanted, "holds what git does not:")):
         if names:
-            sys.exit(f"{archive} {verb} {', '.join(sorted(names)[:10])}{' ...' if len(names) > 10 else ''}")
+            sys.exit(
+                f"{archive} {verb} "
+                f"{', '.join(sorted(names)[:10])}{' ...' if len(names) > 10 else ''}"
+            )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""Let the expert demonstrate a task in simulation and record what an observer sees: positions, no torques.
+"""Let the expert demonstrate a task in simulation and record what an observer sees: positions, no
+torques.
 
 Example:
     python scripts/record_demonstrations.py experiment=double_pendulum seed=0 out=demonstrations.npz
@@ -29,13 +30,23 @@ from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.envs.teachers import reaching
-from torch_pmil.envs.teachers.gym_experts import CART_STEPS, PENDULUM_STEPS, balancing_expert, pendulum_expert
+from torch_pmil.envs.teachers.gym_experts import (
+    CART_STEPS,
+    PENDULUM_STEPS,
+    balancing_expert,
+    pendulum_expert,
+)
 from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
 from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_expert
 from torch_pmil.envs.teachers.trajectory_optimization import Array
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.tasks.biorob import biorob_space
-from torch_pmil.experiments.tasks.double_pendulum import REACH_DISTANCE, SUCCESS_DISTANCE, distance_from_target, distance_from_upright
+from torch_pmil.experiments.tasks.double_pendulum import (
+    REACH_DISTANCE,
+    SUCCESS_DISTANCE,
+    distance_from_target,
+    distance_from_upright,
+)
 from torch_pmil.experiments.tasks.gym_pendulum import gym_pendulum_space
 from torch_pmil.experiments.tasks.inverted_pendulum import inverted_pendulum_space
 
@@ -55,7 +66,8 @@ def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
 
     Args:
         seed: of the starts and of the expert's noise.
-        torque_noise: standard deviation of what the expert adds to its torques, drawn anew at each step, in N·m.
+        torque_noise: standard deviation of what the expert adds to its torques, drawn anew at each
+            step, in N·m.
 
     Raises:
         RuntimeError: a demonstration did not stay upright.
@@ -67,49 +79,83 @@ def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
 
 
 def record_double_pendulum_targets(seed: int, torque_noise: float) -> Demonstrations:
-    """Three motions to each training target, from starts drawn with the seed, all successful; see ``record_double_pendulum``."""
+    """Three motions to each training target, from starts drawn with the seed, all successful; see
+    ``record_double_pendulum``.
+    """
     targets = reaching.TRAINING_TARGETS.repeat_interleave(REACHES, 0)
     env = DoublePendulumEnv(num_envs=len(targets), seed=seed)
     states, torques = reaching.demonstrate_reaching(env, targets, seed, torque_noise)
     check_pendulums("the target", distance_from_target(states, targets), REACH_DISTANCE, torques)
-    return Demonstrations(link_positions(states), env.control_period, LINK_ENDS, targets, ("x", "y"))
+    return Demonstrations(
+        link_positions(states), env.control_period, LINK_ENDS, targets, ("x", "y")
+    )
 
 
 def check_pendulums(goal: str, distances: Tensor, tolerance: float, torques: Tensor) -> None:
-    """Print a row for each of N demonstrations, with distances (N,) in m and torques (N, T, 2) in N·m.
+    """Print a row for each of N demonstrations, with distances (N,) in m and torques (N, T, 2) in
+    N·m.
 
     Raises:
         RuntimeError: one did not stay at its goal.
     """
     title = f"largest distance from {goal} in the last 0.5 s (m)"
     print(f"demonstration  {title}  peak torque (N·m)")
-    for number, (distance, peak) in enumerate(zip(distances.tolist(), torques.abs().amax((1, 2)).tolist(), strict=True)):
+    for number, (distance, peak) in enumerate(
+        zip(distances.tolist(), torques.abs().amax((1, 2)).tolist(), strict=True)
+    ):
         print(f"{number:13d}  {distance:{len(title)}.4f}  {peak:17.3f}")
     if not (distances < tolerance).all():
-        raise RuntimeError(f"a demonstration must stay within {tolerance} m, got {distances.max():.3f} m")
+        raise RuntimeError(
+            f"a demonstration must stay within {tolerance} m, got {distances.max():.3f} m"
+        )
 
 
 def record_inverted_pendulum(seed: int, torque_noise: float) -> Demonstrations:
     """Ten recoveries of gymnasium's InvertedPendulum-v5, all successful."""
     env = inverted_pendulum_env(CART_DEMONSTRATIONS, seed=seed)
-    return record_expert("inverted_pendulum", env, inverted_pendulum_space(), balancing_expert(), CART_STEPS, seed, torque_noise)
+    return record_expert(
+        "inverted_pendulum",
+        env,
+        inverted_pendulum_space(),
+        balancing_expert(),
+        CART_STEPS,
+        seed,
+        torque_noise,
+    )
 
 
 def record_gym_pendulum(seed: int, torque_noise: float) -> Demonstrations:
     """Five swing-ups of gymnasium's Pendulum-v1, all successful."""
     env = gym_pendulum_env(DEMONSTRATIONS, seed=seed)
-    return record_expert("gym_pendulum", env, gym_pendulum_space(), pendulum_expert(), PENDULUM_STEPS, seed, torque_noise)
+    return record_expert(
+        "gym_pendulum",
+        env,
+        gym_pendulum_space(),
+        pendulum_expert(),
+        PENDULUM_STEPS,
+        seed,
+        torque_noise,
+    )
 
 
 def record_expert(
-    name: str, env: AdaptedEnv, space: StateSpace, expert: Expert, steps: int, seed: int, torque_noise: float
+    name: str,
+    env: AdaptedEnv,
+    space: StateSpace,
+    expert: Expert,
+    steps: int,
+    seed: int,
+    torque_noise: float,
 ) -> Demonstrations:
     """What is seen of an expert, one demonstration of each robot of the environment.
 
     Raises:
         RuntimeError: a demonstration is none of the experiment's successes.
     """
-    noise, time = np.random.default_rng(seed).normal(size=(steps, *env.action_spec.shape)), itertools.count()
+    noise, time = (
+        np.random.default_rng(seed).normal(size=(steps, *env.action_spec.shape)),
+        itertools.count(),
+    )
 
     def imprecise_expert(tensordict: TensorDictBase) -> TensorDictBase:
         step = next(time)
@@ -117,24 +163,33 @@ def record_expert(
         return tensordict.set("action", env.action_spec.project(torch.from_numpy(actions)))
 
     rollout = env.rollout(steps, imprecise_expert)
-    demonstrations = Demonstrations(space.match(states_of(rollout)), env.control_period, space.match.names)
+    demonstrations = Demonstrations(
+        space.match(states_of(rollout)), env.control_period, space.match.names
+    )
     experiment = load_experiment(name, demonstrations)
     errors, peaks = experiment.error(rollout), rollout["action"].abs().amax((1, 2))
     print("demonstration  error  peak action")
     for number, (error, peak) in enumerate(zip(errors.tolist(), peaks.tolist(), strict=True)):
         print(f"{number:13d}  {error:5.3f}  {peak:11.3f}")
     if not (errors <= experiment.tolerance).all():
-        raise RuntimeError(f"a demonstration must have an error of at most {experiment.tolerance}, got {errors.max():.3f}")
+        raise RuntimeError(
+            f"a demonstration must have an error of at most {experiment.tolerance}, got "
+            f"{errors.max():.3f}"
+        )
     return demonstrations
 
 
 def record_biorob(seed: int, torque_noise: None) -> Demonstrations:
-    """Three strikes of the BioRob, led by hand, all hits, and aligned in time: people are never on time."""
+    """Three strikes of the BioRob, led by hand, all hits, and aligned in time: people are never on
+    time.
+    """
     return record_strikes(seed, torch.tensor([BALL] * STRIKES, dtype=torch.float64))
 
 
 def record_biorob_targets(seed: int, torque_noise: None) -> Demonstrations:
-    """Two strikes of the BioRob at each of three balls in the hitting plane, led by hand, all hits, all six aligned in time."""
+    """Two strikes of the BioRob at each of three balls in the hitting plane, led by hand, all hits,
+    all six aligned in time.
+    """
     targets = hitting_plane.TRAINING_TARGETS.repeat_interleave(STRIKES_AT_A_TARGET, 0)
     strikes = record_strikes(seed, hitting_plane.ball_at(targets))
     return replace(strikes, targets=targets, target_names=hitting_plane.TARGET_NAMES)
@@ -149,14 +204,21 @@ def record_strikes(seed: int, balls: Tensor) -> Demonstrations:
     generator, recordings = np.random.default_rng(seed), []
     for ball in balls:
         model = biorob_model(ball)
-        recordings.append(record_strike(model, Variation().of(Strike().towards(ball.numpy(), model), model, generator)))
+        recordings.append(
+            record_strike(
+                model, Variation().of(Strike().towards(ball.numpy(), model), model, generator)
+            )
+        )
     print("demonstration  time of the hit (s)")
     for number, recording in enumerate(recordings):
         print(f"{number:13d}  {recording.hit_time or float('nan'):19.3f}")
     if not all(recording.hit_time for recording in recordings):
         raise RuntimeError("every demonstration must hit the ball")
     stride = round(RECORDED_PERIOD / recordings[0].time_step)
-    aligned = align([torch.from_numpy(recording.states[::stride]) for recording in recordings], velocities=(3, 4, 5))
+    aligned = align(
+        [torch.from_numpy(recording.states[::stride]) for recording in recordings],
+        velocities=(3, 4, 5),
+    )
     space, period = biorob_space(), BioRobEnv().control_period
     return Demonstrations(aligned[:, :: round(period / RECORDED_PERIOD)], period, space.match.names)
 
@@ -177,7 +239,10 @@ def torque_noise_of(config: DictConfig) -> float | None:
     if config.experiment not in LED_BY_HAND:
         return TORQUE_NOISE if config.torque_noise is None else config.torque_noise
     if config.torque_noise is not None:
-        raise ValueError(f"torque_noise must be null for {config.experiment}, which is led by hand, got {config.torque_noise}")
+        raise ValueError(
+            f"torque_noise must be null for {config.experiment}, which is led by hand, got "
+            f"{config.torque_noise}"
+        )
     return None
 
 

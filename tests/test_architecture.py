@@ -17,12 +17,31 @@ PACKAGE = Path(torch_pmil.__file__).parent
 FLOORS = (  # bottom first; modules of one floor may import each other
     {"envs", "files"},  # know nothing of the mathematics, see below
     {"functions", "gaussian", "lbfgs", "first_motion"},
-    {"recurrence", "trigonometry", "kernel_expansion", "exponential_sums", "kl", "saturating_cost", "marginal_likelihood", "writing"},
+    {
+        "recurrence",
+        "trigonometry",
+        "kernel_expansion",
+        "exponential_sums",
+        "kl",
+        "saturating_cost",
+        "marginal_likelihood",
+        "writing",
+    },
     {"gaussian_integrals"},
     {"moment_matching"},
     {"linearised_moments"},
     {"state_space"},
-    {"demonstrations", "alignment", "drawing", "smoothing", "jumps", "camera", "modes", "demonstration_checks", "diagnosis"}
+    {
+        "demonstrations",
+        "alignment",
+        "drawing",
+        "smoothing",
+        "jumps",
+        "camera",
+        "modes",
+        "demonstration_checks",
+        "diagnosis",
+    }
     | {"expert", "evaluation", "trigonometric_polynomial"},
     {"dynamics", "hyperparameters", "experience", "policy", "sampling_frequency"},
     {"linearised_step", "state_policy", "saved_policy", "calibration"},
@@ -38,16 +57,32 @@ FLOORS = (  # bottom first; modules of one floor may import each other
     {"video", "report", "configs", "__main__"},  # command lines may use everything
 )
 LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
-MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {"envs", "files", "demonstrations"}
+MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {
+    "envs",
+    "files",
+    "demonstrations",
+}
 ABOVE_SEARCH = {room for room in LEVEL if LEVEL[room] > LEVEL["policy_search"]}
 DRAWN = {"plotting", "video", "report"}
-OF_TORCHRL = {"envs", "experience", "state_policy", "trajectory_loss", "objective"} | ABOVE_SEARCH - {"baselines"} - DRAWN
+OF_TORCHRL = {
+    "envs",
+    "experience",
+    "state_policy",
+    "trajectory_loss",
+    "objective",
+} | ABOVE_SEARCH - {"baselines"} - DRAWN
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 
 def room_of(path: Path) -> str:
-    """The part of the package that a file belongs to: its own name, or its folder's. A folder's command line is apart."""
-    return path.stem if path.stem == "__main__" else path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    """The part of the package that a file belongs to: its own name, or its folder's. A folder's
+    command line is apart.
+    """
+    return (
+        path.stem
+        if path.stem == "__main__"
+        else path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    )
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
@@ -90,15 +125,24 @@ def test_nobody_imports_the_package_itself(path: Path) -> None:
 
 
 def test_environments_import_no_mathematics() -> None:
-    assert not {room for path in (PACKAGE / "envs").rglob("*.py") for room in imported_rooms(path)} & MATHEMATICS
+    assert (
+        not {room for path in (PACKAGE / "envs").rglob("*.py") for room in imported_rooms(path)}
+        & MATHEMATICS
+    )
 
 
 def test_mathematics_imports_no_environment() -> None:
-    assert not [path.name for path in FILES if room_of(path) in MATHEMATICS and "envs" in imported_rooms(path)]
+    assert not [
+        path.name
+        for path in FILES
+        if room_of(path) in MATHEMATICS and "envs" in imported_rooms(path)
+    ]
 
 
 def test_demonstrations_are_files_alone() -> None:
-    modules = [path for path in (PACKAGE / "demonstrations").glob("*.py") if path.stem != "__main__"]
+    modules = [
+        path for path in (PACKAGE / "demonstrations").glob("*.py") if path.stem != "__main__"
+    ]
     assert {room for path in modules for room in imported_rooms(path)} == {"files"}
 
 
@@ -114,10 +158,17 @@ def test_matplotlib_is_imported_in_plotting_alone(path: Path) -> None:
 
 @each_file
 def test_functions_import_nothing(path: Path) -> None:
-    functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))]
+    functions = [
+        node
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+    ]
     assert not {name for function in functions for name in imports(function)}
 
 
 def test_importing_the_experiments_draws_nothing() -> None:
     told = "import sys, torch_pmil.experiments; sys.exit('matplotlib' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", told], cwd=PACKAGE.parent, check=False).returncode == 0
+    assert (
+        subprocess.run([sys.executable, "-c", told], cwd=PACKAGE.parent, check=False).returncode
+        == 0
+    )

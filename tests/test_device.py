@@ -13,15 +13,22 @@ from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.particles import sample_trajectories
 
 SPACE = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s")))
-DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"))]
+DEVICES = [
+    "cpu",
+    pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")),
+]
 
 
 def results(device: str) -> list[Tensor]:
-    """Likelihood of a fit, both losses and those of the mean with their policy gradients, and of samples; computed on a device."""
+    """Likelihood of a fit, both losses and those of the mean with their policy gradients, and of
+    samples; computed on a device.
+    """
     draws = Draws(seed=0)
     states, actions = draws.uniform(-1.5, 1.5, 60, 2), draws.uniform(-2, 2, 60, 1)
     inputs = torch.cat([SPACE.features(states), actions], -1)
-    change = 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1) + 0.01 * draws.normal(60, 2)
+    change = 0.1 * torch.stack(
+        [inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1
+    ) + 0.01 * draws.normal(60, 2)
     policy = RBFPolicy(draws.normal(10, 3), torch.tensor([2.0]), torch.ones(3))
     policy.weights.data.copy_(0.5 * draws.normal(10, 1))
     expert = Gaussian(draws.normal(8, 2), draws.cov(8, 2))
@@ -29,13 +36,17 @@ def results(device: str) -> list[Tensor]:
     dynamics = GPDynamics(4, 2).to(device)
     likelihood = dynamics.fit(inputs.to(device), change.to(device)).negative_log_likelihood
     kl = TrajectoryKLLoss(policy, dynamics, SPACE, expert, noise_std=0.1).to(device)
-    cost = ExpectedSaturatingCost(policy, dynamics, SPACE, expert.mean[-1], width=2.0, horizon=8).to(device)
+    cost = ExpectedSaturatingCost(
+        policy, dynamics, SPACE, expert.mean[-1], width=2.0, horizon=8
+    ).to(device)
     belief = {"observation_mean": initial.mean, "observation_var": initial.cov}
     values = [likelihood, kl(**belief).detach(), cost(**belief).detach()]
     for per_step in (kl.per_step, kl.mean_per_step, cost.per_step, cost.mean_per_step):
         value = per_step(initial)
         values += [value.detach(), *torch.autograd.grad(value.sum(), list(policy.parameters()))]
-    particles = sample_trajectories(initial, policy, dynamics, SPACE, 3, 4, torch.Generator().manual_seed(0))
+    particles = sample_trajectories(
+        initial, policy, dynamics, SPACE, 3, 4, torch.Generator().manual_seed(0)
+    )
     values += [particles.detach(), *torch.autograd.grad(particles.sum(), list(policy.parameters()))]
     return [value.cpu() for value in values]
 

@@ -59,20 +59,28 @@ def test_block_that_raises_before_it_writes_leaves_nothing(tmp_path: Path) -> No
 
 
 def test_temporary_name_lies_in_the_same_folder_and_keeps_the_suffix(tmp_path: Path) -> None:
-    """A rename is atomic within one file system only, and writers choose their format by the suffix."""
+    """A rename is atomic within one file system only, and writers choose their format by the
+    suffix.
+    """
     with replacing(tmp_path / "video.mp4") as temporary:
         temporary.write_text("")
         assert (temporary.parent, temporary.suffix) == (tmp_path, ".mp4")
 
 
 def test_folder_that_is_not_there_is_an_oserror_of_the_writer(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError), replacing(tmp_path / "nowhere" / "numbers.csv") as temporary:
+    with (
+        pytest.raises(FileNotFoundError),
+        replacing(tmp_path / "nowhere" / "numbers.csv") as temporary,
+    ):
         temporary.write_text("1,2")
 
 
 def test_path_below_a_file_is_an_oserror(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("old")
-    with pytest.raises(NotADirectoryError), replacing(tmp_path / "file" / "numbers.csv") as temporary:
+    with (
+        pytest.raises(NotADirectoryError),
+        replacing(tmp_path / "file" / "numbers.csv") as temporary,
+    ):
         temporary.write_text("1,2")
     assert (tmp_path / "file").read_text() == "old"
 

@@ -1,4 +1,6 @@
-"""Agreement with the numbers in tests/reference, to 1e-8 of the largest reference entry of each input covariance."""
+"""Agreement with the numbers in tests/reference, to 1e-8 of the largest reference entry of each
+input covariance.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ from torch_pmil.model.rollout import predict_step
 from torch_pmil.search.saturating_cost import expected_saturating_cost
 
 FOLDER = Path(__file__).parent / "reference"
-POLICY_NUGGET = 1e-6  # which the reference adds to the variances of the network, before it is squashed
+POLICY_NUGGET = (
+    1e-6  # which the reference adds to the variances of the network, before it is squashed
+)
 POLICY_NOISE = 1e-4  # in the reference's weights (K + 1e-4 I)^-1 targets
 
 gp_files = pytest.mark.parametrize("name", ["gp_moments_n10_D2_E1", "gp_moments_n60_D6_E4"])
@@ -44,7 +48,9 @@ def assert_agrees(ours: Tensor, reference: Tensor, rounding: Tensor | float = 0.
 
 
 def rounding_of(data: dict[str, Tensor]) -> Tensor:
-    """What float64 may lose, on either side, in a network's covariance: a small difference of sums of terms as large as w_i w_j."""
+    """What float64 may lose, on either side, in a network's covariance: a small difference of sums
+    of terms as large as w_i w_j.
+    """
     return 100 * torch.finfo(torch.float64).eps * data["weights"].square().max()
 
 
@@ -56,16 +62,31 @@ def belief_at(data: dict[str, Tensor], k: int) -> Gaussian:
     return Gaussian(data["m"][k], data["s"][k])
 
 
-def assert_derivatives_agree(function: Callable[..., tuple[Tensor, ...]], data: dict[str, Tensor], k: int, names: dict[str, str]) -> None:
-    """``function(m, s)`` returns one output for each entry of ``names``: derivative wrt m -> derivative wrt s."""
-    for (by_mean, by_cov), (d_mean, d_cov) in zip(names.items(), jacobian(function, (data["m"][k], data["s"][k])), strict=True):
+def assert_derivatives_agree(
+    function: Callable[..., tuple[Tensor, ...]],
+    data: dict[str, Tensor],
+    k: int,
+    names: dict[str, str],
+) -> None:
+    """``function(m, s)`` returns one output for each entry of ``names``: derivative wrt m ->
+    derivative wrt s.
+    """
+    for (by_mean, by_cov), (d_mean, d_cov) in zip(
+        names.items(), jacobian(function, (data["m"][k], data["s"][k])), strict=True
+    ):
         rounding = rounding_of(data) if "weights" in data else 0.0
         assert_agrees(d_mean, data[by_mean][k], rounding)
         assert_agrees(symmetrised(d_cov), data[by_cov][k], rounding)
 
 
 def gp_of(data: dict[str, Tensor]) -> KernelExpansion:
-    return KernelExpansion.from_data(data["X"], data["y"].mT, data["lengthscales"], data["signal_std"].square(), data["noise_std"].square())
+    return KernelExpansion.from_data(
+        data["X"],
+        data["y"].mT,
+        data["lengthscales"],
+        data["signal_std"].square(),
+        data["noise_std"].square(),
+    )
 
 
 @gp_files
@@ -88,7 +109,9 @@ def test_gp_moments_have_the_reference_derivatives(name: str, k: int) -> None:
         result = moment_match(gp, Gaussian(m, s))
         return result.mean, result.cov, result.inv_cov_cross_cov
 
-    assert_derivatives_agree(moments, data, k, {"dM_dm": "dM_ds", "dS_dm": "dS_ds", "dV_dm": "dV_ds"})
+    assert_derivatives_agree(
+        moments, data, k, {"dM_dm": "dM_ds", "dS_dm": "dS_ds", "dV_dm": "dV_ds"}
+    )
 
 
 class ReferenceController(Controller):
@@ -100,34 +123,55 @@ class ReferenceController(Controller):
         return action, raw.inv_cov_cross_cov * slope[..., None, :]
 
 
-def controller_of(log_lengthscales: Tensor, centres: Tensor, targets: Tensor, u_max: Tensor) -> ReferenceController:
+def controller_of(
+    log_lengthscales: Tensor, centres: Tensor, targets: Tensor, u_max: Tensor
+) -> ReferenceController:
     """From the reference's parameters: weights (K_a + 1e-4 I)^-1 targets_a, differentiably."""
     scaled = centres / log_lengthscales.exp()[:, None, :]  # (F, N, D)
     squared_distance = (scaled[:, :, None, :] - scaled[:, None, :, :]).square().sum(-1)
-    gram = torch.exp(-squared_distance / 2) + POLICY_NOISE * torch.eye(len(centres), dtype=torch.float64)
+    gram = torch.exp(-squared_distance / 2) + POLICY_NOISE * torch.eye(
+        len(centres), dtype=torch.float64
+    )
     weights = torch.linalg.solve(gram, targets.mT[..., None])[..., 0]
-    return ReferenceController(KernelExpansion(centres, weights, log_lengthscales.exp(), torch.ones_like(u_max)), u_max)
+    return ReferenceController(
+        KernelExpansion(centres, weights, log_lengthscales.exp(), torch.ones_like(u_max)), u_max
+    )
 
 
-def policy_parameters(data: dict[str, Tensor], log_hyp: str = "log_hyp") -> tuple[Tensor, Tensor, Tensor]:
+def policy_parameters(
+    data: dict[str, Tensor], log_hyp: str = "log_hyp"
+) -> tuple[Tensor, Tensor, Tensor]:
     return data[log_hyp][:-2].mT, data["centres"], data["targets"]
 
 
 def column_major(gradients: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-    """Derivatives wrt log lengthscales (.., F, D), centres (.., N, D) and targets (.., N, F) in the reference's order of parameters."""
+    """Derivatives wrt log lengthscales (.., F, D), centres (.., N, D) and targets (.., N, F) in the
+    reference's order of parameters.
+    """
     lengthscales, centres, targets = gradients
     unused = torch.zeros(*lengthscales.shape[:-1], 2, dtype=torch.float64)
-    return torch.cat([torch.cat([lengthscales, unused], -1).flatten(-2), centres.mT.flatten(-2), targets.mT.flatten(-2)], -1)
+    return torch.cat(
+        [
+            torch.cat([lengthscales, unused], -1).flatten(-2),
+            centres.mT.flatten(-2),
+            targets.mT.flatten(-2),
+        ],
+        -1,
+    )
 
 
 @policy_files
 @covariances
 def test_rbf_network_moments_agree(name: str, k: int) -> None:
     data = load(name)
-    network = KernelExpansion(data["centres"], data["weights"].mT, data["lengthscales"], torch.ones_like(data["maxU"]))
+    network = KernelExpansion(
+        data["centres"], data["weights"].mT, data["lengthscales"], torch.ones_like(data["maxU"])
+    )
     moments = moment_match(network, belief_at(data, k))
     assert_agrees(moments.mean, data["rbf_mean"][k])
-    assert_agrees(moments.gaussian.add_noise(POLICY_NUGGET).cov, data["rbf_cov"][k], rounding_of(data))
+    assert_agrees(
+        moments.gaussian.add_noise(POLICY_NUGGET).cov, data["rbf_cov"][k], rounding_of(data)
+    )
     assert_agrees(moments.inv_cov_cross_cov, data["rbf_C"][k])
 
 
@@ -135,7 +179,9 @@ def test_rbf_network_moments_agree(name: str, k: int) -> None:
 @covariances
 def test_squashed_rbf_network_moments_agree(name: str, k: int) -> None:
     data = load(name)
-    action, inv_cov_cross_cov = controller_of(*policy_parameters(data), data["maxU"]).on_belief(belief_at(data, k))
+    action, inv_cov_cross_cov = controller_of(*policy_parameters(data), data["maxU"]).on_belief(
+        belief_at(data, k)
+    )
     assert_agrees(action.mean, data["rbf_sin_mean"][k])
     assert_agrees(action.cov, data["rbf_sin_cov"][k], rounding_of(data))
     assert_agrees(inv_cov_cross_cov, data["rbf_sin_C"][k])
@@ -143,7 +189,9 @@ def test_squashed_rbf_network_moments_agree(name: str, k: int) -> None:
 
 @policy_files
 @covariances
-def test_squashed_rbf_network_has_the_reference_derivatives_in_the_belief(name: str, k: int) -> None:
+def test_squashed_rbf_network_has_the_reference_derivatives_in_the_belief(
+    name: str, k: int
+) -> None:
     data = load(name)
     controller = controller_of(*policy_parameters(data), data["maxU"])
 
@@ -151,17 +199,27 @@ def test_squashed_rbf_network_has_the_reference_derivatives_in_the_belief(name: 
         action, inv_cov_cross_cov = controller.on_belief(Gaussian(m, s))
         return action.mean, action.cov, inv_cov_cross_cov
 
-    names = {"rbf_sin_dMdm": "rbf_sin_dMds", "rbf_sin_dSdm": "rbf_sin_dSds", "rbf_sin_dCdm": "rbf_sin_dCds"}
+    names = {
+        "rbf_sin_dMdm": "rbf_sin_dMds",
+        "rbf_sin_dSdm": "rbf_sin_dSds",
+        "rbf_sin_dCdm": "rbf_sin_dCds",
+    }
     assert_derivatives_agree(moments, data, k, names)
 
 
 @policy_files
 @covariances
-def test_squashed_rbf_network_has_the_reference_derivatives_in_its_parameters(name: str, k: int) -> None:
-    """The reference's parameters are targets: its derivatives hold those of the weights with respect to all of them."""
+def test_squashed_rbf_network_has_the_reference_derivatives_in_its_parameters(
+    name: str, k: int
+) -> None:
+    """The reference's parameters are targets: its derivatives hold those of the weights with
+    respect to all of them.
+    """
     data = load(name)
 
-    def moments(log_lengthscales: Tensor, centres: Tensor, targets: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def moments(
+        log_lengthscales: Tensor, centres: Tensor, targets: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
         controller = controller_of(log_lengthscales, centres, targets, data["maxU"])
         action, inv_cov_cross_cov = controller.on_belief(belief_at(data, k))
         return action.mean, action.cov, inv_cov_cross_cov
@@ -192,7 +250,9 @@ def test_squashing_agrees(name: str, k: int) -> None:
 
 
 def trigonometric_moments(m: Tensor, s: Tensor, angles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean, covariance and s^-1 cov(x, .) of sin and cos alone, in the reference's order sin, cos, sin, cos."""
+    """Mean, covariance and s^-1 cov(x, .) of sin and cos alone, in the reference's order sin, cos,
+    sin, cos.
+    """
     identity = torch.eye(len(m), dtype=torch.float64)
     sines_and_cosines, inv_cov_cross_cov = augment(Gaussian(m, s), identity[:0], identity[angles])
     order = torch.arange(2 * len(angles)).reshape(2, -1).mT.flatten()
@@ -204,7 +264,9 @@ def trigonometric_moments(m: Tensor, s: Tensor, angles: Tensor) -> tuple[Tensor,
 @covariances
 def test_sin_and_cos_agree(name: str, k: int) -> None:
     data = load(name)
-    mean, cov, inv_cov_cross_cov = trigonometric_moments(data["m"][k], data["s"][k], data["gtrig_idx0"])
+    mean, cov, inv_cov_cross_cov = trigonometric_moments(
+        data["m"][k], data["s"][k], data["gtrig_idx0"]
+    )
     assert_agrees(mean, data["gtrig_mean"][k])
     assert_agrees(cov, data["gtrig_cov"][k])
     assert_agrees(inv_cov_cross_cov, data["gtrig_C"][k])
@@ -230,10 +292,16 @@ def space_of(data: dict[str, Tensor]) -> StateSpace:
 
 
 def feature_order(data: dict[str, Tensor]) -> list[int]:
-    """Where our features [others, sin.., cos..] stand in the reference's [others, sin, cos, sin, cos, ..]."""
+    """Where our features [others, sin.., cos..] stand in the reference's [others, sin, cos, sin,
+    cos, ..].
+    """
     angles = len(data["angle_idx0"])
     others = len(data["m0"]) - angles
-    return [*range(others), *range(others, others + 2 * angles, 2), *range(others + 1, others + 2 * angles, 2)]
+    return [
+        *range(others),
+        *range(others, others + 2 * angles, 2),
+        *range(others + 1, others + 2 * angles, 2),
+    ]
 
 
 def dynamics_of(data: dict[str, Tensor]) -> GPDynamics:
@@ -247,7 +315,9 @@ def dynamics_of(data: dict[str, Tensor]) -> GPDynamics:
     return dynamics
 
 
-def rollout_controller(data: dict[str, Tensor], log_lengthscales: Tensor, centres: Tensor, targets: Tensor) -> Controller:
+def rollout_controller(
+    data: dict[str, Tensor], log_lengthscales: Tensor, centres: Tensor, targets: Tensor
+) -> Controller:
     order = feature_order(data)
     return controller_of(log_lengthscales[:, order], centres[:, order], targets, data["maxU"])
 
@@ -256,8 +326,12 @@ def roll_out(data: dict[str, Tensor], controller: Controller) -> Gaussian:
     """As predict_trajectory, without noise, and with the reference's controller."""
     dynamics, space, states = dynamics_of(data), space_of(data), [Gaussian(data["m0"], data["S0"])]
     for _ in range(int(data["T"])):
-        states.append(predict_step(states[-1], controller, dynamics, space, observation_noise=False))
-    return Gaussian(torch.stack([state.mean for state in states]), torch.stack([state.cov for state in states]))
+        states.append(
+            predict_step(states[-1], controller, dynamics, space, observation_noise=False)
+        )
+    return Gaussian(
+        torch.stack([state.mean for state in states]), torch.stack([state.cov for state in states])
+    )
 
 
 @rollout_files
@@ -291,7 +365,10 @@ def test_first_step_has_the_reference_jacobians_in_the_policy(name: str) -> None
     dynamics, space = dynamics_of(data), space_of(data)
 
     def step(*parameters: Tensor) -> tuple[Tensor, Tensor]:
-        initial, controller = Gaussian(data["m0"], data["S0"]), rollout_controller(data, *parameters)
+        initial, controller = (
+            Gaussian(data["m0"], data["S0"]),
+            rollout_controller(data, *parameters),
+        )
         state = predict_step(initial, controller, dynamics, space, observation_noise=False)
         return state.mean, state.cov
 
@@ -324,9 +401,14 @@ def test_saturating_cost_agrees_with_its_derivatives(name: str, k: int) -> None:
 
 @rollout_files
 @pytest.mark.parametrize(("cost", "key"), [(quadratic_cost, "quad"), (saturating_cost, "sat")])
-def test_rollout_has_the_reference_gradient_of_a_cost(name: str, cost: Callable[..., Tensor], key: str) -> None:
+def test_rollout_has_the_reference_gradient_of_a_cost(
+    name: str, cost: Callable[..., Tensor], key: str
+) -> None:
     data = load(name)
-    parameters = [parameter.clone().requires_grad_() for parameter in policy_parameters(data, "policy_log_hyp")]
+    parameters = [
+        parameter.clone().requires_grad_()
+        for parameter in policy_parameters(data, "policy_log_hyp")
+    ]
     states = roll_out(data, rollout_controller(data, *parameters))[1:]
     total = cost(states, data["W"], data["z"]).sum()
     lengthscales, centres, targets = torch.autograd.grad(total, parameters)

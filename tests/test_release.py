@@ -31,7 +31,12 @@ Check = Callable[[], None]
 def test_version_is_the_same_everywhere() -> None:
     settings = ConfigParser()
     settings.read(ROOT / "setup.cfg")
-    assert torch_pmil.__version__ == settings["metadata"]["version"] == CITATION["version"] == RELEASES[0][0]
+    assert (
+        torch_pmil.__version__
+        == settings["metadata"]["version"]
+        == CITATION["version"]
+        == RELEASES[0][0]
+    )
 
 
 def test_release_is_dated_the_same_everywhere() -> None:
@@ -47,7 +52,10 @@ def test_changes_are_told_release_by_release_the_newest_first_in_the_usual_secti
 def test_citation_has_what_the_format_asks_for_of_the_package_and_of_the_paper() -> None:
     for cited in (CITATION, CITATION["preferred-citation"]):
         assert {"title", "authors", "type"} <= cited.keys()
-        assert all({"name"} <= author.keys() or {"family-names", "given-names"} <= author.keys() for author in cited["authors"])
+        assert all(
+            {"name"} <= author.keys() or {"family-names", "given-names"} <= author.keys()
+            for author in cited["authors"]
+        )
     assert {"cff-version", "message"} <= CITATION.keys()
     assert CITATION["preferred-citation"]["doi"] in (ROOT / "README.md").read_text()
 
@@ -74,19 +82,31 @@ def write_archives(folder: Path, source: Iterable[str], wheel: Iterable[str]) ->
 LICENSE = "torch_pmil-1.dist-info/licenses/LICENSE"
 
 
-def test_archives_that_hold_what_git_holds_pass(check: Check, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_archives_that_hold_what_git_holds_pass(
+    check: Check, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_archives(tmp_path, TRACKED, {*PACKAGE, LICENSE})
     check()
-    assert [re.search(r": (\d+) files", line)[1] for line in capsys.readouterr().out.splitlines()] == ["4", "2"]
+    assert [
+        re.search(r": (\d+) files", line)[1] for line in capsys.readouterr().out.splitlines()
+    ] == ["4", "2"]
 
 
 @pytest.mark.parametrize(
     ("source", "wheel", "complaint"),
     [
         (TRACKED - {"tests/test_a.py"}, {*PACKAGE, LICENSE}, "tar.gz lacks tests/test_a.py"),
-        (TRACKED | {"results/quick/a.json"}, {*PACKAGE, LICENSE}, "tar.gz holds what git does not: results/quick/a.json"),
+        (
+            TRACKED | {"results/quick/a.json"},
+            {*PACKAGE, LICENSE},
+            "tar.gz holds what git does not: results/quick/a.json",
+        ),
         (TRACKED, {"torch_pmil/__init__.py", LICENSE}, "whl lacks torch_pmil/py.typed"),
-        (TRACKED, {*PACKAGE, LICENSE, "tests/test_a.py"}, "whl holds what git does not: tests/test_a.py"),
+        (
+            TRACKED,
+            {*PACKAGE, LICENSE, "tests/test_a.py"},
+            "whl holds what git does not: tests/test_a.py",
+        ),
         (TRACKED, PACKAGE, "whl lacks the LICENSE"),
     ],
 )
@@ -103,7 +123,9 @@ def test_missing_archive_is_named(check: Check, tmp_path: Path) -> None:
         check()
 
 
-def test_link_to_a_folder_counts_as_its_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_link_to_a_folder_counts_as_its_files(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "docs").mkdir()
     (tmp_path / "notebooks").mkdir()
     (tmp_path / "notebooks" / "01.ipynb").write_text("{}")

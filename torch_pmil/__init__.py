@@ -1,4 +1,5 @@
-"""Probabilistic model-based imitation learning (Englert, Paraschos, Peters, Deisenroth 2013) in PyTorch.
+"""Probabilistic model-based imitation learning (Englert, Paraschos, Peters, Deisenroth 2013) in
+PyTorch.
 
 Rooms, each above those that it imports:
 
@@ -16,7 +17,8 @@ Rooms, each above those that it imports:
 ``cli``                the commands of ``pmil``
 =====================  ========================================================================================
 
-Every public name is imported when it is first asked for, so that a part costs no more than what it uses.
+Every public name is imported when it is first asked for, so that a part costs no more than what it
+uses.
 """
 
 from __future__ import annotations
@@ -27,10 +29,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torch_pmil import envs as envs
-    from torch_pmil.control.policy_file import PolicyFileError as PolicyFileError, load_policy as load_policy, save_policy as save_policy
+    from torch_pmil.control.policy_file import (
+        PolicyFileError as PolicyFileError,
+        load_policy as load_policy,
+        save_policy as save_policy,
+    )
     from torch_pmil.control.rbf_policy import RBFPolicy as RBFPolicy
     from torch_pmil.control.state_policy import StatePolicy as StatePolicy
-    from torch_pmil.control.state_space import MatchSpace as MatchSpace, StateSpace as StateSpace, joint_match as joint_match
+    from torch_pmil.control.state_space import (
+        MatchSpace as MatchSpace,
+        StateSpace as StateSpace,
+        joint_match as joint_match,
+    )
     from torch_pmil.demonstrations import (
         DemonstrationError as DemonstrationError,
         Demonstrations as Demonstrations,
@@ -39,14 +49,23 @@ if TYPE_CHECKING:
         shipped_demonstrations as shipped_demonstrations,
     )
     from torch_pmil.demonstrations.distribution import expert_distribution as expert_distribution
-    from torch_pmil.demonstrations.preparation.alignment import AlignmentError as AlignmentError, align as align
+    from torch_pmil.demonstrations.preparation.alignment import (
+        AlignmentError as AlignmentError,
+        align as align,
+    )
     from torch_pmil.experiments import Experiment as Experiment, load_experiment as load_experiment
-    from torch_pmil.gp.gaussian import Gaussian as Gaussian, NotPositiveDefiniteError as NotPositiveDefiniteError
+    from torch_pmil.gp.gaussian import (
+        Gaussian as Gaussian,
+        NotPositiveDefiniteError as NotPositiveDefiniteError,
+    )
     from torch_pmil.gp.kernel_expansion import KernelExpansion as KernelExpansion
     from torch_pmil.gp.moment_matching import Moments as Moments, moment_match as moment_match
     from torch_pmil.model.dynamics import GPDynamics as GPDynamics
     from torch_pmil.model.experience import Experience as Experience
-    from torch_pmil.model.particles import ParticlePrediction as ParticlePrediction, sample_trajectories as sample_trajectories
+    from torch_pmil.model.particles import (
+        ParticlePrediction as ParticlePrediction,
+        sample_trajectories as sample_trajectories,
+    )
     from torch_pmil.model.rollout import (
         PredictionError as PredictionError,
         predict_step as predict_step,
@@ -58,14 +77,19 @@ if TYPE_CHECKING:
         score_frequencies as score_frequencies,
     )
     from torch_pmil.search.kl import gaussian_kl as gaussian_kl, trajectory_kl as trajectory_kl
-    from torch_pmil.search.losses import ExpectedSaturatingCost as ExpectedSaturatingCost, TrajectoryKLLoss as TrajectoryKLLoss
+    from torch_pmil.search.losses import (
+        ExpectedSaturatingCost as ExpectedSaturatingCost,
+        TrajectoryKLLoss as TrajectoryKLLoss,
+    )
     from torch_pmil.search.multi_target_loss import MultiTargetKLLoss as MultiTargetKLLoss
     from torch_pmil.search.policy_search import (
         SearchResult as SearchResult,
         SearchSettings as SearchSettings,
         search_policy as search_policy,
     )
-    from torch_pmil.search.saturating_cost import expected_saturating_cost as expected_saturating_cost
+    from torch_pmil.search.saturating_cost import (
+        expected_saturating_cost as expected_saturating_cost,
+    )
     from torch_pmil.trainer.lbfgs_stepper import LBFGSStepper as LBFGSStepper
     from torch_pmil.trainer.trainer import PMILTrainer as PMILTrainer
     from torch_pmil.trainer.trials import Trial as Trial

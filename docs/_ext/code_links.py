@@ -1,7 +1,8 @@
-"""The role ``{code}`torch_pmil.search.kl.gaussian_kl```: a link to the line at which the source of this object begins.
+"""The role ``{code}`torch_pmil.search.kl.gaussian_kl```: a link to the line at which the source of
+this object begins.
 
-The page it leads to is one of ``sphinx.ext.viewcode``, a part of the documentation. An object that is not there, or that the API
-reference does not hold, is a warning, with which the build fails.
+The page it leads to is one of ``sphinx.ext.viewcode``, a part of the documentation. An object that
+is not there, or that the API reference does not hold, is a warning, with which the build fails.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ class CodeRole(SphinxRole):
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
         module, name, line = locate(self.text)
         node = code_link(module=module, name=name, told=self.text)
-        node += nodes.literal(text=f"{name} ({module.rpartition('.')[2]}.py:{line})" if line else self.text)
+        node += nodes.literal(
+            text=f"{name} ({module.rpartition('.')[2]}.py:{line})" if line else self.text
+        )
         node.source, node.line = self.get_source_info()
         return [node], []
 

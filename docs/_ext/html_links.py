@@ -7,7 +7,14 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-LINKS = {"a": "href", "link": "href", "img": "src", "script": "src", "source": "src", "video": "src"}
+LINKS = {
+    "a": "href",
+    "link": "href",
+    "img": "src",
+    "script": "src",
+    "source": "src",
+    "video": "src",
+}
 
 
 class _Page(HTMLParser):
@@ -36,6 +43,10 @@ def broken_links(folder: Path) -> Iterator[tuple[str, str]]:
             if url.scheme or url.netloc:
                 continue
             target = (path.parent / unquote(url.path)).resolve() if url.path else path
-            there = target in pages and unquote(url.fragment) in pages[target].anchors if target.suffix == ".html" else target.is_file()
+            there = (
+                target in pages and unquote(url.fragment) in pages[target].anchors
+                if target.suffix == ".html"
+                else target.is_file()
+            )
             if not there:
                 yield str(path.relative_to(folder)), link

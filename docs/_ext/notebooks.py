@@ -1,4 +1,6 @@
-"""Links between notebooks: they are pages by way of the link ``docs/notebooks``, which MyST follows to where they are."""
+"""Links between notebooks: they are pages by way of the link ``docs/notebooks``, which MyST follows
+to where they are.
+"""
 
 from __future__ import annotations
 

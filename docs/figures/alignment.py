@@ -1,4 +1,5 @@
-"""Draw the picture of docs/demonstrations.md: swing-ups with artificial timing, before and after their alignment.
+"""Draw the picture of docs/demonstrations.md: swing-ups with artificial timing, before and after
+their alignment.
 
 Example:
     python docs/figures/alignment.py
@@ -22,11 +23,17 @@ PACES = 0.04  # standard deviation of the moments, as a fraction of the duration
 
 def shown_by_people(seed: int) -> list[torch.Tensor]:
     """The shipped swing-ups at 100 Hz, each at a pace of its own."""
-    draws, shown, shipped = np.random.default_rng(seed), [], shipped_demonstrations("double_pendulum")
+    draws, shown, shipped = (
+        np.random.default_rng(seed),
+        [],
+        shipped_demonstrations("double_pendulum"),
+    )
     for positions in shipped.positions.numpy():
         steps = round(shipped.duration / STEP * draws.uniform(0.85, 1.15))
         moments = np.linspace(0, 1, 6)
-        pace = PchipInterpolator(moments, np.sort(moments + np.r_[0, PACES * draws.normal(size=4), 0]))
+        pace = PchipInterpolator(
+            moments, np.sort(moments + np.r_[0, PACES * draws.normal(size=4), 0])
+        )
         motion = CubicSpline(np.linspace(0, 1, len(positions)), positions)
         shown.append(torch.from_numpy(motion(pace(np.linspace(0, 1, steps + 1)))))
     return shown
@@ -46,7 +53,9 @@ def main() -> None:
             panels[row, 0].set_ylabel(f"{name} (m)")
             for trajectory in trajectories:
                 time = STEP * np.arange(len(trajectory))
-                panels[row, column].plot(time, trajectory[:, 2 + row], color=BLUE, linewidth=1.0, alpha=0.8)
+                panels[row, column].plot(
+                    time, trajectory[:, 2 + row], color=BLUE, linewidth=1.0, alpha=0.8
+                )
     save_figure(figure, Path(__file__).with_suffix(".png"))
 
 

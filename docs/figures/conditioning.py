@@ -1,6 +1,8 @@
-"""Draw the pictures of docs/demonstrations.md: what each step makes of strokes that a camera tracked, with jumps, noise and pixels.
+"""Draw the pictures of docs/demonstrations.md: what each step makes of strokes that a camera
+tracked, with jumps, noise and pixels.
 
-The strokes are drawn at random, an arc of 0.8 s at 60 pictures a second; no recording is needed. Also the three steps' figures in numbers.
+The strokes are drawn at random, an arc of 0.8 s at 60 pictures a second; no recording is needed.
+Also the three steps' figures in numbers.
 
 Example:
     python docs/figures/conditioning.py
@@ -20,9 +22,18 @@ from torch_pmil.demonstrations.preparation.jumps import without_jumps
 from torch_pmil.demonstrations.preparation.smoothing import smooth, velocities
 from torch_pmil.plotting import plot_before_after, save_figure
 
-RATE, STROKES, NOISE, FASTEST, PERIOD, STEP = 60.0, 5, 2.0, 3.0, 0.15, 0.1  # Hz, -, pixels, m/s, s, s
+RATE, STROKES, NOISE, FASTEST, PERIOD, STEP = (
+    60.0,
+    5,
+    2.0,
+    3.0,
+    0.15,
+    0.1,
+)  # Hz, -, pixels, m/s, s, s
 SCALE = 1500.0  # pixels in a metre
-MARKERS = torch.tensor([[300.0, 1000.0], [1500.0, 1000.0], [1500.0, 250.0], [300.0, 250.0]], dtype=torch.float64)
+MARKERS = torch.tensor(
+    [[300.0, 1000.0], [1500.0, 1000.0], [1500.0, 250.0], [300.0, 250.0]], dtype=torch.float64
+)
 PLACES = torch.tensor([[0.0, 0.0], [0.8, 0.0], [0.8, 0.5], [0.0, 0.5]], dtype=torch.float64)  # m
 NAMES, UNITS = ("x", "y"), ("m", "m")
 FOLDER = Path(__file__).parent
@@ -30,8 +41,12 @@ Timed = tuple[Tensor, Tensor]
 
 
 def tracked(draws: torch.Generator) -> tuple[Timed, Timed]:
-    """A stroke as a camera saw it, in pixels, and its places and velocities as they were, in m and m/s, (T, 4)."""
-    rest, duration, height = (torch.rand(3, generator=draws).double() * torch.tensor([0.2, 0.3, 0.06])).tolist()
+    """A stroke as a camera saw it, in pixels, and its places and velocities as they were, in m and
+    m/s, (T, 4).
+    """
+    rest, duration, height = (
+        torch.rand(3, generator=draws).double() * torch.tensor([0.2, 0.3, 0.06])
+    ).tolist()
     times = torch.arange(0, 0.3 + rest + 0.8 + duration + 0.2, 1 / RATE, dtype=torch.float64)
     s = ((times - 0.1 - rest) / (0.8 + duration)).clamp(0, 1)
     phase, rate = 10 * s**3 - 15 * s**4 + 6 * s**5, 30 * (s * (1 - s)) ** 2 / (0.8 + duration)
@@ -41,7 +56,9 @@ def tracked(draws: torch.Generator) -> tuple[Timed, Timed]:
     pixels = torch.stack([300 + SCALE * motion[:, 0], 1000 - SCALE * motion[:, 1]], -1)
     pixels += NOISE * torch.randn(pixels.shape, generator=draws).double()
     first = int(torch.randint(10, len(times) - 20, (1,), generator=draws))
-    pixels[first : first + 3] = torch.tensor([1600.0, 300.0]).double()  # something else that looks alike
+    pixels[first : first + 3] = torch.tensor(
+        [1600.0, 300.0]
+    ).double()  # something else that looks alike
     return (times, pixels), (times, torch.cat([motion, moving], -1))
 
 
@@ -51,8 +68,13 @@ def main() -> None:
     seen, truth = zip(*(tracked(draws) for _ in range(STROKES)), strict=True)
     metres = [(times, plane_coordinates(pixels, MARKERS, PLACES)) for times, pixels in seen]
     kept = [without_jumps(values, times, FASTEST)[::-1] for times, values in metres]
-    smoothed = [(times, torch.cat([smooth(values, times, PERIOD), velocities(values, times, PERIOD)], -1)) for times, values in kept]
-    cropped = [crop(resample(values, times, 1 / RATE), velocities=(2, 3)) for times, values in smoothed]
+    smoothed = [
+        (times, torch.cat([smooth(values, times, PERIOD), velocities(values, times, PERIOD)], -1))
+        for times, values in kept
+    ]
+    cropped = [
+        crop(resample(values, times, 1 / RATE), velocities=(2, 3)) for times, values in smoothed
+    ]
     aligned = align(cropped, velocities=(2, 3))
     shown = aligned[..., :2]
     base = torch.arange(aligned.shape[1], dtype=torch.float64) / RATE
@@ -65,9 +87,16 @@ def main() -> None:
         "jumps": plot_before_after(NAMES, UNITS, metres, kept, "jumps left out"),
         "smoothing": plot_before_after(both, units, kept, smoothed, "smoothed, and velocities"),
         "cropping": plot_before_after(NAMES, UNITS, uncropped, unaligned, "rests cut off"),
-        "strokes": plot_before_after(NAMES, UNITS, unaligned, [(base, one) for one in shown], "aligned"),
+        "strokes": plot_before_after(
+            NAMES, UNITS, unaligned, [(base, one) for one in shown], "aligned"
+        ),
         "control_rate": plot_before_after(
-            NAMES, UNITS, [(base, one) for one in shown], [(control, one) for one in at_control_rate], "at 10 Hz", markers=True
+            NAMES,
+            UNITS,
+            [(base, one) for one in shown],
+            [(control, one) for one in at_control_rate],
+            "at 10 Hz",
+            markers=True,
         ),
     }
     for name, picture in pictures.items():
@@ -80,11 +109,25 @@ def print_errors(kept: list[Timed], smoothed: list[Timed], truth: tuple[Timed, .
     rows = []
     for (times, values), (_, found), (instants, known) in zip(kept, smoothed, truth, strict=True):
         right = known[torch.isin(instants, times)]
-        slopes = torch.stack([torch.gradient(column, spacing=(times,))[0] for column in values.unbind(-1)], -1)
-        rows.append(torch.stack([values - right[:, :2], found[:, :2] - right[:, :2], slopes - right[:, 2:], found[:, 2:] - right[:, 2:]]))
+        slopes = torch.stack(
+            [torch.gradient(column, spacing=(times,))[0] for column in values.unbind(-1)], -1
+        )
+        rows.append(
+            torch.stack(
+                [
+                    values - right[:, :2],
+                    found[:, :2] - right[:, :2],
+                    slopes - right[:, 2:],
+                    found[:, 2:] - right[:, 2:],
+                ]
+            )
+        )
     raw, left, differences, derived = torch.cat(rows, 1).square().mean((1, 2)).sqrt().tolist()
     print(f"positions: {1000 * raw:.2f} mm rms before smoothing, {1000 * left:.2f} mm after it")
-    print(f"velocities: {differences:.3f} m/s rms by differences, {derived:.3f} m/s of the smoothed positions")
+    print(
+        f"velocities: {differences:.3f} m/s rms by differences, {derived:.3f} m/s of the smoothed "
+        "positions"
+    )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
-"""Draw the pictures of docs/reading_the_plots.md: the figures of a run after two trials, and of the same run when it has learned.
+"""Draw the pictures of docs/reading_the_plots.md: the figures of a run after two trials, and of the
+same run when it has learned.
 
-Learns both into runs/reading_the_plots first, in three minutes; a run that is there is not learned again.
+Learns both into runs/reading_the_plots first, in three minutes; a run that is there is not learned
+again.
 
 Example:
     python docs/figures/reading_the_plots.py
@@ -24,7 +26,15 @@ SEED = 0
 TRIALS = {"early": 2, "learned": 12}
 SHOWN = {
     "early": ("trajectories", "kl_per_step", "calibration"),
-    "learned": ("trajectories", "learning_curve", "kl_per_step", "calibration", "model", "policy", "poses"),
+    "learned": (
+        "trajectories",
+        "learning_curve",
+        "kl_per_step",
+        "calibration",
+        "model",
+        "policy",
+        "poses",
+    ),
 }
 DPI, COLOURS = 110, 128
 RUNS, FOLDER = Path("runs/reading_the_plots"), Path(__file__).parent
@@ -35,7 +45,9 @@ def save_small(figure: Figure, path: Path) -> None:
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=DPI)
     with replacing(path) as temporary:
-        Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(temporary, optimize=True)
+        Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(
+            temporary, optimize=True
+        )
 
 
 def main() -> None:
@@ -43,7 +55,14 @@ def main() -> None:
     torch.set_num_threads(1)
     experiment = load_experiment("double_pendulum")
     for name, trials in TRIALS.items():
-        result = train(experiment, SEED, trials, RUNS / name, "python docs/figures/reading_the_plots.py", resume=True)
+        result = train(
+            experiment,
+            SEED,
+            trials,
+            RUNS / name,
+            "python docs/figures/reading_the_plots.py",
+            resume=True,
+        )
         for kind, figure in figures_of(experiment, result):
             if kind in SHOWN[name]:
                 save_small(figure, FOLDER / f"plots_{kind}_{name}.png")

@@ -1,10 +1,13 @@
-r"""Behavioural cloning: a policy fitted to recorded pairs of state and action, as supervised learning (Section 5.1.2).
+r"""Behavioural cloning: a policy fitted to recorded pairs of state and action, as supervised
+learning (Section 5.1.2).
 
-It is the only method that is told the demonstrator's torques. What it learns is the demonstrator's policy, whatever the robot that
-will use it: where their bodies differ, so do the torques that they need.
+It is the only method that is told the demonstrator's torques. What it learns is the demonstrator's
+policy, whatever the robot that will use it: where their bodies differ, so do the torques that they
+need.
 
-The regression is a GP for each torque with hyper-parameters of maximum marginal likelihood. Its posterior mean is a network of as
-many Gaussian basis functions as there are pairs, so the result is the policy of Eqs. 25-27, squashed to the torque limits.
+The regression is a GP for each torque with hyper-parameters of maximum marginal likelihood. Its
+posterior mean is a network of as many Gaussian basis functions as there are pairs, so the result is
+the policy of Eqs. 25-27, squashed to the torque limits.
 """
 
 from __future__ import annotations
@@ -18,8 +21,11 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.model.dynamics import GPDynamics
 
 
-def clone_behavior(states: Tensor, torques: Tensor, space: StateSpace, u_max: Tensor, control_period: float) -> StatePolicy:
-    r"""The policy :math:`\pi(x) = u_{\max} \sin m(x)`, with m the mean of a GP of :math:`\arcsin(u / u_{\max})` on the state's features.
+def clone_behavior(
+    states: Tensor, torques: Tensor, space: StateSpace, u_max: Tensor, control_period: float
+) -> StatePolicy:
+    r"""The policy :math:`\pi(x) = u_{\max} \sin m(x)`, with m the mean of a GP of :math:`\arcsin(u
+    / u_{\max})` on the state's features.
 
     Args:
         states: (S, D), in which the demonstrator acted.
@@ -29,10 +35,12 @@ def clone_behavior(states: Tensor, torques: Tensor, space: StateSpace, u_max: Te
         control_period: for which a torque is held, s.
 
     Returns:
-        The policy: states (*batch, D) to torques (*batch, F); ``as_tensordict_module()`` is for ``env.rollout``.
+        The policy: states (*batch, D) to torques (*batch, F); ``as_tensordict_module()`` is for
+        ``env.rollout``.
 
     Raises:
-        ValueError: shapes do not fit each other, a number is not finite, or a torque is beyond its limit.
+        ValueError: shapes do not fit each other, a number is not finite, or a torque is beyond its
+            limit.
 
     Example:
         >>> from torch_pmil.control.state_space import joint_match
@@ -59,7 +67,11 @@ def _check_pairs(states: Tensor, torques: Tensor, space: StateSpace, u_max: Tens
     pairs = len(states)
     if states.shape != (pairs, space.dim) or torques.shape != (pairs, len(u_max)):
         raise ValueError(
-            f"states must be (S, {space.dim}) and torques (S, {len(u_max)}), got {tuple(states.shape)} and {tuple(torques.shape)}"
+            f"states must be (S, {space.dim}) and torques (S, {len(u_max)}), got "
+            f"{tuple(states.shape)} and {tuple(torques.shape)}"
         )
     if not (torques.abs() <= u_max).all():
-        raise ValueError(f"torques must be finite and within ± {u_max.tolist()} N·m, got {torques.abs().amax(0).tolist()}")
+        raise ValueError(
+            f"torques must be finite and within ± {u_max.tolist()} N·m, got "
+            f"{torques.abs().amax(0).tolist()}"
+        )

@@ -1,4 +1,5 @@
-r"""Dynamic movement primitives: a demonstrated motion as a spring-damper that a learned force shapes.
+r"""Dynamic movement primitives: a demonstrated motion as a spring-damper that a learned force
+shapes.
 
 ====================  =====================================================
 Ijspeert et al. 2013  here
@@ -10,8 +11,9 @@ w                     ``weights`` (K, D)
 g, y_0                ``goal``, ``start`` (D,)
 ====================  =====================================================
 
-Source: A. J. Ijspeert, J. Nakanishi, H. Hoffmann, P. Pastor, S. Schaal (2013), Dynamical movement primitives, Neural
-Computation 25. The force is not scaled by g - y_0, which is zero where a joint ends as it began.
+Source: A. J. Ijspeert, J. Nakanishi, H. Hoffmann, P. Pastor, S. Schaal (2013), Dynamical movement
+primitives, Neural Computation 25. The force is not scaled by g - y_0, which is zero where a joint
+ends as it began.
 """
 
 from __future__ import annotations
@@ -40,8 +42,9 @@ class DMP:
     .. math:: \tau^2 \ddot y = \alpha \left(\tfrac{\alpha}{4} (g - y) - \tau \dot y\right) + f(t / \tau), \qquad
         f = x \frac{\sum_k w_k \psi_k(x)}{\sum_k \psi_k(x)}, \quad x = e^{-\alpha_x t / \tau}
 
-    It ends at the goal whatever the weights are, since the phase x takes the force away. Another duration, start or goal
-    (``dataclasses.replace``) stretches the motion in time or draws it there.
+    It ends at the goal whatever the weights are, since the phase x takes the force away. Another
+    duration, start or goal (``dataclasses.replace``) stretches the motion in time or draws it
+    there.
 
     Args:
         start: y at t = 0, (D,), rad.
@@ -66,22 +69,32 @@ class DMP:
 
     def __post_init__(self) -> None:
         shape = tuple(self.goal.shape)
-        if not (len(shape) == 1 and self.start.shape == self.start_rate.shape == shape and self.weights.shape[1:] == shape):
+        if not (
+            len(shape) == 1
+            and self.start.shape == self.start_rate.shape == shape
+            and self.weights.shape[1:] == shape
+        ):
             raise ValueError(
-                f"start, start_rate and goal must be (D,) and weights (K, D), got {tuple(self.start.shape)}, "
-                f"{tuple(self.start_rate.shape)}, {shape} and {tuple(self.weights.shape)}"
+                "start, start_rate and goal must be (D,) and weights (K, D), got "
+                f"{tuple(self.start.shape)}, {tuple(self.start_rate.shape)}, {shape} and "
+                f"{tuple(self.weights.shape)}"
             )
         if len(self.weights) < 2:
-            raise ValueError(f"weights must be of at least two basis functions, got {len(self.weights)}")
+            raise ValueError(
+                f"weights must be of at least two basis functions, got {len(self.weights)}"
+            )
         if not (math.isfinite(self.duration) and self.duration > 0):
-            raise ValueError(f"duration must be positive and finite, in seconds, got {self.duration}")
+            raise ValueError(
+                f"duration must be positive and finite, in seconds, got {self.duration}"
+            )
 
     @classmethod
     def from_demonstrations(cls, positions: Tensor, time_step: float, num_basis: int) -> DMP:
-        """Learn from demonstrated joint positions, by least squares of the force that each demonstration needs.
+        """Learn from demonstrated joint positions, by least squares of the force that each
+        demonstration needs.
 
-        Velocities and accelerations are those of a cubic spline. Start and goal are the mean ones; where several demonstrations
-        differ, the motion is their mean.
+        Velocities and accelerations are those of a cubic spline. Start and goal are the mean ones;
+        where several demonstrations differ, the motion is their mean.
 
         Args:
             positions: (N, T + 1, D), rad, without jumps of 2 pi; the first sample at t = 0.
@@ -89,14 +102,25 @@ class DMP:
             num_basis: K.
 
         Raises:
-            ValueError: fewer than four samples (a cubic spline needs them), a number that is not finite, or fewer than two basis functions.
+            ValueError: fewer than four samples (a cubic spline needs them), a number that is not
+                finite, or fewer than two basis functions.
         """
-        if positions.ndim != 3 or positions.shape[0] < 1 or positions.shape[1] < 4 or not positions.isfinite().all():
-            raise ValueError(f"positions must be finite, (N, T + 1, D) with at least four samples, got {tuple(positions.shape)}")
+        if (
+            positions.ndim != 3
+            or positions.shape[0] < 1
+            or positions.shape[1] < 4
+            or not positions.isfinite().all()
+        ):
+            raise ValueError(
+                "positions must be finite, (N, T + 1, D) with at least four samples, got "
+                f"{tuple(positions.shape)}"
+            )
         if num_basis < 2:
             raise ValueError(f"num_basis must be at least 2, got {num_basis}")
         steps = positions.shape[1] - 1
-        spline = CubicSpline(np.linspace(0, 1, steps + 1), positions.detach().cpu().double().numpy(), axis=1)
+        spline = CubicSpline(
+            np.linspace(0, 1, steps + 1), positions.detach().cpu().double().numpy(), axis=1
+        )
         time = torch.linspace(0, 1, steps * SAMPLES + 1, dtype=torch.float64)
         y, rate, curvature = (torch.from_numpy(spline(time.numpy(), order)) for order in range(3))
         goal = y[:, -1:]
@@ -110,9 +134,11 @@ class DMP:
         )
 
     def __call__(self, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        r"""Position (S, D, rad), velocity (rad/s) and acceleration (rad/s²) at times (S,) in s, from 0 on, in any order.
+        r"""Position (S, D, rad), velocity (rad/s) and acceleration (rad/s²) at times (S,) in s,
+        from 0 on, in any order.
 
-        With u = t / tau, lambda = alpha / 2 and the force f, the solution is closed but for a quadrature:
+        With u = t / tau, lambda = alpha / 2 and the force f, the solution is closed but for a
+        quadrature:
 
         .. math:: y = g + (d + c u) e^{-\lambda u} + \int_0^u r e^{-\lambda r} f(u - r)\, dr,
             \qquad d = y_0 - g, \quad c = \tau \dot y_0 + \lambda d
@@ -121,17 +147,23 @@ class DMP:
             ValueError: times are no vector, none, negative or not finite.
         """
         if times.ndim != 1 or len(times) == 0 or not times.isfinite().all() or (times < 0).any():
-            raise ValueError(f"times must be a vector of finite seconds from 0 on, got {times.tolist()}")
+            raise ValueError(
+                f"times must be a vector of finite seconds from 0 on, got {times.tolist()}"
+            )
         time = times.double()[:, None] / self.duration  # (S, 1)
         decay = STIFFNESS / 2
         offset = self.start - self.goal
         slope = self.start_rate + decay * offset
         nodes, node_weights = _quadrature(PANELS * math.ceil(max(time.max().item(), 1)))
         lag = time * nodes  # r, (S, n)
-        force = self._force(time - lag) * (time * node_weights * torch.exp(-decay * lag))[..., None]  # (S, n, D)
+        force = (
+            self._force(time - lag) * (time * node_weights * torch.exp(-decay * lag))[..., None]
+        )  # (S, n, D)
         free = torch.exp(-decay * time)
         y = self.goal + (offset + slope * time) * free + (lag[..., None] * force).sum(1)
-        rate = (slope - decay * (offset + slope * time)) * free + ((1 - decay * lag)[..., None] * force).sum(1)
+        rate = (slope - decay * (offset + slope * time)) * free + (
+            (1 - decay * lag)[..., None] * force
+        ).sum(1)
         curvature = STIFFNESS * (STIFFNESS / 4 * (self.goal - y) - rate) + self._force(time[:, 0])
         return y, rate / self.duration, curvature / self.duration**2
 
@@ -152,7 +184,9 @@ def _phase(time: Tensor) -> Tensor:
 
 
 def _basis(time: Tensor, count: int) -> Tensor:
-    """Normalised Gaussians in the phase, times the phase, (*batch, K); their centres are equally spaced in time."""
+    """Normalised Gaussians in the phase, times the phase, (*batch, K); their centres are equally
+    spaced in time.
+    """
     centres = _phase(torch.linspace(0, 1, count, dtype=torch.float64))
     gaps = centres.diff().square()
     phase = _phase(time)[..., None]

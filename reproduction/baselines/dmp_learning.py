@@ -1,4 +1,6 @@
-"""Imitation with movement primitives, an inverse model learned from the robot's own motion, and a PD controller (Section 5.1)."""
+"""Imitation with movement primitives, an inverse model learned from the robot's own motion, and a
+PD controller (Section 5.1).
+"""
 
 from __future__ import annotations
 
@@ -10,13 +12,20 @@ import torch
 from torch import Tensor
 
 from reproduction.baselines.dmp import DMP
-from reproduction.baselines.inverse_dynamics import InverseDynamics, Reference, TrackingController, accelerations_from_velocities
+from reproduction.baselines.inverse_dynamics import (
+    InverseDynamics,
+    Reference,
+    TrackingController,
+    accelerations_from_velocities,
+)
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.dynamics import FitResult
 
-Controller = Callable[[int, Tensor], Tensor]  # torques (*batch, F) at a step of the feedback in states (*batch, D)
+Controller = Callable[
+    [int, Tensor], Tensor
+]  # torques (*batch, F) at a step of the feedback in states (*batch, D)
 
 
 @dataclass(frozen=True)
@@ -33,7 +42,8 @@ class Motion:
 
 
 def dmp_reference(dmp: DMP, steps: int, time_step: float, hold: int) -> Reference:
-    """The primitive's motion at ``steps`` control steps of ``time_step`` seconds, and at ``hold`` steps of the feedback in each.
+    """The primitive's motion at ``steps`` control steps of ``time_step`` seconds, and at ``hold``
+    steps of the feedback in each.
 
     Example:
         >>> rest = torch.zeros(1, dtype=torch.float64)
@@ -44,38 +54,64 @@ def dmp_reference(dmp: DMP, steps: int, time_step: float, hold: int) -> Referenc
     return Reference(torch.stack([y, dy], -1).flatten(1), ddy[::hold])
 
 
-def random_torques(u_max: Tensor, fraction: float, hold: int, generator: torch.Generator) -> Controller:
-    """Torques (F,) for one robot, uniform up to a fraction of the limits, drawn anew at each control step."""
+def random_torques(
+    u_max: Tensor, fraction: float, hold: int, generator: torch.Generator
+) -> Controller:
+    """Torques (F,) for one robot, uniform up to a fraction of the limits, drawn anew at each
+    control step.
+    """
     torques = torch.zeros_like(u_max)
 
     def controller(step: int, state: Tensor) -> Tensor:
         nonlocal torques
         if step % hold == 0:
-            torques = fraction * u_max * (2 * torch.rand(u_max.shape, dtype=torch.float64, generator=generator) - 1)
+            torques = (
+                fraction
+                * u_max
+                * (2 * torch.rand(u_max.shape, dtype=torch.float64, generator=generator) - 1)
+            )
         return torques
 
     return controller
 
 
 def execute(env: MujocoRobotEnv, controller: Controller, steps: int, hold: int) -> Motion:
-    """Run a controller from a fresh start; the environment's period is that of the feedback, ``hold`` of them make a control step."""
+    """Run a controller from a fresh start; the environment's period is that of the feedback,
+    ``hold`` of them make a control step.
+    """
     time = itertools.count()
-    rollout = env.rollout(steps * hold, lambda tensordict: tensordict.set("action", controller(next(time), tensordict["observation"])))
-    return Motion(states_of(rollout)[..., ::hold, :], rollout["action"].unflatten(-2, (steps, hold)).mean(-2))
+    rollout = env.rollout(
+        steps * hold,
+        lambda tensordict: tensordict.set(
+            "action", controller(next(time), tensordict["observation"])
+        ),
+    )
+    return Motion(
+        states_of(rollout)[..., ::hold, :], rollout["action"].unflatten(-2, (steps, hold)).mean(-2)
+    )
 
 
 class InverseDynamicsLearner:
-    """Learns the inverse model from all motion of the robot so far; the controller then tracks the reference with it.
+    """Learns the inverse model from all motion of the robot so far; the controller then tracks the
+    reference with it.
 
     Args:
         space: of the robot's states.
         reference: what to track.
         u_max: torque limits (F,), N·m.
-        limits: of the state (D,); transitions from beyond are experience, but no data of the model, as for the forward model.
+        limits: of the state (D,); transitions from beyond are experience, but no data of the model,
+            as for the forward model.
         time_step: between control steps, s.
     """
 
-    def __init__(self, space: StateSpace, reference: Reference, u_max: Tensor, limits: Tensor, time_step: float) -> None:
+    def __init__(
+        self,
+        space: StateSpace,
+        reference: Reference,
+        u_max: Tensor,
+        limits: Tensor,
+        time_step: float,
+    ) -> None:
         self.inverse = InverseDynamics(space)
         self.controller = TrackingController(self.inverse, reference, u_max)
         self.reference = reference
@@ -110,4 +146,9 @@ class InverseDynamicsLearner:
         """States, next ones, next accelerations and torques, (n, ...) each."""
         accelerations = accelerations_from_velocities(motion.states[:, 1::2], self.time_step)
         inside = (motion.states[:-1].abs() <= self.limits).all(-1)
-        return motion.states[:-1][inside], motion.states[1:][inside], accelerations[1:][inside], motion.torques[inside]
+        return (
+            motion.states[:-1][inside],
+            motion.states[1:][inside],
+            accelerations[1:][inside],
+            motion.torques[inside],
+        )

@@ -1,4 +1,6 @@
-"""The baseline of Section 5.1 with movement primitives on the double pendulum: one run, and what it leaves in its folder."""
+"""The baseline of Section 5.1 with movement primitives on the double pendulum: one run, and what it
+leaves in its folder.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,23 @@ import torch
 from torch import Tensor
 
 from reproduction.baselines.dmp import DMP
-from reproduction.baselines.dmp_learning import InverseDynamicsLearner, Motion, dmp_reference, execute, random_torques
+from reproduction.baselines.dmp_learning import (
+    InverseDynamicsLearner,
+    Motion,
+    dmp_reference,
+    execute,
+    random_torques,
+)
 from reproduction.baselines.inverse_dynamics import POSITION_GAIN, VELOCITY_GAIN
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import rollout_of
-from torch_pmil.experiments.runs.run_folder import check_whole, clear_folder, prepare_folder, provenance, write_metrics
+from torch_pmil.experiments.runs.run_folder import (
+    check_whole,
+    clear_folder,
+    prepare_folder,
+    provenance,
+    write_metrics,
+)
 from torch_pmil.experiments.runs.training import EVALUATION_STARTS
 from torch_pmil.experiments.tasks.double_pendulum import states_from_positions
 from torch_pmil.experiments.tasks.experiment import Experiment
@@ -24,9 +38,9 @@ from torch_pmil.files import write_json
 from torch_pmil.trainer.trials import Measurement, success_rate
 
 NUM_BASIS = 30  # of the primitive; with them it is within 1 mrad of the demonstrations' mean
-FEEDBACK_PERIOD = (
-    0.01  # s; held for 0.1 s, the paper's gains are unstable on this robot (tests/reproduction/baselines/test_inverse_dynamics.py)
-)
+# s; held for 0.1 s, the paper's gains are unstable on this robot
+# (tests/reproduction/baselines/test_inverse_dynamics.py)
+FEEDBACK_PERIOD = 0.01
 
 
 @dataclass(frozen=True)
@@ -34,7 +48,8 @@ class DMPTrial(Measurement):
     """One trial of the baseline.
 
     Args:
-        tracking_error: root mean square error of the joint angles in the rollouts from fresh starts, rad.
+        tracking_error: root mean square error of the joint angles in the rollouts from fresh
+            starts, rad.
         gp_seconds: wall time.
     """
 
@@ -43,7 +58,9 @@ class DMPTrial(Measurement):
 
 
 def joint_trajectories(experiment: Experiment) -> Tensor:
-    """Joint angles (N, T + 1, J), rad, that the demonstrations show, each with the turns that begin nearest to the robot's start."""
+    """Joint angles (N, T + 1, J), rad, that the demonstrations show, each with the turns that begin
+    nearest to the robot's start.
+    """
     demonstrations = experiment.demonstrations
     angles = states_from_positions(demonstrations.positions, demonstrations.time_step)[..., 0::2]
     turns = (experiment.initial.mean[0::2] - angles[:, :1]) / (2 * math.pi)
@@ -59,11 +76,12 @@ def run_dmp(
     feedback_period: float = FEEDBACK_PERIOD,
     on_trial: Callable[[DMPTrial], None] = lambda trial: None,
 ) -> dict:
-    """Learn the double pendulum with the baseline and write ``metrics.csv`` (after every trial) and ``summary.json``.
+    """Learn the double pendulum with the baseline and write ``metrics.csv`` (after every trial) and
+    ``summary.json``.
 
-    The first experience is the very random rollout that our learner gets with that seed, and all starts are the same too. Training does
-    not end before the limit of trials. After the last one the model is learned from all experience and measured once more: the
-    ``saved_success_rate``.
+    The first experience is the very random rollout that our learner gets with that seed, and all
+    starts are the same too. Training does not end before the limit of trials. After the last one
+    the model is learned from all experience and measured once more: the ``saved_success_rate``.
 
     Args:
         experiment: the double pendulum.
@@ -71,7 +89,8 @@ def run_dmp(
         trials: number of trials.
         out: folder of the run.
         command: said in the summary, so that the run can be repeated.
-        feedback_period: of the PD controller, s; the learned torques are held for the experiment's control period, a multiple of it.
+        feedback_period: of the PD controller, s; the learned torques are held for the experiment's
+            control period, a multiple of it.
         on_trial: called with each finished trial.
 
     Returns:
@@ -86,7 +105,9 @@ def run_dmp(
     begun, source = time.perf_counter(), provenance(command)
     hold = _hold(experiment.demonstrations.time_step, feedback_period)
     env = experiment.make_env(control_period=feedback_period, seed=seed)
-    fresh = experiment.make_env(control_period=feedback_period, num_envs=EVALUATION_STARTS, seed=seed + 2_000_000)
+    fresh = experiment.make_env(
+        control_period=feedback_period, num_envs=EVALUATION_STARTS, seed=seed + 2_000_000
+    )
     clear_folder(out)
     prepare_folder(out)
     rows: list[DMPTrial] = []
@@ -117,23 +138,37 @@ def run_dmp(
 
 
 def make_learner(experiment: Experiment, hold: int) -> InverseDynamicsLearner:
-    """The learner of an experiment, with the primitive of its demonstrations; ``hold`` steps of the feedback make a control step."""
+    """The learner of an experiment, with the primitive of its demonstrations; ``hold`` steps of the
+    feedback make a control step.
+    """
     time_step = experiment.demonstrations.time_step
     dmp = DMP.from_demonstrations(joint_trajectories(experiment), time_step, NUM_BASIS)
     reference = dmp_reference(dmp, experiment.horizon, time_step, hold)
-    return InverseDynamicsLearner(experiment.space, reference, experiment.u_max, experiment.limits, time_step)
+    return InverseDynamicsLearner(
+        experiment.space, reference, experiment.u_max, experiment.limits, time_step
+    )
 
 
 def random_rollout(experiment: Experiment, env: MujocoRobotEnv, hold: int, seed: int) -> Motion:
     """The first experience, the same as our learner's with that seed."""
     generator = torch.Generator().manual_seed(seed + 1_000_000)
     torques = random_torques(experiment.u_max, experiment.random_torque, hold, generator)
-    torques(0, env.reset()["observation"])  # our learner's collector, too, tries out robot and torques when it is made
+    torques(
+        0, env.reset()["observation"]
+    )  # our learner's collector, too, tries out robot and torques when it is made
     return execute(env, torques, experiment.horizon, hold)
 
 
-def run_trial(experiment: Experiment, learner: InverseDynamicsLearner, env: MujocoRobotEnv, fresh: MujocoRobotEnv, number: int) -> DMPTrial:
-    """Learn from all experience, measure from fresh starts, and run on the robot, which is new experience."""
+def run_trial(
+    experiment: Experiment,
+    learner: InverseDynamicsLearner,
+    env: MujocoRobotEnv,
+    fresh: MujocoRobotEnv,
+    number: int,
+) -> DMPTrial:
+    """Learn from all experience, measure from fresh starts, and run on the robot, which is new
+    experience.
+    """
     experience_s, fit = learner.experience_s, learner.fit()
     measured, own = learner.execute(fresh), learner.execute(env)
     errors, own_error = (experiment.error(rollout_of(motion.states)) for motion in (measured, own))
@@ -166,7 +201,9 @@ def settings(experiment: Experiment, trials: int, feedback_period: float) -> dic
 
 def _check(experiment: Experiment, seed: int, trials: int) -> None:
     if experiment.name != "double_pendulum":
-        raise ValueError(f"the baseline with movement primitives is for double_pendulum, got {experiment.name}")
+        raise ValueError(
+            f"the baseline with movement primitives is for double_pendulum, got {experiment.name}"
+        )
     check_whole("seed", seed, least=0)
     check_whole("trials", trials, least=1)
 
@@ -175,5 +212,8 @@ def _hold(control_period: float, feedback_period: float) -> int:
     """How many steps of the feedback make a control step."""
     hold = round(control_period / feedback_period) if feedback_period > 0 else 0
     if hold < 1 or abs(hold * feedback_period - control_period) > 1e-9:
-        raise ValueError(f"feedback_period must divide the control period of {control_period} s, got {feedback_period} s")
+        raise ValueError(
+            f"feedback_period must divide the control period of {control_period} s, got "
+            f"{feedback_period} s"
+        )
     return hold

@@ -20,11 +20,13 @@ VELOCITY_GAIN = 0.25  # N·m s/rad, K_d
 
 
 class InverseDynamics:
-    r"""GPs of the torques :math:`u_t = f_{\mathrm{inv}}(q_t, \dot q_t, q_{t+1}, \dot q_{t+1}, \ddot q_{t+1})` of Eq. 29.
+    r"""GPs of the torques :math:`u_t = f_{\mathrm{inv}}(q_t, \dot q_t, q_{t+1}, \dot q_{t+1}, \ddot
+    q_{t+1})` of Eq. 29.
 
-    They are those of the forward model (Section 3.2) with the roles exchanged. As there, sin and cos stand in place of each angle, and
-    the next state is told as its difference from the present one: the same inputs as the paper's, but with x_{t+1} itself a GP of few
-    data shares what depends on the pose, such as gravity, between two inputs that are nearly the same.
+    They are those of the forward model (Section 3.2) with the roles exchanged. As there, sin and
+    cos stand in place of each angle, and the next state is told as its difference from the present
+    one: the same inputs as the paper's, but with x_{t+1} itself a GP of few data shares what
+    depends on the pose, such as gravity, between two inputs that are nearly the same.
 
     Args:
         space: of the robot's states, two entries for each joint.
@@ -41,12 +43,18 @@ class InverseDynamics:
 
     def __init__(self, space: StateSpace) -> None:
         if space.dim % 2:
-            raise ValueError(f"a state must hold a position and a velocity of each joint, got {space.names}")
+            raise ValueError(
+                f"a state must hold a position and a velocity of each joint, got {space.names}"
+            )
         self.space = space
         joints = space.dim // 2
-        self.gp = GPDynamics(len(space.feature_names) + space.dim + joints, joints, targets="successor")
+        self.gp = GPDynamics(
+            len(space.feature_names) + space.dim + joints, joints, targets="successor"
+        )
 
-    def fit(self, states: Tensor, next_states: Tensor, accelerations: Tensor, torques: Tensor) -> FitResult:
+    def fit(
+        self, states: Tensor, next_states: Tensor, accelerations: Tensor, torques: Tensor
+    ) -> FitResult:
         """Learn from all transitions so far; the hyper-parameters go on from the last ones.
 
         Args:
@@ -62,7 +70,9 @@ class InverseDynamics:
 
     @torch.no_grad()
     def __call__(self, states: Tensor, next_states: Tensor, accelerations: Tensor) -> Tensor:
-        """Mean torques (*batch, D / 2) that lead from states to next ones (*batch, D). Raises RuntimeError before any data."""
+        """Mean torques (*batch, D / 2) that lead from states to next ones (*batch, D). Raises
+        RuntimeError before any data.
+        """
         return self.gp.expansion.mean(self._inputs(states, next_states, accelerations))
 
     def _inputs(self, states: Tensor, next_states: Tensor, accelerations: Tensor) -> Tensor:
@@ -96,7 +106,8 @@ class Reference:
 
 
 class TrackingController:
-    r"""The learned torques, held for a control step, and a PD controller around the reference (Eq. 29).
+    r"""The learned torques, held for a control step, and a PD controller around the reference (Eq.
+    29).
 
     .. math:: u = f_{\mathrm{inv}}(q_t, \dot q_t, q^{\exp}_{t+1}, \dot q^{\exp}_{t+1}, \ddot q^{\exp}_{t+1})
         + K_p (q^{\exp} - q) + K_d (\dot q^{\exp} - \dot q), \qquad K_p = 0.5 I, \quad K_d = 0.25 I
@@ -112,7 +123,9 @@ class TrackingController:
         self._feedforward = torch.zeros_like(u_max)
 
     def __call__(self, step: int, states: Tensor) -> Tensor:
-        """Torques (*batch, F), N·m, in states (*batch, D) at a step of the feedback; steps come one after the other from 0 on."""
+        """Torques (*batch, F), N·m, in states (*batch, D) at a step of the feedback; steps come one
+        after the other from 0 on.
+        """
         reference, hold = self.reference, self.reference.hold
         if step % hold == 0:
             target = reference.states[step + hold].expand_as(states)
@@ -124,7 +137,8 @@ class TrackingController:
 
 
 def accelerations_from_velocities(velocities: Tensor, time_step: float) -> Tensor:
-    """Slopes of a cubic spline through velocities of one rollout (T + 1, J), T >= 3: as many accelerations.
+    """Slopes of a cubic spline through velocities of one rollout (T + 1, J), T >= 3: as many
+    accelerations.
 
     Example:
         >>> t = torch.linspace(0, 1, 11, dtype=torch.float64)[:, None]

@@ -1,4 +1,6 @@
-"""What one policy of all targets is compared with: a policy for each target, and the torques of these blended, or those of the nearest."""
+"""What one policy of all targets is compared with: a policy for each target, and the torques of
+these blended, or those of the nearest.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +30,14 @@ class SeparatePolicies(nn.Module):
 
     targets: Tensor
 
-    def __init__(self, policies: Sequence[StatePolicy], targets: Tensor, nearest: bool = False) -> None:
+    def __init__(
+        self, policies: Sequence[StatePolicy], targets: Tensor, nearest: bool = False
+    ) -> None:
         super().__init__()
         if targets.ndim != 2 or len(policies) != len(targets):
             raise ValueError(
-                f"targets must have shape (S, K) with a policy for each, got {tuple(targets.shape)} and {len(policies)} policies"
+                "targets must have shape (S, K) with a policy for each, got "
+                f"{tuple(targets.shape)} and {len(policies)} policies"
             )
         self.policies, self.nearest = nn.ModuleList(policies), nearest
         self.register_buffer("targets", targets)
@@ -43,10 +48,14 @@ class SeparatePolicies(nn.Module):
         return (torques @ self.shares(target)[..., None]).squeeze(-1)
 
     def shares(self, target: Tensor) -> Tensor:
-        """Of each policy for targets (*batch, K), (*batch, S), which sum to 1; at a target of a policy, that one's is 1."""
+        """Of each policy for targets (*batch, K), (*batch, S), which sum to 1; at a target of a
+        policy, that one's is 1.
+        """
         distance = (target[..., None, :] - self.targets).norm(dim=-1)
         own = nn.functional.one_hot(distance.argmin(-1), len(self.targets)).to(distance)
         if self.nearest:
             return own
         closeness = distance.pow(-2)
-        return torch.where(distance.amin(-1, keepdim=True) == 0, own, closeness / closeness.sum(-1, keepdim=True))
+        return torch.where(
+            distance.amin(-1, keepdim=True) == 0, own, closeness / closeness.sum(-1, keepdim=True)
+        )

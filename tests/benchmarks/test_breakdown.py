@@ -23,9 +23,13 @@ WATCHED = (
 
 def test_every_part_has_its_time(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for owner, name in WATCHED:
-        monkeypatch.setattr(owner, name, getattr(owner, name))  # what the script puts in its place is taken back
+        monkeypatch.setattr(
+            owner, name, getattr(owner, name)
+        )  # what the script puts in its place is taken back
     file = tmp_path / "new" / "breakdown.json"
-    monkeypatch.setattr(sys, "argv", ["breakdown.py", "--sizes", "10", "12", "--repeats", "2", "--json", str(file)])
+    monkeypatch.setattr(
+        sys, "argv", ["breakdown.py", "--sizes", "10", "12", "--repeats", "2", "--json", str(file)]
+    )
     breakdown.main()
     report = json.loads(file.read_text())
     assert [row["n"] for row in report["rows"]] == [10, 12]

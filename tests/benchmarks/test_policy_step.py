@@ -12,7 +12,9 @@ import torch
 from benchmarks import policy_step
 
 
-def test_every_form_has_its_times(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_form_has_its_times(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "new" / "summary.json"
     monkeypatch.setattr(sys, "argv", ["policy_step.py", "--steps", "5", "--json", str(file)])
     policy_step.main()
@@ -31,7 +33,9 @@ def test_forms_give_the_same_torque() -> None:
         torch.testing.assert_close(torque, torques[0], rtol=0, atol=1e-12)
 
 
-def test_no_steps_are_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_steps_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(sys, "argv", ["policy_step.py", "--steps", "0"])
     with pytest.raises(SystemExit):
         policy_step.main()

@@ -14,7 +14,20 @@ from benchmarks import prediction
 from benchmarks.measure import forget_peak, measure, memory_mb
 from benchmarks.workloads import make_problem, torch_pmil, torchrl
 
-TINY = ["--sizes", 10, 12, "--growth-sizes", "--growth-horizons", 4, "--horizon", 3, "--repeats", 1, "--speedup-rounds", 1]
+TINY = [
+    "--sizes",
+    10,
+    12,
+    "--growth-sizes",
+    "--growth-horizons",
+    4,
+    "--horizon",
+    3,
+    "--repeats",
+    1,
+    "--speedup-rounds",
+    1,
+]
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -24,9 +37,13 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
 
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows are measured without a process for each, which would only cost time here, and with one thread."""
+    """Rows are measured without a process for each, which would only cost time here, and with one
+    thread.
+    """
 
-    def measure_here(library: str, n: int, horizon: int, threads: int, repeats: int, left_out: list[str]) -> dict:
+    def measure_here(
+        library: str, n: int, horizon: int, threads: int, repeats: int, left_out: list[str]
+    ) -> dict:
         return measure(library, n, horizon, 1, repeats) | {"threads": threads}
 
     monkeypatch.setattr(prediction, "measure", measure_here)
@@ -34,21 +51,31 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("in_this_process")
-def test_report_holds_rows_and_their_ratios(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_report_holds_rows_and_their_ratios(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Without botorch TorchRL is left out, and the report says so."""
     monkeypatch.setitem(sys.modules, "botorch", None)
     run(monkeypatch, *TINY, "--json", tmp_path / "new" / "summary.json")
     report = json.loads((tmp_path / "new" / "summary.json").read_text())
     rows = {(row["library"], row["n"], row["horizon"]): row for row in report["rows"]}
-    expected = {(library, n, 3) for library in ("torch_pmil", "torch_pmil_raw_angles", "exp_floor") for n in (10, 12)}
+    expected = {
+        (library, n, 3)
+        for library in ("torch_pmil", "torch_pmil_raw_angles", "exp_floor")
+        for n in (10, 12)
+    }
     assert set(rows) == expected | {("torch_pmil", 12, 4)}
     headline, ours, floor = report["headline"], rows["torch_pmil", 10, 3], rows["exp_floor", 10, 3]
     assert headline["ours_cpu_seconds_n10"] == ours["cpu_seconds"] > 0
-    assert headline["ours_over_floor_n10"] == pytest.approx(ours["cpu_seconds"] / floor["cpu_seconds"])
+    assert headline["ours_over_floor_n10"] == pytest.approx(
+        ours["cpu_seconds"] / floor["cpu_seconds"]
+    )
     assert headline["peak_mb_n12_t4"] == rows["torch_pmil", 12, 4]["peak_mb"]
     assert math.isfinite(ours["loss"]) and floor["loss"] is None
     assert report["left_out"][0].startswith("torchrl: its GPWorldModel needs botorch; pip install")
-    assert [row["threads"] for row in report["thread_rows"]] == [1, 2] and headline["thread_speedup_n12"] > 0
+    assert [row["threads"] for row in report["thread_rows"]] == [1, 2] and headline[
+        "thread_speedup_n12"
+    ] > 0
     assert report["commit"] and report["machine"]["cpu"]
     assert (tmp_path / "new" / "prediction.png").read_bytes()[:4] == b"\x89PNG"
 
@@ -57,18 +84,30 @@ def test_row_comes_from_a_process_of_its_own() -> None:
     left_out: list[str] = []
     row = prediction.measure("exp_floor", n=10, horizon=3, threads=1, repeats=2, left_out=left_out)
     assert not left_out
-    assert (row["library"], row["n"], row["horizon"], row["threads"], row["repeats"]) == ("exp_floor", 10, 3, 1, 2)
+    assert (row["library"], row["n"], row["horizon"], row["threads"], row["repeats"]) == (
+        "exp_floor",
+        10,
+        3,
+        1,
+        2,
+    )
 
 
 def test_failed_process_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/bin/false")
     left_out: list[str] = []
-    assert prediction.measure("torchrl", n=400, horizon=25, threads=1, repeats=1, left_out=left_out) is None
+    assert (
+        prediction.measure("torchrl", n=400, horizon=25, threads=1, repeats=1, left_out=left_out)
+        is None
+    )
     assert left_out == ["torchrl n=400 T=25: ended with status 1, no memory left?"]
 
 
 def test_speed_up_is_a_ratio_of_medians() -> None:
-    rows = [{"threads": threads, "wall_seconds": wall} for threads, wall in [(1, 3.0), (2, 2.0), (1, 9.0), (2, 2.0), (1, 3.2), (2, 1.0)]]
+    rows = [
+        {"threads": threads, "wall_seconds": wall}
+        for threads, wall in [(1, 3.0), (2, 2.0), (1, 9.0), (2, 2.0), (1, 3.2), (2, 1.0)]
+    ]
     assert prediction.thread_headline(rows, 400) == {"thread_speedup_n400": 1.6}
     assert prediction.thread_headline([], 400) == {}
 
@@ -80,7 +119,9 @@ def test_speed_up_is_a_ratio_of_medians() -> None:
         (["--horizon", "0"], "error: horizon must be at least 1, got 0"),
     ],
 )
-def test_numbers_out_of_range_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, arguments: list[str], message: str) -> None:
+def test_numbers_out_of_range_are_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, arguments: list[str], message: str
+) -> None:
     with pytest.raises(SystemExit) as stop:
         run(monkeypatch, *arguments, "--json", tmp_path / "summary.json")
     assert stop.value.code == message

@@ -16,7 +16,22 @@ def test_every_size_and_number_of_threads_has_its_times(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "new" / "summary.json"
-    monkeypatch.setattr(sys, "argv", ["targets.py", "--sizes", "30", "40", "--threads", "1", "--repeats", "1", "--json", str(file)])
+    monkeypatch.setattr(
+        sys,
+        "argv",
+        [
+            "targets.py",
+            "--sizes",
+            "30",
+            "40",
+            "--threads",
+            "1",
+            "--repeats",
+            "1",
+            "--json",
+            str(file),
+        ],
+    )
     targets.main()
     report = json.loads(file.read_text())
     assert report["command"].startswith("python -m benchmarks.targets --sizes 30 40")
@@ -27,7 +42,9 @@ def test_every_size_and_number_of_threads_has_its_times(
     assert torch.get_num_threads() == 1
 
 
-def test_no_repeats_are_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_repeats_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(sys, "argv", ["targets.py", "--repeats", "0"])
     with pytest.raises(SystemExit):
         targets.main()

@@ -1,4 +1,6 @@
-"""The aligning script: from a recording with uneven samples to demonstrations that load, and failures in one line."""
+"""The aligning script: from a recording with uneven samples to demonstrations that load, and
+failures in one line.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Script:
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
-    """Three reaches of 1 rad at 100 Hz with jitter, after rests and at paces of their own; columns q and dq."""
+    """Three reaches of 1 rad at 100 Hz with jitter, after rests and at paces of their own; columns
+    q and dq.
+    """
     draws, rows = np.random.default_rng(0), ["demonstration,time,q,dq"]
     for label, (rest, duration) in enumerate([(0.1, 1.0), (0.3, 1.3), (0.2, 0.8)]):
         times = np.arange(0, rest + duration + 0.2, 0.01)
@@ -37,13 +41,18 @@ def recorded(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_loading_refuses_is_aligned_as_its_message_says(script: Script, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_loading_refuses_is_aligned_as_its_message_says(
+    script: Script, recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(DemonstrationError, match=r"pmil align makes them one length"):
         load_demonstrations(recorded)
     out = recorded.with_suffix(".npz")
     script(recorded, out, "--velocities", "dq", "--crop")
     demonstrations = load_demonstrations(out, time_step=0.1)
-    assert capsys.readouterr().out == f"wrote {out}: 3 demonstrations of {demonstrations.positions.shape[1]} samples, 1 s\n"
+    assert (
+        capsys.readouterr().out
+        == f"wrote {out}: 3 demonstrations of {demonstrations.positions.shape[1]} samples, 1 s\n"
+    )
     q, dq = demonstrations.positions.unbind(-1)
     assert q.std(0).max() < 0.02
     assert (torch.gradient(q, spacing=0.1, dim=-1)[0] - dq)[:, 1:-1].abs().max() < 0.15 * dq.max()
@@ -51,21 +60,34 @@ def test_what_loading_refuses_is_aligned_as_its_message_says(script: Script, rec
 
 def test_targets_are_carried_through_and_never_warped(script: Script, recorded: Path) -> None:
     header, *rows = recorded.read_text().splitlines()
-    told = [f"{label}{row},{place}" for label, place in (("near", 0.25), ("far", 1.75)) for row in rows]
+    told = [
+        f"{label}{row},{place}" for label, place in (("near", 0.25), ("far", 1.75)) for row in rows
+    ]
     script(recorded, out := recorded.with_suffix(".npz"), "--velocities", "dq")
     plain = load_demonstrations(out)
     recorded.write_text("\n".join([f"{header},target place", *told]))
     script(recorded, out, "--velocities", "dq")
     aligned = load_demonstrations(out)
-    assert aligned.targets.tolist() == 3 * [[0.25]] + 3 * [[1.75]] and aligned.target_names == ("place",)
-    assert torch.equal(aligned.positions[:3], aligned.positions[3:]) and aligned.names == plain.names
+    assert aligned.targets.tolist() == 3 * [[0.25]] + 3 * [[1.75]] and aligned.target_names == (
+        "place",
+    )
+    assert (
+        torch.equal(aligned.positions[:3], aligned.positions[3:]) and aligned.names == plain.names
+    )
     torch.testing.assert_close(aligned.positions[:3], plain.positions, rtol=0, atol=1e-9)
 
 
-def test_target_with_one_demonstration_is_one_line_and_writes_nothing(script: Script, recorded: Path) -> None:
+def test_target_with_one_demonstration_is_one_line_and_writes_nothing(
+    script: Script, recorded: Path
+) -> None:
     header, *rows = recorded.read_text().splitlines()
-    recorded.write_text("\n".join([f"{header},target place", *(f"{row},{int(row[0] == '2')}" for row in rows)]))
-    with pytest.raises(SystemExit, match=r"error: each target must have at least two demonstrations, got one of \[1.0\]"):
+    recorded.write_text(
+        "\n".join([f"{header},target place", *(f"{row},{int(row[0] == '2')}" for row in rows)])
+    )
+    with pytest.raises(
+        SystemExit,
+        match=r"error: each target must have at least two demonstrations, got one of \[1.0\]",
+    ):
         script(recorded, recorded.with_suffix(".npz"))
     assert os.listdir(recorded.parent) == ["recorded.csv"]
 
@@ -81,10 +103,15 @@ def test_rest_is_kept_unless_told(script: Script, recorded: Path) -> None:
     [
         (["--velocities", "dq", "v"], "velocities must be columns of q, dq, got v"),
         (["--time-step", "9"], "time_step must be positive and at most the duration,"),
-        (["--window", "2"], "window must be in (0, 1], a fraction of the longest trajectory, got 2.0"),
+        (
+            ["--window", "2"],
+            "window must be in (0, 1], a fraction of the longest trajectory, got 2.0",
+        ),
     ],
 )
-def test_wrong_option_is_one_line_and_writes_nothing(script: Script, recorded: Path, options: list[str], message: str) -> None:
+def test_wrong_option_is_one_line_and_writes_nothing(
+    script: Script, recorded: Path, options: list[str], message: str
+) -> None:
     with pytest.raises(SystemExit) as stop:
         script(recorded, recorded.with_suffix(".npz"), *options)
     assert stop.value.code.startswith(f"error: {message}")
@@ -100,7 +127,9 @@ def test_missing_file_and_other_suffix_are_one_line(script: Script, tmp_path: Pa
 
 @pytest.fixture
 def tracked(tmp_path: Path) -> Path:
-    """Three strokes of a point that a camera saw from the side, in pixels at 60 Hz with noise, one of them with a jump."""
+    """Three strokes of a point that a camera saw from the side, in pixels at 60 Hz with noise, one
+    of them with a jump.
+    """
     draws, rows = np.random.default_rng(0), ["demonstration,time,x,y"]
     for label, duration in (("slow", 1.2), ("fast", 0.9), ("middle", 1.0)):
         times = np.arange(0, duration, 1 / 60)
@@ -108,26 +137,52 @@ def tracked(tmp_path: Path) -> Path:
         pixels = np.stack([200 + 1000 * x, 800 - 1000 * y], 1) + draws.normal(size=(len(times), 2))
         if label == "middle":
             pixels[20:22] = 900.0, 100.0
-        rows += [f"{label},{time},{place[0]},{place[1]}" for time, place in zip(times, pixels, strict=True)]
+        rows += [
+            f"{label},{time},{place[0]},{place[1]}"
+            for time, place in zip(times, pixels, strict=True)
+        ]
     path = tmp_path / "tracked.csv"
     path.write_text("\n".join(rows))
     return path
 
 
-MARKERS = [("200", "800", "0", "0"), ("600", "800", "0.4", "0"), ("600", "600", "0.4", "0.2"), ("200", "600", "0", "0.2")]
+MARKERS = [
+    ("200", "800", "0", "0"),
+    ("600", "800", "0.4", "0"),
+    ("600", "600", "0.4", "0.2"),
+    ("200", "600", "0", "0.2"),
+]
 
 
 def test_pixels_with_jumps_become_metres_and_velocities(script: Script, tracked: Path) -> None:
     out, picture = tracked.with_suffix(".npz"), tracked.with_suffix(".png")
     markers = [word for marker in MARKERS for word in ("--marker", *marker)]
-    steps = ["--fastest", "2", "--smooth", "0.3", "--derive", "dx=x", "dy=y", "--draw", picture, "--window", "0.3"]
+    steps = [
+        "--fastest",
+        "2",
+        "--smooth",
+        "0.3",
+        "--derive",
+        "dx=x",
+        "dy=y",
+        "--draw",
+        picture,
+        "--window",
+        "0.3",
+    ]
     script(tracked, out, *markers, *steps, "--reference", "fast")
     demonstrations = load_demonstrations(out, time_step=0.1)
     assert demonstrations.names == ("x", "y", "dx", "dy") and demonstrations.positions.shape[1] == 9
     times = 0.1 * torch.arange(9, dtype=torch.float64)
     phase = torch.pi * times / 0.9
     expected = torch.stack(
-        [0.4 * times / 0.9, 0.2 * phase.sin(), torch.full_like(times, 0.4 / 0.9), 0.2 * torch.pi / 0.9 * phase.cos()], -1
+        [
+            0.4 * times / 0.9,
+            0.2 * phase.sin(),
+            torch.full_like(times, 0.4 / 0.9),
+            0.2 * torch.pi / 0.9 * phase.cos(),
+        ],
+        -1,
     )
     error = (demonstrations.positions - expected)[:, 1:-1].abs().amax((0, 1))
     assert (error[:2] < 0.015).all() and (error[2:] < 0.12).all()
@@ -137,16 +192,27 @@ def test_pixels_with_jumps_become_metres_and_velocities(script: Script, tracked:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--derive", "dx=x"], "--derive needs --smooth PERIOD: velocities are those of smoothed positions"),
+        (
+            ["--derive", "dx=x"],
+            "--derive needs --smooth PERIOD: velocities are those of smoothed positions",
+        ),
         (["--smooth", "0.2", "--derive", "dz=z"], "velocities must be columns of x, y, got z"),
         (["--smooth", "-1"], "period must be positive and at most the duration"),
         (["--fastest", "0"], "fastest must be positive, got"),
-        (["--reference", "quick"], "reference must be one of the demonstrations slow, fast, middle, got quick"),
+        (
+            ["--reference", "quick"],
+            "reference must be one of the demonstrations slow, fast, middle, got quick",
+        ),
         (["--marker", *MARKERS[0]], "markers and places must be (K, 2) with K >= 4"),
-        (["--marker", *MARKERS[0], "--velocities", "y"], "with markers the columns must be x and y of each point in turn, got 1 columns"),
+        (
+            ["--marker", *MARKERS[0], "--velocities", "y"],
+            "with markers the columns must be x and y of each point in turn, got 1 columns",
+        ),
     ],
 )
-def test_wrong_step_is_one_line_and_writes_nothing(script: Script, tracked: Path, options: list[str], message: str) -> None:
+def test_wrong_step_is_one_line_and_writes_nothing(
+    script: Script, tracked: Path, options: list[str], message: str
+) -> None:
     with pytest.raises(SystemExit) as stop:
         script(tracked, tracked.with_suffix(".npz"), *options)
     assert stop.value.code.startswith(f"error: {message}") and "\n" not in stop.value.code

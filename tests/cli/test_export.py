@@ -32,14 +32,21 @@ def saved(tmp_path: Path, draws: Draws) -> Path:
     policy = RBFPolicy(draws.normal(5, 3), torch.tensor([3.5]), torch.ones(3))
     with torch.no_grad():
         policy.weights.copy_(draws.normal(5, 1))
-    space = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s")))
+    space = StateSpace(
+        ("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s"))
+    )
     save_policy(tmp_path / "policy.pt", policy, space, control_period=0.1)
     return tmp_path / "policy.pt"
 
 
 @pytest.mark.parametrize(("options", "shape"), [((), (2,)), (("--batch",), (7, 2))])
 def test_exported_file_is_the_saved_policy(
-    script: Script, saved: Path, draws: Draws, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], shape: tuple[int, ...]
+    script: Script,
+    saved: Path,
+    draws: Draws,
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...],
+    shape: tuple[int, ...],
 ) -> None:
     script("policy.pt", "policy.pt2", *options)
     states = draws.normal(*shape)
@@ -53,13 +60,24 @@ def test_exported_file_is_the_saved_policy(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (("policy.pt", "policy.onnx"), "error: an exported policy must be a .pt2 file, got policy.onnx"),
-        (("policy.pt", "nowhere/policy.pt2"), "error: [Errno 2] No such file or directory: 'nowhere/"),
+        (
+            ("policy.pt", "policy.onnx"),
+            "error: an exported policy must be a .pt2 file, got policy.onnx",
+        ),
+        (
+            ("policy.pt", "nowhere/policy.pt2"),
+            "error: [Errno 2] No such file or directory: 'nowhere/",
+        ),
         (("other.pt", "policy.pt2"), "error: [Errno 2] No such file or directory: 'other.pt'"),
-        (("text.pt", "policy.pt2"), "error: text.pt: must be a file of save_policy, got what torch.load cannot read"),
+        (
+            ("text.pt", "policy.pt2"),
+            "error: text.pt: must be a file of save_policy, got what torch.load cannot read",
+        ),
     ],
 )
-def test_failure_is_one_line_and_leaves_nothing(script: Script, saved: Path, arguments: tuple[str, str], complaint: str) -> None:
+def test_failure_is_one_line_and_leaves_nothing(
+    script: Script, saved: Path, arguments: tuple[str, str], complaint: str
+) -> None:
     Path("text.pt").write_text("q,dq")
     with pytest.raises(SystemExit) as stop:
         script(*arguments)

@@ -13,22 +13,37 @@ import pytest
 import torch
 
 from tests.helpers.run_script import run_script
-from torch_pmil.demonstrations import Demonstrations, Recordings, load_demonstrations, load_recordings, shipped_demonstrations
+from torch_pmil.demonstrations import (
+    Demonstrations,
+    Recordings,
+    load_demonstrations,
+    load_recordings,
+    shipped_demonstrations,
+)
 from torch_pmil.demonstrations.inspection import advice, describe, spread, velocities_of
 
 Command = Callable[..., str]
 
 
-def recordings(*samples: tuple[np.ndarray, np.ndarray], names: tuple[str, ...] = ("x",), targets: list[float] | None = None) -> Recordings:
+def recordings(
+    *samples: tuple[np.ndarray, np.ndarray],
+    names: tuple[str, ...] = ("x",),
+    targets: list[float] | None = None,
+) -> Recordings:
     times, values = (
-        tuple(torch.as_tensor(np.asarray(part), dtype=torch.float64) for part in column) for column in zip(*samples, strict=True)
+        tuple(torch.as_tensor(np.asarray(part), dtype=torch.float64) for part in column)
+        for column in zip(*samples, strict=True)
     )
     labels = tuple(str(number) for number in range(len(samples)))
     shown = None if targets is None else torch.tensor(targets, dtype=torch.float64)[:, None]
-    return Recordings(labels, times, values, names, shown, () if targets is None else ("place",), format="CSV")
+    return Recordings(
+        labels, times, values, names, shown, () if targets is None else ("place",), format="CSV"
+    )
 
 
-def at(duration: float, samples: int, motion: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def at(
+    duration: float, samples: int, motion: Callable[[np.ndarray], np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     times = np.linspace(0, duration, samples)
     return times, motion(times / duration)[:, None]
 
@@ -40,30 +55,54 @@ def test_spread_of_the_same_motion_at_other_paces_is_zero() -> None:
 
 def test_spread_is_the_standard_deviation_of_an_offset() -> None:
     offsets = [-1.0, 0.5, 2.0]
-    shown = recordings(*(at(duration, 101, lambda s, by=by: by + s) for duration, by in zip((1, 2, 3), offsets, strict=True)))
+    shown = recordings(
+        *(
+            at(duration, 101, lambda s, by=by: by + s)
+            for duration, by in zip((1, 2, 3), offsets, strict=True)
+        )
+    )
     np.testing.assert_allclose(spread(shown), [np.std(offsets, ddof=1)], rtol=1e-12)
 
 
 def test_spread_between_targets_does_not_count() -> None:
     offsets = [0.0, 1.0, 10.0, 11.0]
-    shown = recordings(*(at(1, 11, lambda s, by=by: by + s) for by in offsets), targets=[0, 0, 1, 1])
+    shown = recordings(
+        *(at(1, 11, lambda s, by=by: by + s) for by in offsets), targets=[0, 0, 1, 1]
+    )
     np.testing.assert_allclose(spread(shown), [np.sqrt(0.5)], rtol=1e-12)
     assert np.isnan(spread(recordings(at(1, 11, np.square)))).all()
 
 
 @pytest.mark.parametrize(
-    "name", ["biorob", "biorob_targets", "double_pendulum", "double_pendulum_targets", "gym_pendulum", "inverted_pendulum"]
+    "name",
+    [
+        "biorob",
+        "biorob_targets",
+        "double_pendulum",
+        "double_pendulum_targets",
+        "gym_pendulum",
+        "inverted_pendulum",
+    ],
 )
 def test_velocities_are_told_from_positions_by_what_they_are(tmp_path: Path, name: str) -> None:
     shipped_demonstrations(name).save(tmp_path / "shown.npz")
     shown = load_recordings(tmp_path / "shown.npz")
     named = {f"d{name}": name for name in shown.names if f"d{name}" in shown.names}
-    assert {shown.names[velocity]: shown.names[position] for velocity, position in velocities_of(shown).items()} == named
+    assert {
+        shown.names[velocity]: shown.names[position]
+        for velocity, position in velocities_of(shown).items()
+    } == named
     assert len(named) == (3 if name.startswith("biorob") else 0)
 
 
 def test_summary_tells_number_lengths_rate_ranges_and_targets() -> None:
-    shown = recordings(at(1, 11, np.square), at(2, 21, np.square), at(1, 11, np.sqrt), at(2, 21, np.sqrt), targets=[0, 0, 1, 1])
+    shown = recordings(
+        at(1, 11, np.square),
+        at(2, 21, np.square),
+        at(1, 11, np.sqrt),
+        at(2, 21, np.sqrt),
+        targets=[0, 0, 1, 1],
+    )
     summary = dict(line.split("  ", 1) for line in describe(shown).splitlines()[:6])
     told = {name.strip(): text.strip() for name, text in summary.items()}
     expected = {
@@ -90,24 +129,41 @@ FITTING = [at(1, 11, np.square), at(1, 11, np.sin)]
     ("shown", "expected"),
     [
         (recordings(*FITTING), []),
-        (recordings(FITTING[0]), ["one demonstration: training needs two at least, better three to five"]),
+        (
+            recordings(FITTING[0]),
+            ["one demonstration: training needs two at least, better three to five"],
+        ),
         (recordings(FITTING[0], at(1.1, 12, np.sin)), ["lengths differ: 11 to 12 samples"]),
         (
             recordings(FITTING[0], at(0.9, 11, np.sin)),
-            ["time steps differ: 0.09 to 0.1 s", "sampled every 0.095 s, the robot is controlled every 0.1 s"],
+            [
+                "time steps differ: 0.09 to 0.1 s",
+                "sampled every 0.095 s, the robot is controlled every 0.1 s",
+            ],
         ),
         (
             recordings(at(2, 11, np.sin), at(2, 11, np.sin)),
-            ["sampled every 0.2 s, the robot is controlled every 0.1 s; what is between samples will be interpolated"],
+            [
+                "sampled every 0.2 s, the robot is controlled every 0.1 s; what is between "
+                "samples will be interpolated"
+            ],
         ),
-        (recordings(*FITTING, FITTING[0], targets=[0, 0, 1]), ["one demonstration of target [1.0]: each needs two"]),
+        (
+            recordings(*FITTING, FITTING[0], targets=[0, 0, 1]),
+            ["one demonstration of target [1.0]: each needs two"],
+        ),
     ],
 )
 def test_what_is_missing_for_training_is_listed(shown: Recordings, expected: list[str]) -> None:
     told = advice(shown, "recorded.csv", 0.1)
-    assert told.pop() == "positions alone, no velocities: enough where the match space observes positions"
+    assert (
+        told.pop()
+        == "positions alone, no velocities: enough where the match space observes positions"
+    )
     if any("sample" in line or "step" in line for line in expected):
-        assert told.pop() == "align them: pmil align recorded.csv demonstrations.npz --time-step 0.1"
+        assert (
+            told.pop() == "align them: pmil align recorded.csv demonstrations.npz --time-step 0.1"
+        )
     assert told == expected
 
 
@@ -121,7 +177,9 @@ def inspect(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
     """The command line; returns what it prints."""
 
     def run(*arguments: object) -> str:
-        monkeypatch.setattr(sys, "argv", ["torch_pmil.demonstrations", "inspect", *map(str, arguments)])
+        monkeypatch.setattr(
+            sys, "argv", ["torch_pmil.demonstrations", "inspect", *map(str, arguments)]
+        )
         runpy.run_module("torch_pmil.demonstrations", run_name="__main__")
         return capsys.readouterr().out
 
@@ -135,12 +193,16 @@ def recorded(tmp_path: Path) -> Path:
     for label, samples in enumerate((101, 121, 91)):
         s = np.linspace(0, 1, samples)
         q, dq = 10 * s**3 - 15 * s**4 + 6 * s**5, 30 * (s * (1 - s)) ** 2 / (0.01 * (samples - 1))
-        rows += [f"{label},{0.01 * number},{q[number]},{dq[number]},reach" for number in range(samples)]
+        rows += [
+            f"{label},{0.01 * number},{q[number]},{dq[number]},reach" for number in range(samples)
+        ]
     (tmp_path / "recorded reaches.csv").write_text("\n".join(rows))
     return tmp_path / "recorded reaches.csv"
 
 
-def test_command_that_is_advised_makes_what_training_takes(inspect: Command, recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_that_is_advised_makes_what_training_takes(
+    inspect: Command, recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     printed = inspect(recorded, "--keys", "q", "dq", "--names", "angle", "rate")
     advised = next(line for line in printed.splitlines() if line.startswith("- align them: "))
     python, script, *arguments = shlex.split(advised.removeprefix("- align them: "))
@@ -148,7 +210,10 @@ def test_command_that_is_advised_makes_what_training_takes(inspect: Command, rec
     monkeypatch.chdir(recorded.parent)
     run_script(monkeypatch, script, *arguments)
     assert isinstance(load_demonstrations("demonstrations.npz", 0.1), Demonstrations)
-    assert inspect("demonstrations.npz").splitlines()[-2:] == ["before training", "- nothing to do: it is loaded as it is"]
+    assert inspect("demonstrations.npz").splitlines()[-2:] == [
+        "before training",
+        "- nothing to do: it is loaded as it is",
+    ]
 
 
 def test_recordings_without_times_are_inspected_and_aligned_at_the_step_that_is_given(
@@ -161,18 +226,25 @@ def test_recordings_without_times_are_inspected_and_aligned_at_the_step_that_is_
     monkeypatch.chdir(tmp_path)
     printed = inspect("reach.hdf5", "--time-step", "0.05", "--control-period", "0.25")
     advised = next(line for line in printed.splitlines() if line.startswith("- align them: "))
-    assert advised.endswith("reach.hdf5 demonstrations.npz --time-step 0.25 --recorded-time-step 0.05")
+    assert advised.endswith(
+        "reach.hdf5 demonstrations.npz --time-step 0.25 --recorded-time-step 0.05"
+    )
     run_script(monkeypatch, "pmil align", *shlex.split(advised)[5:])
     assert load_demonstrations("demonstrations.npz", 0.25).duration == 1.5
 
 
 def test_picture_is_drawn_if_asked(inspect: Command, recorded: Path, tmp_path: Path) -> None:
-    assert f"wrote {tmp_path / 'drawn.png'}" in inspect(recorded, "--keys", "q", "--draw", tmp_path / "drawn.png")
+    assert f"wrote {tmp_path / 'drawn.png'}" in inspect(
+        recorded, "--keys", "q", "--draw", tmp_path / "drawn.png"
+    )
     assert (tmp_path / "drawn.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_wrong_file_or_key_is_one_line(inspect: Command, recorded: Path, tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match=r"error: .*recorded reaches.csv: row 2, column phase must be a finite number, got 'reach'"):
+    with pytest.raises(
+        SystemExit,
+        match=r"error: .*recorded reaches.csv: row 2, column phase must be a finite number, got 'reach'",
+    ):
         inspect(recorded)
     with pytest.raises(SystemExit, match=r"error: .*keys must be some of q, dq, phase, got p"):
         inspect(recorded, "--keys", "p")

@@ -1,4 +1,6 @@
-"""Sweeps of the training script: the same numbers whatever starts the runs, and one line for what is wrong."""
+"""Sweeps of the training script: the same numbers whatever starts the runs, and one line for what
+is wrong.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def train(folder: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
     """The script in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), *overrides]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +57,9 @@ def joblib(folder: Path) -> subprocess.CompletedProcess[str]:
 def trials_of(run: Path) -> list[dict]:
     """What was measured in each trial, without the seconds it took."""
     trials = json.loads((run / "summary.json").read_text())["trials"]
-    return [{name: value for name, value in trial.items() if name not in SECONDS} for trial in trials]
+    return [
+        {name: value for name, value in trial.items() if name not in SECONDS} for trial in trials
+    ]
 
 
 def policy_of(run: Path) -> Mapping[str, torch.Tensor]:
@@ -63,13 +69,26 @@ def policy_of(run: Path) -> Mapping[str, torch.Tensor]:
 def assert_same_numbers(run: Path, other: Path) -> None:
     assert trials_of(run) == trials_of(other)
     policy, others = policy_of(run), policy_of(other)
-    assert policy and all(torch.equal(policy[name], others[name]) for name in policy.keys() | others.keys())
+    assert policy and all(
+        torch.equal(policy[name], others[name]) for name in policy.keys() | others.keys()
+    )
 
 
 @pytest.mark.slow
-def test_each_run_of_a_sweep_is_whole_and_tells_its_progress_by_name(folder: Path, joblib: subprocess.CompletedProcess[str]) -> None:
+def test_each_run_of_a_sweep_is_whole_and_tells_its_progress_by_name(
+    folder: Path, joblib: subprocess.CompletedProcess[str]
+) -> None:
     assert (joblib.returncode, joblib.stderr) == (0, "")
-    files = {"metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4", "video.gif", "report.html", "figures"}
+    files = {
+        "metrics.csv",
+        "summary.json",
+        "policy.pt",
+        "dynamics.pt",
+        "video.mp4",
+        "video.gif",
+        "report.html",
+        "figures",
+    }
     files |= {"checkpoints", "logs"}
     told = joblib.stdout.splitlines()
     for seed in SEEDS:
@@ -77,12 +96,19 @@ def test_each_run_of_a_sweep_is_whole_and_tells_its_progress_by_name(folder: Pat
         assert set(os.listdir(folder / run)) == files
         assert sum(line.startswith(f"{run}: trial  1:   0.5 s of experience") for line in told) == 1
         command = json.loads((folder / run / "summary.json").read_text())["command"]
-        assert command == f"pmil train seed={seed} demonstrations=short.npz trials=1 'out=joblib/seed_${{seed}}'"
-    assert {line.partition(":")[0] for line in told if "is a sketch" not in line} == {f"joblib/seed_{seed}" for seed in SEEDS}
+        assert (
+            command
+            == f"pmil train seed={seed} demonstrations=short.npz trials=1 'out=joblib/seed_${{seed}}'"
+        )
+    assert {line.partition(":")[0] for line in told if "is a sketch" not in line} == {
+        f"joblib/seed_{seed}" for seed in SEEDS
+    }
 
 
 @pytest.mark.slow
-def test_a_run_of_a_sweep_has_the_numbers_of_the_same_run_alone(folder: Path, joblib: subprocess.CompletedProcess[str]) -> None:
+def test_a_run_of_a_sweep_has_the_numbers_of_the_same_run_alone(
+    folder: Path, joblib: subprocess.CompletedProcess[str]
+) -> None:
     """The last seed's process had another run before."""
     alone = train(folder, f"seed={SEEDS[-1]}", "demonstrations=short.npz", "trials=1", "out=alone")
     assert alone.returncode == 0, alone.stderr
@@ -90,8 +116,12 @@ def test_a_run_of_a_sweep_has_the_numbers_of_the_same_run_alone(folder: Path, jo
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(find_spec("hydra_plugins.hydra_ray_launcher") is None, reason="needs the extra ray")
-def test_ray_gives_the_numbers_that_joblib_gives(folder: Path, joblib: subprocess.CompletedProcess[str]) -> None:
+@pytest.mark.skipif(
+    find_spec("hydra_plugins.hydra_ray_launcher") is None, reason="needs the extra ray"
+)
+def test_ray_gives_the_numbers_that_joblib_gives(
+    folder: Path, joblib: subprocess.CompletedProcess[str]
+) -> None:
     ray = sweep(folder, "ray")
     assert ray.returncode == 0, ray.stderr
     for seed in SEEDS:
@@ -100,9 +130,13 @@ def test_ray_gives_the_numbers_that_joblib_gives(folder: Path, joblib: subproces
 
 @pytest.mark.slow
 def test_runs_that_fail_are_named_and_the_others_go_on(folder: Path) -> None:
-    result = train(folder, "-m", "seed=x,0", "demonstrations=short.npz", "trials=1", "out=some/seed_${seed}")
+    result = train(
+        folder, "-m", "seed=x,0", "demonstrations=short.npz", "trials=1", "out=some/seed_${seed}"
+    )
     assert result.returncode == 1
-    assert result.stderr.startswith("some/seed_x: error: seed must be a whole number of at least 0, got 'x'\n")
+    assert result.stderr.startswith(
+        "some/seed_x: error: seed must be a whole number of at least 0, got 'x'\n"
+    )
     assert "Traceback" not in result.stderr
     assert (folder / "some" / "seed_0" / "summary.json").is_file()
     assert not (folder / "some" / "seed_x").exists()
@@ -111,6 +145,8 @@ def test_runs_that_fail_are_named_and_the_others_go_on(folder: Path) -> None:
 def test_runs_that_would_share_a_folder_are_refused_in_one_line(tmp_path: Path) -> None:
     result = train(tmp_path, "-m", "trials=1,2")
     assert (result.returncode, result.stdout) == (1, "")
-    assert result.stderr.startswith("error: two runs would write to runs/double_pendulum/seed_0: trials=1 and trials=2; ")
+    assert result.stderr.startswith(
+        "error: two runs would write to runs/double_pendulum/seed_0: trials=1 and trials=2; "
+    )
     assert result.stderr.count("\n") == 1
     assert os.listdir(tmp_path) == []

@@ -1,4 +1,6 @@
-"""The script that puts several runs together: its table, its two files, and one line for what is wrong."""
+"""The script that puts several runs together: its table, its two files, and one line for what is
+wrong.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +17,25 @@ from torch_pmil.experiments.runs.summaries import wilson_interval
 SCRIPT = "pmil summarize"
 
 
-def write_run(folder: Path, seed: int, experience_s: float, rate: float, experiment: str = "double_pendulum") -> Path:
+def write_run(
+    folder: Path, seed: int, experience_s: float, rate: float, experiment: str = "double_pendulum"
+) -> Path:
     """A finished run with one trial, which failed."""
     run = folder / f"seed_{seed}"
     run.mkdir(parents=True)
     (run / "metrics.csv").write_text("trial,kl\n1,3.0\n")
-    summary = {"experiment": experiment, "seed": seed, "experience_s": experience_s, "saved_success_rate": rate, "saved_trial": 1}
-    measured = {"wall_seconds": 100.0 + seed, "two_sigma_coverage": 0.9, "stop_reason": "limit of trials"}
+    summary = {
+        "experiment": experiment,
+        "seed": seed,
+        "experience_s": experience_s,
+        "saved_success_rate": rate,
+        "saved_trial": 1,
+    }
+    measured = {
+        "wall_seconds": 100.0 + seed,
+        "two_sigma_coverage": 0.9,
+        "stop_reason": "limit of trials",
+    }
     trials = [{"experience_s": 2.5, "success_rate": 0.0}]
     (run / "summary.json").write_text(json.dumps({**summary, **measured, "trials": trials}))
     return run
@@ -46,7 +60,9 @@ def error_of(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> str:
     return message.removeprefix("error: ")
 
 
-def test_headline_counts_runs_that_learned_within_the_papers_experience(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_headline_counts_runs_that_learned_within_the_papers_experience(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Seed 1 took too long, seed 2 does not succeed often enough."""
     for run in ((2, 20.0, 0.9), (0, 25.0, 0.95), (1, 35.0, 1.0)):
         write_run(tmp_path / "runs", *run)
@@ -54,11 +70,19 @@ def test_headline_counts_runs_that_learned_within_the_papers_experience(monkeypa
     merged = json.loads((tmp_path / "results" / "summary.json").read_text())
     assert [run["seed"] for run in merged["runs"]] == [0, 1, 2]
     headline = merged["headline"]
-    assert (headline["seeds"], headline["learned_within_33s"], headline["median_experience_s"]) == (3, 1, 25.0)
-    assert headline["max_wall_seconds"] == 102.0 and headline["two_sigma_coverage"] == pytest.approx(0.9)
+    assert (headline["seeds"], headline["learned_within_33s"], headline["median_experience_s"]) == (
+        3,
+        1,
+        25.0,
+    )
+    assert headline["max_wall_seconds"] == 102.0 and headline[
+        "two_sigma_coverage"
+    ] == pytest.approx(0.9)
 
 
-def test_results_say_where_they_come_from_and_hold_the_curve_with_its_interval(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_results_say_where_they_come_from_and_hold_the_curve_with_its_interval(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     runs = [write_run(tmp_path / "runs", seed, 5.0, rate) for seed, rate in enumerate((1.0, 0.5))]
     summarize(monkeypatch, *runs, "--out", tmp_path / "results")
     merged = json.loads((tmp_path / "results" / "summary.json").read_text())
@@ -66,16 +90,27 @@ def test_results_say_where_they_come_from_and_hold_the_curve_with_its_interval(m
     assert {"experiment", "date", "commit", "versions"} <= merged.keys()
     curve = merged["success_over_experience"]
     assert (curve["experience_s"], curve["mean"]) == ([2.5, 5.0], [0.0, 0.75])
-    np.testing.assert_allclose([curve["lower"], curve["upper"]], wilson_interval(np.array([0.0, 0.75]), 2))
-    assert (tmp_path / "results" / "success_over_experience.png").read_bytes().startswith(b"\x89PNG")
-    assert sorted(os.listdir(tmp_path / "results")) == ["success_over_experience.png", "summary.json"]
+    np.testing.assert_allclose(
+        [curve["lower"], curve["upper"]], wilson_interval(np.array([0.0, 0.75]), 2)
+    )
+    assert (
+        (tmp_path / "results" / "success_over_experience.png").read_bytes().startswith(b"\x89PNG")
+    )
+    assert sorted(os.listdir(tmp_path / "results")) == [
+        "success_over_experience.png",
+        "summary.json",
+    ]
 
 
-def test_results_lie_beside_the_runs_if_not_said_otherwise_and_can_be_made_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_results_lie_beside_the_runs_if_not_said_otherwise_and_can_be_made_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     run = write_run(tmp_path / "runs", 0, 5.0, 1.0)
     for folder in (tmp_path / "runs", run):
         summarize(monkeypatch, folder)
-        assert json.loads((tmp_path / "runs" / "summary.json").read_text())["headline"]["seeds"] == 1
+        assert (
+            json.loads((tmp_path / "runs" / "summary.json").read_text())["headline"]["seeds"] == 1
+        )
 
 
 def test_table_has_a_line_for_each_run_and_leaves_out_those_that_have_not_ended(
@@ -92,18 +127,27 @@ def test_table_has_a_line_for_each_run_and_leaves_out_those_that_have_not_ended(
     assert json.loads((tmp_path / "runs" / "summary.json").read_text())["headline"]["seeds"] == 2
 
 
-def test_runs_of_two_experiments_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    write_run(tmp_path / "a", 0, 20.0, 1.0), write_run(tmp_path / "b", 1, 20.0, 1.0, experiment="biorob")
+def test_runs_of_two_experiments_are_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (
+        write_run(tmp_path / "a", 0, 20.0, 1.0),
+        write_run(tmp_path / "b", 1, 20.0, 1.0, experiment="biorob"),
+    )
     complaint = error_of(monkeypatch, tmp_path / "a", tmp_path / "b", "--out", tmp_path / "results")
     assert complaint == "runs must be of one experiment, got biorob, double_pendulum"
     assert not (tmp_path / "results").exists()
 
 
-def test_a_damaged_run_is_named_and_nothing_is_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_damaged_run_is_named_and_nothing_is_written(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     write_run(tmp_path / "runs", 0, 20.0, 1.0)
     damaged = write_run(tmp_path / "runs", 1, 20.0, 1.0)
     (damaged / "summary.json").write_text('{"experiment": "double_pen')
-    assert error_of(monkeypatch, tmp_path / "runs").startswith(f"{damaged}: summary.json is damaged: ")
+    assert error_of(monkeypatch, tmp_path / "runs").startswith(
+        f"{damaged}: summary.json is damaged: "
+    )
     assert sorted(os.listdir(tmp_path / "runs")) == ["seed_0", "seed_1"]
 
 
@@ -111,7 +155,9 @@ def test_folder_without_runs_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert error_of(monkeypatch, tmp_path).startswith(f"{tmp_path} holds no run")
 
 
-def test_runs_none_of_which_has_ended_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_runs_none_of_which_has_ended_are_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     run = write_unfinished_run(tmp_path / "runs", 0)
     assert error_of(monkeypatch, tmp_path / "runs") == f"none of the runs has ended: {run}"
 
@@ -119,5 +165,8 @@ def test_runs_none_of_which_has_ended_are_refused(monkeypatch: pytest.MonkeyPatc
 def test_summary_of_a_run_is_not_replaced(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     run = write_run(tmp_path / "runs", 0, 5.0, 1.0)
     before = (run / "summary.json").read_text()
-    assert error_of(monkeypatch, run, "--out", run) == f"{run} is a run: the results would replace its summary.json"
+    assert (
+        error_of(monkeypatch, run, "--out", run)
+        == f"{run} is a run: the results would replace its summary.json"
+    )
     assert (run / "summary.json").read_text() == before

@@ -26,8 +26,24 @@ from torch_pmil.trainer import search_stepper
 
 SCRIPT = "pmil train"
 UNKNOWN = f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}"
-FILES = {"metrics.csv", "summary.json", "policy.pt", "dynamics.pt", "video.mp4", "video.gif", "report.html"}
-FIGURES = {"trajectories", "learning_curve", "kl_per_step", "calibration", "model", "policy", "poses"}
+FILES = {
+    "metrics.csv",
+    "summary.json",
+    "policy.pt",
+    "dynamics.pt",
+    "video.mp4",
+    "video.gif",
+    "report.html",
+}
+FIGURES = {
+    "trajectories",
+    "learning_curve",
+    "kl_per_step",
+    "calibration",
+    "model",
+    "policy",
+    "poses",
+}
 Script = Callable[..., None]
 
 
@@ -35,7 +51,9 @@ Script = Callable[..., None]
 def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     """The script, run with command-line overrides in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delitem(ConfigStore.instance().repo, "logger", raising=False)  # other tests may have imported TorchRL's configurations
+    monkeypatch.delitem(
+        ConfigStore.instance().repo, "logger", raising=False
+    )  # other tests may have imported TorchRL's configurations
     return partial(run_script, monkeypatch, SCRIPT)
 
 
@@ -48,13 +66,22 @@ def short_double_pendulum(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_double_pendulum")
-def test_run_leaves_numbers_policy_figures_and_a_video(script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_leaves_numbers_policy_figures_and_a_video(
+    script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     script("trials=1", "seed=2", "out=run")
     files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     figures = {f"run/figures/{name}.png" for name in FIGURES}
-    logged = {name for name in files if name.startswith(("run/checkpoints/", "run/logs/double_pendulum_seed_2/scalars/"))}
+    logged = {
+        name
+        for name in files
+        if name.startswith(("run/checkpoints/", "run/logs/double_pendulum_seed_2/scalars/"))
+    }
     assert len([name for name in logged if name.endswith(".torchrl")]) == 2
-    assert {"run/logs/double_pendulum_seed_2/scalars/kl.csv", "run/logs/double_pendulum_seed_2/scalars/own_error.csv"} <= logged
+    assert {
+        "run/logs/double_pendulum_seed_2/scalars/kl.csv",
+        "run/logs/double_pendulum_seed_2/scalars/own_error.csv",
+    } <= logged
     assert files - logged == {f"run/{name}" for name in FILES} | figures
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["command"], summary["seed"]) == ("pmil train trials=1 seed=2 out=run", 2)
@@ -66,20 +93,30 @@ def test_run_leaves_numbers_policy_figures_and_a_video(script: Script, tmp_path:
 
 @pytest.mark.slow
 def test_run_of_the_baseline_tells_of_its_cost_and_draws_the_same(
-    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     short = short_experiment(6, name="double_pendulum_pilco")
     monkeypatch.setitem(EXPERIMENTS, "double_pendulum_pilco", lambda demonstrations: short)
     script("experiment=double_pendulum_pilco", "trials=1", "seed=2", "logger=null")
-    assert re.search(r"trial  1:   0.6 s of experience, cost +\d\.\d, own rollout", capsys.readouterr().out)
+    assert re.search(
+        r"trial  1:   0.6 s of experience, cost +\d\.\d, own rollout", capsys.readouterr().out
+    )
     run = tmp_path / "runs" / "double_pendulum_pilco" / "seed_2"
-    assert {path.name for path in (run / "figures").iterdir()} == {f"{name}.png" for name in FIGURES - {"kl_per_step"}}
+    assert {path.name for path in (run / "figures").iterdir()} == {
+        f"{name}.png" for name in FIGURES - {"kl_per_step"}
+    }
     settings = json.loads((run / "summary.json").read_text())["settings"]
     assert (settings["cost_width"], settings["target"]) == (2.0, [0.0, 0.5, 0.0, 1.0])
 
 
 def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_says_so(
-    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def broken(self: object) -> None:
         raise RuntimeError("pictures need OpenGL")
@@ -92,7 +129,9 @@ def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_say
     printed = capsys.readouterr().out
     assert "there is no video, because pictures need OpenGL\n" in printed
     assert "see run/report.html, run/figures, run/summary.json" in printed
-    assert re.search(r"within two predicted standard deviations: q1 \d+%, dq1 \d+%, q2 \d+%, dq2 \d+%\n", printed)
+    assert re.search(
+        r"within two predicted standard deviations: q1 \d+%, dq1 \d+%, q2 \d+%, dq2 \d+%\n", printed
+    )
 
 
 @pytest.mark.usefixtures("short_double_pendulum")
@@ -106,11 +145,15 @@ def test_interrupted_run_ends_with_how_to_go_on(
     with pytest.raises(SystemExit) as stop:
         script("trials=1", "seed=2", "out=run")
     assert stop.value.code == 130
-    assert capsys.readouterr().err.endswith("stopped; go on with: pmil train trials=1 seed=2 out=run resume=true\n")
+    assert capsys.readouterr().err.endswith(
+        "stopped; go on with: pmil train trials=1 seed=2 out=run resume=true\n"
+    )
 
 
 @pytest.mark.usefixtures("short_double_pendulum")
-def test_stopped_run_is_not_overwritten_by_the_same_command(script: Script, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stopped_run_is_not_overwritten_by_the_same_command(
+    script: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with monkeypatch.context() as patch, pytest.raises(SystemExit):
         patch.setattr(search_stepper, "search_policy", lambda *args: sys.exit("power cut"))
         script("trials=1", "seed=2", "out=run")
@@ -120,7 +163,10 @@ def test_stopped_run_is_not_overwritten_by_the_same_command(script: Script, monk
 
 
 def test_unknown_logger_is_refused_with_those_there_are(script: Script) -> None:
-    assert error_of(script, "logger=stone") == "logger must be one of csv, tensorboard, wandb, mlflow or null, got stone"
+    assert (
+        error_of(script, "logger=stone")
+        == "logger must be one of csv, tensorboard, wandb, mlflow or null, got stone"
+    )
 
 
 def error_of(script: Script, *overrides: str) -> str:
@@ -139,23 +185,34 @@ def test_unknown_experiment_is_refused_with_those_there_are(script: Script, tmp_
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize(("override", "got"), [("trials=0", "0"), ("trials=two", "'two'"), ("trials=1.5", "1.5"), ("seed=abc", "'abc'")])
+@pytest.mark.parametrize(
+    ("override", "got"),
+    [("trials=0", "0"), ("trials=two", "'two'"), ("trials=1.5", "1.5"), ("seed=abc", "'abc'")],
+)
 @pytest.mark.usefixtures("short_double_pendulum")
-def test_number_out_of_range_is_refused_before_there_is_a_folder(script: Script, tmp_path: Path, override: str, got: str) -> None:
+def test_number_out_of_range_is_refused_before_there_is_a_folder(
+    script: Script, tmp_path: Path, override: str, got: str
+) -> None:
     message = error_of(script, override, "out=run")
-    assert message.startswith(f"{override.split('=')[0]} must be ") and message.endswith(f", got {got}")
+    assert message.startswith(f"{override.split('=')[0]} must be ") and message.endswith(
+        f", got {got}"
+    )
     assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize(
     ("names", "time_step", "complaint"),
     [
-        (("x1", "y1", "x2", "z2"), 0.1, "demonstrations must be of x1, y1, x2, y2, got x1, y1, x2, z2"),
+        (
+            ("x1", "y1", "x2", "z2"),
+            0.1,
+            "demonstrations must be of x1, y1, x2, y2, got x1, y1, x2, z2",
+        ),
         (
             ("x1", "y1", "x2", "y2"),
             0.05,
-            "demonstrations must have a time step of 0.1 s, the robot's control period, got 0.05 s; "
-            "pmil align --time-step 0.1 resamples a recording",
+            "demonstrations must have a time step of 0.1 s, the robot's control period, got 0.05 "
+            "s; pmil align --time-step 0.1 resamples a recording",
         ),
     ],
 )
@@ -167,19 +224,28 @@ def test_demonstrations_of_something_else_are_refused(
     assert os.listdir(tmp_path) == ["own.npz"]
 
 
-def test_demonstrations_that_the_robot_cannot_follow_are_refused(script: Script, tmp_path: Path) -> None:
+def test_demonstrations_that_the_robot_cannot_follow_are_refused(
+    script: Script, tmp_path: Path
+) -> None:
     positions = shipped_demonstrations().positions.clone()
     positions[3] *= 1.3
     Demonstrations(positions, 0.1, ("x1", "y1", "x2", "y2")).save(tmp_path / "own.npz")
-    assert error_of(script, "demonstrations=own.npz", "out=run").startswith("demonstration 3 leaves the workspace: at ")
+    assert error_of(script, "demonstrations=own.npz", "out=run").startswith(
+        "demonstration 3 leaves the workspace: at "
+    )
     assert os.listdir(tmp_path) == ["own.npz"]
 
 
 def test_doubtful_demonstrations_are_warned_of_once_and_learned_from(
-    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     positions = shipped_demonstrations().positions
-    Demonstrations(positions[[0, 1, 2, 3, 4, 1]], 0.1, ("x1", "y1", "x2", "y2")).save(tmp_path / "own.npz")
+    Demonstrations(positions[[0, 1, 2, 3, 4, 1]], 0.1, ("x1", "y1", "x2", "y2")).save(
+        tmp_path / "own.npz"
+    )
 
     def stopped(*args: object) -> None:
         raise KeyboardInterrupt
@@ -219,4 +285,7 @@ def test_failure_is_one_line_on_stderr_and_an_exit_code(tmp_path: Path) -> None:
 def test_missing_library_of_a_logger_is_named(script: Script, kind: str) -> None:
     if find_spec(kind):
         pytest.skip(f"{kind} is installed")
-    assert error_of(script, f"logger={kind}", "out=run") == f"logger={kind} needs another library: pip install {kind}"
+    assert (
+        error_of(script, f"logger={kind}", "out=run")
+        == f"logger={kind} needs another library: pip install {kind}"
+    )

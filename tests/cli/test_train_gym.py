@@ -1,4 +1,6 @@
-"""The training script on tasks of gymnasium, shortened: what it leaves with pictures and without, and without gymnasium."""
+"""The training script on tasks of gymnasium, shortened: what it leaves with pictures and without,
+and without gymnasium.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +36,14 @@ def quick_fits(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def short(name: str) -> Experiment:
     """The experiment's first steps, with searches of a few evaluations; every rollout is a failure."""
     whole = load_experiment(name)
-    beginning = replace(whole.demonstrations, positions=whole.demonstrations.positions[:, : HORIZON + 1])
+    beginning = replace(
+        whole.demonstrations, positions=whole.demonstrations.positions[:, : HORIZON + 1]
+    )
     search = SearchSettings(1, 1, 1, first_horizon=HORIZON)
     failure = lambda rollout: torch.ones(rollout.shape[:-1])  # noqa: E731
-    return replace(whole, demonstrations=beginning, num_centres=5, search=search, error=failure, tolerance=0.5)
+    return replace(
+        whole, demonstrations=beginning, num_centres=5, search=search, error=failure, tolerance=0.5
+    )
 
 
 def run(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -50,24 +56,36 @@ def run(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_robot_of_gymnasium_lives_through_whole_rollouts(name: str) -> None:
-    trainer = make_trainer(short(name), seed=0, trials=2, progress_bar=False, on_trial=lambda trial: None)
+    trainer = make_trainer(
+        short(name), seed=0, trials=2, progress_bar=False, on_trial=lambda trial: None
+    )
     trainer.train()
     assert len(trainer.experience) == 3 * HORIZON
     rollouts = trainer.experience.transitions.split(HORIZON)
-    assert all(torch.equal(rollout["next", "observation"][:-1], rollout["observation"][1:]) for rollout in rollouts)
+    assert all(
+        torch.equal(rollout["next", "observation"][:-1], rollout["observation"][1:])
+        for rollout in rollouts
+    )
     assert len(torch.stack([rollout["observation"][0] for rollout in rollouts]).unique(dim=0)) == 3
     assert all(trial.n_eval == 20 for trial in trainer.trials)
 
 
 def learned(trainer: PMILTrainer) -> torch.Tensor:
-    return torch.cat([parameter.detach().flatten() for parameter in trainer.loss_module.actor_network.parameters()])
+    return torch.cat(
+        [
+            parameter.detach().flatten()
+            for parameter in trainer.loss_module.actor_network.parameters()
+        ]
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_same_seed_learns_the_same_policy_bit_for_bit(name: str) -> None:
     results = []
     for seed in (3, 3, 4):
-        trainer = make_trainer(short(name), seed=seed, trials=1, progress_bar=False, on_trial=lambda trial: None)
+        trainer = make_trainer(
+            short(name), seed=seed, trials=1, progress_bar=False, on_trial=lambda trial: None
+        )
         trainer.train()
         results.append(learned(trainer))
     assert torch.equal(results[0], results[1]) and not torch.equal(results[0], results[2])
@@ -81,11 +99,16 @@ def test_run_leaves_a_video_of_the_environments_own_pictures(
     run(name, monkeypatch, tmp_path)
     frames, seconds = imageio_ffmpeg.count_frames_and_secs(tmp_path / "run" / "video.mp4")
     assert frames == HORIZON + 1
-    assert seconds == pytest.approx((HORIZON + 1) * load_experiment(name).demonstrations.time_step, abs=0.02)
+    assert seconds == pytest.approx(
+        (HORIZON + 1) * load_experiment(name).demonstrations.time_step, abs=0.02
+    )
     figures = {"trajectories", "learning_curve", "kl_per_step", "calibration", "model", "policy"}
     assert {path.stem for path in (tmp_path / "run" / "figures").iterdir()} == figures
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["experiment"] == name
-    assert "see run/report.html, run/figures, run/video.mp4, run/summary.json" in capsys.readouterr().out
+    assert (
+        "see run/report.html, run/figures, run/video.mp4, run/summary.json"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.mark.slow
@@ -99,15 +122,23 @@ def test_run_without_pictures_says_so_in_one_line(
     run("gym_pendulum", monkeypatch, tmp_path)
     assert not (tmp_path / "run" / "video.mp4").exists()
     printed = capsys.readouterr().out.splitlines()
-    assert "there is no video, because the environment gives no pictures: pygame is not installed" in printed
+    assert (
+        "there is no video, because the environment gives no pictures: pygame is not installed"
+        in printed
+    )
     assert "see run/report.html, run/figures, run/summary.json" in printed
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_without_gymnasium_the_script_ends_in_one_line(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_gymnasium_the_script_ends_in_one_line(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(gym_tasks, "gymnasium", None)
     with pytest.raises(SystemExit) as stop:
         run_script(monkeypatch, SCRIPT, f"experiment={name}", "out=run")
-    assert stop.value.code == "error: this task needs gymnasium, which is not installed: pip install 'torch_pmil[gym]'"
+    assert (
+        stop.value.code
+        == "error: this task needs gymnasium, which is not installed: pip install 'torch_pmil[gym]'"
+    )
     assert list(tmp_path.iterdir()) == []

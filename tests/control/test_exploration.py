@@ -13,7 +13,10 @@ from torch_pmil.control.exploration import Motion, PDMovements, RandomTorques
 
 POSE = torch.tensor([0.3, -0.2, 0.0, 0.0], dtype=torch.float64)
 REACH = torch.tensor([0.4, 0.2, 0.0, 0.0], dtype=torch.float64)
-STIFFNESS, DAMPING = torch.tensor([5.0, 3.0], dtype=torch.float64), torch.tensor([1.0, 0.5], dtype=torch.float64)
+STIFFNESS, DAMPING = (
+    torch.tensor([5.0, 3.0], dtype=torch.float64),
+    torch.tensor([1.0, 0.5], dtype=torch.float64),
+)
 GAIN = torch.cat([STIFFNESS.diag(), DAMPING.diag()], 1)
 U_MAX = torch.tensor([100.0, 100.0], dtype=torch.float64)
 HOLD = 5
@@ -33,7 +36,9 @@ def generator() -> torch.Generator:
 def targets_of(motion: Motion, steps: int, robots: int) -> Tensor:
     """Positions (steps, robots, 2) to which the torques at the pose pull."""
     state = POSE.expand(robots, -1)
-    return torch.stack([POSE[:2] + (motion(state) - gravity(state)) / STIFFNESS for _ in range(steps)])
+    return torch.stack(
+        [POSE[:2] + (motion(state) - gravity(state)) / STIFFNESS for _ in range(steps)]
+    )
 
 
 def test_targets_are_uniform_around_the_pose() -> None:
@@ -70,12 +75,20 @@ def test_torque_is_weight_stiffness_and_damping() -> None:
 def test_torques_end_at_the_limits() -> None:
     limits = torch.tensor([0.5, 100.0], dtype=torch.float64)
     state = torch.tensor([-9.0, 0.0, 0.0, 0.0], dtype=torch.float64)
-    free, limited = (replace(MOVEMENTS, u_max=u_max).motion(generator())(state) for u_max in (U_MAX, limits))
+    free, limited = (
+        replace(MOVEMENTS, u_max=u_max).motion(generator())(state) for u_max in (U_MAX, limits)
+    )
     assert limited.tolist() == [0.5, free[1].item()]
 
 
-@pytest.mark.parametrize("make", [lambda: MOVEMENTS, lambda: RandomTorques(U_MAX, 0.4, 20)], ids=["pd movements", "random torques"])
-def test_same_generator_gives_the_same_torques(make: Callable[[], PDMovements | RandomTorques]) -> None:
+@pytest.mark.parametrize(
+    "make",
+    [lambda: MOVEMENTS, lambda: RandomTorques(U_MAX, 0.4, 20)],
+    ids=["pd movements", "random torques"],
+)
+def test_same_generator_gives_the_same_torques(
+    make: Callable[[], PDMovements | RandomTorques],
+) -> None:
     motions = [make().motion(generator()) for _ in range(2)]
     first, second = ([motion(POSE) for _ in range(2 * HOLD)] for motion in motions)
     assert torch.equal(torch.stack(first), torch.stack(second))
@@ -84,7 +97,10 @@ def test_same_generator_gives_the_same_torques(make: Callable[[], PDMovements | 
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"reach": torch.zeros(3)}, r"must have shapes \(4,\) and \(2, 4\) for a pose of 4 and 2 torques, got \(3,\) and \(2, 4\)"),
+        (
+            {"reach": torch.zeros(3)},
+            r"must have shapes \(4,\) and \(2, 4\) for a pose of 4 and 2 torques, got \(3,\) and \(2, 4\)",
+        ),
         ({"gain": torch.zeros(4, 2)}, r"got \(4,\) and \(4, 2\)"),
         ({"reach": -REACH}, r"reach must not be negative and u_max be positive, got \[-0.4"),
         ({"u_max": torch.zeros(2)}, r"u_max be positive, got .* and \[0.0, 0.0\]"),

@@ -54,11 +54,15 @@ def edited(path: Path, **entries: object) -> Path:
 def with_parameters(path: Path, **parameters: object) -> Path:
     """The file with other parameters; None takes one out."""
     changed = torch.load(path, weights_only=True)["parameters"] | parameters
-    return edited(path, parameters={name: value for name, value in changed.items() if value is not None})
+    return edited(
+        path, parameters={name: value for name, value in changed.items() if value is not None}
+    )
 
 
 @torch.no_grad()
-def test_loaded_policy_acts_at_states_as_the_saved_one_at_their_features(policy: RBFPolicy, path: Path, draws: Draws) -> None:
+def test_loaded_policy_acts_at_states_as_the_saved_one_at_their_features(
+    policy: RBFPolicy, path: Path, draws: Draws
+) -> None:
     states = draws.normal(20, 4)
     assert torch.equal(load_policy(path)(states), policy(SPACE.features(states)))
 
@@ -80,7 +84,9 @@ def test_file_is_read_without_executing_anything_and_says_what_it_is(path: Path)
     content = torch.load(path, weights_only=True)
     assert (content["format"], content["version"]) == ("torch_pmil policy", 1)
     assert content["torch_pmil"]
-    assert torch.equal(content["parameters"]["u_max"], torch.tensor([3.5, 2.0], dtype=torch.float64))
+    assert torch.equal(
+        content["parameters"]["u_max"], torch.tensor([3.5, 2.0], dtype=torch.float64)
+    )
 
 
 def test_saving_replaces_a_file_and_leaves_nothing_else(path: Path, policy: RBFPolicy) -> None:
@@ -93,8 +99,16 @@ def test_saving_replaces_a_file_and_leaves_nothing_else(path: Path, policy: RBFP
 
 
 def test_policy_of_other_features_is_refused_before_there_is_a_file(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="policy must see the features x, dx, dq, sin q, cos q, got one of 4 features"):
-        save_policy(tmp_path / "policy.pt", RBFPolicy(torch.zeros(3, 4), torch.ones(1), torch.ones(4)), SPACE, control_period=0.1)
+    with pytest.raises(
+        ValueError,
+        match="policy must see the features x, dx, dq, sin q, cos q, got one of 4 features",
+    ):
+        save_policy(
+            tmp_path / "policy.pt",
+            RBFPolicy(torch.zeros(3, 4), torch.ones(1), torch.ones(4)),
+            SPACE,
+            control_period=0.1,
+        )
     assert os.listdir(tmp_path) == []
 
 
@@ -113,12 +127,20 @@ def test_missing_folder_and_missing_file_are_oserrors(policy: RBFPolicy, tmp_pat
 
 def test_bare_parameters_of_an_older_run_are_refused(policy: RBFPolicy, tmp_path: Path) -> None:
     torch.save(policy.state_dict(), tmp_path / "policy.pt")
-    found = error_of(tmp_path / "policy.pt").removeprefix("must be a file of save_policy, with the entry format = 'torch_pmil policy', ")
+    found = error_of(tmp_path / "policy.pt").removeprefix(
+        "must be a file of save_policy, with the entry format = 'torch_pmil policy', "
+    )
     assert found == "got entries centres, weights, log_widths, u_max, scale"
 
 
 @pytest.mark.parametrize(
-    ("content", "found"), [([1.0], "a list"), (torch.zeros(3), "a Tensor"), ({}, "entries "), ({"format": "other"}, "entries format")]
+    ("content", "found"),
+    [
+        ([1.0], "a list"),
+        (torch.zeros(3), "a Tensor"),
+        ({}, "entries "),
+        ({"format": "other"}, "entries format"),
+    ],
 )
 def test_other_files_of_torch_are_refused(tmp_path: Path, content: object, found: str) -> None:
     torch.save(content, tmp_path / "policy.pt")
@@ -130,10 +152,15 @@ def test_other_version_is_refused_with_its_writer(path: Path) -> None:
     assert error_of(path) == "format version must be 1, got 2, written by torch_pmil 9.1.0"
 
 
-@pytest.mark.parametrize("content", [b"", b"demonstration,time,x\n", bytes(1000), pickle.dumps({"format": "torch_pmil policy"})])
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"demonstration,time,x\n", bytes(1000), pickle.dumps({"format": "torch_pmil policy"})],
+)
 def test_files_that_torch_cannot_read_are_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "policy.pt").write_bytes(content)
-    assert error_of(tmp_path / "policy.pt").startswith("must be a file of save_policy, got what torch.load cannot read")
+    assert error_of(tmp_path / "policy.pt").startswith(
+        "must be a file of save_policy, got what torch.load cannot read"
+    )
 
 
 def test_other_zip_archives_are_refused(tmp_path: Path) -> None:
@@ -170,11 +197,15 @@ def test_one_wrong_bit_of_a_parameter_is_refused(path: Path, policy: RBFPolicy) 
     data = bytearray(path.read_bytes())
     data[bytes(data).index(policy.weights.detach().numpy().tobytes()) + 6] ^= 1
     path.write_bytes(data)
-    assert not torch.equal(torch.load(path, weights_only=True)["parameters"]["weights"], policy.weights)
+    assert not torch.equal(
+        torch.load(path, weights_only=True)["parameters"]["weights"], policy.weights
+    )
     assert error_of(path).startswith("must be whole, got a wrong checksum of ")
 
 
-def test_damage_anywhere_is_refused_or_changes_nothing(path: Path, policy: RBFPolicy, draws: Draws) -> None:
+def test_damage_anywhere_is_refused_or_changes_nothing(
+    path: Path, policy: RBFPolicy, draws: Draws
+) -> None:
     whole, refused = path.read_bytes(), 0
     for place in torch.randint(len(whole), (300,), generator=draws.generator).tolist():
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 255]) + whole[place + 1 :])
@@ -183,8 +214,15 @@ def test_damage_anywhere_is_refused_or_changes_nothing(path: Path, policy: RBFPo
         except PolicyFileError:
             refused += 1
         else:
-            assert (loaded.space.names, loaded.space.angles, loaded.control_period) == (NAMES, (1,), 0.1)
-            assert all(torch.equal(value, policy.state_dict()[name]) for name, value in loaded.policy.state_dict().items())
+            assert (loaded.space.names, loaded.space.angles, loaded.control_period) == (
+                NAMES,
+                (1,),
+                0.1,
+            )
+            assert all(
+                torch.equal(value, policy.state_dict()[name])
+                for name, value in loaded.policy.state_dict().items()
+            )
     assert refused > 100
 
 
@@ -194,35 +232,69 @@ def test_damage_anywhere_is_refused_or_changes_nothing(path: Path, policy: RBFPo
         ({"names": "x"}, "entry names must be a list of str, got 'x'"),
         ({"names": None}, "entry names must be a list of str, got None"),
         ({"units": [1, 2, 3, 4]}, "entry units must be a list of str, got [1, 2, 3, 4]"),
-        ({"units": ["m"]}, "entry units must hold one for each of names ['x', 'q', 'dx', 'dq'], got ['m']"),
+        (
+            {"units": ["m"]},
+            "entry units must hold one for each of names ['x', 'q', 'dx', 'dq'], got ['m']",
+        ),
         ({"angles": [True]}, "entry angles must be a list of int, got [True]"),
         ({"angles": [4]}, "angles must be indices below 4, got (4,)"),
         ({"angles": []}, "parameter centres must have shape (7, 4), got (7, 5)"),
-        ({"names": [], "units": [], "angles": []}, "parameter centres must have shape (7, 0), got (7, 5)"),
+        (
+            {"names": [], "units": [], "angles": []},
+            "parameter centres must have shape (7, 0), got (7, 5)",
+        ),
         ({"control_period": "0.1"}, "entry control_period must be a float, got '0.1'"),
-        ({"control_period": float("nan")}, "control_period must be positive and finite, in seconds, got nan"),
+        (
+            {"control_period": float("nan")},
+            "control_period must be positive and finite, in seconds, got nan",
+        ),
         ({"parameters": None}, "entry parameters must be a dict of tensors, got NoneType"),
-        ({"parameters": {}}, "parameters must be centres, weights, log_widths, u_max, scale, got none"),
+        (
+            {"parameters": {}},
+            "parameters must be centres, weights, log_widths, u_max, scale, got none",
+        ),
     ],
 )
-def test_entries_that_are_wrong_or_do_not_fit_are_named(path: Path, entries: dict[str, object], complaint: str) -> None:
+def test_entries_that_are_wrong_or_do_not_fit_are_named(
+    path: Path, entries: dict[str, object], complaint: str
+) -> None:
     assert error_of(edited(path, **entries)).startswith(complaint)
 
 
 WRONG_PARAMETERS = [
-    ({"weights": torch.zeros(6, 2).double()}, "parameter centres must have shape (6, 5), got (7, 5)"),
-    ({"weights": torch.tensor(0.0).double()}, "parameter centres must have shape (0, 5), got (7, 5)"),
-    ({"log_widths": torch.zeros(5, 2).double()}, "parameter log_widths must have shape (2, 5), got (5, 2)"),
+    (
+        {"weights": torch.zeros(6, 2).double()},
+        "parameter centres must have shape (6, 5), got (7, 5)",
+    ),
+    (
+        {"weights": torch.tensor(0.0).double()},
+        "parameter centres must have shape (0, 5), got (7, 5)",
+    ),
+    (
+        {"log_widths": torch.zeros(5, 2).double()},
+        "parameter log_widths must have shape (2, 5), got (5, 2)",
+    ),
     ({"scale": torch.ones(5)}, "parameter scale must be a float64 tensor, got torch.float32"),
     ({"scale": -torch.ones(5).double()}, "scale must hold 5 positive numbers"),
     ({"u_max": torch.zeros(2).double()}, "u_max must be a vector of positive torque limits"),
     ({"u_max": [3.5, 2.0]}, "parameter u_max must be a float64 tensor, got list"),
-    ({"centres": torch.full((7, 5), torch.nan).double()}, "parameter centres must be finite, got nan"),
-    ({"weights": None}, "parameters must be centres, weights, log_widths, u_max, scale, got centres, log_widths"),
-    ({"other": torch.zeros(1)}, "parameters must be centres, weights, log_widths, u_max, scale, got centres, weights"),
+    (
+        {"centres": torch.full((7, 5), torch.nan).double()},
+        "parameter centres must be finite, got nan",
+    ),
+    (
+        {"weights": None},
+        "parameters must be centres, weights, log_widths, u_max, scale, got centres, log_widths",
+    ),
+    (
+        {"other": torch.zeros(1)},
+        "parameters must be centres, weights, log_widths, u_max, scale, got centres, weights",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("parameters", "complaint"), WRONG_PARAMETERS)
-def test_parameters_that_are_wrong_or_do_not_fit_are_named(path: Path, parameters: dict[str, object], complaint: str) -> None:
+def test_parameters_that_are_wrong_or_do_not_fit_are_named(
+    path: Path, parameters: dict[str, object], complaint: str
+) -> None:
     assert error_of(with_parameters(path, **parameters)).startswith(complaint)

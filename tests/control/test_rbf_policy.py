@@ -24,34 +24,52 @@ def policy(draws: Draws) -> RBFPolicy:
     return policy
 
 
-@pytest.mark.parametrize(("centres", "inputs", "actions", "count"), [(100, 6, 2, 812), (80, 6, 3, 738), (250, 8, 3, 2774)])
-def test_number_of_parameters_is_that_of_the_paper(centres: int, inputs: int, actions: int, count: int) -> None:
+@pytest.mark.parametrize(
+    ("centres", "inputs", "actions", "count"),
+    [(100, 6, 2, 812), (80, 6, 3, 738), (250, 8, 3, 2774)],
+)
+def test_number_of_parameters_is_that_of_the_paper(
+    centres: int, inputs: int, actions: int, count: int
+) -> None:
     policy = RBFPolicy(torch.zeros(centres, inputs), torch.ones(actions), torch.ones(inputs))
     assert sum(parameter.numel() for parameter in policy.parameters()) == count
 
 
 def test_action_is_the_formula_of_the_paper(policy: RBFPolicy, draws: Draws) -> None:
     """Eqs. 25-27, in the units of the inputs."""
-    x, centres, widths = draws.normal(3), policy.centres * policy.scale, policy.log_widths.exp() * policy.scale
+    x, centres, widths = (
+        draws.normal(3),
+        policy.centres * policy.scale,
+        policy.log_widths.exp() * policy.scale,
+    )
     for a in range(2):
-        raw = sum(policy.weights[i, a] * torch.exp(-(((x - centres[i]) / widths[a]) ** 2).sum() / 2) for i in range(10))
+        raw = sum(
+            policy.weights[i, a] * torch.exp(-(((x - centres[i]) / widths[a]) ** 2).sum() / 2)
+            for i in range(10)
+        )
         torch.testing.assert_close(policy(x)[a], U_MAX[a] * torch.sin(raw))
 
 
 def test_belief_without_covariance_is_a_state(policy: RBFPolicy, draws: Draws) -> None:
     x = draws.normal(4, 3)
-    action, slope = policy.controller.on_belief(Gaussian(x, torch.zeros(4, 3, 3, dtype=torch.float64)))
+    action, slope = policy.controller.on_belief(
+        Gaussian(x, torch.zeros(4, 3, 3, dtype=torch.float64))
+    )
     torch.testing.assert_close(action.mean, policy(x))
     torch.testing.assert_close(action.cov, torch.zeros(4, 2, 2, dtype=torch.float64))
     for i in range(4):
         torch.testing.assert_close(slope[i], torch.autograd.functional.jacobian(policy, x[i]).mT)
 
 
-def test_narrow_belief_has_the_moments_of_the_linearised_policy(policy: RBFPolicy, draws: Draws) -> None:
+def test_narrow_belief_has_the_moments_of_the_linearised_policy(
+    policy: RBFPolicy, draws: Draws
+) -> None:
     narrow = draws.belief(3, scale=1e-8)
     jacobian = torch.autograd.functional.jacobian(policy, narrow.mean)
     action, slope = policy.controller.on_belief(narrow)
-    torch.testing.assert_close(action.cov, jacobian @ narrow.cov @ jacobian.mT, rtol=1e-4, atol=1e-12)
+    torch.testing.assert_close(
+        action.cov, jacobian @ narrow.cov @ jacobian.mT, rtol=1e-4, atol=1e-12
+    )
     torch.testing.assert_close(slope, jacobian.mT, rtol=1e-5, atol=1e-6)
 
 
@@ -75,7 +93,12 @@ def test_each_output_has_its_own_widths(policy: RBFPolicy, draws: Draws) -> None
 
 def test_scale_is_a_choice_of_units(draws: Draws) -> None:
     """The same policy in degrees and in rad: equal actions and equal gradients of its parameters."""
-    centres, weights, x, units = draws.normal(5, 2), draws.normal(5, 2), draws.normal(2), torch.tensor([180 / torch.pi, 1000.0])
+    centres, weights, x, units = (
+        draws.normal(5, 2),
+        draws.normal(5, 2),
+        draws.normal(2),
+        torch.tensor([180 / torch.pi, 1000.0]),
+    )
     actions, gradients = [], []
     for unit in (torch.ones(2), units):
         policy = RBFPolicy(centres * unit, U_MAX, unit)
@@ -102,7 +125,9 @@ def test_gradient_of_the_belief_over_the_action(draws: Draws) -> None:
 
 def test_gradient_reaches_all_parameters(policy: RBFPolicy, draws: Draws) -> None:
     action, _ = policy.controller.on_belief(draws.belief(3))
-    for gradient in torch.autograd.grad(action.mean.sum() + action.cov.sum(), list(policy.parameters())):
+    for gradient in torch.autograd.grad(
+        action.mean.sum() + action.cov.sum(), list(policy.parameters())
+    ):
         assert (gradient != 0).all()
 
 

@@ -25,7 +25,18 @@ from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.experiments import load_experiment
 
 STEP_SECONDS = 1e-3
-BLOCKED = ("torch_pmil", "gpytorch", "linear_operator", "torchrl", "tensordict", "mujoco", "scipy", "hydra", "matplotlib", "numpy")
+BLOCKED = (
+    "torch_pmil",
+    "gpytorch",
+    "linear_operator",
+    "torchrl",
+    "tensordict",
+    "mujoco",
+    "scipy",
+    "hydra",
+    "matplotlib",
+    "numpy",
+)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +74,9 @@ def test_torque_is_that_of_the_network_at_the_features(policy: StatePolicy, draw
     torch.testing.assert_close(policy(states), policy.policy(features), rtol=0, atol=1e-14)
 
 
-def test_torque_does_not_change_by_a_full_turn_and_stays_within_the_limits(policy: StatePolicy, draws: Draws) -> None:
+def test_torque_does_not_change_by_a_full_turn_and_stays_within_the_limits(
+    policy: StatePolicy, draws: Draws
+) -> None:
     states = 3 * draws.normal(500, 4)
     turn = 2 * torch.pi * torch.tensor([1.0, 0.0, -2.0, 0.0], dtype=torch.float64)
     torch.testing.assert_close(policy(states + turn), policy(states), rtol=0, atol=1e-10)
@@ -72,7 +85,9 @@ def test_torque_does_not_change_by_a_full_turn_and_stays_within_the_limits(polic
 
 
 @pytest.mark.parametrize("shape", [(4,), (0, 4), (1, 4), (5, 4), (2, 3, 4)])
-def test_arrays_make_arrays_and_tensors_make_tensors_of_any_batch(policy: StatePolicy, draws: Draws, shape: tuple[int, ...]) -> None:
+def test_arrays_make_arrays_and_tensors_make_tensors_of_any_batch(
+    policy: StatePolicy, draws: Draws, shape: tuple[int, ...]
+) -> None:
     states = draws.normal(*shape)
     torque, array = policy(states), policy(states.numpy())
     assert isinstance(torque, Tensor) and isinstance(array, np.ndarray)
@@ -83,11 +98,15 @@ def test_arrays_make_arrays_and_tensors_make_tensors_of_any_batch(policy: StateP
 
 def test_batch_is_its_states_one_by_one(policy: StatePolicy, draws: Draws) -> None:
     states = draws.normal(6, 4)
-    torch.testing.assert_close(policy(states), torch.stack([policy(state) for state in states]), rtol=0, atol=1e-13)
+    torch.testing.assert_close(
+        policy(states), torch.stack([policy(state) for state in states]), rtol=0, atol=1e-13
+    )
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16, np.int64, np.uint8, ">f8"])
-def test_real_numbers_of_any_dtype_count_as_they_are(policy: StatePolicy, dtype: str | type) -> None:
+def test_real_numbers_of_any_dtype_count_as_they_are(
+    policy: StatePolicy, dtype: str | type
+) -> None:
     state = np.array([3, 1, 2, 5], dtype=dtype)
     expected = policy(np.array([3.0, 1.0, 2.0, 5.0]))
     assert (policy(state) == expected).all()
@@ -95,7 +114,9 @@ def test_real_numbers_of_any_dtype_count_as_they_are(policy: StatePolicy, dtype:
         assert (policy(torch.from_numpy(state)).numpy() == expected).all()
 
 
-def test_arrays_with_reversed_strides_or_write_protection_are_taken_and_left_alone(policy: StatePolicy, draws: Draws) -> None:
+def test_arrays_with_reversed_strides_or_write_protection_are_taken_and_left_alone(
+    policy: StatePolicy, draws: Draws
+) -> None:
     states = draws.normal(3, 4).numpy()
     reverse, protected = states[:, ::-1], states.copy()
     protected.flags.writeable = False
@@ -111,7 +132,9 @@ def test_gradient_by_the_state_passes(policy: StatePolicy, draws: Draws) -> None
 
 def test_policy_that_still_learns_gives_arrays_too(draws: Draws) -> None:
     space = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
-    learning = StatePolicy(RBFPolicy(draws.normal(3, 1), torch.ones(1), torch.ones(1)), space, control_period=0.1)
+    learning = StatePolicy(
+        RBFPolicy(draws.normal(3, 1), torch.ones(1), torch.ones(1)), space, control_period=0.1
+    )
     assert learning(torch.zeros(1)).requires_grad
     assert isinstance(learning(np.zeros(1)), np.ndarray)
 
@@ -120,25 +143,44 @@ def test_policy_that_still_learns_gives_arrays_too(draws: Draws) -> None:
 @pytest.mark.parametrize(
     ("state", "error", "complaint"),
     [
-        ([0.0, 0.0, 0.0], ValueError, "state must have shape (*batch, 4) for q1, dq1, q2, dq2, got (3,)"),
+        (
+            [0.0, 0.0, 0.0],
+            ValueError,
+            "state must have shape (*batch, 4) for q1, dq1, q2, dq2, got (3,)",
+        ),
         (0.0, ValueError, "state must have shape (*batch, 4) for q1, dq1, q2, dq2, got ()"),
-        ([[0.0] * 5] * 4, ValueError, "state must have shape (*batch, 4) for q1, dq1, q2, dq2, got (4, 5)"),
+        (
+            [[0.0] * 5] * 4,
+            ValueError,
+            "state must have shape (*batch, 4) for q1, dq1, q2, dq2, got (4, 5)",
+        ),
         ([0.0, float("nan"), 0.0, 0.0], ValueError, "state must be finite, got dq1 = nan"),
-        ([[0.0] * 4, [0.0, 0.0, 0.0, -float("inf")]], ValueError, "state must be finite, got dq2 = -inf at batch element (1,)"),
+        (
+            [[0.0] * 4, [0.0, 0.0, 0.0, -float("inf")]],
+            ValueError,
+            "state must be finite, got dq2 = -inf at batch element (1,)",
+        ),
         ([True] * 4, TypeError, "state must hold real numbers, got {}bool"),
         ([1j] * 4, TypeError, "state must hold real numbers, got {}complex"),
     ],
 )
-def test_wrong_state_is_one_line(policy: StatePolicy, kind: Callable, state: list, error: type[Exception], complaint: str) -> None:
+def test_wrong_state_is_one_line(
+    policy: StatePolicy, kind: Callable, state: list, error: type[Exception], complaint: str
+) -> None:
     with pytest.raises(error) as raised:
         policy(kind(state))
-    assert str(raised.value).startswith(complaint.format("torch." if kind is torch.as_tensor else ""))
+    assert str(raised.value).startswith(
+        complaint.format("torch." if kind is torch.as_tensor else "")
+    )
     assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("state", [[0.0] * 4, (0.0,) * 4, None, "0000"])
 def test_state_that_is_no_array_is_an_error(policy: StatePolicy, state: object) -> None:
-    with pytest.raises(TypeError, match=f"state must be a NumPy array or a PyTorch tensor, got {type(state).__name__}"):
+    with pytest.raises(
+        TypeError,
+        match=f"state must be a NumPy array or a PyTorch tensor, got {type(state).__name__}",
+    ):
         policy(state)
 
 
@@ -154,17 +196,29 @@ def test_tensor_on_another_device_is_an_error(policy: StatePolicy) -> None:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
-def test_policy_on_a_gpu_acts_as_on_the_cpu_and_is_exported_for_the_cpu(policy: StatePolicy, tmp_path: Path, draws: Draws) -> None:
+def test_policy_on_a_gpu_acts_as_on_the_cpu_and_is_exported_for_the_cpu(
+    policy: StatePolicy, tmp_path: Path, draws: Draws
+) -> None:
     states, there = draws.normal(5, 4), copy.deepcopy(policy).cuda()
     torch.testing.assert_close(there(states.cuda()).cpu(), policy(states), rtol=0, atol=1e-12)
-    torch.testing.assert_close(torch.from_numpy(there(states.numpy())), policy(states), rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        torch.from_numpy(there(states.numpy())), policy(states), rtol=0, atol=1e-12
+    )
     there.export(tmp_path / "policy.pt2")
     assert there.policy.u_max.is_cuda
-    torch.testing.assert_close(torch.export.load(tmp_path / "policy.pt2").module()(states[0]), policy(states[0]), rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        torch.export.load(tmp_path / "policy.pt2").module()(states[0]),
+        policy(states[0]),
+        rtol=0,
+        atol=1e-12,
+    )
 
 
 def test_policy_says_what_it_is_for(policy: StatePolicy) -> None:
-    expected = "state q1 (rad), dq1 (rad/s), q2 (rad), dq2 (rad/s); torques up to 3.5, 3.5 N·m; every 0.1 s"
+    expected = (
+        "state q1 (rad), dq1 (rad/s), q2 (rad), dq2 (rad/s); torques up to 3.5, 3.5 N·m; every "
+        "0.1 s"
+    )
     assert policy.extra_repr() == expected
     assert expected in repr(policy)
 
@@ -179,22 +233,39 @@ def test_tensordict_module_acts_in_an_environment_as_the_policy_does(policy: Sta
 
 def test_tensordict_module_collects(policy: StatePolicy) -> None:
     env = load_experiment("double_pendulum").make_env(seed=0)
-    collector = Collector(env, policy.as_tensordict_module(), frames_per_batch=5, total_frames=10, auto_register_policy_transforms=False)
+    collector = Collector(
+        env,
+        policy.as_tensordict_module(),
+        frames_per_batch=5,
+        total_frames=10,
+        auto_register_policy_transforms=False,
+    )
     for batch in collector:
-        torch.testing.assert_close(batch["action"], policy(batch["observation"]), rtol=0, atol=1e-13)
+        torch.testing.assert_close(
+            batch["action"], policy(batch["observation"]), rtol=0, atol=1e-13
+        )
     collector.shutdown()
 
 
 def test_exported_programs_are_the_policy(
-    policy: StatePolicy, program: Callable[[Tensor], Tensor], batch_program: Callable[[Tensor], Tensor], draws: Draws
+    policy: StatePolicy,
+    program: Callable[[Tensor], Tensor],
+    batch_program: Callable[[Tensor], Tensor],
+    draws: Draws,
 ) -> None:
     states = 3 * draws.normal(100, 4)
-    torch.testing.assert_close(torch.stack([program(state) for state in states]), policy(states), rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        torch.stack([program(state) for state in states]), policy(states), rtol=0, atol=1e-12
+    )
     for count in (0, 1, 2, 100):
-        torch.testing.assert_close(batch_program(states[:count]), policy(states[:count]), rtol=0, atol=1e-12)
+        torch.testing.assert_close(
+            batch_program(states[:count]), policy(states[:count]), rtol=0, atol=1e-12
+        )
 
 
-def test_export_leaves_the_policy_and_its_state_space_as_they_were(policy: StatePolicy, exported: Path, draws: Draws) -> None:
+def test_export_leaves_the_policy_and_its_state_space_as_they_were(
+    policy: StatePolicy, exported: Path, draws: Draws
+) -> None:
     assert type(policy(draws.normal(4))) is Tensor
     assert type(policy.space.augmentation.rows) is Tensor
     assert sorted(os.listdir(exported)) == ["batch.pt2", "policy.pt2"]
@@ -203,7 +274,9 @@ def test_export_leaves_the_policy_and_its_state_space_as_they_were(policy: State
 def test_first_use_of_a_state_space_may_be_an_export(tmp_path: Path, draws: Draws) -> None:
     names, units = ("q", "dq"), ("rad", "rad/s")
     fresh = StatePolicy(
-        RBFPolicy(draws.normal(3, 3), torch.ones(1), torch.ones(3)), StateSpace(names, units, (0,), joint_match(names, units)), 0.1
+        RBFPolicy(draws.normal(3, 3), torch.ones(1), torch.ones(3)),
+        StateSpace(names, units, (0,), joint_match(names, units)),
+        0.1,
     )
     fresh.export(tmp_path / "policy.pt2")
     assert type(fresh.space.augmentation.rows) is Tensor
@@ -212,7 +285,11 @@ def test_first_use_of_a_state_space_may_be_an_export(tmp_path: Path, draws: Draw
 
 def test_policy_that_still_learns_is_exported_as_it_is_then(tmp_path: Path, draws: Draws) -> None:
     network = RBFPolicy(draws.normal(3, 2), torch.ones(1), torch.ones(2))
-    learning = StatePolicy(network, StateSpace(("x", "v"), ("m", "m/s"), (), joint_match(("x", "v"), ("m", "m/s"))), 0.1)
+    learning = StatePolicy(
+        network,
+        StateSpace(("x", "v"), ("m", "m/s"), (), joint_match(("x", "v"), ("m", "m/s"))),
+        0.1,
+    )
     with torch.no_grad():
         network.weights.copy_(draws.normal(3, 1))
     learning.export(tmp_path / "policy.pt2")
@@ -221,10 +298,14 @@ def test_policy_that_still_learns_is_exported_as_it_is_then(tmp_path: Path, draw
     with torch.no_grad():
         network.weights.zero_()
     assert network.weights.requires_grad
-    torch.testing.assert_close(torch.export.load(tmp_path / "policy.pt2").module()(state), expected, rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        torch.export.load(tmp_path / "policy.pt2").module()(state), expected, rtol=0, atol=1e-12
+    )
 
 
-def test_exported_program_needs_pytorch_alone(policy: StatePolicy, exported: Path, tmp_path: Path, draws: Draws) -> None:
+def test_exported_program_needs_pytorch_alone(
+    policy: StatePolicy, exported: Path, tmp_path: Path, draws: Draws
+) -> None:
     states = 3 * draws.normal(50, 4)
     torch.save(states, tmp_path / "states.pt")
     script = f"""
@@ -264,21 +345,31 @@ def test_exported_program_refuses_wrong_states(
         program(state)
 
 
-def test_exported_batch_program_refuses_one_state_and_other_sizes(batch_program: Callable[[Tensor], Tensor]) -> None:
+def test_exported_batch_program_refuses_one_state_and_other_sizes(
+    batch_program: Callable[[Tensor], Tensor],
+) -> None:
     for shape in ((4,), (2, 3), (2, 3, 4), (2, 4, 3)):
         with pytest.raises((AssertionError, IndexError, RuntimeError)):
             batch_program(torch.zeros(shape, dtype=torch.float64))
 
 
-def test_exported_program_refuses_batches_even_where_sizes_would_fit(tmp_path: Path, draws: Draws) -> None:
-    """As many centres as features, and as many states as entries: nothing else would stop the broadcasting."""
+def test_exported_program_refuses_batches_even_where_sizes_would_fit(
+    tmp_path: Path, draws: Draws
+) -> None:
+    """As many centres as features, and as many states as entries: nothing else would stop the
+    broadcasting.
+    """
     space = StateSpace(("x", "v"), ("m", "m/s"), (), joint_match(("x", "v"), ("m", "m/s")))
-    StatePolicy(RBFPolicy(draws.normal(2, 2), torch.ones(1), torch.ones(2)), space, 0.1).export(tmp_path / "policy.pt2")
+    StatePolicy(RBFPolicy(draws.normal(2, 2), torch.ones(1), torch.ones(2)), space, 0.1).export(
+        tmp_path / "policy.pt2"
+    )
     with pytest.raises(RuntimeError, match="invalid for input of size 4"):
         torch.export.load(tmp_path / "policy.pt2").module()(torch.zeros(2, 2, dtype=torch.float64))
 
 
-def test_export_to_another_ending_or_a_missing_folder_is_an_error(policy: StatePolicy, tmp_path: Path) -> None:
+def test_export_to_another_ending_or_a_missing_folder_is_an_error(
+    policy: StatePolicy, tmp_path: Path
+) -> None:
     with pytest.raises(ValueError, match=r"an exported policy must be a .pt2 file, got policy.pt"):
         policy.export("policy.pt")
     with pytest.raises(FileNotFoundError):
@@ -288,15 +379,25 @@ def test_export_to_another_ending_or_a_missing_folder_is_an_error(policy: StateP
 
 def test_policy_of_other_features_is_an_error() -> None:
     space = StateSpace(("q",), ("rad",), (0,), joint_match(("q",), ("rad",)))
-    with pytest.raises(ValueError, match="policy must see the features sin q, cos q, got one of 3 features"):
-        StatePolicy(RBFPolicy(torch.zeros(2, 3), torch.ones(1), torch.ones(3)), space, control_period=0.1)
+    with pytest.raises(
+        ValueError, match="policy must see the features sin q, cos q, got one of 3 features"
+    ):
+        StatePolicy(
+            RBFPolicy(torch.zeros(2, 3), torch.ones(1), torch.ones(3)), space, control_period=0.1
+        )
 
 
 @pytest.mark.parametrize("form", ["numpy", "torch", "exported"])
-def test_step_takes_less_than_a_millisecond(policy: StatePolicy, program: Callable[[Tensor], Tensor], form: str) -> None:
+def test_step_takes_less_than_a_millisecond(
+    policy: StatePolicy, program: Callable[[Tensor], Tensor], form: str
+) -> None:
     """CPU time, which other work does not lengthen much, in the median of many."""
     state = torch.ones(4, dtype=torch.float64)
-    step = {"numpy": lambda: policy(state.numpy()), "torch": lambda: policy(state), "exported": lambda: program(state)}[form]
+    step = {
+        "numpy": lambda: policy(state.numpy()),
+        "torch": lambda: policy(state),
+        "exported": lambda: program(state),
+    }[form]
     times = []
     for _ in range(300):
         start = time.process_time()

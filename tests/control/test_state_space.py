@@ -32,9 +32,13 @@ def point(x: Tensor) -> Gaussian:
     return Gaussian(x, torch.zeros(*x.shape, x.shape[-1], dtype=torch.float64))
 
 
-def test_features_are_the_other_entries_then_sines_then_cosines(space: StateSpace, draws: Draws) -> None:
+def test_features_are_the_other_entries_then_sines_then_cosines(
+    space: StateSpace, draws: Draws
+) -> None:
     x = draws.normal(5, 4)
-    expected = torch.stack([x[:, 2], x[:, 3], x[:, 0].sin(), x[:, 1].sin(), x[:, 0].cos(), x[:, 1].cos()], -1)
+    expected = torch.stack(
+        [x[:, 2], x[:, 3], x[:, 0].sin(), x[:, 1].sin(), x[:, 0].cos(), x[:, 1].cos()], -1
+    )
     assert torch.equal(space.features(x), expected)
     assert space.feature_names == ("dq1", "dq2", "sin q1", "sin q2", "cos q1", "cos q2")
 
@@ -45,13 +49,17 @@ def test_features_do_not_change_by_a_full_turn(space: StateSpace, draws: Draws) 
     torch.testing.assert_close(space.features(turned), space.features(x))
 
 
-def test_belief_at_zero_covariance_holds_the_features_and_their_gradient(space: StateSpace, draws: Draws) -> None:
+def test_belief_at_zero_covariance_holds_the_features_and_their_gradient(
+    space: StateSpace, draws: Draws
+) -> None:
     x = draws.normal(3, 4)
     features, slope = space.belief(point(x))
     torch.testing.assert_close(features.mean, space.features(x))
     torch.testing.assert_close(features.cov, torch.zeros(3, 6, 6, dtype=torch.float64))
     for i in range(3):
-        torch.testing.assert_close(slope[i], torch.autograd.functional.jacobian(space.features, x[i]).mT)
+        torch.testing.assert_close(
+            slope[i], torch.autograd.functional.jacobian(space.features, x[i]).mT
+        )
 
 
 def test_belief_has_the_moments_of_the_features_of_samples(space: StateSpace, draws: Draws) -> None:
@@ -87,7 +95,9 @@ def test_link_positions_are_those_of_geometry(links: MatchSpace) -> None:
     torch.testing.assert_close(links(right_angle), expected)
 
 
-def test_match_belief_at_zero_covariance_is_the_observation(links: MatchSpace, draws: Draws) -> None:
+def test_match_belief_at_zero_covariance_is_the_observation(
+    links: MatchSpace, draws: Draws
+) -> None:
     x = draws.normal(3, 4)
     observed = links.belief(point(x))
     torch.testing.assert_close(observed.mean, links(x))

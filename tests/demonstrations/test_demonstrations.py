@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 import torch
 
-from torch_pmil.demonstrations import DemonstrationError, Demonstrations, load_demonstrations, load_recordings, shipped_demonstrations
+from torch_pmil.demonstrations import (
+    DemonstrationError,
+    Demonstrations,
+    load_demonstrations,
+    load_recordings,
+    shipped_demonstrations,
+)
 from torch_pmil.envs.teachers.reaching import TRAINING_TARGETS
 
 
 def walk(*shape):
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64).cumsum(dim=1)
+    return torch.randn(
+        *shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    ).cumsum(dim=1)
 
 
 def with_value(positions, index, value):
@@ -46,13 +54,28 @@ def write_csv(path, lines):
 @pytest.mark.parametrize(
     ("positions", "time_step", "names", "message"),
     [
-        (walk(3, 5), 0.1, ("x",), "positions must have shape (demonstrations, steps, columns), got (3, 5)"),
+        (
+            walk(3, 5),
+            0.1,
+            ("x",),
+            "positions must have shape (demonstrations, steps, columns), got (3, 5)",
+        ),
         (walk(1, 5, 1), 0.1, ("x",), "positions must hold at least two demonstrations, got 1"),
         (walk(2, 1, 1), 0.1, ("x",), "positions must hold at least two steps, got 1"),
         (walk(2, 5, 2), 0.1, ("x",), "names must be 2 different names, one per column, got ('x',)"),
-        (walk(2, 5, 2), 0.1, ("x", "x"), "names must be 2 different names, one per column, got ('x', 'x')"),
+        (
+            walk(2, 5, 2),
+            0.1,
+            ("x", "x"),
+            "names must be 2 different names, one per column, got ('x', 'x')",
+        ),
         (walk(2, 5, 1), 0.0, ("x",), "time_step must be positive and finite, in seconds, got 0.0"),
-        (walk(2, 5, 1), float("nan"), ("x",), "time_step must be positive and finite, in seconds, got nan"),
+        (
+            walk(2, 5, 1),
+            float("nan"),
+            ("x",),
+            "time_step must be positive and finite, in seconds, got nan",
+        ),
         (
             with_value(walk(2, 5, 2), (1, 3, 1), torch.nan),
             0.1,
@@ -98,7 +121,10 @@ def test_missing_file_is_an_os_error(tmp_path):
 def test_other_kind_of_file_is_refused(tmp_path):
     path = tmp_path / "walks.txt"
     path.touch()
-    expected = f"{path}: demonstrations must be a .npz, .csv, .mat, .hdf5, .h5 or .parquet file, or a folder of them"
+    expected = (
+        f"{path}: demonstrations must be a .npz, .csv, .mat, .hdf5, .h5 or .parquet file, or a "
+        "folder of them"
+    )
     assert refused(load_demonstrations, path) == refused(load_recordings, path) == expected
 
 
@@ -127,7 +153,9 @@ def test_damaged_npz_is_refused(tmp_path):
 @pytest.mark.parametrize("name", ["positions", "time_step", "names"])
 def test_missing_array_is_named(tmp_path, name):
     path = write_npz(tmp_path / "walks.npz", **{name: None})
-    assert refused(load_demonstrations, path).startswith(f"{path}: array {name} is missing, found [")
+    assert refused(load_demonstrations, path).startswith(
+        f"{path}: array {name} is missing, found ["
+    )
 
 
 def test_pickled_objects_are_never_loaded(tmp_path):
@@ -140,9 +168,15 @@ def test_pickled_objects_are_never_loaded(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"positions": np.full((2, 3, 1), "a")}, "arrays positions and time_step must hold real numbers"),
+        (
+            {"positions": np.full((2, 3, 1), "a")},
+            "arrays positions and time_step must hold real numbers",
+        ),
         ({"time_step": np.ones(2)}, "array time_step must be one number and names a list"),
-        ({"positions": np.zeros((1, 3, 2))}, "positions must hold at least two demonstrations, got 1"),
+        (
+            {"positions": np.zeros((1, 3, 2))},
+            "positions must hold at least two demonstrations, got 1",
+        ),
     ],
 )
 def test_malformed_arrays_are_refused_naming_the_file(tmp_path, changes, message):
@@ -153,7 +187,9 @@ def test_malformed_arrays_are_refused_naming_the_file(tmp_path, changes, message
 def test_time_step_of_the_file_must_be_the_expected_one(tmp_path):
     path = write_npz(tmp_path / "walks.npz")
     assert load_demonstrations(path, time_step=0.1).time_step == 0.1
-    assert refused(load_demonstrations, path, 0.05) == f"{path}: time_step must be 0.05 s, got 0.1 s"
+    assert (
+        refused(load_demonstrations, path, 0.05) == f"{path}: time_step must be 0.05 s, got 0.1 s"
+    )
 
 
 def test_csv_holds_one_sample_per_row(tmp_path):
@@ -169,21 +205,29 @@ def test_csv_holds_one_sample_per_row(tmp_path):
     ("change", "message"),
     [
         (lambda lines: [], "row 1 must be demonstration,time,NAME,..., got "),
-        (lambda lines: ["time,x,y", *lines[1:]], "row 1 must be demonstration,time,NAME,..., got time,x,y"),
+        (
+            lambda lines: ["time,x,y", *lines[1:]],
+            "row 1 must be demonstration,time,NAME,..., got time,x,y",
+        ),
         (lambda lines: lines[:5], "at least two demonstrations are needed, got 1"),
         (
             lambda lines: lines[:-1],
-            "demonstration 2 must have 4 samples like demonstration 1, got 3; pmil align makes them one length",
+            "demonstration 2 must have 4 samples like demonstration 1, got 3; pmil align makes "
+            "them one length",
         ),
         (lambda lines: [*lines[:2], "1,0.1,5", *lines[3:]], "row 3 must have 4 columns, got 3"),
         (
             lambda lines: [*lines[:2], "1,0.1,five,0", *lines[3:]],
             "row 3, column x must be a finite number, got 'five'",
         ),
-        (lambda lines: [*lines[:2], "1,0.1,5,nan", *lines[3:]], "row 3, column y must be a finite number, got 'nan'"),
+        (
+            lambda lines: [*lines[:2], "1,0.1,5,nan", *lines[3:]],
+            "row 3, column y must be a finite number, got 'nan'",
+        ),
         (
             lambda lines: [*lines[:-1], "2,0.4,5,0"],
-            "row 9, time must follow the sample before it by 0.1 s, got 0.2 s; pmil align makes steps one length",
+            "row 9, time must follow the sample before it by 0.1 s, got 0.2 s; pmil align makes "
+            "steps one length",
         ),
         (
             lambda lines: [*lines[:2], "1,0.0,5,0", *lines[3:]],
@@ -203,24 +247,40 @@ def test_malformed_csv_is_refused_naming_file_and_row(tmp_path, change, message)
 def reaching_lines():
     header, *rows = csv_lines()
     told = [f"{row},{label},0.5" for label in ("0", "2") for row in rows]
-    told = [f"{'ab'[index // 8]}{row}" for index, row in enumerate(told)]  # four demonstrations, two of each target
+    told = [
+        f"{'ab'[index // 8]}{row}" for index, row in enumerate(told)
+    ]  # four demonstrations, two of each target
     return [f"{header},target place,target height", *told]
 
 
 def test_csv_tells_what_each_demonstration_was_for(tmp_path):
     path = write_csv(tmp_path / "reaches.csv", reaching_lines())
     for loaded in (load_demonstrations(path), load_recordings(path)):
-        assert loaded.targets.tolist() == [[0, 0.5], [0, 0.5], [2, 0.5], [2, 0.5]] and loaded.targets.dtype == torch.float64
+        assert (
+            loaded.targets.tolist() == [[0, 0.5], [0, 0.5], [2, 0.5], [2, 0.5]]
+            and loaded.targets.dtype == torch.float64
+        )
         assert (loaded.names, loaded.target_names) == (("x", "y"), ("place", "height"))
     plain = load_demonstrations(write_csv(tmp_path / "walks.csv", csv_lines()))
-    assert torch.equal(load_demonstrations(path).positions, plain.positions.repeat(2, 1, 1)) and plain.targets is None
+    assert (
+        torch.equal(load_demonstrations(path).positions, plain.positions.repeat(2, 1, 1))
+        and plain.targets is None
+    )
 
 
 def test_columns_of_targets_may_stand_anywhere_after_the_time(tmp_path):
     lines = [line.split(",") for line in reaching_lines()]
-    path = write_csv(tmp_path / "reaches.csv", [",".join([*line[:2], line[4], line[2], line[5], line[3]]) for line in lines])
-    moved, loaded = load_demonstrations(path), load_demonstrations(write_csv(tmp_path / "same.csv", reaching_lines()))
-    assert torch.equal(moved.positions, loaded.positions) and torch.equal(moved.targets, loaded.targets)
+    path = write_csv(
+        tmp_path / "reaches.csv",
+        [",".join([*line[:2], line[4], line[2], line[5], line[3]]) for line in lines],
+    )
+    moved, loaded = (
+        load_demonstrations(path),
+        load_demonstrations(write_csv(tmp_path / "same.csv", reaching_lines())),
+    )
+    assert torch.equal(moved.positions, loaded.positions) and torch.equal(
+        moved.targets, loaded.targets
+    )
     assert (moved.names, moved.target_names) == (loaded.names, loaded.target_names)
 
 
@@ -229,16 +289,21 @@ def test_columns_of_targets_may_stand_anywhere_after_the_time(tmp_path):
     [
         (
             lambda lines: [*lines[:3], lines[3].replace(",0,0.5", ",0,0.7"), *lines[4:]],
-            "row 4, column target height must be 0.5 as in row 2 of the same demonstration, got 0.7",
+            "row 4, column target height must be 0.5 as in row 2 of the same demonstration, got "
+            "0.7",
         ),
         (
             lambda lines: [lines[0].replace("height", "place"), *lines[1:]],
             "target_names must be 2 different names, one per entry, got ('place', 'place')",
         ),
-        (lambda lines: lines[:-4], "each target must have at least two demonstrations, got one of [2.0, 0.5]"),
+        (
+            lambda lines: lines[:-4],
+            "each target must have at least two demonstrations, got one of [2.0, 0.5]",
+        ),
         (
             lambda lines: [line.replace("time,x,y", "time,target x,target y") for line in lines],
-            "row 1 must be demonstration,time,NAME,..., got demonstration,time,target x,target y,target place,target height",
+            "row 1 must be demonstration,time,NAME,..., got demonstration,time,target x,target "
+            "y,target place,target height",
         ),
         (
             lambda lines: [lines[0], f"{lines[1]}?", *lines[2:]],
@@ -262,15 +327,24 @@ def test_recordings_have_lengths_and_times_of_their_own(tmp_path):
     lines[2] = "1,0.15,1,1"
     recordings = load_recordings(write_csv(tmp_path / "walks.csv", lines))
     assert (recordings.labels, recordings.names) == (("1", "2"), ("x", "y"))
-    assert [times.tolist() for times in recordings.times] == [pytest.approx([0, 0.15, 0.2, 0.3]), pytest.approx([0, 0.1, 0.2])]
-    assert [values.tolist() for values in recordings.values] == [[[0, 0], [1, 1], [2, 2], [3, 3]], [[0, 0], [1, 2], [2, 4]]]
+    assert [times.tolist() for times in recordings.times] == [
+        pytest.approx([0, 0.15, 0.2, 0.3]),
+        pytest.approx([0, 0.1, 0.2]),
+    ]
+    assert [values.tolist() for values in recordings.values] == [
+        [[0, 0], [1, 1], [2, 2], [3, 3]],
+        [[0, 0], [1, 2], [2, 4]],
+    ]
 
 
 def test_recordings_whose_time_goes_back_are_refused_naming_file_and_row(tmp_path):
     lines = csv_lines()
     lines[3] = "1,0.1,2,2"
     path = write_csv(tmp_path / "walks.csv", lines)
-    assert refused(load_recordings, path) == f"{path}: row 4, time must increase, got 0.1 s after 0.1 s"
+    assert (
+        refused(load_recordings, path)
+        == f"{path}: row 4, time must increase, got 0.1 s after 0.1 s"
+    )
 
 
 def test_shipped_demonstrations_swing_up_and_balance():
@@ -291,7 +365,10 @@ def test_shipped_demonstrations_have_links_of_constant_length():
 
 def test_shipped_demonstrations_with_targets_hold_the_tip_at_each_target_and_stand_still():
     demonstrations = shipped_demonstrations("double_pendulum_targets")
-    assert (demonstrations.names, demonstrations.target_names) == (("x1", "y1", "x2", "y2"), ("x", "y"))
+    assert (demonstrations.names, demonstrations.target_names) == (
+        ("x1", "y1", "x2", "y2"),
+        ("x", "y"),
+    )
     assert demonstrations.duration == pytest.approx(2.5)
     targets, sets = demonstrations.by_target()
     assert torch.equal(targets, TRAINING_TARGETS)
@@ -302,11 +379,20 @@ def test_shipped_demonstrations_with_targets_hold_the_tip_at_each_target_and_sta
 
 
 def test_unknown_shipped_demonstrations_are_refused():
-    shipped = ["biorob", "biorob_targets", "double_pendulum", "double_pendulum_targets", "gym_pendulum", "inverted_pendulum"]
+    shipped = [
+        "biorob",
+        "biorob_targets",
+        "double_pendulum",
+        "double_pendulum_targets",
+        "gym_pendulum",
+        "inverted_pendulum",
+    ]
     assert f"must be one of {shipped}, got triple" in refused(shipped_demonstrations, "triple")
 
 
-def reaching(targets=((0.0, 1.0), (0.0, 1.0), (2.0, 3.0), (2.0, 3.0), (2.0, 3.0)), names=("y", "z")):
+def reaching(
+    targets=((0.0, 1.0), (0.0, 1.0), (2.0, 3.0), (2.0, 3.0), (2.0, 3.0)), names=("y", "z")
+):
     return Demonstrations(walk(5, 4, 2), 0.1, ("a", "b"), torch.tensor(targets), names)
 
 
@@ -328,11 +414,31 @@ def test_saved_targets_are_loaded(tmp_path):
 @pytest.mark.parametrize(
     ("targets", "names", "message"),
     [
-        (torch.zeros(4, 2), ("y", "z"), "targets must have shape (5, entries), one for each demonstration, got (4, 2)"),
-        (torch.zeros(5), ("y",), "targets must have shape (5, entries), one for each demonstration, got (5,)"),
-        (torch.zeros(5, 2), ("y", "y"), "target_names must be 2 different names, one per entry, got ('y', 'y')"),
-        (torch.full((5, 1), torch.nan), ("y",), "targets must be finite, got nan of demonstration 0"),
-        (torch.tensor([[0.0], [0], [0], [0], [1]]), ("y",), "each target must have at least two demonstrations, got one of [1.0]"),
+        (
+            torch.zeros(4, 2),
+            ("y", "z"),
+            "targets must have shape (5, entries), one for each demonstration, got (4, 2)",
+        ),
+        (
+            torch.zeros(5),
+            ("y",),
+            "targets must have shape (5, entries), one for each demonstration, got (5,)",
+        ),
+        (
+            torch.zeros(5, 2),
+            ("y", "y"),
+            "target_names must be 2 different names, one per entry, got ('y', 'y')",
+        ),
+        (
+            torch.full((5, 1), torch.nan),
+            ("y",),
+            "targets must be finite, got nan of demonstration 0",
+        ),
+        (
+            torch.tensor([[0.0], [0], [0], [0], [1]]),
+            ("y",),
+            "each target must have at least two demonstrations, got one of [1.0]",
+        ),
         (None, ("y",), "target_names must come with targets, got ('y',) alone"),
     ],
 )
@@ -341,9 +447,17 @@ def test_malformed_targets_are_refused(targets, names, message):
 
 
 def test_demonstrations_without_targets_cannot_be_told_apart_by_them():
-    assert refused(Demonstrations(walk(2, 5, 1), 0.1, ("x",)).by_target) == "demonstrations must have targets, got none"
+    assert (
+        refused(Demonstrations(walk(2, 5, 1), 0.1, ("x",)).by_target)
+        == "demonstrations must have targets, got none"
+    )
 
 
 def test_targets_that_are_no_numbers_are_refused(tmp_path):
-    path = write_npz(tmp_path / "d.npz", targets=np.array([["a"], ["a"], ["a"]]), target_names=np.array(["y"]))
-    assert refused(load_demonstrations, path) == f"{path}: array targets must hold real numbers and target_names be a list"
+    path = write_npz(
+        tmp_path / "d.npz", targets=np.array([["a"], ["a"], ["a"]]), target_names=np.array(["y"])
+    )
+    assert (
+        refused(load_demonstrations, path)
+        == f"{path}: array targets must hold real numbers and target_names be a list"
+    )

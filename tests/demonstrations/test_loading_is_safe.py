@@ -40,7 +40,9 @@ def payload(mark: Path) -> bytes:
 
 @pytest.mark.parametrize("load", [load_recordings, load_demonstrations])
 @pytest.mark.parametrize("suffix", ["npz", "csv", "mat", "hdf5", "h5", "parquet"])
-def test_pickle_under_any_suffix_is_refused_and_not_executed(tmp_path: Path, mark: Path, payload: bytes, suffix: str, load: object) -> None:
+def test_pickle_under_any_suffix_is_refused_and_not_executed(
+    tmp_path: Path, mark: Path, payload: bytes, suffix: str, load: object
+) -> None:
     if suffix in ("hdf5", "h5", "parquet"):
         pytest.importorskip({"parquet": "pyarrow"}.get(suffix, "h5py"))
     path = tmp_path / f"walks.{suffix}"
@@ -50,17 +52,28 @@ def test_pickle_under_any_suffix_is_refused_and_not_executed(tmp_path: Path, mar
 
 
 @pytest.mark.parametrize("name", ["positions", "names", "time_step", "targets"])
-def test_pickle_inside_an_npz_is_refused_and_not_executed(tmp_path: Path, mark: Path, payload: bytes, name: str) -> None:
+def test_pickle_inside_an_npz_is_refused_and_not_executed(
+    tmp_path: Path, mark: Path, payload: bytes, name: str
+) -> None:
     held = np.empty((), dtype=object)
     held[()] = Malicious(mark)
-    arrays = {"positions": np.zeros((2, 3, 1)), "time_step": 0.1, "names": np.array(["x"]), name: held}
+    arrays = {
+        "positions": np.zeros((2, 3, 1)),
+        "time_step": 0.1,
+        "names": np.array(["x"]),
+        name: held,
+    }
     np.savez(tmp_path / "walks.npz", **arrays)
     for load in (load_recordings, load_demonstrations):
-        assert "not a readable NPZ file without object arrays" in refused(load, tmp_path / "walks.npz")
+        assert "not a readable NPZ file without object arrays" in refused(
+            load, tmp_path / "walks.npz"
+        )
     assert not mark.exists()
 
 
-def test_pickle_inside_a_matlab_file_stays_bytes(tmp_path: Path, mark: Path, payload: bytes) -> None:
+def test_pickle_inside_a_matlab_file_stays_bytes(
+    tmp_path: Path, mark: Path, payload: bytes
+) -> None:
     demo = {"pos": np.frombuffer(payload, np.uint8), "t": np.arange(3.0)[None]}
     savemat(tmp_path / "shape.mat", {"demos": np.array([[demo, demo]], dtype=object)})
     refused(load_recordings, tmp_path / "shape.mat")
@@ -80,9 +93,19 @@ def test_pickle_inside_hdf5_stays_bytes(tmp_path: Path, mark: Path, payload: byt
 
 def test_pickle_inside_parquet_stays_bytes(tmp_path: Path, mark: Path, payload: bytes) -> None:
     pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
-    metadata = {b"ARROW:extension:name": b"arrow.py_extension_type", b"ARROW:extension:metadata": payload}
-    columns = {"episode_index": pa.array([0, 1]), "timestamp": pa.array([0.0, 0.0]), "observation.state": pa.array([payload, payload])}
-    schema = pa.schema([pa.field(name, column.type, metadata=metadata) for name, column in columns.items()], metadata={b"pandas": payload})
+    metadata = {
+        b"ARROW:extension:name": b"arrow.py_extension_type",
+        b"ARROW:extension:metadata": payload,
+    }
+    columns = {
+        "episode_index": pa.array([0, 1]),
+        "timestamp": pa.array([0.0, 0.0]),
+        "observation.state": pa.array([payload, payload]),
+    }
+    schema = pa.schema(
+        [pa.field(name, column.type, metadata=metadata) for name, column in columns.items()],
+        metadata={b"pandas": payload},
+    )
     pq.write_table(pa.table(columns, schema=schema), tmp_path / "walks.parquet")
     refused(load_recordings, tmp_path / "walks.parquet")
     assert not mark.exists()
@@ -96,4 +119,7 @@ def test_missing_library_is_one_line_that_says_how_to_get_it(
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ImportError) as error:
         load_recordings(tmp_path / f"walks.{suffix}")
-    assert str(error.value) == f"reading this format needs {library}: pip install 'torch_pmil[formats]'"
+    assert (
+        str(error.value)
+        == f"reading this format needs {library}: pip install 'torch_pmil[formats]'"
+    )

@@ -50,7 +50,9 @@ def namespace(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     experiment = load_experiment("double_pendulum")
     (folder / RUN).mkdir(parents=True)
     network = experiment.make_policy(torch.Generator().manual_seed(0))
-    save_policy(folder / RUN / "policy.pt", network, experiment.space, control_period=0.02)  # so that the test is short
+    save_policy(
+        folder / RUN / "policy.pt", network, experiment.space, control_period=0.02
+    )  # so that the test is short
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         run_script(patch, *shlex.split(COMMANDS[0]))
@@ -64,7 +66,9 @@ def test_loaded_policy_acts_on_arrays(namespace: dict) -> None:
     assert isinstance(namespace["policy"](np.zeros(4)), np.ndarray)
 
 
-def test_loop_sends_the_torque_of_the_state_once_a_control_period(namespace: dict, robot: Robot) -> None:
+def test_loop_sends_the_torque_of_the_state_once_a_control_period(
+    namespace: dict, robot: Robot
+) -> None:
     assert len(robot.torques) == 25
     assert all((torque == namespace["policy"](robot.start)).all() for torque in robot.torques)
     assert robot.times[-1] - robot.times[0] > 23 * 0.02  # the first may come late
@@ -78,12 +82,19 @@ def test_environment_executes_the_policy(namespace: dict) -> None:
 
 def test_exported_program_gives_the_torque_of_the_policy(namespace: dict) -> None:
     hanging = torch.tensor([torch.pi, 0.0, 0.0, 0.0], dtype=torch.float64)
-    torch.testing.assert_close(namespace["torque"], load_policy(RUN / "policy.pt")(hanging), rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        namespace["torque"], load_policy(RUN / "policy.pt")(hanging), rtol=0, atol=1e-12
+    )
 
 
-def test_table_holds_the_numbers_of_the_benchmark_and_none_reaches_a_millisecond_in_the_median() -> None:
+def test_table_holds_the_numbers_of_the_benchmark_and_none_reaches_a_millisecond_in_the_median() -> (
+    None
+):
     rows = json.loads((ROOT / "results" / "policy_step" / "summary.json").read_text())["rows"]
     for row in rows:
-        numbers = [row[name] for name in ("cpu_us_min", "cpu_us_median", "wall_us_median", "wall_us_99_percent")]
+        numbers = [
+            row[name]
+            for name in ("cpu_us_min", "cpu_us_median", "wall_us_median", "wall_us_99_percent")
+        ]
         assert f"| {row['form']} | {' | '.join(f'{number:.0f}' for number in numbers)} |" in PAGE
         assert row["cpu_us_median"] < 1000 and row["wall_us_median"] < 1000

@@ -7,21 +7,42 @@ from pathlib import Path
 
 import pytest
 
-spec = importlib.util.spec_from_file_location("html_links", Path(__file__).parents[2] / "docs" / "_ext" / "html_links.py")
+spec = importlib.util.spec_from_file_location(
+    "html_links", Path(__file__).parents[2] / "docs" / "_ext" / "html_links.py"
+)
 html_links = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(html_links)
 
 
 @pytest.mark.parametrize(
     "link",
-    ["other.html", "other.html#here", "#there", "other.html?x=1#here", "a%20picture.png", "https://elsewhere.org/no", "mailto:us"],
+    [
+        "other.html",
+        "other.html#here",
+        "#there",
+        "other.html?x=1#here",
+        "a%20picture.png",
+        "https://elsewhere.org/no",
+        "mailto:us",
+    ],
 )
 def test_whole_link_is_passed(link: str, tmp_path: Path) -> None:
     write(tmp_path, link)
     assert list(html_links.broken_links(tmp_path)) == []
 
 
-@pytest.mark.parametrize("link", ["none.html", "other.html#there", "#here", "none.png", "folder/", "../outside.html", "/other.html"])
+@pytest.mark.parametrize(
+    "link",
+    [
+        "none.html",
+        "other.html#there",
+        "#here",
+        "none.png",
+        "folder/",
+        "../outside.html",
+        "/other.html",
+    ],
+)
 def test_broken_link_is_found_with_its_page(link: str, tmp_path: Path) -> None:
     write(tmp_path, link)
     assert list(html_links.broken_links(tmp_path)) == [("index.html", link)]

@@ -19,7 +19,9 @@ HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
 
 def anchors(page: Path) -> set[str]:
     """What the headings of a page are called in links."""
-    headings = HEADING.findall(re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL))
+    headings = HEADING.findall(
+        re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    )
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
@@ -30,7 +32,9 @@ def test_there_are_links() -> None:
     assert len(LINKS) > 50
 
 
-@pytest.mark.parametrize(("page", "link"), LINKS, ids=lambda value: value.name if isinstance(value, Path) else value)
+@pytest.mark.parametrize(
+    ("page", "link"), LINKS, ids=lambda value: value.name if isinstance(value, Path) else value
+)
 def test_link_leads_to_a_file_and_to_a_heading_of_it(page: Path, link: str) -> None:
     path, _, anchor = link.partition("#")
     target = (page.parent / path).resolve() if path else page

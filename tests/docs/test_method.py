@@ -18,7 +18,9 @@ PAGE = (ROOT / "docs" / "method.md").read_text()
 SHOWN = [int(number) for number in re.findall(r"\\tag\{(\d+)\}", PAGE)]
 LINK = r"\{code\}`([\w.]+)`"
 LINKED = re.findall(LINK, PAGE)
-SAID = re.findall(r"((?:\{code\}`[\w.]+`(?: and )?)+) \((?:the moments of )?(Eqs?\. [\d, and-]*\d)", PAGE)
+SAID = re.findall(
+    r"((?:\{code\}`[\w.]+`(?: and )?)+) \((?:the moments of )?(Eqs?\. [\d, and-]*\d)", PAGE
+)
 TOLD = [(path, equations) for paths, equations in SAID for path in re.findall(LINK, paths)]
 
 
@@ -41,7 +43,9 @@ def docstrings() -> Iterator[str]:
 
 
 def test_numbers_are_read_as_people_read_them() -> None:
-    assert numbers("Eqs. 14-16, 19 and 22; Eq. 5, in four. Deisenroth and Rasmussen (2011), Eqs. 24 and 25.") == {5, 14, 15, 16, 19, 22}
+    assert numbers(
+        "Eqs. 14-16, 19 and 22; Eq. 5, in four. Deisenroth and Rasmussen (2011), Eqs. 24 and 25."
+    ) == {5, 14, 15, 16, 19, 22}
     assert numbers("nothing (Rasmussen and Williams 2006, Eq. 2.30)") == set()
 
 
@@ -64,6 +68,10 @@ def test_most_links_say_their_equations() -> None:
 
 
 @pytest.mark.parametrize(("path", "equations"), TOLD)
-def test_linked_code_cites_the_equations_that_the_page_says_it_computes(path: str, equations: str) -> None:
+def test_linked_code_cites_the_equations_that_the_page_says_it_computes(
+    path: str, equations: str
+) -> None:
     code = pkgutil.resolve_name(path)
-    assert numbers(equations) <= numbers(f"{inspect.getdoc(code)} {inspect.getdoc(inspect.getmodule(code))}")
+    assert numbers(equations) <= numbers(
+        f"{inspect.getdoc(code)} {inspect.getdoc(inspect.getmodule(code))}"
+    )

@@ -1,4 +1,6 @@
-"""Notebooks as they are kept: without outputs, in reading order, saying what they are; ``notebooks/conftest.py`` has them executed."""
+"""Notebooks as they are kept: without outputs, in reading order, saying what they are;
+``notebooks/conftest.py`` has them executed.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def text_of(path: Path, kind: str) -> str:
 
 
 def test_names_count_up_in_reading_order() -> None:
-    assert [path.name[:3] for path in NOTEBOOKS] == [f"{number:02d}_" for number in range(1, len(NOTEBOOKS) + 1)]
+    assert [path.name[:3] for path in NOTEBOOKS] == [
+        f"{number:02d}_" for number in range(1, len(NOTEBOOKS) + 1)
+    ]
 
 
 @each_notebook
@@ -48,8 +52,14 @@ def test_outputs_are_stripped(path: Path) -> None:
 def test_notebook_is_of_the_newest_format_for_any_python(path: Path) -> None:
     notebook = read(path)
     nbformat.validate(notebook)
-    assert (notebook.nbformat, notebook.nbformat_minor, notebook.metadata.kernelspec.name) == (4, 5, "python3")
-    assert [cell.id for cell in notebook.cells] == [str(number) for number in range(len(notebook.cells))]  # as nbstripout numbers them
+    assert (notebook.nbformat, notebook.nbformat_minor, notebook.metadata.kernelspec.name) == (
+        4,
+        5,
+        "python3",
+    )
+    assert [cell.id for cell in notebook.cells] == [
+        str(number) for number in range(len(notebook.cells))
+    ]  # as nbstripout numbers them
 
 
 @each_notebook
@@ -62,7 +72,9 @@ def test_opening_says_how_long_it_runs_and_more_than_a_minute_is_slow(path: Path
 @each_notebook
 def test_links_lead_somewhere_and_on(path: Path) -> None:
     links = re.findall(r"\]\(([^)#]+)[^)]*\)", text_of(path, "markdown"))
-    assert not [link for link in links if not link.startswith("http") and not (FOLDER / link).exists()]
+    assert not [
+        link for link in links if not link.startswith("http") and not (FOLDER / link).exists()
+    ]
     assert "## What next" in read(path).cells[-1].source
 
 
@@ -78,12 +90,16 @@ def test_slow_notebooks_are_there() -> None:
     assert CONFTEST["SLOW"] <= {path.name for path in NOTEBOOKS}
 
 
-def test_kernels_import_the_package_under_test_on_one_thread(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_kernels_import_the_package_under_test_on_one_thread(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     for name in ("PYTHONPATH", "OMP_NUM_THREADS"):
         monkeypatch.setenv(name, "")
     CONFTEST["pytest_configure"]()
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(WHERE)])
-    NotebookClient(notebook, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
+    NotebookClient(
+        notebook, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
     origin, threads = notebook.cells[0].outputs[0].text.split()
     assert os.path.samefile(origin, torch_pmil.__file__)
     assert threads == "1"

@@ -1,4 +1,6 @@
-"""The README's Python works where it is pasted, and does what the text says; its moving picture is what it should be."""
+"""The README's Python works where it is pasted, and does what the text says; its moving picture is
+what it should be.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
-BLOCKS = re.findall(r"^```python\n(?!>>>)(.*?)^```$", README, re.MULTILINE | re.DOTALL)  # pytest runs those with prompts as doctests
+BLOCKS = re.findall(
+    r"^```python\n(?!>>>)(.*?)^```$", README, re.MULTILINE | re.DOTALL
+)  # pytest runs those with prompts as doctests
 PICTURES = re.findall(r'<img src="([^"]+)"', README)
 
 
@@ -31,7 +35,11 @@ def test_pasted_lines_learn_what_the_readme_says(
     monkeypatch.chdir(tmp_path)
     (block,) = BLOCKS
     exec(block, {})
-    told = re.findall(r"^trial (\d): KL ([\d.]+) nats predicted, at most ([\d.]+) m from", capsys.readouterr().out, re.MULTILINE)
+    told = re.findall(
+        r"^trial (\d): KL ([\d.]+) nats predicted, at most ([\d.]+) m from",
+        capsys.readouterr().out,
+        re.MULTILINE,
+    )
     assert [trial for trial, *_ in told] == ["1", "2", "3", "4"]
     _, kl, distance = map(float, told[-1])
     assert kl < 1 and distance < 0.1  # as the README says below

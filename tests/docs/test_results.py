@@ -11,7 +11,9 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "results.md").read_text()
 README = (ROOT / "README.md").read_text()
-VALUE_AND_ENTRY = re.compile(r"\| ([\d.]+)( %)?[^|`\n]*\| `(\w+)/([\w.]+)` (?=\|)")  # | value unit | `NAME/entry` |
+VALUE_AND_ENTRY = re.compile(
+    r"\| ([\d.]+)( %)?[^|`\n]*\| `(\w+)/([\w.]+)` (?=\|)"
+)  # | value unit | `NAME/entry` |
 QUOTED = VALUE_AND_ENTRY.findall(PAGE)
 
 
@@ -20,8 +22,12 @@ def test_there_are_quoted_numbers() -> None:
     assert len(VALUE_AND_ENTRY.findall(README)) > 10
 
 
-@pytest.mark.parametrize(("told", "percent", "name", "entry"), QUOTED + VALUE_AND_ENTRY.findall(README))
-def test_quoted_number_is_that_of_the_summary(told: str, percent: str, name: str, entry: str) -> None:
+@pytest.mark.parametrize(
+    ("told", "percent", "name", "entry"), QUOTED + VALUE_AND_ENTRY.findall(README)
+)
+def test_quoted_number_is_that_of_the_summary(
+    told: str, percent: str, name: str, entry: str
+) -> None:
     value = json.loads((ROOT / "results" / name / "summary.json").read_text())["headline"][entry]
     decimals = len(told.partition(".")[2])
     assert told == f"{abs(value) * (100 if percent else 1):.{decimals}f}"

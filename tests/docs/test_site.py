@@ -1,4 +1,6 @@
-"""The documentation builds without a warning, and the build says what is wrong where it is not right."""
+"""The documentation builds without a warning, and the build says what is wrong where it is not
+right.
+"""
 
 from __future__ import annotations
 
@@ -27,22 +29,52 @@ FLAWS = {
 
 def build(source: Path, out: Path) -> subprocess.CompletedProcess[str]:
     """What ``make docs`` runs; the notebooks have a test of their own."""
-    command = [sys.executable, "-m", "sphinx", "-b", "html", "-q", "-W", "--keep-going", "-E", "-c", "docs", "-D", "nb_execution_mode=off"]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-b",
+        "html",
+        "-q",
+        "-W",
+        "--keep-going",
+        "-E",
+        "-c",
+        "docs",
+        "-D",
+        "nb_execution_mode=off",
+    ]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    return subprocess.run([*command, source, out], cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [*command, source, out],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 @pytest.mark.slow
-def test_documentation_builds_without_a_warning_and_equations_and_code_point_to_each_other(tmp_path: Path) -> None:
+def test_documentation_builds_without_a_warning_and_equations_and_code_point_to_each_other(
+    tmp_path: Path,
+) -> None:
     built = build(ROOT / "docs", tmp_path)
     assert (built.returncode, built.stderr) == (0, "")
-    assert 'href="_modules/torch_pmil/kl.html#gaussian_kl"' in (tmp_path / "method.html").read_text()
+    assert (
+        'href="_modules/torch_pmil/kl.html#gaussian_kl"' in (tmp_path / "method.html").read_text()
+    )
     assert 'href="../method.html#eq-19"' in (tmp_path / "api" / "mathematics.html").read_text()
 
 
 @pytest.mark.slow
 def test_what_leads_nowhere_fails_the_build_and_is_named(tmp_path: Path) -> None:
-    paragraphs = ["# A page", "```{eval-rst}\n.. automodule:: torch_pmil.gp.gaussian\n```", WHOLE, *FLAWS]
+    paragraphs = [
+        "# A page",
+        "```{eval-rst}\n.. automodule:: torch_pmil.gp.gaussian\n```",
+        WHOLE,
+        *FLAWS,
+    ]
     (tmp_path / "index.md").write_text("\n\n".join(paragraphs))
     built = build(tmp_path, tmp_path / "html")
     assert built.returncode != 0

@@ -24,7 +24,9 @@ BOX = Bounded(-1.0, 3.0, (1,))
 
 
 class Wheel(EnvBase):
-    """A wheel that turns by its action; shows [cos, speed, sin] under ``"seen"`` and says after one step that all is over."""
+    """A wheel that turns by its action; shows [cos, speed, sin] under ``"seen"`` and says after one
+    step that all is over.
+    """
 
     def __init__(self, observation: TensorSpec | None = None, action: TensorSpec = BOX) -> None:
         super().__init__()
@@ -43,21 +45,31 @@ class Wheel(EnvBase):
     def _step(self, tensordict: TensorDict) -> TensorDict:
         self.heard.append(tensordict["motor"])
         self.angle = self.angle + tensordict["motor"]
-        return TensorDict({"seen": self._seen(tensordict["motor"]), "reward": torch.ones(1), "done": torch.ones(1, dtype=torch.bool)})
+        return TensorDict(
+            {
+                "seen": self._seen(tensordict["motor"]),
+                "reward": torch.ones(1),
+                "done": torch.ones(1, dtype=torch.bool),
+            }
+        )
 
     def _seen(self, speed: Tensor) -> Tensor:
         return torch.cat([self.angle.cos(), speed, self.angle.sin()]).float()
 
 
 def adapted_wheel(make_env: Callable[..., EnvBase] = Wheel, **settings: object) -> AdaptedEnv:
-    return AdaptedEnv(make_env, 0.1, **{"observation": "seen", "action": "motor", "seed": 0, **settings})
+    return AdaptedEnv(
+        make_env, 0.1, **{"observation": "seen", "action": "motor", "seed": 0, **settings}
+    )
 
 
 def drive(env: AdaptedEnv, actions: Tensor) -> Tensor:
     """Observations (T + 1, D) under actions (T, F)."""
     observations = [env.reset()["observation"]]
     for action in actions:
-        observations.append(env.step(TensorDict({"action": action}, env.batch_size))["next", "observation"])
+        observations.append(
+            env.step(TensorDict({"action": action}, env.batch_size))["next", "observation"]
+        )
     return torch.stack(observations)
 
 
@@ -72,19 +84,27 @@ def drive(env: AdaptedEnv, actions: Tensor) -> Tensor:
     ],
     ids=["wheel", "wheel's angle", "InvertedPendulum", "Pendulum"],
 )
-def test_torchrl_accepts_what_becomes_of_an_environment(make_env: Callable[..., EnvBase], settings: dict, num_envs: int | None) -> None:
+def test_torchrl_accepts_what_becomes_of_an_environment(
+    make_env: Callable[..., EnvBase], settings: dict, num_envs: int | None
+) -> None:
     env = AdaptedEnv(make_env, 0.1, num_envs=num_envs, seed=0, **settings)
     check_env_specs(env)
     rollout = env.rollout(4)
     assert rollout.batch_size == ((4,) if num_envs is None else (3, 4))
-    assert {rollout[key].dtype for key in ("observation", "action", ("next", "reward"))} == {torch.float64}
+    assert {rollout[key].dtype for key in ("observation", "action", ("next", "reward"))} == {
+        torch.float64
+    }
 
 
 def test_observations_are_those_of_gymnasium_itself() -> None:
-    actions = 0.3 * torch.rand(20, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    actions = 0.3 * torch.rand(
+        20, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64
+    )
     ours = drive(AdaptedEnv(CART, 0.04, seed=5), actions)
     robot = gymnasium.make("InvertedPendulum-v5", reset_noise_scale=0.1)
-    robot.reset(seed=int(torch.randint(LARGEST_SEED, (), generator=torch.Generator().manual_seed(5))))
+    robot.reset(
+        seed=int(torch.randint(LARGEST_SEED, (), generator=torch.Generator().manual_seed(5)))
+    )
     theirs = [robot.reset()[0]] + [robot.step(action.float().numpy())[0] for action in actions]
     assert torch.equal(ours, torch.stack([torch.from_numpy(observation) for observation in theirs]))
 
@@ -93,7 +113,9 @@ def test_rollout_goes_on_when_the_task_says_that_it_is_over() -> None:
     assert adapted_wheel().rollout(10).batch_size == (10,)
     rollout = AdaptedEnv(CART, 0.04, seed=0).rollout(60)
     assert rollout.batch_size == (60,)
-    assert rollout["next", "observation"][-1, 1].abs() > 1, "the pole fell far beyond the 0.2 rad at which the task ends"
+    assert rollout["next", "observation"][-1, 1].abs() > 1, (
+        "the pole fell far beyond the 0.2 rad at which the task ends"
+    )
 
 
 def test_action_counts_from_the_middle_of_the_range_and_is_clipped_to_it() -> None:
@@ -111,9 +133,13 @@ def test_angle_goes_on_through_whole_turns_from_where_it_is_said_to_be(near: flo
     speeds = torch.tensor([[3.0]] * 10 + [[-2.5]] * 15, dtype=torch.float64)
     seen = drive(env, speeds)
     assert (seen[0, 0] - near).abs() <= math.pi
-    torch.testing.assert_close(seen[0, 0].cos(), (wheel.angle - speeds.sum()).cos()[0], rtol=0, atol=1e-6)
+    torch.testing.assert_close(
+        seen[0, 0].cos(), (wheel.angle - speeds.sum()).cos()[0], rtol=0, atol=1e-6
+    )
     torch.testing.assert_close(seen[1:, 0] - seen[0, 0], speeds.cumsum(0)[:, 0], rtol=0, atol=1e-6)
-    assert torch.equal(seen[1:, 1], speeds[:, 0]), "the entry that is no angle stays, and the sine is gone"
+    assert torch.equal(seen[1:, 1], speeds[:, 0]), (
+        "the entry that is no angle stays, and the sine is gone"
+    )
 
 
 def test_same_seed_gives_the_same_rollouts_bit_for_bit_and_another_does_not() -> None:
@@ -141,7 +167,10 @@ def test_global_seed_neither_moves_the_starts_nor_is_moved() -> None:
 
 @pytest.mark.parametrize("num_envs", [None, 2])
 def test_checkpoint_resumes_the_coming_episodes_bit_for_bit(num_envs: int | None) -> None:
-    env, actions = AdaptedEnv(CART, 0.04, num_envs=num_envs, seed=0), torch.zeros(5, *([] if num_envs is None else [num_envs]), 1)
+    env, actions = (
+        AdaptedEnv(CART, 0.04, num_envs=num_envs, seed=0),
+        torch.zeros(5, *([] if num_envs is None else [num_envs]), 1),
+    )
     drive(env, actions.double())
     file = io.BytesIO()
     torch.save(env.state_dict(), file)
@@ -155,24 +184,48 @@ def test_checkpoint_resumes_the_coming_episodes_bit_for_bit(num_envs: int | None
 @pytest.mark.parametrize(
     ("make_env", "settings", "message"),
     [
-        (Wheel, {"observation": "observation"}, r"must have observation under 'observation', got seen"),
+        (
+            Wheel,
+            {"observation": "observation"},
+            r"must have observation under 'observation', got seen",
+        ),
         (Wheel, {"action": "action"}, r"must have action under 'action', got motor"),
         (
             partial(Wheel, Bounded(0, 255, (8, 8, 3), dtype=torch.uint8)),
             {},
             r"observation 'seen' must be a vector of real numbers, got Bounded\w* of torch.uint8 with shape \(8, 8, 3\)",
         ),
-        (partial(Wheel, Unbounded((2, 3))), {}, r"must be a vector of real numbers, got Unbounded\w* of torch.float32 with shape \(2, 3\)"),
+        (
+            partial(Wheel, Unbounded((2, 3))),
+            {},
+            r"must be a vector of real numbers, got Unbounded\w* of torch.float32 with shape \(2, 3\)",
+        ),
         (
             partial(Wheel, action=OneHot(4)),
             {},
             r"action 'motor' must be a vector of real numbers, got OneHot of torch.bool with shape \(4,\)",
         ),
-        (partial(Wheel, action=Unbounded((1,))), {}, "action 'motor' must have finite limits, got Unbounded"),
-        (partial(GymEnv, "CartPole-v1"), {"observation": "observation", "action": "action"}, "action 'action' must be a vector of real"),
+        (
+            partial(Wheel, action=Unbounded((1,))),
+            {},
+            "action 'motor' must have finite limits, got Unbounded",
+        ),
+        (
+            partial(GymEnv, "CartPole-v1"),
+            {"observation": "observation", "action": "action"},
+            "action 'action' must be a vector of real",
+        ),
         (Wheel, {"num_envs": 0}, "num_envs must be None or at least 1, got 0"),
-        (Wheel, {"angles": (CosSin(0, 3),)}, "angles must be of different entries of the 3 observed, got CosSin"),
-        (Wheel, {"angles": (CosSin(0, 1), CosSin(1, 2))}, "angles must be of different entries of the 3 observed, got CosSin"),
+        (
+            Wheel,
+            {"angles": (CosSin(0, 3),)},
+            "angles must be of different entries of the 3 observed, got CosSin",
+        ),
+        (
+            Wheel,
+            {"angles": (CosSin(0, 1), CosSin(1, 2))},
+            "angles must be of different entries of the 3 observed, got CosSin",
+        ),
     ],
 )
 @pytest.mark.parametrize("num_envs", [None, 2])
@@ -186,7 +239,9 @@ def test_unsuitable_environment_is_refused_in_one_line(
 
 @pytest.mark.parametrize("period", [0.0, -0.1, math.nan, math.inf])
 def test_control_period_must_be_positive(period: float) -> None:
-    with pytest.raises(ValueError, match="control_period must be positive and finite, in seconds, got"):
+    with pytest.raises(
+        ValueError, match="control_period must be positive and finite, in seconds, got"
+    ):
         AdaptedEnv(CART, period)
 
 
@@ -210,13 +265,20 @@ def test_observation_that_is_not_finite_ends_the_rollout() -> None:
 def test_robots_are_reset_together() -> None:
     env = AdaptedEnv(CART, 0.04, num_envs=2, seed=0)
     env.reset()
-    with pytest.raises(ValueError, match="all robots must be reset together, got a mask with 1 of 2"):
+    with pytest.raises(
+        ValueError, match="all robots must be reset together, got a mask with 1 of 2"
+    ):
         env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
 
 
 def test_pictures_come_beside_the_observation() -> None:
-    env = AdaptedEnv(partial(GymEnv, "Pendulum-v1", pixels_only=False), 0.05, from_pixels=True, seed=0)
+    env = AdaptedEnv(
+        partial(GymEnv, "Pendulum-v1", pixels_only=False), 0.05, from_pixels=True, seed=0
+    )
     check_env_specs(env)
     rollout = env.rollout(2)
-    assert rollout["next", "pixels"].shape == (2, 500, 500, 3) and rollout["pixels"].dtype == torch.uint8
+    assert (
+        rollout["next", "pixels"].shape == (2, 500, 500, 3)
+        and rollout["pixels"].dtype == torch.uint8
+    )
     assert rollout["observation"].shape == (2, 3)

@@ -1,4 +1,6 @@
-"""The BioRob's environment: what is hidden, what is measured beside the state, and the laws of an environment."""
+"""The BioRob's environment: what is hidden, what is measured beside the state, and the laws of an
+environment.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,16 @@ from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 
 from torch_pmil.envs import BioRobEnv
-from torch_pmil.envs.biorob import BALL, JOINTS, ROTORS, START, START_STD, TORQUE_LIMIT, biorob_model, holding_torques
+from torch_pmil.envs.biorob import (
+    BALL,
+    JOINTS,
+    ROTORS,
+    START,
+    START_STD,
+    TORQUE_LIMIT,
+    biorob_model,
+    holding_torques,
+)
 from torch_pmil.plotting.video import dense_states, render_rollout
 
 NOISE = (0.01, 0.0, 0.02, 0.1, 0.3, 0.1)  # rad, rad/s
@@ -24,7 +35,9 @@ FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
 def start_at(env: BioRobEnv, state: Tensor | tuple[float, ...]) -> TensorDictBase:
-    return env.reset(TensorDict({"observation": torch.as_tensor(state, dtype=torch.float64)}, env.batch_size))
+    return env.reset(
+        TensorDict({"observation": torch.as_tensor(state, dtype=torch.float64)}, env.batch_size)
+    )
 
 
 def run(env: BioRobEnv, start: Tensor | tuple[float, ...], torques: Tensor) -> TensorDictBase:
@@ -36,11 +49,18 @@ def run(env: BioRobEnv, start: Tensor | tuple[float, ...], torques: Tensor) -> T
 
 
 def random_torques(seed: int, *shape: int) -> Tensor:
-    return (2 * torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) - 1) * torch.tensor([4.0, 10.0, 5.0])
+    return (
+        2 * torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        - 1
+    ) * torch.tensor([4.0, 10.0, 5.0])
 
 
-def step_by_step(state: tuple[float, ...], torques: Tensor) -> tuple[list[float], list[float], Tensor]:
-    """Distances (m) and contacts at the start and after each time step, and the last state, from MuJoCo's own stepping."""
+def step_by_step(
+    state: tuple[float, ...], torques: Tensor
+) -> tuple[list[float], list[float], Tensor]:
+    """Distances (m) and contacts at the start and after each time step, and the last state, from
+    MuJoCo's own stepping.
+    """
     env = BioRobEnv(seed=0)
     start_at(env, state)
     data = mujoco.MjData(env.model)
@@ -53,22 +73,34 @@ def step_by_step(state: tuple[float, ...], torques: Tensor) -> tuple[list[float]
         mujoco.mj_forward(env.model, data)
         sensed.append(data.sensordata.copy())
     distances, contacts = (
-        [values[env.model.sensor(name).adr[0]] for values in sensed] for name in ("racket_ball_distance", "racket_ball_contact")
+        [values[env.model.sensor(name).adr[0]] for values in sensed]
+        for name in ("racket_ball_distance", "racket_ball_contact")
     )
     joints = [data.joint(name) for name in JOINTS]
-    return distances, contacts, torch.tensor([joint.qpos[0] for joint in joints] + [joint.qvel[0] for joint in joints])
+    return (
+        distances,
+        contacts,
+        torch.tensor([joint.qpos[0] for joint in joints] + [joint.qvel[0] for joint in joints]),
+    )
 
 
 @pytest.mark.parametrize("num_envs", [None, 3])
 @pytest.mark.parametrize("noise", [None, NOISE])
-def test_torchrl_accepts_the_environment(num_envs: int | None, noise: tuple[float, ...] | None) -> None:
+def test_torchrl_accepts_the_environment(
+    num_envs: int | None, noise: tuple[float, ...] | None
+) -> None:
     env = BioRobEnv(num_envs=num_envs, observation_std=noise, seed=0)
     check_env_specs(env)
     batch = () if num_envs is None else (num_envs,)
     rollout = env.rollout(3)
     assert rollout["next", "info", "racket_ball_distance"].shape == (*batch, 3, 1)
-    assert rollout["next", "info", "racket_ball_distance"].dtype == torch.float64 and rollout["next", "info", "hit"].dtype == torch.bool
-    assert env.action_spec.space.high.expand(*batch, 3).reshape(-1, 3)[0].tolist() == list(TORQUE_LIMIT)
+    assert (
+        rollout["next", "info", "racket_ball_distance"].dtype == torch.float64
+        and rollout["next", "info", "hit"].dtype == torch.bool
+    )
+    assert env.action_spec.space.high.expand(*batch, 3).reshape(-1, 3)[0].tolist() == list(
+        TORQUE_LIMIT
+    )
 
 
 def test_state_has_positions_first() -> None:
@@ -77,7 +109,9 @@ def test_state_has_positions_first() -> None:
     assert start_at(env, state)["observation"].tolist() == list(state)
     model, data = env.model, mujoco.MjData(env.model)
     mujoco.mj_setState(model, data, env.state_dict()["_physics"][0].numpy(), FULL_PHYSICS)
-    assert [data.joint(name).qpos[0] for name in JOINTS] + [data.joint(name).qvel[0] for name in JOINTS] == list(state)
+    assert [data.joint(name).qpos[0] for name in JOINTS] + [
+        data.joint(name).qvel[0] for name in JOINTS
+    ] == list(state)
 
 
 @pytest.mark.parametrize("pose", [START[:3], (0.1, 0.72, 1.5), (-0.5, -0.4, 0.3), (0.6, 1.5, 2.0)])
@@ -100,7 +134,10 @@ def test_motors_move_with_the_joints_at_a_reset() -> None:
 def test_ball_hangs_at_rest_where_it_is_said_to() -> None:
     for ball in (BALL, (0.6, -0.2, 1.3)):
         env = BioRobEnv(ball, seed=0)
-        place = [env.replay(env.initial_mean, torch.zeros(5, 3, dtype=torch.float64), 1)[step] for step in (0, -1)]
+        place = [
+            env.replay(env.initial_mean, torch.zeros(5, 3, dtype=torch.float64), 1)[step]
+            for step in (0, -1)
+        ]
         data = mujoco.MjData(env.model)
         for physics in place:
             mujoco.mj_setState(env.model, data, physics.numpy(), FULL_PHYSICS)
@@ -113,8 +150,12 @@ def test_distance_is_the_least_over_all_time_steps_and_hit_stays() -> None:
     measured = run(BioRobEnv(seed=0), UNDER_THE_BALL, torques)
     distances, contacts, last = step_by_step(UNDER_THE_BALL, torques)
     torch.testing.assert_close(measured["observation"][-1], last, rtol=0, atol=1e-6)
-    least = torch.tensor(distances, dtype=torch.float64).unfold(0, 101, 100).amin(-1)  # both ends of a period belong to it
-    torch.testing.assert_close(measured["info", "racket_ball_distance"][1:, 0], least, rtol=0, atol=1e-6)
+    least = (
+        torch.tensor(distances, dtype=torch.float64).unfold(0, 101, 100).amin(-1)
+    )  # both ends of a period belong to it
+    torch.testing.assert_close(
+        measured["info", "racket_ball_distance"][1:, 0], least, rtol=0, atol=1e-6
+    )
     hits = (torch.tensor(contacts).unfold(0, 101, 100) > 0).any(-1).cummax(0).values
     assert torch.equal(measured["info", "hit"][1:, 0], hits)
     assert not hits[0] and hits[-1] and distances[-1] > 0.1, "it was touched, and is away again"
@@ -166,7 +207,10 @@ def test_batch_equals_single_environments() -> None:
     for index, start in enumerate(starts):
         alone = run(BioRobEnv(seed=0), start, torques[:, index])
         assert torch.equal(together["observation"][:, index], alone["observation"])
-        assert torch.equal(together["info", "racket_ball_distance"][:, index], alone["info", "racket_ball_distance"])
+        assert torch.equal(
+            together["info", "racket_ball_distance"][:, index],
+            alone["info", "racket_ball_distance"],
+        )
 
 
 def test_same_seed_gives_the_same_starts_and_the_global_seed_none() -> None:
@@ -179,14 +223,21 @@ def test_same_seed_gives_the_same_starts_and_the_global_seed_none() -> None:
 
 def test_starts_follow_the_start_distribution() -> None:
     starts = BioRobEnv(num_envs=500, seed=0).reset()["observation"]
-    mean, std = torch.tensor(START, dtype=torch.float64), torch.tensor(START_STD, dtype=torch.float64)
+    mean, std = (
+        torch.tensor(START, dtype=torch.float64),
+        torch.tensor(START_STD, dtype=torch.float64),
+    )
     assert ((starts.mean(0) - mean) / std).abs().max() < 4 / math.sqrt(500)
     assert (starts.std(0) / std - 1).abs().max() < 4 / math.sqrt(1_000)
 
 
 def test_torques_are_clipped_at_the_limits() -> None:
-    beyond = run(BioRobEnv(seed=0), START, torch.tensor([[100.0, -100.0, 100.0]], dtype=torch.float64))
-    at_limit = run(BioRobEnv(seed=0), START, torch.tensor([[10.0, -20.0, 10.0]], dtype=torch.float64))
+    beyond = run(
+        BioRobEnv(seed=0), START, torch.tensor([[100.0, -100.0, 100.0]], dtype=torch.float64)
+    )
+    at_limit = run(
+        BioRobEnv(seed=0), START, torch.tensor([[10.0, -20.0, 10.0]], dtype=torch.float64)
+    )
     assert torch.equal(beyond["observation"], at_limit["observation"])
 
 
@@ -202,8 +253,13 @@ def test_holding_torques_do_the_work_against_gravity() -> None:
     """Virtual work: motors that turn as the cables demand do what lifts the arm, tau·dr = dV."""
     poses = torch.tensor([START[:3]], dtype=torch.float64)
     step, ratio = 1e-4, torch.tensor([[1, 0, 0], [0, 1, 0], [0, 0.5, 1.0]], dtype=torch.float64)
-    slopes = [(_height_energy(poses[0] + e) - _height_energy(poses[0] - e)) / (2 * step) for e in step * torch.eye(3, dtype=torch.float64)]
-    torch.testing.assert_close(holding_torques(poses)[0] @ ratio, torch.stack(slopes), rtol=0, atol=0.05)  # cables and wrist give a little
+    slopes = [
+        (_height_energy(poses[0] + e) - _height_energy(poses[0] - e)) / (2 * step)
+        for e in step * torch.eye(3, dtype=torch.float64)
+    ]
+    torch.testing.assert_close(
+        holding_torques(poses)[0] @ ratio, torch.stack(slopes), rtol=0, atol=0.05
+    )  # cables and wrist give a little
 
 
 def _height_energy(pose: Tensor) -> Tensor:
@@ -236,7 +292,10 @@ class PhysicsAsPictures(BioRobEnv):
 
 
 def test_film_shows_the_motion_of_the_rollout_and_the_flight_of_the_ball() -> None:
-    env, torques = PhysicsAsPictures(seed=0), torch.cat([STRIKE.expand(4, 3), random_torques(4, 4, 3)])
+    env, torques = (
+        PhysicsAsPictures(seed=0),
+        torch.cat([STRIKE.expand(4, 3), random_torques(4, 4, 3)]),
+    )
     run(env, UNDER_THE_BALL, torques)
     pictures = list(render_rollout(env, torch.tensor(UNDER_THE_BALL, dtype=torch.float64), torques))
     assert len(pictures) == 41
@@ -272,7 +331,10 @@ def test_checkpoint_resumes_motion_hit_starts_and_noise(noise: tuple[float, ...]
         ({"initial_std": (-0.1,) * 6}, "initial_std must not be negative, got"),
         ({"observation_std": (0.1,)}, "observation_std must be 6 finite numbers, got"),
         ({"num_envs": 0}, "num_envs must be None or at least 1, got 0"),
-        ({"control_period": 0.0105}, "control_period must be a whole number of 0.001 s time steps, got 0.0105 s"),
+        (
+            {"control_period": 0.0105},
+            "control_period must be a whole number of 0.001 s time steps, got 0.0105 s",
+        ),
     ],
 )
 def test_bad_setting_is_refused_in_one_line(settings: dict, message: str) -> None:

@@ -1,4 +1,6 @@
-"""The physics of the BioRob's model: elastic drives, slack, stiction, ringing, the racket and the ball. ``-s`` prints what was measured."""
+"""The physics of the BioRob's model: elastic drives, slack, stiction, ringing, the racket and the
+ball. ``-s`` prints what was measured.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ Array = NDArray[np.float64]
 FAR = (3.0, 3.0, 1.0)  # where the ball is out of the way
 LIFTED = (0.0, 0.6, 1.0)
 FRICTION = (0.8, 1.5, 0.8)  # N·m
-FREQUENCIES = np.array([(2.9, 4.1), (3.1, 6.2), (6.4, 11.7)])  # Hz, of a prototype with these estimates, to their last digit
+FREQUENCIES = np.array(
+    [(2.9, 4.1), (3.1, 6.2), (6.4, 11.7)]
+)  # Hz, of a prototype with these estimates, to their last digit
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -36,7 +40,9 @@ class Arm:
         self.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
         self.data = mujoco.MjData(self.model)
         self.equilibrium = Equilibrium(self.model, JOINTS, ROTORS, HELD)
-        self.joints, self.rotors = ([self.model.joint(name).dofadr[0] for name in names] for names in (JOINTS, ROTORS))
+        self.joints, self.rotors = (
+            [self.model.joint(name).dofadr[0] for name in names] for names in (JOINTS, ROTORS)
+        )
 
     def rest(self, pose: Sequence[float]) -> Array:
         """Put it in a pose, at rest; the torques (3,) that hold it."""
@@ -48,22 +54,30 @@ class Arm:
         return torques[0]
 
     def swing(self, seconds: float, extra: Callable[[float], Array] | None = None) -> Array:
-        """Angles (n, 2, 3) of joints and rotors at each time step, under torques ``extra`` (3,) of time beside those of now."""
+        """Angles (n, 2, 3) of joints and rotors at each time step, under torques ``extra`` (3,) of
+        time beside those of now.
+        """
         torques, angles = self.data.ctrl.copy(), []
         for step in range(round(seconds / self.model.opt.timestep)):
             if extra is not None:
                 self.data.ctrl[:] = torques + extra(step * self.model.opt.timestep)
             mujoco.mj_step(self.model, self.data)
-            angles.append([self.data.qpos[self.joints], self.data.qpos[self.rotors]])  # all hinges: their places are their dofs
+            angles.append(
+                [self.data.qpos[self.joints], self.data.qpos[self.rotors]]
+            )  # all hinges: their places are their dofs
         return np.array(angles)
 
     def modes(self, pose: Sequence[float]) -> tuple[Array, Array]:
-        """Eigenfrequencies (3,) in Hz and modes (3, 3) of the joints while the rotors stand still, undamped."""
+        """Eigenfrequencies (3,) in Hz and modes (3, 3) of the joints while the rotors stand still,
+        undamped.
+        """
         self.rest(pose)
         stiffness, inertia = np.empty((2, self.model.nv, self.model.nv))
         self.data.qacc[:] = 0
         mujoco.mj_inverse(self.model, self.data)
-        mujoco.mjd_inverseFD(self.model, self.data, 1e-7, False, stiffness, None, None, None, None, None, None)
+        mujoco.mjd_inverseFD(
+            self.model, self.data, 1e-7, False, stiffness, None, None, None, None, None, None
+        )
         mujoco.mj_fullM(self.model, self.data, inertia)
         K, M = (matrix[np.ix_(self.joints, self.joints)] for matrix in (stiffness, inertia))
         squares, modes = eigh((K + K.T) / 2, M)
@@ -92,10 +106,14 @@ def ringing(deflection: Array, window: int = 300) -> float:
 
 
 @pytest.mark.parametrize("pose", [START[:3], (0.1, 0.72, 1.35), (0.0, 0.5, 0.9), (0.0, 1.0, 0.5)])
-def test_joints_ring_with_locked_motors_in_the_range_of_the_prototype(pose: tuple[float, ...]) -> None:
+def test_joints_ring_with_locked_motors_in_the_range_of_the_prototype(
+    pose: tuple[float, ...],
+) -> None:
     frequencies, _ = Arm().modes(pose)
     print("eigenfrequencies (Hz) at", pose, frequencies.round(2))
-    assert (frequencies > FREQUENCIES[:, 0] - 0.1).all() and (frequencies < FREQUENCIES[:, 1] + 0.1).all()
+    assert (frequencies > FREQUENCIES[:, 0] - 0.1).all() and (
+        frequencies < FREQUENCIES[:, 1] + 0.1
+    ).all()
 
 
 @pytest.mark.parametrize("mode", [0, 1, 2])
@@ -107,9 +125,13 @@ def test_simulated_free_response_has_the_frequency_of_the_linearisation(mode: in
     arm.rest(LIFTED)
     arm.data.qvel[arm.joints] = 0.3 * modes[:, mode] / np.abs(modes[:, mode]).max()
     angles = arm.swing(4.0)[:, 0] @ np.linalg.inv(modes).T  # of the modes
-    spectrum = np.abs(np.fft.rfft((angles[:, mode] - angles[:, mode].mean()) * np.hanning(len(angles)), 2**17))
+    spectrum = np.abs(
+        np.fft.rfft((angles[:, mode] - angles[:, mode].mean()) * np.hanning(len(angles)), 2**17)
+    )
     peak = np.fft.rfftfreq(2**17, arm.model.opt.timestep)[spectrum.argmax()]
-    assert peak == pytest.approx(frequencies[mode], rel=0.06)  # the wrist's springs give way a little
+    assert peak == pytest.approx(
+        frequencies[mode], rel=0.06
+    )  # the wrist's springs give way a little
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])
@@ -136,7 +158,9 @@ def test_slack_cable_halves_the_stiffness_and_no_cable_pushes(joint: int) -> Non
         arm.model.tendon_stiffness[np.arange(arm.model.ntendon) != cable] = 0
         pulls.append(np.array([_spring(arm, joint, offset) for offset in offsets]))
         arm.model.tendon_stiffness[:] = stiffness
-    assert (pulls[0] <= 0).all() and (pulls[1] >= 0).all(), "lifting cable's pull back on its rotor, lowering cable's forwards"
+    assert (pulls[0] <= 0).all() and (pulls[1] >= 0).all(), (
+        "lifting cable's pull back on its rotor, lowering cable's forwards"
+    )
     stiffness = -np.gradient(sum(pulls), offsets)
     taut, slack = stiffness[200], stiffness[[5, -5]]
     print(f"{JOINTS[joint]}: {taut:.0f} N·m/rad with both cables, {slack[0]:.0f} with one")
@@ -152,14 +176,19 @@ def _spring(arm: Arm, joint: int, offset: float) -> float:
 
 
 @pytest.mark.parametrize(("joint", "size"), [(0, 3.0), (1, 4.0), (2, 2.0)])
-def test_abrupt_torque_rings_and_a_smooth_one_of_the_same_size_does_not(joint: int, size: float) -> None:
+def test_abrupt_torque_rings_and_a_smooth_one_of_the_same_size_does_not(
+    joint: int, size: float
+) -> None:
     rings = []
     for torque in (pulse(joint, size), ramp(joint, size)):
         arm = Arm()
         arm.rest(LIFTED)
         angles = arm.swing(2.0, torque)
         rings.append(ringing((angles[:, 0] @ arm.equilibrium.ratio.T - angles[:, 1])[:, joint]))
-    print(f"{size} N·m on {JOINTS[joint]}: rings by {rings[0]:.2f} deg, smoothly applied {rings[1]:.2f} deg")
+    print(
+        f"{size} N·m on {JOINTS[joint]}: rings by {rings[0]:.2f} deg, smoothly applied "
+        f"{rings[1]:.2f} deg"
+    )
     assert rings[0] > 0.5 and rings[1] < 0.25 and rings[0] > 4 * rings[1]
 
 
@@ -171,7 +200,10 @@ def test_stiction_holds_the_arm_against_small_torques_and_yields_to_larger_ones(
         arm.rest(LIFTED)
         angles = arm.swing(2.0, lambda _, size=fraction * FRICTION[joint]: size * np.eye(3)[joint])
         moved.append(np.rad2deg(np.abs(angles[-1] - angles[0]))[1, joint])
-    print(f"{ROTORS[joint]}: {moved[0]:.3f} deg in 2 s under 0.9 of the friction, {moved[1]:.1f} deg under 1.3")
+    print(
+        f"{ROTORS[joint]}: {moved[0]:.3f} deg in 2 s under 0.9 of the friction, {moved[1]:.1f} deg "
+        "under 1.3"
+    )
     assert moved[0] < 0.15 and moved[1] > 5
 
 
@@ -189,7 +221,9 @@ def test_full_torques_swing_the_racket_as_fast_as_the_robot_was_measured() -> No
 
 
 def test_drag_of_the_racket_is_felt_at_speed() -> None:
-    """A flat plate across the stream: F = rho·C·A·v² in MuJoCo's ellipsoid model, with A the blade's area."""
+    """A flat plate across the stream: F = rho·C·A·v² in MuJoCo's ellipsoid model, with A the
+    blade's area.
+    """
     arm = Arm()
     arm.rest(LIFTED)
     forces = []
@@ -207,7 +241,9 @@ def test_drag_of_the_racket_is_felt_at_speed() -> None:
 
 
 @pytest.mark.parametrize("speed", [1.0, 3.0, 5.0, 7.0, 9.0])
-@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.05, 0.0), (-0.05, 0.0), (0.0, 0.055), (0.0, -0.055)])
+@pytest.mark.parametrize(
+    "offset", [(0.0, 0.0), (0.05, 0.0), (-0.05, 0.0), (0.0, 0.055), (0.0, -0.055)]
+)
 def test_ball_is_hit_and_never_passed_through(speed: float, offset: tuple[float, float]) -> None:
     pose = (0.1, 0.72, 1.35)
     arm = Arm()
@@ -225,11 +261,16 @@ def test_ball_is_hit_and_never_passed_through(speed: float, offset: tuple[float,
         mujoco.mj_step(arm.model, arm.data)
         touched |= arm.data.sensor("racket_ball_contact").data[0] > 0
         deepest = min(deepest, arm.data.sensor("racket_ball_distance").data[0])
-        place = arm.data.site("racket").xmat.reshape(3, 3).T @ (arm.data.body("ball").xpos - arm.data.site("racket").xpos)
+        place = arm.data.site("racket").xmat.reshape(3, 3).T @ (
+            arm.data.body("ball").xpos - arm.data.site("racket").xpos
+        )
         normal.append(place[0])
     flight = np.linalg.norm(arm.data.joint("ball").qvel[:3])
     if offset == (0.0, 0.0):
-        print(f"racket at {speed} m/s: the ball leaves at {flight:.1f} m/s, sank in by {-1000 * deepest:.1f} mm")
+        print(
+            f"racket at {speed} m/s: the ball leaves at {flight:.1f} m/s, sank in by "
+            f"{-1000 * deepest:.1f} mm"
+        )
     assert touched and min(normal) > 0 and normal[-1] > 0.026 and flight > 0.9 * speed
 
 
@@ -259,7 +300,11 @@ def test_motion_hardly_depends_on_the_time_step(seed: int) -> None:
         arm = Arm()
         arm.model.opt.timestep /= 2**halves
         arm.rest(START[:3])
-        courses.append(arm.swing(1.8, lambda time: torques[int(time / 0.1 + 1e-6)])[2**halves - 1 :: 2**halves, 0])
+        courses.append(
+            arm.swing(1.8, lambda time: torques[int(time / 0.1 + 1e-6)])[
+                2**halves - 1 :: 2**halves, 0
+            ]
+        )
     error = np.rad2deg(np.abs(courses[1] - courses[0]).max())
     print(f"time step halved: {error:.3f} deg in 1.8 s")
     assert error < 0.15
@@ -276,7 +321,9 @@ def test_arm_stays_in_every_pose_that_its_torques_hold() -> None:
 
 def test_rotors_turn_with_the_joints_over_the_shoulder_pulley() -> None:
     """The elbow's cables are wound on by half of the shoulder's angle."""
-    np.testing.assert_allclose(Arm().equilibrium.ratio, [[1, 0, 0], [0, 1, 0], [0, 0.5, 1]], atol=1e-12)
+    np.testing.assert_allclose(
+        Arm().equilibrium.ratio, [[1, 0, 0], [0, 1, 0], [0, 0.5, 1]], atol=1e-12
+    )
 
 
 def test_keyframe_is_the_start_in_equilibrium() -> None:

@@ -23,7 +23,9 @@ NOISE = (0.02, 0.3, 0.0, 0.1)  # rad, rad/s
 
 
 def lagrange_equations(_, x, masses, torques):
-    """Time derivative of [q1, dq1, q2, dq2] of two uniform rods, in absolute angles a1 = q1, a2 = q1 + q2."""
+    """Time derivative of [q1, dq1, q2, dq2] of two uniform rods, in absolute angles a1 = q1, a2 =
+    q1 + q2.
+    """
     (m1, m2), (tau1, tau2), half = masses, torques, LENGTH / 2
     a1, v1, a2, v2 = x[0], x[1], x[0] + x[2], x[1] + x[3]
     coupling = m2 * LENGTH * half
@@ -34,7 +36,10 @@ def lagrange_equations(_, x, masses, torques):
         ]
     )
     force = [
-        tau1 - tau2 - coupling * np.sin(a1 - a2) * v2**2 + (m1 * half + m2 * LENGTH) * GRAVITY * np.sin(a1),
+        tau1
+        - tau2
+        - coupling * np.sin(a1 - a2) * v2**2
+        + (m1 * half + m2 * LENGTH) * GRAVITY * np.sin(a1),
         tau2 + coupling * np.sin(a1 - a2) * v1**2 + m2 * half * GRAVITY * np.sin(a2),
     ]
     acceleration1, acceleration2 = np.linalg.solve(mass_matrix, force)
@@ -51,7 +56,9 @@ def energy(x, masses):
 
 
 def start_at(env, state):
-    return env.reset(TensorDict({"observation": torch.as_tensor(state, dtype=torch.float64)}, env.batch_size))
+    return env.reset(
+        TensorDict({"observation": torch.as_tensor(state, dtype=torch.float64)}, env.batch_size)
+    )
 
 
 def run(env, start, torques):
@@ -59,12 +66,17 @@ def run(env, start, torques):
     tensordict = start_at(env, start)
     observations = [tensordict["observation"]]
     for torque in torques:
-        observations.append(env.step(TensorDict({"action": torque}, env.batch_size))["next", "observation"])
+        observations.append(
+            env.step(TensorDict({"action": torque}, env.batch_size))["next", "observation"]
+        )
     return torch.stack(observations, dim=-2)
 
 
 def random_torques(seed, *shape):
-    return 7 * torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) - 3.5
+    return (
+        7 * torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        - 3.5
+    )
 
 
 @pytest.mark.parametrize("num_envs", [None, 3])
@@ -77,22 +89,39 @@ def test_torchrl_accepts_the_environment(num_envs, noise):
 @pytest.mark.parametrize("torque", [(0.0, 0.0), (0.5, -0.1)])
 def test_motion_agrees_with_lagrange_equations(masses, torque):
     start = [math.pi - 0.6, 0.3, 0.4, -0.2]
-    simulated = run(DoublePendulumEnv(masses, seed=0), start, torch.tensor([torque] * 25, dtype=torch.float64))
+    simulated = run(
+        DoublePendulumEnv(masses, seed=0), start, torch.tensor([torque] * 25, dtype=torch.float64)
+    )
     times = np.linspace(0, 2.5, 26)
-    exact = solve_ivp(lagrange_equations, (0, 2.5), start, "DOP853", times, args=(masses, torque), rtol=1e-12, atol=1e-12).y.T
+    exact = solve_ivp(
+        lagrange_equations,
+        (0, 2.5),
+        start,
+        "DOP853",
+        times,
+        args=(masses, torque),
+        rtol=1e-12,
+        atol=1e-12,
+    ).y.T
     np.testing.assert_allclose(simulated.numpy(), exact, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("masses", [(0.5, 0.5), (0.5, 1.0)])
 def test_energy_is_conserved_without_torque(masses):
-    states = run(DoublePendulumEnv(masses, seed=0), [2.0, 0.5, 0.7, -1.0], torch.zeros(25, 2, dtype=torch.float64))
+    states = run(
+        DoublePendulumEnv(masses, seed=0),
+        [2.0, 0.5, 0.7, -1.0],
+        torch.zeros(25, 2, dtype=torch.float64),
+    )
     energies = energy(states, masses)
     assert (energies - energies[0]).abs().max() < 1e-6
 
 
 def test_second_link_mass_changes_the_motion():
     torques, start = random_torques(0, 25, 2), [math.pi, 0.0, 0.0, 0.0]
-    light, heavy = (run(DoublePendulumEnv((0.5, mass), seed=0), start, torques) for mass in (0.5, 0.6))
+    light, heavy = (
+        run(DoublePendulumEnv((0.5, mass), seed=0), start, torques) for mass in (0.5, 0.6)
+    )
     assert (light - heavy).abs().max() > 0.1
 
 
@@ -129,18 +158,28 @@ def test_sensors_say_the_true_state_and_independent_noise_of_their_standard_devi
     count, std = 2_000, torch.tensor(NOISE, dtype=torch.float64)
     env = DoublePendulumEnv(num_envs=count, observation_std=NOISE, seed=0)
     start = env.reset()
-    following = env.step(TensorDict({"action": torch.zeros(count, 2, dtype=torch.float64)}, [count]))["next"]
+    following = env.step(
+        TensorDict({"action": torch.zeros(count, 2, dtype=torch.float64)}, [count])
+    )["next"]
     first, second = (measured["observation"] - measured["state"] for measured in (start, following))
     noise = torch.cat([first, second], -1)
     assert (noise.mean(0).abs() <= 4 * std.repeat(2) / math.sqrt(count)).all()
     assert ((noise.std(0) - std.repeat(2)).abs() <= 4 * std.repeat(2) / math.sqrt(2 * count)).all()
     noisy = std.repeat(2).nonzero().flatten()
-    assert (noise[:, noisy].T.corrcoef() - torch.eye(len(noisy), dtype=torch.float64)).abs().max() < 5 / math.sqrt(count)
+    assert (
+        noise[:, noisy].T.corrcoef() - torch.eye(len(noisy), dtype=torch.float64)
+    ).abs().max() < 5 / math.sqrt(count)
 
 
 def test_noise_does_not_move_the_robot():
-    torques, start = random_torques(6, 5, 3, 2), torch.tensor([2.0, 0.5, 0.7, -1.0], dtype=torch.float64).repeat(3, 1)
-    noisy, exact = DoublePendulumEnv(num_envs=3, observation_std=NOISE, seed=0), DoublePendulumEnv(num_envs=3, seed=1)
+    torques, start = (
+        random_torques(6, 5, 3, 2),
+        torch.tensor([2.0, 0.5, 0.7, -1.0], dtype=torch.float64).repeat(3, 1),
+    )
+    noisy, exact = (
+        DoublePendulumEnv(num_envs=3, observation_std=NOISE, seed=0),
+        DoublePendulumEnv(num_envs=3, seed=1),
+    )
     assert torch.equal(start_at(noisy, start)["state"], start)
     start_at(exact, start)
     for torque in torques:
@@ -151,7 +190,10 @@ def test_noise_does_not_move_the_robot():
 
 
 def test_first_starts_do_not_depend_on_the_noise():
-    exact, noisy = (DoublePendulumEnv(num_envs=3, observation_std=noise, seed=4).reset() for noise in (None, NOISE))
+    exact, noisy = (
+        DoublePendulumEnv(num_envs=3, observation_std=noise, seed=4).reset()
+        for noise in (None, NOISE)
+    )
     assert torch.equal(noisy["state"], exact["observation"])
     assert "state" not in set(exact.keys())
 
@@ -185,7 +227,9 @@ def test_simulate_agrees_with_step_and_leaves_the_environment_alone():
     start, torque = env.reset()["observation"], random_torques(3, 1, 2)
     predicted = env.simulate(start[None], torque)
     env.simulate(start[None] + 1, torque)
-    assert torch.equal(env.step(TensorDict({"action": torque[0]}))["next", "observation"], predicted[0])
+    assert torch.equal(
+        env.step(TensorDict({"action": torque[0]}))["next", "observation"], predicted[0]
+    )
 
 
 @pytest.mark.parametrize("count", [1, 5, 50])
@@ -196,20 +240,34 @@ def test_substates_end_where_simulate_does_and_lie_on_the_motion(count):
     assert states.shape == (count, 4)
     assert torch.equal(states[-1], env.simulate(start[None], torque[None])[0])
     times = np.linspace(0, 0.1, count + 1)[1:]
-    exact = solve_ivp(lagrange_equations, (0, 0.1), start, "DOP853", times, args=((0.5, 0.5), torque.numpy()), rtol=1e-12, atol=1e-12).y.T
+    exact = solve_ivp(
+        lagrange_equations,
+        (0, 0.1),
+        start,
+        "DOP853",
+        times,
+        args=((0.5, 0.5), torque.numpy()),
+        rtol=1e-12,
+        atol=1e-12,
+    ).y.T
     np.testing.assert_allclose(states.numpy(), exact, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("count", [0, 3, 100])
 def test_period_splits_into_whole_time_steps_only(count):
     env = DoublePendulumEnv(seed=0)
-    with pytest.raises(ValueError, match=f"count must divide the 50 time steps of a control period, got {count}"):
+    with pytest.raises(
+        ValueError, match=f"count must divide the 50 time steps of a control period, got {count}"
+    ):
         env.substates(env.initial_mean, torch.zeros(2, dtype=torch.float64), count)
 
 
 @pytest.mark.parametrize("noise", [None, NOISE])
 def test_checkpoint_resumes_motion_starts_and_noise(noise):
-    env, torque = DoublePendulumEnv(observation_std=noise, seed=0), TensorDict({"action": random_torques(4, 2)})
+    env, torque = (
+        DoublePendulumEnv(observation_std=noise, seed=0),
+        TensorDict({"action": random_torques(4, 2)}),
+    )
     env.reset()
     env.step(torque.clone())
     file = io.BytesIO()
@@ -226,21 +284,34 @@ def test_partial_reset_moves_only_the_masked_robots():
     env = DoublePendulumEnv(num_envs=2, seed=0)
     before = env.reset()["observation"]
     mask = torch.tensor([[True], [False]])
-    after = env.reset(TensorDict({"_reset": mask, "observation": before}, [2]), select_reset_only=True)["observation"]
+    after = env.reset(
+        TensorDict({"_reset": mask, "observation": before}, [2]), select_reset_only=True
+    )["observation"]
     assert not torch.equal(after[0], before[0])
     assert torch.equal(after[1], before[1])
 
 
 def test_step_counter_restarts_a_batch():
     env = TransformedEnv(DoublePendulumEnv(num_envs=2, seed=0), StepCounter(max_steps=3))
-    assert env.rollout(7, break_when_any_done=False)["step_count"][0].flatten().tolist() == [0, 1, 2, 0, 1, 2, 0]
+    assert env.rollout(7, break_when_any_done=False)["step_count"][0].flatten().tolist() == [
+        0,
+        1,
+        2,
+        0,
+        1,
+        2,
+        0,
+    ]
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"link_masses": (0.5, 0.0)}, "link_masses must be two positive finite numbers in kg, got"),
-        ({"link_masses": (0.5, math.inf)}, "link_masses must be two positive finite numbers in kg, got"),
+        (
+            {"link_masses": (0.5, math.inf)},
+            "link_masses must be two positive finite numbers in kg, got",
+        ),
         ({"link_masses": (0.5,)}, "link_masses must be two positive finite numbers in kg, got"),
         ({"torque_limit": -1.0}, "torque_limit must be one or 2 positive finite numbers"),
         ({"initial_mean": (0.0, 0.0)}, "initial_mean must be 4 finite numbers, got"),
@@ -257,7 +328,9 @@ def test_bad_setting_is_refused_in_one_line(settings, message):
 
 
 def test_control_period_must_be_whole_time_steps():
-    with pytest.raises(ValueError, match=r"control_period must be a whole number of .* time steps, got 0"):
+    with pytest.raises(
+        ValueError, match=r"control_period must be a whole number of .* time steps, got 0"
+    ):
         MujocoRobotEnv(
             double_pendulum_model(),
             ("q1", "q2"),
@@ -309,8 +382,20 @@ assert (hanging != upright).any()
 @pytest.mark.slow
 @pytest.mark.parametrize(("backend", "fails"), [("egl", False), ("glfw", True)])
 def test_pictures_are_drawn_or_refused_clearly(backend, fails):
-    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("DISPLAY", "WAYLAND_DISPLAY")
+    }
     command = [sys.executable, "-W", "ignore", "-c", PICTURES]
-    result = subprocess.run(command, env={**environment, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False)
+    result = subprocess.run(
+        command,
+        env={**environment, "MUJOCO_GL": backend},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert (result.returncode != 0) == fails, result.stderr
-    assert ("RuntimeError: pictures need OpenGL, which failed with MUJOCO_GL glfw" in result.stderr) == fails
+    assert (
+        "RuntimeError: pictures need OpenGL, which failed with MUJOCO_GL glfw" in result.stderr
+    ) == fails

@@ -1,4 +1,6 @@
-"""The two tasks of gymnasium: they start and move as they say, their experts do what they demonstrate."""
+"""The two tasks of gymnasium: they start and move as they say, their experts do what they
+demonstrate.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,26 @@ import pytest
 import torch
 
 from torch_pmil.envs import gym_tasks
-from torch_pmil.envs.gym_tasks import cart_dynamics, gym_pendulum_env, inverted_pendulum_env, pendulum_dynamics
+from torch_pmil.envs.gym_tasks import (
+    cart_dynamics,
+    gym_pendulum_env,
+    inverted_pendulum_env,
+    pendulum_dynamics,
+)
 from torch_pmil.envs.rollouts import rollout_of, states_of
-from torch_pmil.envs.teachers.gym_experts import CART_STEPS, HOLD_FROM, PENDULUM_STEPS, TORQUE_LIMIT, balancing_expert, pendulum_expert
-from torch_pmil.envs.teachers.trajectory_optimization import Array, Dynamics as ArrayDynamics, roll_out
+from torch_pmil.envs.teachers.gym_experts import (
+    CART_STEPS,
+    HOLD_FROM,
+    PENDULUM_STEPS,
+    TORQUE_LIMIT,
+    balancing_expert,
+    pendulum_expert,
+)
+from torch_pmil.envs.teachers.trajectory_optimization import (
+    Array,
+    Dynamics as ArrayDynamics,
+    roll_out,
+)
 from torch_pmil.experiments import load_experiment
 
 STARTS = 500
@@ -24,10 +42,15 @@ def starts_of(env: torch.nn.Module) -> torch.Tensor:
 
 
 def test_cart_starts_uniformly_with_the_moments_of_the_experiment() -> None:
-    starts, initial = starts_of(inverted_pendulum_env(seed=0)), load_experiment("inverted_pendulum").initial
+    starts, initial = (
+        starts_of(inverted_pendulum_env(seed=0)),
+        load_experiment("inverted_pendulum").initial,
+    )
     assert starts.abs().max() <= 0.1
     assert ((starts.mean(0) - initial.mean).abs() <= 4 * initial.std / STARTS**0.5).all()
-    assert ((starts.std(0) / initial.std - 1).abs() <= 4 * (0.8 / 4 / STARTS) ** 0.5).all(), "a uniform's kurtosis is 1.8"
+    assert ((starts.std(0) / initial.std - 1).abs() <= 4 * (0.8 / 4 / STARTS) ** 0.5).all(), (
+        "a uniform's kurtosis is 1.8"
+    )
 
 
 def test_pendulum_starts_hanging_with_the_moments_of_the_experiment() -> None:
@@ -40,7 +63,9 @@ def test_pendulum_moves_by_its_equation_with_the_torque_held_for_both_steps() ->
     """g = 10 m/s², m = 1 kg, l = 1 m, Euler steps of 0.05 s, as gymnasium documents them."""
     env = gym_pendulum_env(seed=1)
     rollout = env.rollout(40)
-    for before, torque, after in zip(rollout["observation"], rollout["action"], rollout["next", "observation"], strict=True):
+    for before, torque, after in zip(
+        rollout["observation"], rollout["action"], rollout["next", "observation"], strict=True
+    ):
         q, dq = before.tolist()
         for _ in range(2):
             dq = min(max(dq + (15 * math.sin(q) + 3 * torque.item()) * 0.05, -8), 8)
@@ -49,41 +74,61 @@ def test_pendulum_moves_by_its_equation_with_the_torque_held_for_both_steps() ->
 
 
 @pytest.mark.parametrize(
-    ("make_env", "dynamics", "tolerance"), [(inverted_pendulum_env, cart_dynamics, 1e-6), (gym_pendulum_env, pendulum_dynamics, 1e-5)]
+    ("make_env", "dynamics", "tolerance"),
+    [(inverted_pendulum_env, cart_dynamics, 1e-6), (gym_pendulum_env, pendulum_dynamics, 1e-5)],
 )
-def test_what_the_expert_plans_with_is_the_environment(make_env: object, dynamics: object, tolerance: float) -> None:
+def test_what_the_expert_plans_with_is_the_environment(
+    make_env: object, dynamics: object, tolerance: float
+) -> None:
     env, predict = make_env(seed=2), dynamics()
     rollout = env.rollout(20)
     predicted = predict(rollout["observation"].numpy(), rollout["action"].numpy())
-    np.testing.assert_allclose(predicted, rollout["next", "observation"].numpy(), rtol=0, atol=tolerance)
+    np.testing.assert_allclose(
+        predicted, rollout["next", "observation"].numpy(), rtol=0, atol=tolerance
+    )
 
 
 def test_match_space_of_the_cart_is_where_mujoco_has_cart_and_tip() -> None:
     """Up to the pole's lean of 1 mm over its 0.6 m."""
-    space, model = load_experiment("inverted_pendulum").space, gym_tasks.gymnasium.make("InvertedPendulum-v5").unwrapped.model
+    space, model = (
+        load_experiment("inverted_pendulum").space,
+        gym_tasks.gymnasium.make("InvertedPendulum-v5").unwrapped.model,
+    )
     data, state = mujoco.MjData(model), torch.tensor([0.3, -0.4, 0.0, 0.0], dtype=torch.float64)
     data.qpos[:] = state[:2]
     mujoco.mj_forward(model, data)
     pole = data.body("pole")
     tip = pole.xpos + pole.xmat.reshape(3, 3) @ [0.0, 0.0, 0.6]
-    np.testing.assert_allclose(space.match(state), [data.body("cart").xpos[0], tip[0], tip[2]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        space.match(state), [data.body("cart").xpos[0], tip[0], tip[2]], rtol=0, atol=1e-12
+    )
 
 
-def expert_error(name: str, dynamics: ArrayDynamics, starts: Array, expert: object, steps: int) -> torch.Tensor:
+def expert_error(
+    name: str, dynamics: ArrayDynamics, starts: Array, expert: object, steps: int
+) -> torch.Tensor:
     states, _ = roll_out(dynamics, starts, expert, steps)
     return load_experiment(name).error(rollout_of(torch.from_numpy(states)))
 
 
 def test_cart_expert_meets_the_criterion_from_every_corner_of_the_starts() -> None:
     corners = 0.1 * np.array(np.meshgrid(*[[-1, 1]] * 4)).reshape(4, -1).T
-    error = expert_error("inverted_pendulum", cart_dynamics(), corners, balancing_expert(), CART_STEPS)
+    error = expert_error(
+        "inverted_pendulum", cart_dynamics(), corners, balancing_expert(), CART_STEPS
+    )
     assert error.max() < load_experiment("inverted_pendulum").tolerance
 
 
 def test_pendulum_expert_meets_the_criterion_three_standard_deviations_off() -> None:
     expert = pendulum_expert()
-    corners = np.array([math.pi, 0.0]) + 3 * np.array([0.05, 0.1]) * np.array(np.meshgrid([-1, 1], [-1, 1])).reshape(2, -1).T
-    assert expert_error("gym_pendulum", pendulum_dynamics(), corners, expert, PENDULUM_STEPS).max() < 0.25
+    corners = (
+        np.array([math.pi, 0.0])
+        + 3 * np.array([0.05, 0.1]) * np.array(np.meshgrid([-1, 1], [-1, 1])).reshape(2, -1).T
+    )
+    assert (
+        expert_error("gym_pendulum", pendulum_dynamics(), corners, expert, PENDULUM_STEPS).max()
+        < 0.25
+    )
     assert np.abs(expert.plan.states[HOLD_FROM]).max() < 0.1
     assert np.abs(expert(0, 10 * corners)).max() == TORQUE_LIMIT
 
@@ -91,9 +136,13 @@ def test_pendulum_expert_meets_the_criterion_three_standard_deviations_off() -> 
 @pytest.mark.parametrize("name", ["inverted_pendulum", "gym_pendulum"])
 def test_shipped_demonstrations_are_successes_and_show_no_more_than_positions(name: str) -> None:
     experiment = load_experiment(name)
-    states = experiment.demonstrated_states.reshape(len(experiment.demonstrations.positions), -1, experiment.space.dim)
+    states = experiment.demonstrated_states.reshape(
+        len(experiment.demonstrations.positions), -1, experiment.space.dim
+    )
     assert (experiment.error(rollout_of(states)) <= experiment.tolerance).all()
-    torch.testing.assert_close(experiment.space.match(states), experiment.demonstrations.positions, rtol=0, atol=2e-3)
+    torch.testing.assert_close(
+        experiment.space.match(states), experiment.demonstrations.positions, rtol=0, atol=2e-3
+    )
     assert experiment.demonstrations.names == experiment.space.match.names
 
 
@@ -103,16 +152,24 @@ def test_basis_functions_begin_as_wide_as_said() -> None:
     policy = experiment.make_policy(torch.Generator().manual_seed(0))
     torch.testing.assert_close(policy.scale, 3 * std)
     distances = (policy.centres * policy.scale)[:, None] - experiment.demonstrated_states
-    assert (distances / std).norm(dim=-1).amin(1).max() < 1, "centres lie near demonstrated states whatever the width"
+    assert (distances / std).norm(dim=-1).amin(1).max() < 1, (
+        "centres lie near demonstrated states whatever the width"
+    )
 
 
 @pytest.mark.parametrize("name", ["inverted_pendulum", "gym_pendulum"])
 def test_velocities_recovered_from_demonstrations_are_those_of_the_motion(name: str) -> None:
     experiment = load_experiment(name)
     env, dim = experiment.make_env(seed=0), experiment.space.dim
-    states = states_of(env.rollout(8, lambda tensordict: tensordict.set("action", torch.zeros(1, dtype=torch.float64))))
+    states = states_of(
+        env.rollout(
+            8, lambda tensordict: tensordict.set("action", torch.zeros(1, dtype=torch.float64))
+        )
+    )
     recovered = torch.gradient(states[:, : dim // 2], spacing=env.control_period, dim=0)[0]
-    assert (recovered[1:-1] - states[1:-1, dim // 2 :]).abs().max() < 0.25 * states[:, dim // 2 :].abs().max() + 0.02
+    assert (recovered[1:-1] - states[1:-1, dim // 2 :]).abs().max() < 0.25 * states[
+        :, dim // 2 :
+    ].abs().max() + 0.02
 
 
 @pytest.mark.parametrize("name", ["inverted_pendulum", "gym_pendulum"])
@@ -120,4 +177,7 @@ def test_missing_gymnasium_is_one_clear_line(monkeypatch: pytest.MonkeyPatch, na
     monkeypatch.setattr(gym_tasks, "gymnasium", None)
     with pytest.raises(ModuleNotFoundError) as error:
         load_experiment(name)
-    assert str(error.value) == "this task needs gymnasium, which is not installed: pip install 'torch_pmil[gym]'"
+    assert (
+        str(error.value)
+        == "this task needs gymnasium, which is not installed: pip install 'torch_pmil[gym]'"
+    )

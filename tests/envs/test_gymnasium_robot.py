@@ -24,7 +24,9 @@ each_robot = pytest.mark.parametrize("name", ROBOTS)
 @each_robot
 def test_gymnasium_accepts_the_robot(name: str) -> None:
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".*(symmetric and normalized space|Box observation space m|no-render).*")  # SI units, any state
+        warnings.filterwarnings(
+            "ignore", ".*(symmetric and normalized space|Box observation space m|no-render).*"
+        )  # SI units, any state
         check_env(gymnasium.make(f"torch_pmil/{name}").unwrapped, skip_render_check=True)
 
 
@@ -32,7 +34,9 @@ def test_gymnasium_accepts_the_robot(name: str) -> None:
 @each_robot
 def test_robot_is_known_to_gymnasium_when_the_package_is_imported(name: str) -> None:
     command = f"import torch_pmil, gymnasium; print(gymnasium.make('torch_pmil/{name}').spec.id)"
-    result = subprocess.run([sys.executable, "-W", "ignore", "-c", command], capture_output=True, text=True, check=True)
+    result = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", command], capture_output=True, text=True, check=True
+    )
     assert result.stdout.strip() == f"torch_pmil/{name}"
 
 
@@ -47,19 +51,26 @@ def test_physics_and_starts_are_those_of_the_torchrl_environment_to_the_bit(name
     robot, steps = ROBOTS[name]
     ours, theirs = robot(seed=4), gymnasium.make(f"torch_pmil/{name}")
     limits = ours.action_spec.space.high
-    shares = torch.from_numpy(np.random.default_rng(0).uniform(-1.1, 1.1, (2, steps, len(limits))))  # some beyond the limit
+    shares = torch.from_numpy(
+        np.random.default_rng(0).uniform(-1.1, 1.1, (2, steps, len(limits)))
+    )  # some beyond the limit
     for episode, torques in enumerate(limits * shares):
         expected = ours.rollout(steps, replay(torques))
         seen, info = theirs.reset(seed=4 if episode == 0 else None)
         assert np.array_equal(seen, expected["observation"][0].numpy()) and info == {}
         for step, torque in enumerate(torques.numpy(), start=1):
             seen, reward, terminated, truncated, info = theirs.step(torque)
-            assert np.array_equal(seen, expected["next", "observation"][step - 1].numpy()) and seen.dtype == np.float64
+            assert (
+                np.array_equal(seen, expected["next", "observation"][step - 1].numpy())
+                and seen.dtype == np.float64
+            )
             assert (reward, terminated, truncated, info) == (0.0, False, step == steps, {})
 
 
 def test_settings_reach_the_robot_and_bad_ones_are_refused() -> None:
-    env = gymnasium.make("torch_pmil/DoublePendulum-v0", torque_limit=(1.0, 2.0), initial_std=[0.0] * 4)
+    env = gymnasium.make(
+        "torch_pmil/DoublePendulum-v0", torque_limit=(1.0, 2.0), initial_std=[0.0] * 4
+    )
     assert env.action_space.high.tolist() == [1.0, 2.0]
     assert np.array_equal(env.reset()[0], DoublePendulumEnv().initial_mean.numpy())
     with pytest.raises(ValueError, match="torque_limit must be one or 2 positive finite numbers"):
@@ -87,7 +98,9 @@ def test_pictures_are_those_of_the_robot() -> None:
     assert np.array_equal(picture, DoublePendulumEnv().render(torch.from_numpy(state)))
 
 
-def test_registering_again_or_without_gymnasium_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_registering_again_or_without_gymnasium_does_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     before = dict(gymnasium.registry)
     register_robots()
     monkeypatch.setattr(registration, "gymnasium", None)

@@ -1,4 +1,6 @@
-"""What each robot is to do is shown with every observation, and each robot has the ball that it is to hit."""
+"""What each robot is to do is shown with every observation, and each robot has the ball that it is
+to hit.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,12 @@ each_robot = pytest.mark.parametrize("robot", [BioRobEnv, DoublePendulumEnv])
 
 
 def torques(env: MujocoRobotEnv, steps: int) -> Tensor:
-    draw = torch.rand(steps, *env.action_spec.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    draw = torch.rand(
+        steps,
+        *env.action_spec.shape,
+        generator=torch.Generator().manual_seed(0),
+        dtype=torch.float64,
+    )
     return env.action_spec.space.high * (draw - 0.5)
 
 
@@ -39,13 +46,17 @@ def run(env: MujocoRobotEnv, start: Tensor, actions: Tensor) -> TensorDict:
 
 @each_robot
 @pytest.mark.parametrize("num_envs", [None, 3])
-def test_torchrl_accepts_an_environment_with_targets(robot: type[MujocoRobotEnv], num_envs: int | None) -> None:
+def test_torchrl_accepts_an_environment_with_targets(
+    robot: type[MujocoRobotEnv], num_envs: int | None
+) -> None:
     targets = TARGETS if num_envs else TARGETS[0]
     env = robot(targets=targets, num_envs=num_envs, seed=0)
     check_env_specs(env)
     rollout = env.rollout(3)
     expected = targets[..., None, :].expand(*env.batch_size, 3, 2)
-    assert torch.equal(rollout["target"], expected) and torch.equal(rollout["next", "target"], expected)
+    assert torch.equal(rollout["target"], expected) and torch.equal(
+        rollout["next", "target"], expected
+    )
     assert rollout["target"].dtype == torch.float64
 
 
@@ -53,7 +64,9 @@ def test_torchrl_accepts_an_environment_with_targets(robot: type[MujocoRobotEnv]
 def test_targets_change_neither_the_motion_nor_what_is_saved(robot: type[MujocoRobotEnv]) -> None:
     plain, aimed = robot(num_envs=3, seed=0), robot(num_envs=3, seed=0, targets=TARGETS)
     starts, actions = plain.reset()["observation"], torques(plain, 5)
-    assert torch.equal(starts, aimed.reset()["observation"]) and "target" not in plain.observation_spec
+    assert (
+        torch.equal(starts, aimed.reset()["observation"]) and "target" not in plain.observation_spec
+    )
     without, shown = run(plain, starts, actions), run(aimed, starts, actions)
     assert torch.equal(without["observation"], shown["observation"]) and "target" not in without
     assert plain.state_dict().keys() == aimed.state_dict().keys()
@@ -85,7 +98,9 @@ def test_target_of_an_observation_is_a_copy() -> None:
         (None, TARGETS[0] / 0, "targets must be finite, got"),
     ],
 )
-def test_malformed_targets_are_refused(robot: type[MujocoRobotEnv], num_envs: int | None, targets: Tensor, message: str) -> None:
+def test_malformed_targets_are_refused(
+    robot: type[MujocoRobotEnv], num_envs: int | None, targets: Tensor, message: str
+) -> None:
     with pytest.raises(ValueError, match=message) as error:
         robot(num_envs=num_envs, targets=targets)
     assert "\n" not in str(error.value)
@@ -116,7 +131,10 @@ def test_ball_of_each_robot_hangs_at_rest_where_it_is_said_to() -> None:
 
 
 def test_checkpoint_resumes_robots_with_balls_of_their_own() -> None:
-    env, strike = BioRobEnv(BALLS, num_envs=3, targets=TARGETS, seed=0), TensorDict({"action": STRIKE.expand(3, 3)}, [3])
+    env, strike = (
+        BioRobEnv(BALLS, num_envs=3, targets=TARGETS, seed=0),
+        TensorDict({"action": STRIKE.expand(3, 3)}, [3]),
+    )
     run(env, UNDER_THE_BALL.expand(3, 6), STRIKE.expand(2, 3, 3))
     file = io.BytesIO()
     torch.save(env.state_dict(), file)
@@ -132,10 +150,18 @@ def test_replay_and_simulation_know_whose_ball_it_is() -> None:
     actions = STRIKE.expand(5, 3)
     run(env, UNDER_THE_BALL.expand(3, 6), actions[:, None].expand(5, 3, 3))
     for robot in range(3):
-        assert torch.equal(env.replay(UNDER_THE_BALL, actions, 1, robot)[-1], env.state_dict()["_physics"][robot])
+        assert torch.equal(
+            env.replay(UNDER_THE_BALL, actions, 1, robot)[-1], env.state_dict()["_physics"][robot]
+        )
         alone = BioRobEnv(BALLS[robot], seed=0)
-        assert torch.equal(env.substates(UNDER_THE_BALL, STRIKE, 4, robot), alone.substates(UNDER_THE_BALL, STRIKE, 4))
-        assert torch.equal(env.simulate(UNDER_THE_BALL[None], STRIKE[None], robot), alone.simulate(UNDER_THE_BALL[None], STRIKE[None]))
+        assert torch.equal(
+            env.substates(UNDER_THE_BALL, STRIKE, 4, robot),
+            alone.substates(UNDER_THE_BALL, STRIKE, 4),
+        )
+        assert torch.equal(
+            env.simulate(UNDER_THE_BALL[None], STRIKE[None], robot),
+            alone.simulate(UNDER_THE_BALL[None], STRIKE[None]),
+        )
 
 
 def test_bad_balls_are_refused_in_one_line() -> None:
@@ -149,8 +175,17 @@ def test_bad_balls_are_refused_in_one_line() -> None:
 
 
 def test_models_must_be_one_or_one_for_each_robot() -> None:
-    with pytest.raises(ValueError, match="model must be one or 3 models, one for each robot, got 2"):
-        MujocoRobotEnv([biorob_model()] * 2, ("yaw",), initial_mean=[0.0] * 2, initial_std=[0.0] * 2, torque_limit=TORQUE_LIMIT, num_envs=3)
+    with pytest.raises(
+        ValueError, match="model must be one or 3 models, one for each robot, got 2"
+    ):
+        MujocoRobotEnv(
+            [biorob_model()] * 2,
+            ("yaw",),
+            initial_mean=[0.0] * 2,
+            initial_std=[0.0] * 2,
+            torque_limit=TORQUE_LIMIT,
+            num_envs=3,
+        )
 
 
 PICTURES = """
@@ -172,5 +207,7 @@ for robot, ball in enumerate(balls):
 @pytest.mark.slow
 def test_picture_of_each_robot_shows_its_own_ball() -> None:
     command = [sys.executable, "-W", "ignore", "-c", PICTURES]
-    result = subprocess.run(command, env={**os.environ, "MUJOCO_GL": "egl"}, capture_output=True, text=True, check=False)
+    result = subprocess.run(
+        command, env={**os.environ, "MUJOCO_GL": "egl"}, capture_output=True, text=True, check=False
+    )
     assert result.returncode == 0, result.stderr

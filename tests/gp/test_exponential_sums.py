@@ -14,11 +14,19 @@ from tests.helpers.memory import LargestResult
 from torch_pmil.gp import exponential_sums
 from torch_pmil.gp.exponential_sums import ExponentialSum, thin_products
 
-N, P, OWN, D = 3, 6, 3, 4  # beliefs, pairs of outputs, pairs of an output with itself, rows of left and right
+N, P, OWN, D = (
+    3,
+    6,
+    3,
+    4,
+)  # beliefs, pairs of outputs, pairs of an output with itself, rows of left and right
 
-# n data, and numbers that the cache holds: all Q in one piece, several in one, one by one, by several rows and by single rows of Q
+# n data, and numbers that the cache holds: all Q in one piece, several in one, one by one, by
+# several rows and by single rows of Q
 sizes = pytest.mark.parametrize(
-    ("n", "cached"), [(7, 2**16), (7, 2 * 7**2), (7, 15), (7, 12), (9, 14), (9, 3)], ids=["all", "two", "one", "rows", "two rows", "row"]
+    ("n", "cached"),
+    [(7, 2**16), (7, 2 * 7**2), (7, 15), (7, 12), (9, 14), (9, 3)],
+    ids=["all", "two", "one", "rows", "two rows", "row"],
 )
 with_and_without_M = pytest.mark.parametrize("own", [0, OWN], ids=["no M", "M"])
 
@@ -31,12 +39,22 @@ def whole_matrix(left: Tensor, right: Tensor, M: Tensor | None) -> Tensor:
     return torch.cat([Q[:, : len(M)] * M, Q[:, len(M) :]], 1)
 
 
-def operands(draws: Draws, n: int, k: int, columns: int, own: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
+def operands(
+    draws: Draws, n: int, k: int, columns: int, own: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
     left, right = (0.5 * draws.normal(N, P, D, n) for _ in range(2))
-    return left, right, draws.normal(N, P, k, n), draws.normal(N, P, n, columns), draws.normal(own, n, n) if own else None
+    return (
+        left,
+        right,
+        draws.normal(N, P, k, n),
+        draws.normal(N, P, n, columns),
+        draws.normal(own, n, n) if own else None,
+    )
 
 
-def assert_products_of_the_whole_matrix(left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None) -> None:
+def assert_products_of_the_whole_matrix(
+    left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None
+) -> None:
     Q = whole_matrix(left, right, M)
     wQ, Qz = thin_products(left, right, w, z, M)
     torch.testing.assert_close(wQ, w @ Q, rtol=1e-12, atol=1e-12)
@@ -50,7 +68,13 @@ def assert_products_of_the_whole_matrix(left: Tensor, right: Tensor, w: Tensor, 
 @with_and_without_M
 @pytest.mark.parametrize(("k", "columns"), [(1, 1), (5, 1), (2, 3)])
 def test_products_are_those_of_the_whole_matrix(
-    draws: Draws, monkeypatch: pytest.MonkeyPatch, n: int, cached: int, own: int, k: int, columns: int
+    draws: Draws,
+    monkeypatch: pytest.MonkeyPatch,
+    n: int,
+    cached: int,
+    own: int,
+    k: int,
+    columns: int,
 ) -> None:
     monkeypatch.setattr(exponential_sums, "CACHED_NUMBERS", cached)
     assert_products_of_the_whole_matrix(*operands(draws, n, k, columns, own))
@@ -63,7 +87,9 @@ def test_products_of_hardly_any_data(draws: Draws, n: int, own: int) -> None:
 
 
 @sizes
-def test_columns_that_all_beliefs_share_need_no_copies(draws: Draws, monkeypatch: pytest.MonkeyPatch, n: int, cached: int) -> None:
+def test_columns_that_all_beliefs_share_need_no_copies(
+    draws: Draws, monkeypatch: pytest.MonkeyPatch, n: int, cached: int
+) -> None:
     monkeypatch.setattr(exponential_sums, "CACHED_NUMBERS", cached)
     left, right, w, z, M = operands(draws, n, 2, 1, OWN)
     assert_products_of_the_whole_matrix(left, right, w, z[0].expand(N, -1, -1, -1), M)
@@ -104,11 +130,17 @@ def test_number_of_threads_does_not_change_the_products(
 
 @with_and_without_M
 @pytest.mark.parametrize("n", [20, 60, 150])
-def test_no_array_is_larger_than_a_few_caches(draws: Draws, monkeypatch: pytest.MonkeyPatch, n: int, own: int) -> None:
-    """Even though all Q have hundreds of times as many numbers; operands and products are smaller here."""
+def test_no_array_is_larger_than_a_few_caches(
+    draws: Draws, monkeypatch: pytest.MonkeyPatch, n: int, own: int
+) -> None:
+    """Even though all Q have hundreds of times as many numbers; operands and products are smaller
+    here.
+    """
     cached = 1000
     monkeypatch.setattr(exponential_sums, "CACHED_NUMBERS", cached)
-    left, right, w, z = (0.1 * draws.normal(1, P, *shape) for shape in ((1, n), (1, n), (1, n), (n, 1)))
+    left, right, w, z = (
+        0.1 * draws.normal(1, P, *shape) for shape in ((1, n), (1, n), (1, n), (n, 1))
+    )
     M = draws.normal(own, n, n) if own else None
     with LargestResult() as largest:
         thin_products(left, right, w, z, M)
@@ -141,7 +173,9 @@ def exponential_sum(left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor
 
 
 def naive_sum(left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None) -> Tensor:
-    return torch.einsum("pi,npij,pj->np", w[:, 0], whole_matrix(*with_ones(left, right), M), z[:, 0])
+    return torch.einsum(
+        "pi,npij,pj->np", w[:, 0], whole_matrix(*with_ones(left, right), M), z[:, 0]
+    )
 
 
 @sizes
@@ -163,14 +197,20 @@ def test_sum_and_gradient_are_those_of_the_whole_matrix(
 @with_and_without_M
 def test_gradient_in_all_arguments(draws: Draws, own: int) -> None:
     arguments = terms(draws, 3, own)
-    variables = tuple(argument.requires_grad_() if argument is not None else None for argument in arguments.values())
+    variables = tuple(
+        argument.requires_grad_() if argument is not None else None
+        for argument in arguments.values()
+    )
     assert gradcheck(exponential_sum, variables)
 
 
 @pytest.mark.parametrize("name", ["left", "right", "w", "z", "M"])
 def test_gradient_in_one_argument_alone(draws: Draws, name: str) -> None:
     arguments = terms(draws, 3, OWN)
-    assert gradcheck(lambda variable: exponential_sum(**{**arguments, name: variable}), arguments[name].requires_grad_())
+    assert gradcheck(
+        lambda variable: exponential_sum(**{**arguments, name: variable}),
+        arguments[name].requires_grad_(),
+    )
 
 
 def test_sum_is_the_same_without_a_graph(draws: Draws) -> None:
@@ -187,6 +227,8 @@ def test_sum_is_the_same_without_a_graph(draws: Draws) -> None:
 def test_gradient_is_not_differentiable_again(draws: Draws) -> None:
     arguments = terms(draws, 3, OWN)
     w = arguments["w"].requires_grad_()
-    (gradient,) = torch.autograd.grad(exponential_sum(**arguments).square().sum(), w, create_graph=True)
+    (gradient,) = torch.autograd.grad(
+        exponential_sum(**arguments).square().sum(), w, create_graph=True
+    )
     with pytest.raises(RuntimeError, match="once_differentiable"):
         gradient.sum().backward()

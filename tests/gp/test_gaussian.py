@@ -39,12 +39,16 @@ def test_joint_has_the_marginals_it_was_made_of(draws: Draws) -> None:
 def test_joint_with_a_linear_map_is_the_affine_image(draws: Draws) -> None:
     x, matrix = draws.belief(3), draws.normal(2, 3)
     stacked = torch.cat([torch.eye(3, dtype=torch.float64), matrix])
-    torch.testing.assert_close(joint(x, x.affine(matrix), x.cov @ matrix.mT).cov, x.affine(stacked).cov)
+    torch.testing.assert_close(
+        joint(x, x.affine(matrix), x.cov @ matrix.mT).cov, x.affine(stacked).cov
+    )
 
 
 def test_noise_adds_to_the_variances(draws: Draws) -> None:
     belief, variance = draws.belief(4, 2), draws.uniform(0.1, 1.0, 4, 2)
-    torch.testing.assert_close(belief.add_noise(variance).cov - belief.cov, torch.diag_embed(variance))
+    torch.testing.assert_close(
+        belief.add_noise(variance).cov - belief.cov, torch.diag_embed(variance)
+    )
     torch.testing.assert_close(belief.add_noise(0.5).std.square(), belief.std.square() + 0.5)
     assert torch.equal(belief.add_noise(variance).mean, belief.mean)
 
@@ -88,7 +92,10 @@ def test_shapes_that_do_not_fit_are_an_error(mean: tuple, cov: tuple) -> None:
 def test_cholesky_error_names_matrix_element_and_eigenvalues() -> None:
     matrices = torch.eye(2).repeat(2, 3, 1, 1)
     matrices[1, 2, 0, 0] = -4.0
-    with pytest.raises(NotPositiveDefiniteError, match=r"the test's matrix .* eigenvalues from -4 to 1 at batch element \(1, 2\)"):
+    with pytest.raises(
+        NotPositiveDefiniteError,
+        match=r"the test's matrix .* eigenvalues from -4 to 1 at batch element \(1, 2\)",
+    ):
         cholesky(matrices, "the test's matrix")
 
 
@@ -111,10 +118,14 @@ flat_shapes = pytest.mark.parametrize("shape", [(1,), (3,), (4, 3), (2, 3, 4)])
 
 
 @flat_shapes
-def test_flat_vector_holds_the_mean_and_the_lower_triangle(draws: Draws, shape: tuple[int, ...]) -> None:
+def test_flat_vector_holds_the_mean_and_the_lower_triangle(
+    draws: Draws, shape: tuple[int, ...]
+) -> None:
     belief, D = draws.belief(*shape), shape[-1]
     assert belief.flat.shape == (*shape[:-1], D + D * (D + 1) // 2)
-    entries = [belief.mean[..., i] for i in range(D)] + [belief.cov[..., i, j] for i in range(D) for j in range(i + 1)]
+    entries = [belief.mean[..., i] for i in range(D)] + [
+        belief.cov[..., i, j] for i in range(D) for j in range(i + 1)
+    ]
     assert torch.equal(belief.flat, torch.stack(entries, -1))
 
 
@@ -142,12 +153,16 @@ def products(mean: Tensor, cov: Tensor, d_mean: Tensor, d_cov: Tensor) -> Tensor
 
 
 @flat_shapes
-def test_cotangents_from_flat_are_adjoint_to_flattening(draws: Draws, shape: tuple[int, ...]) -> None:
+def test_cotangents_from_flat_are_adjoint_to_flattening(
+    draws: Draws, shape: tuple[int, ...]
+) -> None:
     change = Gaussian(draws.normal(*shape), symmetric(draws.normal(*shape, shape[-1])))
     cotangent = draws.normal(*change.flat.shape)
     d_mean, d_cov = Gaussian.cotangent_from_flat(cotangent, change.dim)
     assert torch.equal(d_cov, d_cov.mT)
-    torch.testing.assert_close(products(change.mean, change.cov, d_mean, d_cov), (change.flat * cotangent).sum(-1))
+    torch.testing.assert_close(
+        products(change.mean, change.cov, d_mean, d_cov), (change.flat * cotangent).sum(-1)
+    )
 
 
 @flat_shapes
@@ -156,11 +171,15 @@ def test_flat_cotangents_are_adjoint_to_unflattening(draws: Draws, shape: tuple[
     cotangent = Gaussian.flat_cotangent(d_mean, d_cov)
     vector = draws.normal(*cotangent.shape)
     change = Gaussian.from_flat(vector, shape[-1])
-    torch.testing.assert_close(products(change.mean, change.cov, d_mean, d_cov), (vector * cotangent).sum(-1))
+    torch.testing.assert_close(
+        products(change.mean, change.cov, d_mean, d_cov), (vector * cotangent).sum(-1)
+    )
 
 
 @flat_shapes
-def test_flat_vectors_have_the_cotangents_of_their_graph(draws: Draws, shape: tuple[int, ...]) -> None:
+def test_flat_vectors_have_the_cotangents_of_their_graph(
+    draws: Draws, shape: tuple[int, ...]
+) -> None:
     belief = draws.belief(*shape)
     leaves = [t.requires_grad_() for t in (belief.mean, belief.cov)]
     flat = Gaussian(*leaves).flat

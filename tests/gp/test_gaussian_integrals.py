@@ -1,4 +1,6 @@
-"""Gaussian integrals of kernels and of their products, against quadrature, the textbook, and their limits."""
+"""Gaussian integrals of kernels and of their products, against quadrature, the textbook, and their
+limits.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,12 @@ from torch_pmil.gp.kernel_expansion import KernelExpansion
 
 def network(draws: Draws, n: int, D: int, E: int) -> KernelExpansion:
     """Of E kernels with signal variances of their own."""
-    return KernelExpansion(draws.normal(n, D), draws.normal(E, n), draws.uniform(0.5, 2.0, E, D), draws.uniform(0.5, 2.0, E))
+    return KernelExpansion(
+        draws.normal(n, D),
+        draws.normal(E, n),
+        draws.uniform(0.5, 2.0, E, D),
+        draws.uniform(0.5, 2.0, E),
+    )
 
 
 def pair_matrices(integrals: GaussianIntegrals) -> Tensor:
@@ -30,8 +37,12 @@ def pair_matrices(integrals: GaussianIntegrals) -> Tensor:
 def hermite_grid(belief: Gaussian, order: int = 80) -> tuple[Tensor, Tensor]:
     """Points (order^D, D) and weights of Gauss-Hermite quadrature over one belief."""
     nodes, weights = (torch.as_tensor(a) for a in np.polynomial.hermite_e.hermegauss(order))
-    white, w = (torch.cartesian_prod(*[t] * belief.dim).reshape(-1, belief.dim) for t in (nodes, weights))
-    return belief.mean + white @ torch.linalg.cholesky(belief.cov).mT, w.prod(-1) / (2 * torch.pi) ** (belief.dim / 2)
+    white, w = (
+        torch.cartesian_prod(*[t] * belief.dim).reshape(-1, belief.dim) for t in (nodes, weights)
+    )
+    return belief.mean + white @ torch.linalg.cholesky(belief.cov).mT, w.prod(-1) / (
+        2 * torch.pi
+    ) ** (belief.dim / 2)
 
 
 @pytest.mark.parametrize("D", [1, 2])
@@ -43,7 +54,9 @@ def test_integrals_are_those_of_quadrature(draws: Draws, D: int, scale: float) -
     for b in range(3):
         x, w = hermite_grid(beliefs[b])
         kernels = f.kernel(x)
-        torch.testing.assert_close(integrals.q[b], (w[:, None, None] * kernels).sum(0), rtol=0, atol=1e-10)
+        torch.testing.assert_close(
+            integrals.q[b], (w[:, None, None] * kernels).sum(0), rtol=0, atol=1e-10
+        )
         for p, (first, second) in enumerate(zip(f.products.first, f.products.second, strict=True)):
             expected = kernels[:, first].mT @ (w[:, None] * kernels[:, second])
             torch.testing.assert_close(Q[b, p], expected, rtol=0, atol=1e-10)
@@ -52,8 +65,12 @@ def test_integrals_are_those_of_quadrature(draws: Draws, D: int, scale: float) -
 def textbook_q(f: KernelExpansion, a: int, mu: np.ndarray, Sigma: np.ndarray) -> np.ndarray:
     """Eq. 15, (n,)."""
     Lambda, x = np.diag(f.lengthscales[a].numpy() ** 2), f.inputs.numpy()
-    scale = f.signal_variance[a].item() / np.sqrt(np.linalg.det(Sigma @ np.linalg.inv(Lambda) + np.eye(len(mu))))
-    return np.array([scale * np.exp(-nu @ np.linalg.solve(Sigma + Lambda, nu) / 2) for nu in x - mu])
+    scale = f.signal_variance[a].item() / np.sqrt(
+        np.linalg.det(Sigma @ np.linalg.inv(Lambda) + np.eye(len(mu)))
+    )
+    return np.array(
+        [scale * np.exp(-nu @ np.linalg.solve(Sigma + Lambda, nu) / 2) for nu in x - mu]
+    )
 
 
 def textbook_Q(f: KernelExpansion, a: int, b: int, mu: np.ndarray, Sigma: np.ndarray) -> np.ndarray:
@@ -78,8 +95,12 @@ def test_integrals_are_those_of_the_textbook(draws: Draws, scale: float) -> None
     for index in range(2):
         mu, Sigma = beliefs.mean[index].numpy(), beliefs.cov[index].numpy()
         for a in range(3):
-            np.testing.assert_allclose(integrals.q[index, a], textbook_q(f, a, mu, Sigma), rtol=1e-11)
-        for p, (a, b) in enumerate(zip(f.products.first.tolist(), f.products.second.tolist(), strict=True)):
+            np.testing.assert_allclose(
+                integrals.q[index, a], textbook_q(f, a, mu, Sigma), rtol=1e-11
+            )
+        for p, (a, b) in enumerate(
+            zip(f.products.first.tolist(), f.products.second.tolist(), strict=True)
+        ):
             np.testing.assert_allclose(Q[index, p], textbook_Q(f, a, b, mu, Sigma), rtol=1e-11)
 
 
@@ -87,18 +108,32 @@ def test_precision_is_that_of_the_belief_widened_by_the_kernel(draws: Draws) -> 
     f, beliefs = network(draws, 4, 3, 2), draws.belief(2, 3)
     widths = f.lengthscales.square()
     both = 1 / (1 / widths[:1] + 1 / widths[1:])
-    expected = torch.linalg.inv(beliefs.cov[:, None] + torch.diag_embed(torch.cat([widths, widths / 2, both])))
-    torch.testing.assert_close(GaussianIntegrals.of(f, beliefs).precision, expected, rtol=1e-12, atol=1e-12)
+    expected = torch.linalg.inv(
+        beliefs.cov[:, None] + torch.diag_embed(torch.cat([widths, widths / 2, both]))
+    )
+    torch.testing.assert_close(
+        GaussianIntegrals.of(f, beliefs).precision, expected, rtol=1e-12, atol=1e-12
+    )
 
 
 def test_gradient(draws: Draws) -> None:
     f, belief = network(draws, 3, 2, 2), draws.belief(2, 2)
 
-    def integrals(mean: Tensor, root: Tensor, inputs: Tensor, lengthscales: Tensor, signal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        result = GaussianIntegrals.of(KernelExpansion(inputs, f.weights, lengthscales, signal), Gaussian(mean, root @ root.mT))
+    def integrals(
+        mean: Tensor, root: Tensor, inputs: Tensor, lengthscales: Tensor, signal: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        result = GaussianIntegrals.of(
+            KernelExpansion(inputs, f.weights, lengthscales, signal), Gaussian(mean, root @ root.mT)
+        )
         return result.q, pair_matrices(result), result.precision
 
-    variables = belief.mean, torch.linalg.cholesky(belief.cov), f.inputs, f.lengthscales, f.signal_variance
+    variables = (
+        belief.mean,
+        torch.linalg.cholesky(belief.cov),
+        f.inputs,
+        f.lengthscales,
+        f.signal_variance,
+    )
     assert gradcheck(integrals, tuple(variable.clone().requires_grad_() for variable in variables))
 
 
@@ -118,12 +153,16 @@ def test_singular_covariance_is_the_limit_of_regular_ones(draws: Draws) -> None:
     f, direction = network(draws, 5, 3, 2), draws.normal(2, 3, 1)
     mean, line = draws.normal(2, 3), direction @ direction.mT
     on_the_line = GaussianIntegrals.of(f, Gaussian(mean, line))
-    nearly = GaussianIntegrals.of(f, Gaussian(mean, line + 1e-10 * torch.eye(3, dtype=torch.float64)))
+    nearly = GaussianIntegrals.of(
+        f, Gaussian(mean, line + 1e-10 * torch.eye(3, dtype=torch.float64))
+    )
     torch.testing.assert_close(on_the_line.q, nearly.q, rtol=1e-7, atol=0)
     torch.testing.assert_close(pair_matrices(on_the_line), pair_matrices(nearly), rtol=1e-7, atol=0)
 
 
-@pytest.mark.parametrize("scale", [0.0, 1e-12, 1.0, 1e2], ids=["certain", "narrow", "as wide as the kernels", "wide"])
+@pytest.mark.parametrize(
+    "scale", [0.0, 1e-12, 1.0, 1e2], ids=["certain", "narrow", "as wide as the kernels", "wide"]
+)
 @pytest.mark.parametrize("distance", [1e3, 1e6])
 def test_data_far_away_do_not_count(draws: Draws, scale: float, distance: float) -> None:
     f, belief = network(draws, 5, 2, 2), draws.belief(3, 2, scale=scale)
@@ -136,11 +175,22 @@ def test_data_far_away_do_not_count(draws: Draws, scale: float, distance: float)
 
 
 @pytest.mark.parametrize("distance", [10.0, 1e3])
-def test_belief_that_reaches_data_far_away_gives_them_their_share(draws: Draws, distance: float) -> None:
-    """In one dimension, where a product of Gaussian densities is one: N(x; a, v) N(x; b, w) = N(x; c, ..) N(a; b, v + w)."""
+def test_belief_that_reaches_data_far_away_gives_them_their_share(
+    draws: Draws, distance: float
+) -> None:
+    """In one dimension, where a product of Gaussian densities is one: N(x; a, v) N(x; b, w) = N(x;
+    c, ..) N(a; b, v + w).
+    """
     f, mean, variance = network(draws, 5, 1, 2), distance, 9 * distance**2
-    x, widths, factor = f.inputs[:, 0], f.lengthscales[:, 0].square(), f.signal_variance * f.lengthscales[:, 0] * (2 * torch.pi) ** 0.5
-    belief = Gaussian(torch.full((1, 1), mean, dtype=torch.float64), torch.full((1, 1, 1), variance, dtype=torch.float64))
+    x, widths, factor = (
+        f.inputs[:, 0],
+        f.lengthscales[:, 0].square(),
+        f.signal_variance * f.lengthscales[:, 0] * (2 * torch.pi) ** 0.5,
+    )
+    belief = Gaussian(
+        torch.full((1, 1), mean, dtype=torch.float64),
+        torch.full((1, 1, 1), variance, dtype=torch.float64),
+    )
     integrals = GaussianIntegrals.of(f, belief)
     Q = pair_matrices(integrals)[0]
 
@@ -148,7 +198,12 @@ def test_belief_that_reaches_data_far_away_gives_them_their_share(draws: Draws, 
         return torch.exp(-distances.square() / variance / 2) / (2 * torch.pi * variance).sqrt()
 
     for a in range(2):
-        torch.testing.assert_close(integrals.q[0, a], factor[a] * density(x - mean, widths[a] + variance), rtol=1e-13, atol=0)
+        torch.testing.assert_close(
+            integrals.q[0, a],
+            factor[a] * density(x - mean, widths[a] + variance),
+            rtol=1e-13,
+            atol=0,
+        )
     for p, (a, b) in enumerate(zip(f.products.first, f.products.second, strict=True)):
         centres = (widths[b] * x[:, None] + widths[a] * x) / (widths[a] + widths[b])
         both = density(centres - mean, variance + widths[a] * widths[b] / (widths[a] + widths[b]))
@@ -158,14 +213,20 @@ def test_belief_that_reaches_data_far_away_gives_them_their_share(draws: Draws, 
 
 @pytest.mark.parametrize("distance", [1e3, 1e6])
 @pytest.mark.parametrize("wide_direction", [0, 1])
-def test_long_and_narrow_belief_far_away_has_finite_integrals(draws: Draws, distance: float, wide_direction: int) -> None:
+def test_long_and_narrow_belief_far_away_has_finite_integrals(
+    draws: Draws, distance: float, wide_direction: int
+) -> None:
     f = network(draws, 5, 2, 2)
     variances = torch.full((2,), 1e-12, dtype=torch.float64)
     variances[wide_direction] = distance**2
     mean = torch.full((1, 2), distance, dtype=torch.float64)
     integrals = GaussianIntegrals.of(f, Gaussian(mean, torch.diag(variances)[None]))
     assert (integrals.q == 0).all() and (pair_matrices(integrals) == 0).all()
-    assert integrals.left.isfinite().all() and integrals.right.isfinite().all() and integrals.precision.isfinite().all()
+    assert (
+        integrals.left.isfinite().all()
+        and integrals.right.isfinite().all()
+        and integrals.precision.isfinite().all()
+    )
 
 
 # --- errors ---
@@ -177,9 +238,12 @@ def test_wrong_number_of_inputs_is_an_error(draws: Draws) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "message"), [(-10.0, "got eigenvalues from"), (float("nan"), "not finite"), (float("inf"), "not finite")]
+    ("value", "message"),
+    [(-10.0, "got eigenvalues from"), (float("nan"), "not finite"), (float("inf"), "not finite")],
 )
-def test_covariance_that_is_none_is_an_error_that_names_the_belief(draws: Draws, value: float, message: str) -> None:
+def test_covariance_that_is_none_is_an_error_that_names_the_belief(
+    draws: Draws, value: float, message: str
+) -> None:
     belief = draws.belief(3, 2)
     belief.cov[1] = value * torch.eye(2, dtype=torch.float64)
     with pytest.raises(NotPositiveDefiniteError, match=message) as error:

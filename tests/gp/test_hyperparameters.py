@@ -23,7 +23,9 @@ NOISE = 0.05
 def make_data(draws: Draws, n: int, D: int) -> tuple[Tensor, Tensor]:
     """A smooth function of D inputs, with noise."""
     inputs = draws.uniform(-2, 2, n, D)
-    return inputs, (inputs @ draws.normal(D, 2) / math.sqrt(D)).sin().sum(-1) + NOISE * draws.normal(n)
+    return inputs, (inputs @ draws.normal(D, 2) / math.sqrt(D)).sin().sum(
+        -1
+    ) + NOISE * draws.normal(n)
 
 
 @pytest.fixture
@@ -32,7 +34,9 @@ def data(draws: Draws) -> tuple[Tensor, Tensor]:
 
 
 def of_plain_gpytorch(inputs: Tensor, target: Tensor) -> float:
-    """Least negative log likelihood, nats, that L-BFGS finds from PILCO's start by GPyTorch's own means."""
+    """Least negative log likelihood, nats, that L-BFGS finds from PILCO's start by GPyTorch's own
+    means.
+    """
     model = Model(inputs, target, pilco_starts(inputs, target)[0])
     objective = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)
     optimizer = torch.optim.LBFGS(model.parameters(), max_iter=100, line_search_fn="strong_wolfe")
@@ -57,7 +61,9 @@ def test_optimum_is_no_worse_than_that_of_plain_gpytorch(draws: Draws, n: int, D
 def test_likelihood_is_that_of_the_parameters_without_penalties(draws: Draws) -> None:
     """Without noise in the data the signal-to-noise ratio is held by its penalty."""
     inputs = draws.uniform(-2, 2, 30, 1)
-    found = find_hyperparameters(inputs, inputs[:, 0].sin(), pilco_starts(inputs, inputs[:, 0].sin()), max_iterations=100)
+    found = find_hyperparameters(
+        inputs, inputs[:, 0].sin(), pilco_starts(inputs, inputs[:, 0].sin()), max_iterations=100
+    )
     expected = negative_log_likelihood(inputs, inputs[:, 0].sin(), found.log_parameters).item()
     assert penalty(found.log_parameters, inputs.std(0).log()) > 0.1
     assert found.negative_log_likelihood == pytest.approx(expected, abs=1e-9)
@@ -79,17 +85,31 @@ def test_best_of_several_starts_is_kept(data: tuple[Tensor, Tensor]) -> None:
 def test_starts_are_left_as_they_were(data: tuple[Tensor, Tensor]) -> None:
     starts = pilco_starts(*data)
     find_hyperparameters(*data, starts, max_iterations=3)
-    assert all(torch.equal(start, again) for start, again in zip(starts, pilco_starts(*data), strict=True))
+    assert all(
+        torch.equal(start, again) for start, again in zip(starts, pilco_starts(*data), strict=True)
+    )
 
 
 def test_result_says_why_the_search_ended(data: tuple[Tensor, Tensor]) -> None:
-    assert find_hyperparameters(*data, pilco_starts(*data), max_iterations=2).stop_reason == "iteration limit"
-    assert find_hyperparameters(*data, pilco_starts(*data), max_iterations=100).stop_reason in ("gradient is small", "no further progress")
+    assert (
+        find_hyperparameters(*data, pilco_starts(*data), max_iterations=2).stop_reason
+        == "iteration limit"
+    )
+    assert find_hyperparameters(*data, pilco_starts(*data), max_iterations=100).stop_reason in (
+        "gradient is small",
+        "no further progress",
+    )
 
 
 FAILING = {
-    "no noise": ([4.0, 4.0, 0.0, -300.0], NotPositiveDefiniteError),  # and data too near to each other for their lengthscales
-    "little of everything": ([0.0, 0.0, -60.0, -64.0], NotFiniteError),  # the data are 10^13 standard deviations away
+    "no noise": (
+        [4.0, 4.0, 0.0, -300.0],
+        NotPositiveDefiniteError,
+    ),  # and data too near to each other for their lengthscales
+    "little of everything": (
+        [0.0, 0.0, -60.0, -64.0],
+        NotFiniteError,
+    ),  # the data are 10^13 standard deviations away
 }
 
 
@@ -105,9 +125,13 @@ def test_start_without_a_value_is_passed_over(data: tuple[Tensor, Tensor], name:
 
 def test_pilco_starts_are_in_the_units_of_the_data(draws: Draws) -> None:
     inputs, target = draws.normal(50, 3) * torch.tensor([0.1, 1.0, 100.0]) + 5, 7 * draws.normal(50)
-    for start, (factor, ratio) in zip(pilco_starts(inputs, target), itertools.product((1, 2), (0.1, 0.01)), strict=True):
+    for start, (factor, ratio) in zip(
+        pilco_starts(inputs, target), itertools.product((1, 2), (0.1, 0.01)), strict=True
+    ):
         torch.testing.assert_close(start[:3].exp(), factor * inputs.std(0))
-        torch.testing.assert_close(start[3:].exp().sqrt(), target.std() * torch.tensor([1.0, ratio], dtype=torch.float64))
+        torch.testing.assert_close(
+            start[3:].exp().sqrt(), target.std() * torch.tensor([1.0, ratio], dtype=torch.float64)
+        )
 
 
 def test_many_data_have_two_starts(draws: Draws) -> None:
@@ -116,7 +140,9 @@ def test_many_data_have_two_starts(draws: Draws) -> None:
 
 def test_column_that_never_changes_is_of_its_own_size(draws: Draws) -> None:
     """It may change by rounding; a small column keeps its standard deviation."""
-    inputs = torch.stack([0.7 + 1e-15 * draws.normal(50), torch.zeros(50), 1e-8 * draws.normal(50)], -1)
+    inputs = torch.stack(
+        [0.7 + 1e-15 * draws.normal(50), torch.zeros(50), 1e-8 * draws.normal(50)], -1
+    )
     start, *_ = pilco_starts(inputs, torch.full((50,), 4.0, dtype=torch.float64))
     expected = torch.tensor([0.7, 1.0, inputs[:, 2].std(), 16.0, 0.16], dtype=torch.float64)
     torch.testing.assert_close(start.exp(), expected, rtol=1e-6, atol=0)
@@ -125,14 +151,23 @@ def test_column_that_never_changes_is_of_its_own_size(draws: Draws) -> None:
 def log_of(length: float, signal_to_noise: float) -> Tensor:
     """Log parameters of one input and a noise std of 0.1."""
     noise = math.log(0.01)
-    return torch.tensor([math.log(length), noise + 2 * math.log(signal_to_noise), noise], dtype=torch.float64)
+    return torch.tensor(
+        [math.log(length), noise + 2 * math.log(signal_to_noise), noise], dtype=torch.float64
+    )
 
 
 @pytest.mark.parametrize(
-    ("length", "ratio", "least", "most"), [(20, 10, 0, 1e-4), (20, 200, 0, 0.02), (2, 500, 1, 1.01), (2, 1000, 20, 30)]
+    ("length", "ratio", "least", "most"),
+    [(20, 10, 0, 1e-4), (20, 200, 0, 0.02), (2, 500, 1, 1.01), (2, 1000, 20, 30)],
 )
-def test_penalty_begins_at_a_signal_to_noise_ratio_of_500(length: float, ratio: float, least: float, most: float) -> None:
-    assert least <= penalty(log_of(length, ratio), torch.tensor([math.log(2)], dtype=torch.float64)).item() <= most
+def test_penalty_begins_at_a_signal_to_noise_ratio_of_500(
+    length: float, ratio: float, least: float, most: float
+) -> None:
+    assert (
+        least
+        <= penalty(log_of(length, ratio), torch.tensor([math.log(2)], dtype=torch.float64)).item()
+        <= most
+    )
 
 
 @pytest.mark.parametrize("length", [0.02, 200.0])

@@ -1,4 +1,6 @@
-"""Expansions in squared exponentials, against the formula kernel by kernel and GPyTorch's posterior."""
+"""Expansions in squared exponentials, against the formula kernel by kernel and GPyTorch's
+posterior.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from torch_pmil.gp.moment_matching import moment_match
 
 both = pytest.mark.parametrize("make", [Draws.gp, Draws.network])
 Make = Callable[[Draws, int, int, int], KernelExpansion]
-FAR = 2.0**20  # about 1e6, so that numbers with at most 32 binary places can be moved by it without rounding
+FAR = (
+    2.0**20
+)  # about 1e6, so that numbers with at most 32 binary places can be moved by it without rounding
 
 
 def naive_kernel(f: KernelExpansion, a: int, x: Tensor, y: Tensor) -> float:
@@ -31,7 +35,10 @@ def naive_kernel(f: KernelExpansion, a: int, x: Tensor, y: Tensor) -> float:
 
 def naive_kernels(f: KernelExpansion, x: Tensor) -> Tensor:
     """Of all outputs and inputs at one point, (E, n)."""
-    return torch.tensor([[naive_kernel(f, a, x, y) for y in f.inputs] for a in range(f.num_outputs)], dtype=torch.float64)
+    return torch.tensor(
+        [[naive_kernel(f, a, x, y) for y in f.inputs] for a in range(f.num_outputs)],
+        dtype=torch.float64,
+    )
 
 
 # --- values ---
@@ -41,7 +48,13 @@ def naive_kernels(f: KernelExpansion, x: Tensor) -> Tensor:
 def test_kernel_and_mean_are_the_formula(draws: Draws, make: Make) -> None:
     f, x = make(draws, 6, 3, 2), draws.normal(2, 4, 3)
     f = KernelExpansion(
-        f.inputs, f.weights, f.lengthscales, draws.uniform(0.5, 2.0, 2), f.gram_inverse, f.noise_variance, offset=draws.normal(2)
+        f.inputs,
+        f.weights,
+        f.lengthscales,
+        draws.uniform(0.5, 2.0, 2),
+        f.gram_inverse,
+        f.noise_variance,
+        offset=draws.normal(2),
     )
     kernel, mean = f.kernel(x), f.mean(x)
     assert kernel.shape == (2, 4, 2, 6) and mean.shape == (2, 4, 2)
@@ -49,7 +62,9 @@ def test_kernel_and_mean_are_the_formula(draws: Draws, make: Make) -> None:
         i, j = divmod(index, 4)
         expected = naive_kernels(f, x[i, j])
         torch.testing.assert_close(kernel[i, j], expected, rtol=1e-13, atol=0)
-        torch.testing.assert_close(mean[i, j], (expected * f.weights).sum(-1) + f.offset, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(
+            mean[i, j], (expected * f.weights).sum(-1) + f.offset, rtol=1e-12, atol=1e-12
+        )
 
 
 @both
@@ -60,21 +75,34 @@ def test_mean_and_gradient_are_the_mean_and_its_derivative(draws: Draws, make: M
     torch.testing.assert_close(mean, f.mean(x), rtol=1e-13, atol=1e-13)
     for index in range(8):
         i, j = divmod(index, 4)
-        torch.testing.assert_close(gradient[i, j], torch.autograd.functional.jacobian(f.mean, x[i, j]), rtol=1e-11, atol=1e-11)
+        torch.testing.assert_close(
+            gradient[i, j],
+            torch.autograd.functional.jacobian(f.mean, x[i, j]),
+            rtol=1e-11,
+            atol=1e-11,
+        )
 
 
 def test_prediction_is_the_posterior_written_with_the_whole_gram_matrix(draws: Draws) -> None:
     """Eqs. 6 and 7."""
     f, targets, x = draws.gp(8, 2, 3), draws.normal(3, 8), draws.normal(5, 2)
-    f = KernelExpansion.from_data(f.inputs, targets, f.lengthscales, f.signal_variance, f.noise_variance, f.offset)
+    f = KernelExpansion.from_data(
+        f.inputs, targets, f.lengthscales, f.signal_variance, f.noise_variance, f.offset
+    )
     mean, variance = f.predict(x)
     torch.testing.assert_close(mean, f.mean(x))
     for a in range(3):
-        gram = torch.stack([naive_kernels(f, y)[a] for y in f.inputs]) + f.noise_variance[a] * torch.eye(8, dtype=torch.float64)
+        gram = torch.stack([naive_kernels(f, y)[a] for y in f.inputs]) + f.noise_variance[
+            a
+        ] * torch.eye(8, dtype=torch.float64)
         k = torch.stack([naive_kernels(f, point)[a] for point in x])  # (5, 8)
         torch.testing.assert_close(f.gram_inverse[a] @ gram, torch.eye(8, dtype=torch.float64))
-        torch.testing.assert_close(mean[:, a], f.offset[a] + k @ torch.linalg.solve(gram, targets[a] - f.offset[a]))
-        torch.testing.assert_close(variance[:, a], f.signal_variance[a] - (k * torch.linalg.solve(gram, k.mT).mT).sum(-1))
+        torch.testing.assert_close(
+            mean[:, a], f.offset[a] + k @ torch.linalg.solve(gram, targets[a] - f.offset[a])
+        )
+        torch.testing.assert_close(
+            variance[:, a], f.signal_variance[a] - (k * torch.linalg.solve(gram, k.mT).mT).sum(-1)
+        )
 
 
 def test_network_is_certain(draws: Draws) -> None:
@@ -94,7 +122,9 @@ def test_posterior_far_from_the_data_is_the_prior(draws: Draws) -> None:
 def test_posterior_without_noise_passes_through_the_data(draws: Draws) -> None:
     inputs, targets = draws.uniform(-2, 2, 8, 2), draws.normal(2, 8)
     one = torch.ones(2, dtype=torch.float64)
-    f = KernelExpansion.from_data(inputs, targets, torch.full((2, 2), 0.5, dtype=torch.float64), one, 1e-10 * one)
+    f = KernelExpansion.from_data(
+        inputs, targets, torch.full((2, 2), 0.5, dtype=torch.float64), one, 1e-10 * one
+    )
     mean, variance = f.predict(inputs)
     torch.testing.assert_close(mean.mT, targets, rtol=0, atol=1e-6)
     assert variance.abs().max() < 1e-6
@@ -113,13 +143,22 @@ def test_outputs_with_own_inputs_are_expansions_of_their_own(draws: Draws) -> No
     mean, variance = together.predict(x)
     moments = moment_match(together, belief, observation_noise=True)
     for a in range(E):
-        alone = KernelExpansion.from_data(inputs[a], targets[a : a + 1], *(parameter[a : a + 1] for parameter in hyperparameters))
+        alone = KernelExpansion.from_data(
+            inputs[a], targets[a : a + 1], *(parameter[a : a + 1] for parameter in hyperparameters)
+        )
         for ours, expected in zip((mean, variance), alone.predict(x), strict=True):
             torch.testing.assert_close(ours[:, a], expected[:, 0], rtol=1e-11, atol=1e-11)
         expected = moment_match(alone, belief, observation_noise=True)
         torch.testing.assert_close(moments.mean[:, a], expected.mean[:, 0], rtol=1e-11, atol=1e-11)
-        torch.testing.assert_close(moments.cov[:, a, a], expected.cov[:, 0, 0], rtol=1e-10, atol=1e-10)
-        torch.testing.assert_close(moments.inv_cov_cross_cov[..., a], expected.inv_cov_cross_cov[..., 0], rtol=1e-10, atol=1e-10)
+        torch.testing.assert_close(
+            moments.cov[:, a, a], expected.cov[:, 0, 0], rtol=1e-10, atol=1e-10
+        )
+        torch.testing.assert_close(
+            moments.inv_cov_cross_cov[..., a],
+            expected.inv_cov_cross_cov[..., 0],
+            rtol=1e-10,
+            atol=1e-10,
+        )
 
 
 def test_own_inputs_that_are_the_same_are_shared_ones(draws: Draws) -> None:
@@ -130,7 +169,9 @@ def test_own_inputs_that_are_the_same_are_shared_ones(draws: Draws) -> None:
     for one, other in zip(shared.predict(x), own.predict(x), strict=True):
         torch.testing.assert_close(one, other, rtol=1e-11, atol=1e-11)
     belief = draws.belief(2)
-    torch.testing.assert_close(moment_match(own, belief).cov, moment_match(shared, belief).cov, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(
+        moment_match(own, belief).cov, moment_match(shared, belief).cov, rtol=1e-10, atol=1e-10
+    )
 
 
 def test_singular_gram_matrix_of_own_inputs_is_an_error_that_names_the_output(draws: Draws) -> None:
@@ -153,14 +194,20 @@ def test_inputs_far_from_zero_fit_as_well_as_centred_ones(draws: Draws, own_inpu
     gp, targets, x = draws.gp(10, 2, 2), draws.normal(2, 10), dyadic(draws.normal(4, 2))
     inputs = dyadic(draws.normal(2, 10, 2) if own_inputs else gp.inputs)
     near, far = (
-        KernelExpansion.from_data(inputs + offset, targets, gp.lengthscales, gp.signal_variance, gp.noise_variance) for offset in (0.0, FAR)
+        KernelExpansion.from_data(
+            inputs + offset, targets, gp.lengthscales, gp.signal_variance, gp.noise_variance
+        )
+        for offset in (0.0, FAR)
     )
     torch.testing.assert_close(far.weights, near.weights, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(far.gram_inverse, near.gram_inverse, rtol=1e-9, atol=1e-9)
     for ours, expected in zip(far.predict(x + FAR), near.predict(x), strict=True):
         torch.testing.assert_close(ours, expected, rtol=1e-9, atol=1e-9)
     cov = draws.cov(4, 2)
-    moments, expected = moment_match(far, Gaussian(x + FAR, cov)), moment_match(near, Gaussian(x, cov))
+    moments, expected = (
+        moment_match(far, Gaussian(x + FAR, cov)),
+        moment_match(near, Gaussian(x, cov)),
+    )
     torch.testing.assert_close(moments.mean, expected.mean, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(moments.cov, expected.cov, rtol=1e-9, atol=1e-9)
 
@@ -175,7 +222,9 @@ class ExactGP(gpytorch.models.ExactGP):
         size = targets.shape[:-1]
         super().__init__(inputs, targets, GaussianLikelihood(batch_shape=size))
         self.mean_module = ConstantMean(batch_shape=size)
-        self.covar_module = ScaleKernel(RBFKernel(ard_num_dims=inputs.shape[-1], batch_shape=size), batch_shape=size)
+        self.covar_module = ScaleKernel(
+            RBFKernel(ard_num_dims=inputs.shape[-1], batch_shape=size), batch_shape=size
+        )
 
     def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
@@ -193,8 +242,12 @@ def exact_gp(draws: Draws, own_inputs: bool = False) -> ExactGP:
 
 
 @pytest.mark.parametrize("own_inputs", [False, True], ids=["shared inputs", "own inputs"])
-def test_single_precision_hyperparameters_serve_data_in_double_precision(draws: Draws, own_inputs: bool) -> None:
-    """The expansion is that of the same numbers in double precision, and of GPyTorch's posterior with these."""
+def test_single_precision_hyperparameters_serve_data_in_double_precision(
+    draws: Draws, own_inputs: bool
+) -> None:
+    """The expansion is that of the same numbers in double precision, and of GPyTorch's posterior
+    with these.
+    """
     model, x = exact_gp(draws, own_inputs), draws.normal(4, 2)
     assert {parameter.dtype for parameter in model.parameters()} == {torch.float32}
     single = KernelExpansion.from_exact_gp(model)
@@ -202,19 +255,26 @@ def test_single_precision_hyperparameters_serve_data_in_double_precision(draws: 
     assert len(single.inputs) == (18 if own_inputs else 9)
 
     double = ExactGP(model.train_inputs[0], model.train_targets).double().eval()
-    double.covar_module.base_kernel.lengthscale = model.covar_module.base_kernel.lengthscale.double()
+    double.covar_module.base_kernel.lengthscale = (
+        model.covar_module.base_kernel.lengthscale.double()
+    )
     double.covar_module.outputscale = model.covar_module.outputscale.double()
     double.likelihood.noise = model.likelihood.noise.double()
     double.mean_module.constant.data.copy_(model.mean_module.constant.data)
     posterior = double(x.expand(2, 4, 2))
     for ours, same, theirs in zip(
-        single.predict(x), KernelExpansion.from_exact_gp(double).predict(x), (posterior.mean, posterior.variance), strict=True
+        single.predict(x),
+        KernelExpansion.from_exact_gp(double).predict(x),
+        (posterior.mean, posterior.variance),
+        strict=True,
     ):
         torch.testing.assert_close(ours, same, rtol=1e-10, atol=1e-10)
         torch.testing.assert_close(ours, theirs.mT, rtol=1e-8, atol=1e-8)
 
 
-def test_expansion_of_a_gpytorch_model_passes_gradients_to_its_hyperparameters(draws: Draws) -> None:
+def test_expansion_of_a_gpytorch_model_passes_gradients_to_its_hyperparameters(
+    draws: Draws,
+) -> None:
     model = exact_gp(draws).double()
     KernelExpansion.from_exact_gp(model).mean(draws.normal(2)).sum().backward()
     for name, parameter in model.named_parameters():

@@ -53,7 +53,9 @@ def test_search_works_where_gradients_are_switched_off() -> None:
 
 
 def test_parameters_end_at_the_best_point_that_was_seen() -> None:
-    """The objective worsens with each evaluation, so that L-BFGS itself ends at a later, worse point."""
+    """The objective worsens with each evaluation, so that L-BFGS itself ends at a later, worse
+    point.
+    """
     x, seen = parameter(-1.2, 1.0), []
 
     def objective() -> Tensor:
@@ -118,7 +120,10 @@ def test_failures_in_a_part_of_the_space_are_survived_and_counted(failure: str) 
 def test_gradient_that_is_not_finite_is_a_failure() -> None:
     """sqrt has no slope at zero."""
     x = parameter(0.0)
-    with pytest.raises(NotFiniteError, match=r"the objective must be finite with a finite gradient, got 0\.0 and inf"):
+    with pytest.raises(
+        NotFiniteError,
+        match=r"the objective must be finite with a finite gradient, got 0\.0 and inf",
+    ):
         minimise([x], lambda: x.sqrt().sum(), max_iterations=5)
 
 
@@ -136,16 +141,27 @@ def test_failure_at_the_start_is_an_error(failure: str, error: type[Exception]) 
 def test_other_errors_of_the_objective_are_not_swallowed() -> None:
     x = parameter(3.0)
     with pytest.raises(NoValueError):
-        minimise([x], lambda: walled(x, 0.0, "error"), max_iterations=50, survives=(ZeroDivisionError,))
+        minimise(
+            [x], lambda: walled(x, 0.0, "error"), max_iterations=50, survives=(ZeroDivisionError,)
+        )
 
 
 @pytest.mark.parametrize(
     ("start", "wall", "iterations", "reason"),
-    [(3.0, 0.0, 50, "gradient is small"), (3.0, 0.0, 1, "iteration limit"), (3.0, 2.999999999999, 50, "numerical failure")],
+    [
+        (3.0, 0.0, 50, "gradient is small"),
+        (3.0, 0.0, 1, "iteration limit"),
+        (3.0, 2.999999999999, 50, "numerical failure"),
+    ],
 )
-def test_result_says_why_the_search_ended(start: float, wall: float, iterations: int, reason: str) -> None:
+def test_result_says_why_the_search_ended(
+    start: float, wall: float, iterations: int, reason: str
+) -> None:
     x = parameter(start)
-    assert minimise([x], lambda: walled(x, wall, "nan"), max_iterations=iterations).stop_reason == reason
+    assert (
+        minimise([x], lambda: walled(x, wall, "nan"), max_iterations=iterations).stop_reason
+        == reason
+    )
 
 
 def test_tolerance_is_that_of_the_largest_gradient_entry() -> None:
@@ -157,8 +173,12 @@ def test_tolerance_is_that_of_the_largest_gradient_entry() -> None:
 def test_tolerance_of_change_is_that_of_the_loss_in_one_iteration() -> None:
     """x^4, on which L-BFGS never comes to an end by itself."""
     x = parameter(2.5)
-    coarse = minimise([x], lambda: (x**4).sum(), max_iterations=100, tolerance_grad=0, tolerance_change=1e-6)
-    fine = minimise([x], lambda: (x**4).sum(), max_iterations=100, tolerance_grad=0, tolerance_change=1e-12)
+    coarse = minimise(
+        [x], lambda: (x**4).sum(), max_iterations=100, tolerance_grad=0, tolerance_change=1e-6
+    )
+    fine = minimise(
+        [x], lambda: (x**4).sum(), max_iterations=100, tolerance_grad=0, tolerance_change=1e-12
+    )
     assert coarse.stop_reason == fine.stop_reason == "no further progress"
     assert 1e-10 < coarse.loss < 1e-5
     assert fine.loss < 1e-10

@@ -16,9 +16,17 @@ class Model(gpytorch.models.ExactGP):
     """One output, with the hyper-parameters of a vector (D + 2,)."""
 
     def __init__(self, inputs: Tensor, target: Tensor, log_parameters: Tensor) -> None:
-        super().__init__(inputs, target, gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.GreaterThan(0)))
+        super().__init__(
+            inputs,
+            target,
+            gpytorch.likelihoods.GaussianLikelihood(
+                noise_constraint=gpytorch.constraints.GreaterThan(0)
+            ),
+        )
         self.mean_module = gpytorch.means.ZeroMean()
-        self.covar_module = gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel(ard_num_dims=inputs.shape[-1]))
+        self.covar_module = gpytorch.kernels.ScaleKernel(
+            gpytorch.kernels.RBFKernel(ard_num_dims=inputs.shape[-1])
+        )
         self.double()
         self.covar_module.base_kernel.lengthscale = log_parameters[:-2].exp()
         self.covar_module.outputscale, self.likelihood.noise = log_parameters[-2:].exp()
@@ -35,14 +43,22 @@ def log_parameters(draws: Draws, D: int) -> Tensor:
 def of_gpytorch(inputs: Tensor, target: Tensor, parameters: Tensor) -> tuple[Tensor, Tensor]:
     """Value, and gradient by automatic differentiation with respect to the logarithms."""
     model = Model(inputs, target, parameters)
-    with gpytorch.settings.fast_computations(covar_root_decomposition=False, log_prob=False, solves=False):
-        mean_log_likelihood = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)(model(inputs), target)
+    with gpytorch.settings.fast_computations(
+        covar_root_decomposition=False, log_prob=False, solves=False
+    ):
+        mean_log_likelihood = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)(
+            model(inputs), target
+        )
     loss = -len(target) * mean_log_likelihood
     kernel, noise = model.covar_module, model.likelihood.noise_covar
     raw = [kernel.base_kernel.raw_lengthscale, kernel.raw_outputscale, noise.raw_noise]
-    gradients = torch.autograd.grad(loss, raw)  # of softplus: dv/draw = 1 - exp(-v), d/dlog v = v d/dv
+    gradients = torch.autograd.grad(
+        loss, raw
+    )  # of softplus: dv/draw = 1 - exp(-v), d/dlog v = v d/dv
     values = [kernel.base_kernel.lengthscale, kernel.outputscale, noise.noise]
-    chained = [(g * v / (1 - torch.exp(-v))).flatten() for g, v in zip(gradients, values, strict=True)]
+    chained = [
+        (g * v / (1 - torch.exp(-v))).flatten() for g, v in zip(gradients, values, strict=True)
+    ]
     return loss.detach(), torch.cat(chained).detach()
 
 
@@ -55,18 +71,28 @@ def test_value_and_gradient_are_those_of_gpytorch(draws: Draws, n: int, D: int) 
         (gradient,) = torch.autograd.grad(loss, parameters)
         expected, expected_gradient = of_gpytorch(inputs, target, parameters.detach())
         torch.testing.assert_close(loss.detach(), expected, rtol=1e-9, atol=1e-9)
-        torch.testing.assert_close(gradient, expected_gradient, rtol=1e-8, atol=1e-9 * expected_gradient.abs().max().item())
+        torch.testing.assert_close(
+            gradient, expected_gradient, rtol=1e-8, atol=1e-9 * expected_gradient.abs().max().item()
+        )
 
 
 def test_gradient_is_the_slope_of_the_value(draws: Draws) -> None:
-    inputs, target, parameters = draws.normal(30, 3), draws.normal(30), log_parameters(draws, 3).requires_grad_()
-    assert torch.autograd.gradcheck(lambda p: 3 * negative_log_likelihood(inputs, target, p), parameters, rtol=1e-6)
+    inputs, target, parameters = (
+        draws.normal(30, 3),
+        draws.normal(30),
+        log_parameters(draws, 3).requires_grad_(),
+    )
+    assert torch.autograd.gradcheck(
+        lambda p: 3 * negative_log_likelihood(inputs, target, p), parameters, rtol=1e-6
+    )
 
 
 def test_offset_of_the_inputs_does_not_matter(draws: Draws) -> None:
     inputs, target, parameters = draws.normal(30, 3), draws.normal(30), log_parameters(draws, 3)
     expected = negative_log_likelihood(inputs, target, parameters)
-    torch.testing.assert_close(negative_log_likelihood(inputs + 1e6, target, parameters), expected, rtol=1e-6, atol=0)
+    torch.testing.assert_close(
+        negative_log_likelihood(inputs + 1e6, target, parameters), expected, rtol=1e-6, atol=0
+    )
 
 
 def test_data_are_left_as_they_were(draws: Draws) -> None:
@@ -79,5 +105,8 @@ def test_data_are_left_as_they_were(draws: Draws) -> None:
 def test_gram_matrix_without_cholesky_factor_is_an_error_not_jittered(draws: Draws) -> None:
     """Two data at the same place, without noise."""
     parameters = torch.tensor([0.0, 0.0, 0.0, -1000.0], dtype=torch.float64)
-    with pytest.raises(NotPositiveDefiniteError, match="Gram matrix must be positive definite, got eigenvalues from"):
+    with pytest.raises(
+        NotPositiveDefiniteError,
+        match="Gram matrix must be positive definite, got eigenvalues from",
+    ):
         negative_log_likelihood(draws.normal(1, 2).expand(2, 2), draws.normal(2), parameters)

@@ -23,7 +23,12 @@ def gp_of_own_inputs(draws: Draws, n: int, D: int, E: int) -> KernelExpansion:
     """A GP posterior of which each output has inputs of its own."""
     gp = draws.gp(n, D, E)
     return KernelExpansion.from_data(
-        draws.normal(E, n, D), draws.normal(E, n), gp.lengthscales, gp.signal_variance, gp.noise_variance, gp.offset
+        draws.normal(E, n, D),
+        draws.normal(E, n),
+        gp.lengthscales,
+        gp.signal_variance,
+        gp.noise_variance,
+        gp.offset,
     )
 
 
@@ -41,24 +46,35 @@ def parts(moments: Moments) -> tuple[Tensor, Tensor, Tensor]:
 
 def cotangents(draws: Draws, N: int, C: int, outputs: int = E) -> tuple[Tensor, Tensor, Tensor]:
     """C cotangents of the moments at each of N beliefs; that of the covariance is symmetric."""
-    return draws.normal(N, C, outputs), symmetric(draws.normal(N, C, outputs, outputs)), draws.normal(N, C, D, outputs)
+    return (
+        draws.normal(N, C, outputs),
+        symmetric(draws.normal(N, C, outputs, outputs)),
+        draws.normal(N, C, D, outputs),
+    )
 
 
-def adjoint_by_graph(f: KernelExpansion, belief: Gaussian, noise: bool, d_moments: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
+def adjoint_by_graph(
+    f: KernelExpansion, belief: Gaussian, noise: bool, d_moments: tuple[Tensor, ...]
+) -> tuple[Tensor, Tensor]:
     """The same as :meth:`LinearisedMoments.adjoint`, one copy after the other."""
     mean, cov = (t.clone().requires_grad_() for t in (belief.mean, belief.cov))
     moments = parts(moment_match(f, Gaussian(mean, cov), noise))
     copies = [
-        torch.autograd.grad(moments, (mean, cov), [d[:, c] for d in d_moments], retain_graph=True) for c in range(d_moments[0].shape[1])
+        torch.autograd.grad(moments, (mean, cov), [d[:, c] for d in d_moments], retain_graph=True)
+        for c in range(d_moments[0].shape[1])
     ]
     d_mean, d_cov = (torch.stack(copy, 1) for copy in zip(*copies, strict=True))
     return d_mean, symmetric(d_cov)
 
 
-def assert_adjoint_is_that_of_the_graph(draws: Draws, linearised: LinearisedMoments, belief: Gaussian, noise: bool, C: int = 4) -> None:
+def assert_adjoint_is_that_of_the_graph(
+    draws: Draws, linearised: LinearisedMoments, belief: Gaussian, noise: bool, C: int = 4
+) -> None:
     d_moments = cotangents(draws, len(belief.mean), C, linearised.f.num_outputs)
     d_mean, d_cov = linearised.adjoint(*d_moments)
-    for ours, theirs in zip((d_mean, d_cov), adjoint_by_graph(linearised.f, belief, noise, d_moments), strict=True):
+    for ours, theirs in zip(
+        (d_mean, d_cov), adjoint_by_graph(linearised.f, belief, noise, d_moments), strict=True
+    ):
         torch.testing.assert_close(ours, theirs, rtol=1e-9, atol=1e-9 * theirs.abs().max().item())
     assert torch.equal(d_cov, d_cov.mT)
 
@@ -68,11 +84,15 @@ def assert_adjoint_is_that_of_the_graph(draws: Draws, linearised: LinearisedMome
 
 @kinds
 @pytest.mark.parametrize("N", [1, 4])
-def test_recorded_moments_are_those_of_moment_matching(draws: Draws, make: Make, noise: bool, N: int) -> None:
+def test_recorded_moments_are_those_of_moment_matching(
+    draws: Draws, make: Make, noise: bool, N: int
+) -> None:
     f, belief = make(draws, 9, D, E), draws.belief(N, D)
     recorded = RecordedMoments(f, noise)
     now, later = recorded(belief), recorded.linearised.moments
-    for expected, ours, again in zip(*map(parts, (moment_match(f, belief, noise), now, later)), strict=True):
+    for expected, ours, again in zip(
+        *map(parts, (moment_match(f, belief, noise), now, later)), strict=True
+    ):
         torch.testing.assert_close(ours, expected, rtol=1e-11, atol=1e-11)
         torch.testing.assert_close(again, expected, rtol=1e-11, atol=1e-11)
 
@@ -87,7 +107,9 @@ def test_recorded_moments_have_no_graph(draws: Draws) -> None:
 
 @kinds
 @pytest.mark.parametrize(("N", "C"), [(1, 1), (1, 5), (3, 4)])
-def test_adjoint_is_that_of_the_graph(draws: Draws, make: Make, noise: bool, N: int, C: int) -> None:
+def test_adjoint_is_that_of_the_graph(
+    draws: Draws, make: Make, noise: bool, N: int, C: int
+) -> None:
     f, belief = make(draws, 9, D, E), draws.belief(N, D)
     recorded = RecordedMoments(f, noise)
     recorded(belief)
@@ -96,7 +118,9 @@ def test_adjoint_is_that_of_the_graph(draws: Draws, make: Make, noise: bool, N: 
 
 @kinds
 @pytest.mark.parametrize("outputs", [1, 3])
-def test_adjoint_for_other_numbers_of_outputs(draws: Draws, make: Make, noise: bool, outputs: int) -> None:
+def test_adjoint_for_other_numbers_of_outputs(
+    draws: Draws, make: Make, noise: bool, outputs: int
+) -> None:
     f, belief = make(draws, 6, D, outputs), draws.belief(2, D)
     recorded = RecordedMoments(f, noise)
     recorded(belief)
@@ -118,7 +142,9 @@ def test_data_far_away_leave_zero_derivatives(draws: Draws, make: Make, noise: b
     f, belief = make(draws, 8, D, E), draws.belief(2, D)
     recorded = RecordedMoments(f, noise)
     moments = recorded(Gaussian(belief.mean + 1e3, belief.cov))
-    torch.testing.assert_close(moments.mean, torch.as_tensor(f.offset, dtype=torch.float64).expand(2, E))
+    torch.testing.assert_close(
+        moments.mean, torch.as_tensor(f.offset, dtype=torch.float64).expand(2, E)
+    )
     for derivative in recorded.linearised.adjoint(*cotangents(draws, 2, 3)):
         assert (derivative == 0).all()
 
@@ -127,7 +153,9 @@ def test_data_far_away_leave_zero_derivatives(draws: Draws, make: Make, noise: b
 
 
 @kinds
-@pytest.mark.parametrize("kept", [0, 500, 2**30], ids=["summed up at once", "in between", "at the end"])
+@pytest.mark.parametrize(
+    "kept", [0, 500, 2**30], ids=["summed up at once", "in between", "at the end"]
+)
 def test_calls_are_linearised_together_in_their_order(
     draws: Draws, monkeypatch: pytest.MonkeyPatch, make: Make, noise: bool, kept: int
 ) -> None:
@@ -137,15 +165,21 @@ def test_calls_are_linearised_together_in_their_order(
     called = [recorded(beliefs[t]) for t in range(5)]
     linearised = recorded.linearised
     for t in range(5):
-        for ours, expected in zip(parts(called[t]), parts(moment_match(f, beliefs[t], noise)), strict=True):
+        for ours, expected in zip(
+            parts(called[t]), parts(moment_match(f, beliefs[t], noise)), strict=True
+        ):
             torch.testing.assert_close(ours, expected, rtol=1e-11, atol=1e-11)
-    for ours, expected in zip(parts(linearised.moments), zip(*map(parts, called), strict=True), strict=True):
+    for ours, expected in zip(
+        parts(linearised.moments), zip(*map(parts, called), strict=True), strict=True
+    ):
         torch.testing.assert_close(ours, torch.cat(expected), rtol=1e-11, atol=1e-11)
     assert_adjoint_is_that_of_the_graph(draws, linearised, beliefs.flattened, noise)
 
 
 @kinds
-def test_pieces_of_the_sums_do_not_change_the_jacobian(draws: Draws, monkeypatch: pytest.MonkeyPatch, make: Make, noise: bool) -> None:
+def test_pieces_of_the_sums_do_not_change_the_jacobian(
+    draws: Draws, monkeypatch: pytest.MonkeyPatch, make: Make, noise: bool
+) -> None:
     f, belief = make(draws, 9, D, E), draws.belief(2, D)
 
     def jacobian() -> Tensor:
@@ -171,7 +205,9 @@ def numbers_held(root: object) -> int:
     return sum(memory.values())
 
 
-def test_what_is_kept_of_many_calls_does_not_grow_with_the_data(draws: Draws, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_kept_of_many_calls_does_not_grow_with_the_data(
+    draws: Draws, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", 0)
     belief = draws.belief(1, D)
 
@@ -188,7 +224,9 @@ def test_what_is_kept_of_many_calls_does_not_grow_with_the_data(draws: Draws, mo
 
 
 @kinds
-def test_derivatives_by_the_covariance_are_half_the_second_ones_by_the_mean(draws: Draws, make: Make, noise: bool) -> None:
+def test_derivatives_by_the_covariance_are_half_the_second_ones_by_the_mean(
+    draws: Draws, make: Make, noise: bool
+) -> None:
     """Price's theorem, for the expectations E f, E df/dx and E f f' of the same functions."""
     f, belief, h = make(draws, 8, D, E), draws.belief(2, D), 1e-5
     by_f, by_product, by_slope = (d[:, :1] for d in cotangents(draws, 2, 1))
@@ -197,40 +235,64 @@ def test_derivatives_by_the_covariance_are_half_the_second_ones_by_the_mean(draw
     def derivatives(mean: Tensor) -> tuple[Tensor, Tensor]:
         recorded = RecordedMoments(f, noise)
         moments = recorded(Gaussian(mean, belief.cov))
-        through_product = 2 * (by_product @ (moments.mean - offset)[:, None, :, None]).squeeze(-1)  # E f f' = cov + mean mean'
-        return tuple(d.squeeze(1) for d in recorded.linearised.adjoint(by_f + through_product, by_product, by_slope))
+        through_product = 2 * (by_product @ (moments.mean - offset)[:, None, :, None]).squeeze(
+            -1
+        )  # E f f' = cov + mean mean'
+        return tuple(
+            d.squeeze(1)
+            for d in recorded.linearised.adjoint(by_f + through_product, by_product, by_slope)
+        )
 
     steps = h * torch.eye(D, dtype=torch.float64)
-    second = torch.stack([derivatives(belief.mean + step)[0] - derivatives(belief.mean - step)[0] for step in steps], -1) / (2 * h)
+    second = torch.stack(
+        [derivatives(belief.mean + step)[0] - derivatives(belief.mean - step)[0] for step in steps],
+        -1,
+    ) / (2 * h)
     by_cov = derivatives(belief.mean)[1]
     torch.testing.assert_close(by_cov, second / 2, rtol=0, atol=1e-7 * by_cov.abs().max().item())
 
 
 def test_single_kernel_has_the_derivatives_of_its_formula() -> None:
-    """E f = alpha^2 / sqrt(1 + s) exp(-m^2 / 2(1 + s)) in one dimension, with unit width and the centre at zero."""
+    """E f = alpha^2 / sqrt(1 + s) exp(-m^2 / 2(1 + s)) in one dimension, with unit width and the
+    centre at zero.
+    """
     m, s, alpha2 = 0.7, 0.4, 1.3
     one = torch.ones(1, 1, dtype=torch.float64)
     recorded = RecordedMoments(KernelExpansion(0 * one, one, one, alpha2 * one[0]))
     recorded(Gaussian(torch.full_like(one, m), torch.full_like(one[None], s)))
-    mean = alpha2 / (1 + s) ** 0.5 * torch.exp(torch.tensor(-m * m / 2 / (1 + s), dtype=torch.float64)).item()
+    mean = (
+        alpha2
+        / (1 + s) ** 0.5
+        * torch.exp(torch.tensor(-m * m / 2 / (1 + s), dtype=torch.float64)).item()
+    )
     d_mean, d_cov = recorded.linearised.adjoint(one[None], 0 * one[None, None], 0 * one[None, None])
     assert d_mean.item() == pytest.approx(-m / (1 + s) * mean, rel=1e-12)
     assert d_cov.item() == pytest.approx((m * m / (1 + s) - 1) / (1 + s) / 2 * mean, rel=1e-12)
     d_mean, d_cov = recorded.linearised.adjoint(0 * one[None], 0 * one[None, None], one[None, None])
     assert d_mean.item() == pytest.approx((m * m / (1 + s) - 1) / (1 + s) * mean, rel=1e-12)
-    assert d_cov.item() == pytest.approx((3 * m - m**3 / (1 + s)) / (1 + s) ** 2 / 2 * mean, rel=1e-12)
+    assert d_cov.item() == pytest.approx(
+        (3 * m - m**3 / (1 + s)) / (1 + s) ** 2 / 2 * mean, rel=1e-12
+    )
 
 
 def test_kept_products_are_those_that_the_gradient_is_made_of(draws: Draws) -> None:
-    """With them the moments and their gradient in the network cost no exponential, and are the same."""
+    """With them the moments and their gradient in the network cost no exponential, and are the
+    same.
+    """
     f, beliefs = draws.network(9, 3, 2), draws.belief(6, 3)
     recorded = RecordedMoments(f, keep_products=True)
     for half in (beliefs[:3], beliefs[3:]):
         recorded(half)
     found = []
     for products in (recorded.products, None):
-        leaves = tuple(tensor.clone().requires_grad_() for tensor in (f.inputs, f.weights, f.lengthscales))
-        moments = moment_match(KernelExpansion(*leaves, f.signal_variance), beliefs, products=products)
+        leaves = tuple(
+            tensor.clone().requires_grad_() for tensor in (f.inputs, f.weights, f.lengthscales)
+        )
+        moments = moment_match(
+            KernelExpansion(*leaves, f.signal_variance), beliefs, products=products
+        )
         outputs = moments.mean, moments.cov, moments.inv_cov_cross_cov
-        found.append((*outputs, *torch.autograd.grad(sum(output.sin().sum() for output in outputs), leaves)))
+        found.append(
+            (*outputs, *torch.autograd.grad(sum(output.sin().sum() for output in outputs), leaves))
+        )
     torch.testing.assert_close(*found, rtol=1e-12, atol=1e-12)

@@ -1,4 +1,6 @@
-"""Moments at a Gaussian input, against Eqs. 14-18 written naively, quadrature, sampling, and GPyTorch's posterior."""
+"""Moments at a Gaussian input, against Eqs. 14-18 written naively, quadrature, sampling, and
+GPyTorch's posterior.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +31,22 @@ def parts(moments: Moments) -> tuple[Tensor, Tensor, Tensor]:
 # --- an independent implementation ---
 
 
-def textbook_moments(f: KernelExpansion, belief: Gaussian) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean (Eqs. 14-15), covariance (Eqs. 16-18, each output with its own alpha and Lambda) and cov(x, f), entry by entry."""
-    x, beta, mu, Sigma = f.inputs.numpy(), f.weights.numpy(), belief.mean.numpy(), belief.cov.numpy()
-    alpha2, offset = f.signal_variance.numpy(), np.broadcast_to(np.asarray(f.offset), (f.num_outputs,))
+def textbook_moments(
+    f: KernelExpansion, belief: Gaussian
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean (Eqs. 14-15), covariance (Eqs. 16-18, each output with its own alpha and Lambda) and
+    cov(x, f), entry by entry.
+    """
+    x, beta, mu, Sigma = (
+        f.inputs.numpy(),
+        f.weights.numpy(),
+        belief.mean.numpy(),
+        belief.cov.numpy(),
+    )
+    alpha2, offset = (
+        f.signal_variance.numpy(),
+        np.broadcast_to(np.asarray(f.offset), (f.num_outputs,)),
+    )
     n, D, E = len(x), f.num_inputs, f.num_outputs
     Lambda = [np.diag(lengthscales**2) for lengthscales in f.lengthscales.numpy()]
     identity, inv = np.eye(D), np.linalg.inv
@@ -44,7 +58,11 @@ def textbook_moments(f: KernelExpansion, belief: Gaussian) -> tuple[np.ndarray, 
     for a in range(E):
         for i in range(n):
             nu = x[i] - mu
-            q = alpha2[a] / np.sqrt(np.linalg.det(Sigma @ inv(Lambda[a]) + identity)) * np.exp(-nu @ inv(Sigma + Lambda[a]) @ nu / 2)
+            q = (
+                alpha2[a]
+                / np.sqrt(np.linalg.det(Sigma @ inv(Lambda[a]) + identity))
+                * np.exp(-nu @ inv(Sigma + Lambda[a]) @ nu / 2)
+            )
             mean[a] += beta[a, i] * q
             cross[:, a] += beta[a, i] * q * Sigma @ inv(Sigma + Lambda[a]) @ nu
 
@@ -56,7 +74,12 @@ def textbook_moments(f: KernelExpansion, belief: Gaussian) -> tuple[np.ndarray, 
             for i in range(n):
                 for j in range(n):
                     z = inv(Lambda[a]) @ (x[i] - mu) + inv(Lambda[b]) @ (x[j] - mu)
-                    Q[i, j] = kernel(a, i) * kernel(b, j) / np.sqrt(np.linalg.det(R)) * np.exp(z @ inv(R) @ Sigma @ z / 2)
+                    Q[i, j] = (
+                        kernel(a, i)
+                        * kernel(b, j)
+                        / np.sqrt(np.linalg.det(R))
+                        * np.exp(z @ inv(R) @ Sigma @ z / 2)
+                    )
             cov[a, b] = beta[a] @ Q @ beta[b] - mean[a] * mean[b]
             if a == b and f.gram_inverse is not None:
                 cov[a, b] += alpha2[a] - np.trace(f.gram_inverse[a].numpy() @ Q)
@@ -64,13 +87,17 @@ def textbook_moments(f: KernelExpansion, belief: Gaussian) -> tuple[np.ndarray, 
 
 
 @pytest.mark.parametrize("make", [Draws.gp, Draws.network])
-def test_moments_are_those_of_the_textbook(draws: Draws, make: Callable[..., KernelExpansion]) -> None:
+def test_moments_are_those_of_the_textbook(
+    draws: Draws, make: Callable[..., KernelExpansion]
+) -> None:
     f, belief = make(draws, 12, 3, 2), draws.belief(3)
     moments = moment_match(f, belief)
     mean, cov, cross_cov = textbook_moments(f, belief)
     np.testing.assert_allclose(moments.mean, mean, rtol=0, atol=1e-10 * abs(mean).max())
     np.testing.assert_allclose(moments.cov, cov, rtol=0, atol=1e-10 * abs(cov).max())
-    np.testing.assert_allclose(moments.cross_cov(belief), cross_cov, rtol=0, atol=1e-10 * abs(cross_cov).max())
+    np.testing.assert_allclose(
+        moments.cross_cov(belief), cross_cov, rtol=0, atol=1e-10 * abs(cross_cov).max()
+    )
 
 
 # --- quadrature and sampling ---
@@ -80,11 +107,15 @@ def hermite_grid(belief: Gaussian, order: int = 60) -> tuple[Tensor, Tensor]:
     """Points (order^2, 2) and weights (order^2,) of Gauss-Hermite quadrature over a 2-D belief."""
     nodes, weights = (torch.as_tensor(a) for a in np.polynomial.hermite_e.hermegauss(order))
     white = torch.cartesian_prod(nodes, nodes)
-    return belief.mean + white @ torch.linalg.cholesky(belief.cov).mT, torch.cartesian_prod(weights, weights).prod(-1) / (2 * torch.pi)
+    return belief.mean + white @ torch.linalg.cholesky(belief.cov).mT, torch.cartesian_prod(
+        weights, weights
+    ).prod(-1) / (2 * torch.pi)
 
 
 @pytest.mark.parametrize("make", [Draws.gp, Draws.network])
-def test_moments_are_those_of_quadrature(draws: Draws, make: Callable[..., KernelExpansion]) -> None:
+def test_moments_are_those_of_quadrature(
+    draws: Draws, make: Callable[..., KernelExpansion]
+) -> None:
     f, belief = make(draws, 10, 2, 3), draws.belief(2)
     x, w = hermite_grid(belief)
     mean_at, variance_at = f.predict(x)
@@ -131,7 +162,9 @@ def test_observation_noise_adds_to_the_variances_alone(draws: Draws) -> None:
 
 
 class ExactGP(gpytorch.models.ExactGP):
-    def __init__(self, inputs: Tensor, targets: Tensor, mean: Mean, kernel: Kernel, likelihood: Likelihood) -> None:
+    def __init__(
+        self, inputs: Tensor, targets: Tensor, mean: Mean, kernel: Kernel, likelihood: Likelihood
+    ) -> None:
         super().__init__(inputs, targets, likelihood)
         self.mean_module, self.covar_module = mean, kernel
 
@@ -140,14 +173,24 @@ class ExactGP(gpytorch.models.ExactGP):
 
 
 def make_model(
-    draws: Draws, batch: tuple[int, ...] = (), mean: type[Mean] = ZeroMean, ard: int | None = 2, kernel: Kernel | None = None
+    draws: Draws,
+    batch: tuple[int, ...] = (),
+    mean: type[Mean] = ZeroMean,
+    ard: int | None = 2,
+    kernel: Kernel | None = None,
 ) -> ExactGP:
     """An untrained GP on 15 data with 2 inputs."""
     size = torch.Size(batch)
     inputs = draws.normal(15, 2)
     targets = 0.7 + inputs.sin().sum(-1) + 0.1 * draws.normal(*batch, 15)
     kernel = kernel or ScaleKernel(RBFKernel(ard_num_dims=ard, batch_shape=size), batch_shape=size)
-    return ExactGP(inputs.expand(*batch, 15, 2), targets, mean(batch_shape=size), kernel, GaussianLikelihood(batch_shape=size)).double()
+    return ExactGP(
+        inputs.expand(*batch, 15, 2),
+        targets,
+        mean(batch_shape=size),
+        kernel,
+        GaussianLikelihood(batch_shape=size),
+    ).double()
 
 
 def train(model: ExactGP) -> ExactGP:
@@ -168,12 +211,16 @@ def point(x: Tensor) -> Gaussian:
 @pytest.mark.parametrize("ard", [2, None], ids=["ard", "isotropic"])
 @pytest.mark.parametrize("mean", [ZeroMean, ConstantMean])
 @pytest.mark.parametrize("batch", [(), (1,), (3,)], ids=["single", "one", "three"])
-def test_zero_covariance_recovers_the_posterior_of_a_fitted_gp(draws: Draws, batch: tuple, mean: type[Mean], ard: int | None) -> None:
+def test_zero_covariance_recovers_the_posterior_of_a_fitted_gp(
+    draws: Draws, batch: tuple, mean: type[Mean], ard: int | None
+) -> None:
     model = train(make_model(draws, batch, mean, ard))
     x = draws.normal(2).requires_grad_()
     posterior = model(x.expand(*batch, 1, 2))
     observed = model.likelihood(posterior)
-    gradients = [torch.autograd.grad(value, x, retain_graph=True)[0] for value in posterior.mean.flatten()]
+    gradients = [
+        torch.autograd.grad(value, x, retain_graph=True)[0] for value in posterior.mean.flatten()
+    ]
 
     moments = moment_match(model, point(x.detach()))
     close = {"rtol": 1e-8, "atol": 1e-8}
@@ -181,13 +228,18 @@ def test_zero_covariance_recovers_the_posterior_of_a_fitted_gp(draws: Draws, bat
     torch.testing.assert_close(moments.cov, torch.diag(posterior.variance.flatten()), **close)
     torch.testing.assert_close(moments.inv_cov_cross_cov, torch.stack(gradients, -1), **close)
     torch.testing.assert_close(
-        moment_match(model, point(x.detach()), observation_noise=True).cov, torch.diag(observed.variance.flatten()), **close
+        moment_match(model, point(x.detach()), observation_noise=True).cov,
+        torch.diag(observed.variance.flatten()),
+        **close,
     )
 
 
 def test_zero_covariance_has_finite_gradients(draws: Draws) -> None:
     f = draws.gp(8, 2, 2)
-    mean, cov = draws.normal(2).requires_grad_(), torch.zeros(2, 2, dtype=torch.float64, requires_grad=True)
+    mean, cov = (
+        draws.normal(2).requires_grad_(),
+        torch.zeros(2, 2, dtype=torch.float64, requires_grad=True),
+    )
     sum(part.sum() for part in parts(moment_match(f, Gaussian(mean, cov)))).backward()
     assert mean.grad.isfinite().all() and cov.grad.isfinite().all()
 
@@ -214,7 +266,14 @@ def test_gradient_in_data_and_hyperparameters(draws: Draws, own_inputs: bool) ->
         gp = KernelExpansion.from_data(inputs, targets, lengthscales, signal, noise, offset)
         return parts(moment_match(gp, belief, observation_noise=True))
 
-    variables = (inputs, draws.normal(2, 5), f.lengthscales, f.signal_variance, f.noise_variance, f.offset)
+    variables = (
+        inputs,
+        draws.normal(2, 5),
+        f.lengthscales,
+        f.signal_variance,
+        f.noise_variance,
+        f.offset,
+    )
     assert gradcheck(moments, tuple(variable.clone().requires_grad_() for variable in variables))
 
 
@@ -222,7 +281,9 @@ def test_gradient_in_a_network(draws: Draws) -> None:
     f, belief = draws.network(5, 2, 2), draws.belief(2, 2)
 
     def moments(centres: Tensor, weights: Tensor, widths: Tensor) -> tuple[Tensor, ...]:
-        return parts(moment_match(KernelExpansion(centres, weights, widths, f.signal_variance), belief))
+        return parts(
+            moment_match(KernelExpansion(centres, weights, widths, f.signal_variance), belief)
+        )
 
     variables = f.inputs, f.weights, f.lengthscales
     assert gradcheck(moments, tuple(variable.clone().requires_grad_() for variable in variables))
@@ -241,7 +302,9 @@ def test_batch_is_a_loop(draws: Draws, make: Callable[..., KernelExpansion]) -> 
 
 
 @pytest.mark.parametrize("make", [Draws.gp, Draws.network])
-def test_covariance_is_symmetric_and_positive_semidefinite(draws: Draws, make: Callable[..., KernelExpansion]) -> None:
+def test_covariance_is_symmetric_and_positive_semidefinite(
+    draws: Draws, make: Callable[..., KernelExpansion]
+) -> None:
     f, beliefs = make(draws, 10, 3, 3), draws.belief(20, 3, scale=1.0)
     moments = moment_match(f, beliefs)
     torch.testing.assert_close(moments.cov, moments.cov.mT, rtol=0, atol=0)
@@ -250,14 +313,27 @@ def test_covariance_is_symmetric_and_positive_semidefinite(draws: Draws, make: C
 
 
 @pytest.mark.parametrize("make", [Draws.gp, Draws.network])
-def test_chunks_do_not_change_the_result(draws: Draws, make: Callable[..., KernelExpansion], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chunks_do_not_change_the_result(
+    draws: Draws, make: Callable[..., KernelExpansion], monkeypatch: pytest.MonkeyPatch
+) -> None:
     f, belief = make(draws, 9, 2, 3), draws.belief(2, 2)
 
     def result() -> list[Tensor]:
         mean, weights = belief.mean.clone().requires_grad_(), f.weights.clone().requires_grad_()
-        g = KernelExpansion(f.inputs, weights, f.lengthscales, f.signal_variance, f.gram_inverse, f.noise_variance, f.offset)
+        g = KernelExpansion(
+            f.inputs,
+            weights,
+            f.lengthscales,
+            f.signal_variance,
+            f.gram_inverse,
+            f.noise_variance,
+            f.offset,
+        )
         moments = parts(moment_match(g, Gaussian(mean, belief.cov)))
-        return [*moments, *torch.autograd.grad(sum(part.square().sum() for part in moments), (mean, weights))]
+        return [
+            *moments,
+            *torch.autograd.grad(sum(part.square().sum() for part in moments), (mean, weights)),
+        ]
 
     whole = result()
     monkeypatch.setattr(exponential_sums, "CACHED_NUMBERS", 10)
@@ -269,7 +345,9 @@ def test_gradient_in_the_belief_keeps_no_array_of_pairs_of_data(draws: Draws) ->
     n, D, E = 60, 4, 3
     f, belief, sizes = draws.gp(n, D, E), draws.belief(D), []
     mean = belief.mean.requires_grad_()
-    with saved_tensors_hooks(lambda tensor: (sizes.append(tensor.numel()), tensor)[1], lambda tensor: tensor):
+    with saved_tensors_hooks(
+        lambda tensor: (sizes.append(tensor.numel()), tensor)[1], lambda tensor: tensor
+    ):
         moment_match(f, Gaussian(mean, belief.cov))
     pairs = E * (E + 1) // 2
     assert max(sizes) <= (E + 2 * pairs) * n * (D + 2) < E * n * n
@@ -283,7 +361,9 @@ def test_wrong_number_of_inputs_is_an_error(draws: Draws) -> None:
         moment_match(draws.gp(5, 3, 1), draws.belief(2))
 
 
-@pytest.mark.parametrize("kernel", [ScaleKernel(MaternKernel()), RBFKernel()], ids=["Matern", "unscaled"])
+@pytest.mark.parametrize(
+    "kernel", [ScaleKernel(MaternKernel()), RBFKernel()], ids=["Matern", "unscaled"]
+)
 def test_unsupported_kernel_is_an_error(draws: Draws, kernel: Kernel) -> None:
     with pytest.raises(TypeError, match="covar_module must be"):
         moment_match(make_model(draws, kernel=kernel), draws.belief(2))
@@ -292,7 +372,9 @@ def test_unsupported_kernel_is_an_error(draws: Draws, kernel: Kernel) -> None:
 def test_unsupported_mean_is_an_error(draws: Draws) -> None:
     model = make_model(draws)
     model.mean_module = LinearMean(2)
-    with pytest.raises(TypeError, match="mean_module must be ZeroMean or ConstantMean, got LinearMean"):
+    with pytest.raises(
+        TypeError, match="mean_module must be ZeroMean or ConstantMean, got LinearMean"
+    ):
         moment_match(model, draws.belief(2))
 
 
@@ -304,14 +386,20 @@ def test_unsupported_likelihood_is_an_error(draws: Draws) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cov", "message"), [(-10.0, r"must be positive definite, got eigenvalues from"), (float("nan"), "not finite")], ids=["negative", "nan"]
+    ("cov", "message"),
+    [(-10.0, r"must be positive definite, got eigenvalues from"), (float("nan"), "not finite")],
+    ids=["negative", "nan"],
 )
 def test_covariance_that_is_none_is_an_error(draws: Draws, cov: float, message: str) -> None:
     with pytest.raises(NotPositiveDefiniteError, match=message):
-        moment_match(draws.gp(5, 2, 1), Gaussian(draws.normal(2), cov * torch.eye(2, dtype=torch.float64)))
+        moment_match(
+            draws.gp(5, 2, 1), Gaussian(draws.normal(2), cov * torch.eye(2, dtype=torch.float64))
+        )
 
 
 def test_singular_gram_matrix_is_an_error_that_names_the_output(draws: Draws) -> None:
     one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, -1e-3], dtype=torch.float64)
     with pytest.raises(NotPositiveDefiniteError, match=r"Gram matrix .* batch element \(1,\)"):
-        KernelExpansion.from_data(torch.zeros(3, 1, dtype=torch.float64), draws.normal(2, 3), one[:, None], one, noise)
+        KernelExpansion.from_data(
+            torch.zeros(3, 1, dtype=torch.float64), draws.normal(2, 3), one[:, None], one, noise
+        )

@@ -13,7 +13,14 @@ from torch.autograd import gradcheck
 
 from tests.helpers.draws import Draws
 from torch_pmil.gp.gaussian import Gaussian, symmetric
-from torch_pmil.gp.trigonometry import Augmentation, augment, augment_adjoint, cosines_adjoint, squash, squash_adjoint
+from torch_pmil.gp.trigonometry import (
+    Augmentation,
+    augment,
+    augment_adjoint,
+    cosines_adjoint,
+    squash,
+    squash_adjoint,
+)
 
 ANGLES = torch.tensor([[1.0, 0.0], [1.0, 1.0], [0.5, -2.0]], dtype=torch.float64)
 PLAIN = torch.tensor([[0.0, 1.0], [1.0, -1.0]], dtype=torch.float64)
@@ -38,14 +45,20 @@ def squashed(belief: Gaussian) -> tuple[Gaussian, Tensor]:
     return result, torch.diag_embed(slope)
 
 
-both = pytest.mark.parametrize(("moments", "function"), [(augmented, augmentation), (squashed, squashing)], ids=["augment", "squash"])
+both = pytest.mark.parametrize(
+    ("moments", "function"),
+    [(augmented, augmentation), (squashed, squashing)],
+    ids=["augment", "squash"],
+)
 Function = Callable[[Tensor], Tensor]
 Moments = Callable[[Gaussian], tuple[Gaussian, Tensor]]
 
 
 @both
 @pytest.mark.parametrize("scale", [1e-3, 0.3, 2.0])
-def test_moments_are_those_of_quadrature(draws: Draws, moments: Moments, function: Function, scale: float) -> None:
+def test_moments_are_those_of_quadrature(
+    draws: Draws, moments: Moments, function: Function, scale: float
+) -> None:
     belief = draws.belief(2, scale=scale)
     nodes, weights = (torch.as_tensor(a) for a in np.polynomial.hermite_e.hermegauss(80))
     x = belief.mean + torch.cartesian_prod(nodes, nodes) @ torch.linalg.cholesky(belief.cov).mT
@@ -62,7 +75,9 @@ def test_moments_are_those_of_quadrature(draws: Draws, moments: Moments, functio
 
 
 @both
-def test_zero_covariance_is_the_function_and_its_gradient(draws: Draws, moments: Moments, function: Function) -> None:
+def test_zero_covariance_is_the_function_and_its_gradient(
+    draws: Draws, moments: Moments, function: Function
+) -> None:
     x = draws.normal(2)
     result, slope = moments(Gaussian(x, torch.zeros(2, 2, dtype=torch.float64)))
     torch.testing.assert_close(result.mean, function(x))
@@ -95,7 +110,9 @@ def test_batch_is_a_loop(draws: Draws, moments: Moments, function: Function) -> 
 
 @both
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 100.0])
-def test_covariance_is_symmetric_and_positive_semidefinite(draws: Draws, moments: Moments, function: Function, scale: float) -> None:
+def test_covariance_is_symmetric_and_positive_semidefinite(
+    draws: Draws, moments: Moments, function: Function, scale: float
+) -> None:
     result, _ = moments(draws.belief(20, 2, scale=scale))
     torch.testing.assert_close(result.cov, result.cov.mT)
     assert torch.linalg.eigvalsh(result.cov / result.cov.abs().max()).min() > -1e-12
@@ -103,12 +120,18 @@ def test_covariance_is_symmetric_and_positive_semidefinite(draws: Draws, moments
 
 @pytest.mark.parametrize("variance", [1e-14, 1e-8, 1e-2, 1.0])
 def test_tiny_variances_keep_their_digits(variance: float) -> None:
-    """Var sin = (1 - exp(-v)) (1 + exp(-v) cos 2m) / 2 and cov(x, sin) = v exp(-v/2) cos m, in 50 digits."""
+    """Var sin = (1 - exp(-v)) (1 + exp(-v) cos 2m) / 2 and cov(x, sin) = v exp(-v/2) cos m, in 50
+    digits.
+    """
     m = 0.7
     with mpmath.workdps(50):
         v = mpmath.mpf(variance)
-        var_sin = float((1 - mpmath.exp(-v)) * (1 + mpmath.exp(-v) * mpmath.cos(2 * mpmath.mpf(m))) / 2)
-        cov_sin_cos = float(-(1 - mpmath.exp(-v)) * mpmath.exp(-v) * mpmath.sin(2 * mpmath.mpf(m)) / 2)
+        var_sin = float(
+            (1 - mpmath.exp(-v)) * (1 + mpmath.exp(-v) * mpmath.cos(2 * mpmath.mpf(m))) / 2
+        )
+        cov_sin_cos = float(
+            -(1 - mpmath.exp(-v)) * mpmath.exp(-v) * mpmath.sin(2 * mpmath.mpf(m)) / 2
+        )
         cov_x_sin = float(v * mpmath.exp(-v / 2) * mpmath.cos(m))
     one = torch.ones(1, 1, dtype=torch.float64)
     cov = augment(Gaussian(m * one[0], variance * one), one, one)[0].cov  # of x, sin, cos
@@ -118,7 +141,10 @@ def test_tiny_variances_keep_their_digits(variance: float) -> None:
 
 
 def test_wide_belief_spreads_over_the_circle() -> None:
-    one, variance = torch.ones(1, 1, dtype=torch.float64), torch.full((1, 1), 1e4, dtype=torch.float64, requires_grad=True)
+    one, variance = (
+        torch.ones(1, 1, dtype=torch.float64),
+        torch.full((1, 1), 1e4, dtype=torch.float64, requires_grad=True),
+    )
     result, slope = augment(Gaussian(one[0], variance), one, one)
     torch.testing.assert_close(result.mean[1:], torch.zeros(2, dtype=torch.float64))
     torch.testing.assert_close(result.cov[1:, 1:], 0.5 * torch.eye(2, dtype=torch.float64))
@@ -141,12 +167,23 @@ def test_no_angles_leave_the_belief_as_it_is(draws: Draws) -> None:
 @pytest.mark.parametrize("variance", [1e-12, 1e-8, 1e-4, 1.0])
 @pytest.mark.parametrize("quarters", [0, 1, 2])
 def test_cosine_at_its_summit_keeps_its_digits(variance: float, quarters: int) -> None:
-    """Where its slope is zero its variance is (1 - exp(-v))^2 / 2, which is about v^2 / 2, and that of the sine sinh(v) exp(-v)."""
+    """Where its slope is zero its variance is (1 - exp(-v))^2 / 2, which is about v^2 / 2, and that
+    of the sine sinh(v) exp(-v).
+    """
     one, m = torch.ones(1, 1, dtype=torch.float64), quarters * torch.pi / 2
     with mpmath.workdps(50):
         v = mpmath.mpf(variance)
-        at_summit, across = float((1 - mpmath.exp(-v)) ** 2 / 2), float(mpmath.sinh(v) * mpmath.exp(-v))
-    sine, cosine = augment(Gaussian(m * one[0], variance * one), torch.zeros(0, 1, dtype=torch.float64), one)[0].cov.diagonal().tolist()
+        at_summit, across = (
+            float((1 - mpmath.exp(-v)) ** 2 / 2),
+            float(mpmath.sinh(v) * mpmath.exp(-v)),
+        )
+    sine, cosine = (
+        augment(Gaussian(m * one[0], variance * one), torch.zeros(0, 1, dtype=torch.float64), one)[
+            0
+        ]
+        .cov.diagonal()
+        .tolist()
+    )
     flat, steep = (sine, cosine) if quarters == 1 else (cosine, sine)
     assert flat == pytest.approx(at_summit, rel=1e-12, abs=0)
     assert steep == pytest.approx(across, rel=1e-12, abs=0)
@@ -154,7 +191,9 @@ def test_cosine_at_its_summit_keeps_its_digits(variance: float, quarters: int) -
 
 @pytest.mark.parametrize("variance", [1e-12, 1e-8, 1e-4])
 def test_two_cosines_at_their_summits_keep_their_digits(variance: float) -> None:
-    """cov(cos a, cos b) = exp(-(v_a + v_b) / 2) (cosh v_ab - 1) at a = b = 0, through the squashing at a quarter turn."""
+    """cov(cos a, cos b) = exp(-(v_a + v_b) / 2) (cosh v_ab - 1) at a = b = 0, through the squashing
+    at a quarter turn.
+    """
     V = variance * torch.tensor([[2.0, -0.7], [-0.7, 1.5]], dtype=torch.float64)
     with mpmath.workdps(50):
         v_a, v_b, v_ab = (mpmath.mpf(V[index].item()) for index in ((0, 0), (1, 1), (0, 1)))
@@ -167,8 +206,12 @@ def test_two_cosines_at_their_summits_keep_their_digits(variance: float) -> None
 
 @pytest.mark.parametrize("variance", [1e4, 1e8])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_angles_that_turn_together_stay_correlated_however_wide(draws: Draws, variance: float, sign: float) -> None:
-    """b = sign a up to a constant: cov(cos a, cos b) -> cos(m_a - sign m_b) / 2, means -> 0, variances -> 1/2."""
+def test_angles_that_turn_together_stay_correlated_however_wide(
+    draws: Draws, variance: float, sign: float
+) -> None:
+    """b = sign a up to a constant: cov(cos a, cos b) -> cos(m_a - sign m_b) / 2, means -> 0,
+    variances -> 1/2.
+    """
     m = draws.normal(2).requires_grad_()
     V = (variance * torch.tensor([[1.0, sign], [sign, 1.0]], dtype=torch.float64)).requires_grad_()
     result, slope = squash(Gaussian(m + torch.pi / 2, V), torch.ones(2, dtype=torch.float64))
@@ -189,7 +232,11 @@ def naive_cosines(m: Tensor, V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Mean, covariance and mean slope of the cosines of phases, as the formulas are written."""
     decay = torch.exp(-V.diagonal(dim1=-2, dim2=-1) / 2)
     cos_cos, sin_sin = (f(m)[..., :, None] * f(m)[..., None, :] for f in (torch.cos, torch.sin))
-    cov = decay[..., :, None] * decay[..., None, :] * ((torch.cosh(V) - 1) * cos_cos + torch.sinh(V) * sin_sin)
+    cov = (
+        decay[..., :, None]
+        * decay[..., None, :]
+        * ((torch.cosh(V) - 1) * cos_cos + torch.sinh(V) * sin_sin)
+    )
     return decay * m.cos(), cov, -decay * m.sin()
 
 
@@ -220,7 +267,11 @@ def augment_adjoint_of(mean: Tensor, cov: Tensor, *d_result: Tensor) -> tuple[Te
 
 adjoints = pytest.mark.parametrize(
     ("adjoint", "naive", "dim"),
-    [(augment_adjoint_of, naive_augment, 2), (squash_adjoint_of, naive_squash, 2), (cosines_adjoint, naive_cosines, 3)],
+    [
+        (augment_adjoint_of, naive_augment, 2),
+        (squash_adjoint_of, naive_squash, 2),
+        (cosines_adjoint, naive_cosines, 3),
+    ],
     ids=["augment", "squash", "cosines"],
 )
 
@@ -240,13 +291,17 @@ def test_adjoint_is_that_of_the_graph_for_every_copy(
     assert ours[0].shape == (3, copies, dim) and ours[1].shape == (3, copies, dim, dim)
     torch.testing.assert_close(ours[1], ours[1].mT, rtol=1e-13, atol=1e-13)
     for c in range(copies):
-        by_mean, by_cov = torch.autograd.grad(result, leaves, (d_mean[:, c], d_cov[:, c], d_slope[:, c]), retain_graph=True)
+        by_mean, by_cov = torch.autograd.grad(
+            result, leaves, (d_mean[:, c], d_cov[:, c], d_slope[:, c]), retain_graph=True
+        )
         torch.testing.assert_close(ours[0][:, c], by_mean, rtol=1e-9, atol=1e-9)
         torch.testing.assert_close(ours[1][:, c], symmetric(by_cov), rtol=1e-9, atol=1e-9)
 
 
 @adjoints
-def test_cotangents_stay_as_they_are(draws: Draws, adjoint: Callable, naive: Callable, dim: int) -> None:
+def test_cotangents_stay_as_they_are(
+    draws: Draws, adjoint: Callable, naive: Callable, dim: int
+) -> None:
     belief = draws.belief(2, dim)
     given = [draws.normal(*part.shape) for part in naive(belief.mean, belief.cov)]
     before = [cotangent.clone() for cotangent in given]
@@ -255,14 +310,20 @@ def test_cotangents_stay_as_they_are(draws: Draws, adjoint: Callable, naive: Cal
 
 
 @pytest.mark.parametrize(
-    ("adjoint", "naive", "dim"), [(squash_adjoint_of, naive_squash, 2), (cosines_adjoint, naive_cosines, 3)], ids=["squash", "cosines"]
+    ("adjoint", "naive", "dim"),
+    [(squash_adjoint_of, naive_squash, 2), (cosines_adjoint, naive_cosines, 3)],
+    ids=["squash", "cosines"],
 )
-def test_cotangents_that_all_beliefs_share(draws: Draws, adjoint: Callable, naive: Callable, dim: int) -> None:
+def test_cotangents_that_all_beliefs_share(
+    draws: Draws, adjoint: Callable, naive: Callable, dim: int
+) -> None:
     belief = draws.belief(3, dim)
     given = [draws.normal(*part.shape[1:]) for part in naive(belief.mean, belief.cov)]
     given[1] = symmetric(given[1])
     shared = adjoint(belief.mean, belief.cov, *given)
-    copied = adjoint(belief.mean, belief.cov, *(cotangent.expand(3, *cotangent.shape) for cotangent in given))
+    copied = adjoint(
+        belief.mean, belief.cov, *(cotangent.expand(3, *cotangent.shape) for cotangent in given)
+    )
     for one, other in zip(shared, copied, strict=True):
         torch.testing.assert_close(one, other)
 
@@ -270,7 +331,18 @@ def test_cotangents_that_all_beliefs_share(draws: Draws, adjoint: Callable, naiv
 @pytest.mark.parametrize("copies", [1, 3])
 def test_adjoint_without_angles_is_that_of_a_linear_map(draws: Draws, copies: int) -> None:
     belief, none = draws.belief(2, 2), torch.zeros(0, 2, dtype=torch.float64)
-    d_mean, d_cov, d_slope = draws.normal(2, copies, 2), symmetric(draws.normal(2, copies, 2, 2)), draws.normal(2, copies, 2, 2)
-    by_mean, by_cov = augment_adjoint(Augmentation.of(PLAIN, none), belief.mean[:, None], belief.cov[:, None], d_mean, d_cov, d_slope)
+    d_mean, d_cov, d_slope = (
+        draws.normal(2, copies, 2),
+        symmetric(draws.normal(2, copies, 2, 2)),
+        draws.normal(2, copies, 2, 2),
+    )
+    by_mean, by_cov = augment_adjoint(
+        Augmentation.of(PLAIN, none),
+        belief.mean[:, None],
+        belief.cov[:, None],
+        d_mean,
+        d_cov,
+        d_slope,
+    )
     torch.testing.assert_close(by_mean, d_mean @ PLAIN)
     torch.testing.assert_close(by_cov, PLAIN.mT @ d_cov @ PLAIN)

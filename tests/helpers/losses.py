@@ -1,4 +1,6 @@
-"""The losses that several tests share: a pendulum that shows its tip, a random policy, and a random aim."""
+"""The losses that several tests share: a pendulum that shows its tip, a random policy, and a random
+aim.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +15,23 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
 
 HORIZON, NOISE_STD, WIDTH = 4, 0.1, 0.4
-TIP = MatchSpace(("x", "y"), ("m", "m"), torch.tensor([[1.0, 0.0]]), torch.tensor([[0.0, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.5]]))
+TIP = MatchSpace(
+    ("x", "y"),
+    ("m", "m"),
+    torch.tensor([[1.0, 0.0]]),
+    torch.tensor([[0.0, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.5]]),
+)
 SPACE = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), TIP)
 
 
 def make_parts(draws: Draws) -> tuple[RBFPolicy, GPDynamics]:
-    inputs = torch.cat([SPACE.features(draws.uniform(-1.5, 1.5, 25, 2)), draws.uniform(-2, 2, 25, 1)], -1)
+    inputs = torch.cat(
+        [SPACE.features(draws.uniform(-1.5, 1.5, 25, 2)), draws.uniform(-2, 2, 25, 1)], -1
+    )
     dynamics = GPDynamics(4, 2)
-    dynamics.set_data(inputs, 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1))
+    dynamics.set_data(
+        inputs, 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1)
+    )
     dynamics.gp.covar_module.base_kernel.lengthscale = torch.tensor([[3.0, 1.5, 1.5, 4.0]])
     dynamics.gp.likelihood.noise = torch.full((2, 1), 1e-3)
     policy = RBFPolicy(draws.normal(5, 3), torch.tensor([2.0]), torch.ones(3))
@@ -30,16 +41,25 @@ def make_parts(draws: Draws) -> tuple[RBFPolicy, GPDynamics]:
 
 def make_kl(seed: int, **kwargs) -> TrajectoryKLLoss:
     draws = Draws(seed)
-    return TrajectoryKLLoss(*make_parts(draws), SPACE, draws.belief(HORIZON, 2, scale=0.05), NOISE_STD, **kwargs)
+    return TrajectoryKLLoss(
+        *make_parts(draws), SPACE, draws.belief(HORIZON, 2, scale=0.05), NOISE_STD, **kwargs
+    )
 
 
 def make_cost(seed: int, **kwargs) -> ExpectedSaturatingCost:
     draws = Draws(seed)
     parts = make_parts(draws)
-    aim = {"target": TIP(draws.normal(2)), "width": WIDTH, "horizon": HORIZON, "weight": draws.cov(2, scale=1.0)}
+    aim = {
+        "target": TIP(draws.normal(2)),
+        "width": WIDTH,
+        "horizon": HORIZON,
+        "weight": draws.cov(2, scale=1.0),
+    }
     return ExpectedSaturatingCost(*parts, SPACE, **(aim | kwargs))
 
 
 def start(initial: Gaussian) -> TensorDict:
     """What a loss reads of a start belief."""
-    return TensorDict({"observation": {"mean": initial.mean, "var": initial.cov}}, initial.batch_shape)
+    return TensorDict(
+        {"observation": {"mean": initial.mean, "var": initial.cov}}, initial.batch_shape
+    )

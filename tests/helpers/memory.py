@@ -16,6 +16,10 @@ class LargestResult(TorchDispatchMode):
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         result = func(*args, **(kwargs or {}))
         if not func.is_view:
-            tensors = [t for t in (result if isinstance(result, (tuple, list)) else (result,)) if isinstance(t, Tensor)]
+            tensors = [
+                t
+                for t in (result if isinstance(result, (tuple, list)) else (result,))
+                if isinstance(t, Tensor)
+            ]
             self.numbers = max(self.numbers, *(t.numel() for t in tensors), 0)
         return result

@@ -1,8 +1,10 @@
-"""A learning run of seconds, and ways to stop it; run as a script it is a process that a test can kill.
+"""A learning run of seconds, and ways to stop it; run as a script it is a process that a test can
+kill.
 
     python -m tests.helpers.short_run FOLDER [PHASE COUNT]
 
-prints ``stopped`` in that phase, for the COUNT-th time that it comes there, and then waits to be killed.
+prints ``stopped`` in that phase, for the COUNT-th time that it comes there, and then waits to be
+killed.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ HANGING = torch.tensor([math.pi, 0.0, 0.0, 0.0], dtype=torch.float64)
 REACH = torch.tensor([0.1, 0.0, 0.1, 0.0], dtype=torch.float64)
 GAIN = torch.tensor([[1.0, 0.2, 0.0, 0.0], [0.0, 0.0, 1.0, 0.2]], dtype=torch.float64)
 LIMITS = torch.tensor([3.5, 3.5], dtype=torch.float64)
-PD_MOVEMENTS = PDMovements(HANGING, REACH, GAIN, LIMITS, 3, 2, 7, lambda state: torch.zeros_like(state[..., :2]))
+PD_MOVEMENTS = PDMovements(
+    HANGING, REACH, GAIN, LIMITS, 3, 2, 7, lambda state: torch.zeros_like(state[..., :2])
+)
 PHASES = {  # what is called there
     "collection": (MujocoRobotEnv, "_step"),
     "fit": (dynamics, "find_hyperparameters"),
@@ -46,12 +50,21 @@ PHASES = {  # what is called there
 }
 
 
-def short_experiment(steps: int = STEPS, name: str = "double_pendulum", **changes: object) -> Experiment:
-    """The first steps of the double pendulum (or of PILCO on it), five basis functions and searches of a few evaluations."""
+def short_experiment(
+    steps: int = STEPS, name: str = "double_pendulum", **changes: object
+) -> Experiment:
+    """The first steps of the double pendulum (or of PILCO on it), five basis functions and searches
+    of a few evaluations.
+    """
     experiment = load_experiment(name)
-    beginning = replace(experiment.demonstrations, positions=experiment.demonstrations.positions[:, : steps + 1])
+    beginning = replace(
+        experiment.demonstrations, positions=experiment.demonstrations.positions[:, : steps + 1]
+    )
     return replace(
-        experiment, demonstrations=beginning, num_centres=5, **{"search": SearchSettings(1, 1, 1, first_horizon=steps)} | changes
+        experiment,
+        demonstrations=beginning,
+        num_centres=5,
+        **{"search": SearchSettings(1, 1, 1, first_horizon=steps)} | changes,
     )
 
 
@@ -60,10 +73,14 @@ def quick_fits(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
 
 
-def run(folder: Path, resume: bool = False, name: str = "double_pendulum", **changes: object) -> RunResult:
+def run(
+    folder: Path, resume: bool = False, name: str = "double_pendulum", **changes: object
+) -> RunResult:
     """Learn it, or go on. No step counts as matched, so that searches stall and begin anew."""
     arguments = {"seed": SEED, "trials": TRIALS, "command": COMMAND, **changes}
-    experiment = short_experiment(name=name, search=SearchSettings(1, 1, 1, first_horizon=STEPS, trusted=1e-9))
+    experiment = short_experiment(
+        name=name, search=SearchSettings(1, 1, 1, first_horizon=STEPS, trusted=1e-9)
+    )
     return train(experiment, out=folder, progress_bar=False, resume=resume, **arguments)
 
 

@@ -39,7 +39,11 @@ def fitted(data: tuple[Tensor, Tensor]) -> GPDynamics:
 def hyperparameters(dynamics: GPDynamics) -> tuple[Tensor, Tensor, Tensor]:
     """Lengthscales (E, D), signal variances (E,), noise variances (E,), through the GPyTorch model."""
     kernel = dynamics.gp.covar_module
-    parameters = kernel.base_kernel.lengthscale[:, 0], kernel.outputscale, dynamics.gp.likelihood.noise[:, 0]
+    parameters = (
+        kernel.base_kernel.lengthscale[:, 0],
+        kernel.outputscale,
+        dynamics.gp.likelihood.noise[:, 0],
+    )
     return tuple(parameter.detach() for parameter in parameters)
 
 
@@ -53,7 +57,9 @@ def test_fit_recovers_a_known_function(fitted: GPDynamics, draws: Draws) -> None
 
 def test_fit_recovers_the_noise(fitted: GPDynamics) -> None:
     _, _, noise = hyperparameters(fitted)
-    torch.testing.assert_close(noise.sqrt(), torch.full((2,), 0.05, dtype=torch.float64), rtol=0.5, atol=0)
+    torch.testing.assert_close(
+        noise.sqrt(), torch.full((2,), 0.05, dtype=torch.float64), rtol=0.5, atol=0
+    )
 
 
 def test_objective_is_the_marginal_likelihood(data: tuple[Tensor, Tensor]) -> None:
@@ -62,15 +68,25 @@ def test_objective_is_the_marginal_likelihood(data: tuple[Tensor, Tensor]) -> No
     (inputs, targets), (lengthscales, signal, noise) = data, hyperparameters(dynamics)
     for e in range(2):
         scaled = inputs / lengthscales[e]
-        gram = signal[e] * torch.exp(-torch.cdist(scaled, scaled).square() / 2) + noise[e] * torch.eye(40, dtype=torch.float64)
-        log_likelihood = MultivariateNormal(torch.zeros(40, dtype=torch.float64), gram).log_prob(targets[:, e])
-        torch.testing.assert_close(result.negative_log_likelihood[e], -log_likelihood, rtol=1e-6, atol=1e-6)
+        gram = signal[e] * torch.exp(-torch.cdist(scaled, scaled).square() / 2) + noise[
+            e
+        ] * torch.eye(40, dtype=torch.float64)
+        log_likelihood = MultivariateNormal(torch.zeros(40, dtype=torch.float64), gram).log_prob(
+            targets[:, e]
+        )
+        torch.testing.assert_close(
+            result.negative_log_likelihood[e], -log_likelihood, rtol=1e-6, atol=1e-6
+        )
 
 
 def test_fit_ends_where_the_likelihood_of_gpytorch_is_flat(fitted: GPDynamics) -> None:
     model = fitted.gp.train()
-    likelihood = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)(model(*model.train_inputs), model.train_targets)
-    for gradient in torch.autograd.grad(-len(fitted.train_inputs) * likelihood.sum(), tuple(model.parameters())):
+    likelihood = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)(
+        model(*model.train_inputs), model.train_targets
+    )
+    for gradient in torch.autograd.grad(
+        -len(fitted.train_inputs) * likelihood.sum(), tuple(model.parameters())
+    ):
         assert gradient.abs().max() < 0.1  # nats for a factor e
 
 
@@ -79,7 +95,10 @@ def test_scaling_the_targets_scales_the_variances(data: tuple[Tensor, Tensor]) -
     one, ten = GPDynamics(2, 2), GPDynamics(2, 2)
     one.fit(inputs, targets)
     ten.fit(inputs, 10 * targets)
-    (lengthscales, signal, noise), (lengthscales_10, signal_10, noise_10) = hyperparameters(one), hyperparameters(ten)
+    (lengthscales, signal, noise), (lengthscales_10, signal_10, noise_10) = (
+        hyperparameters(one),
+        hyperparameters(ten),
+    )
     torch.testing.assert_close(signal_10, 100 * signal, rtol=0.02, atol=0)
     torch.testing.assert_close(noise_10, 100 * noise, rtol=0.02, atol=0)
     torch.testing.assert_close(lengthscales_10, lengthscales, rtol=0.02, atol=0)
@@ -91,7 +110,9 @@ def test_scaling_the_inputs_scales_the_lengthscales(data: tuple[Tensor, Tensor])
     one, other = GPDynamics(2, 2), GPDynamics(2, 2)
     one.fit(inputs, targets)
     other.fit(inputs * units, targets)
-    torch.testing.assert_close(hyperparameters(other)[0], hyperparameters(one)[0] * units, rtol=0.02, atol=0)
+    torch.testing.assert_close(
+        hyperparameters(other)[0], hyperparameters(one)[0] * units, rtol=0.02, atol=0
+    )
 
 
 def test_signal_to_noise_ratio_stays_bounded_without_noise(draws: Draws) -> None:
@@ -111,12 +132,19 @@ def test_lengthscales_stay_bounded_where_an_input_has_no_effect(draws: Draws) ->
 
 
 def test_constant_input_does_not_break_the_fit(draws: Draws) -> None:
-    inputs = torch.cat([draws.uniform(-2, 2, 30, 1), torch.full((30, 1), 1000.0, dtype=torch.float64)], -1)
+    inputs = torch.cat(
+        [draws.uniform(-2, 2, 30, 1), torch.full((30, 1), 1000.0, dtype=torch.float64)], -1
+    )
     targets = inputs[:, :1].sin() + 0.05 * draws.normal(30, 1)
     with_constant, without = GPDynamics(2, 1), GPDynamics(1, 1)
     with_constant.fit(inputs, targets)
     without.fit(inputs[:, :1], targets)
-    torch.testing.assert_close(with_constant.expansion.mean(inputs), without.expansion.mean(inputs[:, :1]), rtol=0, atol=1e-2)
+    torch.testing.assert_close(
+        with_constant.expansion.mean(inputs),
+        without.expansion.mean(inputs[:, :1]),
+        rtol=0,
+        atol=1e-2,
+    )
 
 
 def test_second_fit_starts_from_the_last_optimum(data: tuple[Tensor, Tensor]) -> None:
@@ -127,7 +155,9 @@ def test_second_fit_starts_from_the_last_optimum(data: tuple[Tensor, Tensor]) ->
     assert second.evaluations < first.evaluations / 3
 
 
-def test_fit_to_a_little_more_data_is_as_good_as_one_from_the_beginning(data: tuple[Tensor, Tensor]) -> None:
+def test_fit_to_a_little_more_data_is_as_good_as_one_from_the_beginning(
+    data: tuple[Tensor, Tensor],
+) -> None:
     inputs, targets = data
     grown, fresh = GPDynamics(2, 2), GPDynamics(2, 2)
     grown.fit(inputs[:33], targets[:33])
@@ -141,7 +171,9 @@ def starts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Numbers of starts of the searches that follow, one for each output."""
     numbers: list[int] = []
 
-    def counting(inputs: Tensor, target: Tensor, starts: list[Tensor], max_iterations: int) -> Optimum:
+    def counting(
+        inputs: Tensor, target: Tensor, starts: list[Tensor], max_iterations: int
+    ) -> Optimum:
         numbers.append(len(starts))
         return find_hyperparameters(inputs, target, starts, max_iterations)
 
@@ -149,7 +181,9 @@ def starts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return numbers
 
 
-def test_all_starts_are_searched_again_when_the_data_have_grown_by_a_quarter(data: tuple[Tensor, Tensor], starts: list[int]) -> None:
+def test_all_starts_are_searched_again_when_the_data_have_grown_by_a_quarter(
+    data: tuple[Tensor, Tensor], starts: list[int]
+) -> None:
     dynamics = GPDynamics(2, 2)
     for n, expected in ((20, 4), (22, 1), (24, 1), (25, 5), (31, 1), (32, 5), (39, 1)):
         starts.clear()
@@ -157,17 +191,26 @@ def test_all_starts_are_searched_again_when_the_data_have_grown_by_a_quarter(dat
         assert starts == [expected, expected]
 
 
-def test_all_starts_are_searched_for_other_data(data: tuple[Tensor, Tensor], fitted: GPDynamics, starts: list[int]) -> None:
+def test_all_starts_are_searched_for_other_data(
+    data: tuple[Tensor, Tensor], fitted: GPDynamics, starts: list[int]
+) -> None:
     inputs, targets = data
     fitted.fit(*data)
     assert starts == [1, 1]
-    for other in ((inputs.flip(0), targets), (inputs.flip(0), targets.flip(0)), (inputs.flip(0)[:30], targets.flip(0)[:30]), data):
+    for other in (
+        (inputs.flip(0), targets),
+        (inputs.flip(0), targets.flip(0)),
+        (inputs.flip(0)[:30], targets.flip(0)[:30]),
+        data,
+    ):
         starts.clear()
         fitted.fit(*other)
         assert starts == [5, 5]
 
 
-def test_loaded_model_fits_on_as_the_saved_one_would(data: tuple[Tensor, Tensor], starts: list[int]) -> None:
+def test_loaded_model_fits_on_as_the_saved_one_would(
+    data: tuple[Tensor, Tensor], starts: list[int]
+) -> None:
     saved, loaded = GPDynamics(2, 2), GPDynamics(2, 2)
     saved.fit(data[0][:20], data[1][:20])
     saved.fit(data[0][:22], data[1][:22])
@@ -180,7 +223,9 @@ def test_loaded_model_fits_on_as_the_saved_one_would(data: tuple[Tensor, Tensor]
         assert torch.equal(saved.expansion.weights, loaded.expansion.weights)
 
 
-def test_all_starts_are_searched_where_the_last_optimum_fails(data: tuple[Tensor, Tensor], fitted: GPDynamics, starts: list[int]) -> None:
+def test_all_starts_are_searched_where_the_last_optimum_fails(
+    data: tuple[Tensor, Tensor], fitted: GPDynamics, starts: list[int]
+) -> None:
     """A new target is 10^7 times what the model knows of one output."""
     inputs, targets = data
     outlier = torch.tensor([[1e7, 0.0]], dtype=torch.float64)
@@ -192,16 +237,26 @@ def test_all_starts_are_searched_where_the_last_optimum_fails(data: tuple[Tensor
 def test_result_says_for_each_output_why_its_search_ended(data: tuple[Tensor, Tensor]) -> None:
     dynamics = GPDynamics(2, 2)
     assert dynamics.fit(*data, max_iterations=1).stop_reason == ("iteration limit",) * 2
-    assert set(dynamics.fit(data[0][:30], data[1][:30]).stop_reason) <= {"gradient is small", "no further progress"}
+    assert set(dynamics.fit(data[0][:30], data[1][:30]).stop_reason) <= {
+        "gradient is small",
+        "no further progress",
+    }
 
 
 def test_targets_that_never_change_are_learned(data: tuple[Tensor, Tensor]) -> None:
     dynamics = GPDynamics(2, 1)
     dynamics.fit(data[0], torch.full((40, 1), 3.0))
-    torch.testing.assert_close(dynamics.expansion.mean(data[0][0]), torch.full((1,), 3.0, dtype=torch.float64), rtol=1e-2, atol=0)
+    torch.testing.assert_close(
+        dynamics.expansion.mean(data[0][0]),
+        torch.full((1,), 3.0, dtype=torch.float64),
+        rtol=1e-2,
+        atol=0,
+    )
 
 
-def test_new_data_keep_the_hyperparameters_and_change_the_posterior(fitted: GPDynamics, draws: Draws) -> None:
+def test_new_data_keep_the_hyperparameters_and_change_the_posterior(
+    fitted: GPDynamics, draws: Draws
+) -> None:
     x, before = draws.normal(2), hyperparameters(fitted)
     old, _ = fitted.expansion.predict(x)
     inputs = draws.uniform(-2, 2, 10, 2)
@@ -231,14 +286,18 @@ def assert_same_predictions(one: GPDynamics, other: GPDynamics, belief: Gaussian
     assert torch.equal(result.inv_cov_cross_cov, expected.inv_cov_cross_cov)
 
 
-def test_fresh_model_predicts_the_same_from_a_file(fitted: GPDynamics, draws: Draws, tmp_path: Path) -> None:
+def test_fresh_model_predicts_the_same_from_a_file(
+    fitted: GPDynamics, draws: Draws, tmp_path: Path
+) -> None:
     torch.save(fitted.state_dict(), tmp_path / "dynamics.pt")
     fresh = GPDynamics(2, 2)
     fresh.load_state_dict(torch.load(tmp_path / "dynamics.pt", weights_only=True))
     assert_same_predictions(fitted, fresh, draws.belief(2))
 
 
-def test_model_with_other_data_predicts_the_same_after_loading(fitted: GPDynamics, draws: Draws) -> None:
+def test_model_with_other_data_predicts_the_same_after_loading(
+    fitted: GPDynamics, draws: Draws
+) -> None:
     other, inputs = GPDynamics(2, 2), draws.normal(7, 2)
     other.set_data(inputs, true_function(inputs))
     belief = draws.belief(2)
@@ -265,17 +324,26 @@ def test_no_data_is_an_error() -> None:
         _ = GPDynamics(2, 2).expansion
 
 
-@pytest.mark.parametrize(("inputs", "targets"), [((5, 3), (5, 2)), ((5, 2), (5, 1)), ((5, 2), (4, 2)), ((1, 2), (1, 2)), ((0, 2), (0, 2))])
+@pytest.mark.parametrize(
+    ("inputs", "targets"),
+    [((5, 3), (5, 2)), ((5, 2), (5, 1)), ((5, 2), (4, 2)), ((1, 2), (1, 2)), ((0, 2), (0, 2))],
+)
 def test_data_of_a_wrong_shape_are_an_error(inputs: tuple, targets: tuple) -> None:
-    with pytest.raises(ValueError, match=r"expected inputs \(n, 2\) and targets \(n, 2\) with n >= 2, got"):
+    with pytest.raises(
+        ValueError, match=r"expected inputs \(n, 2\) and targets \(n, 2\) with n >= 2, got"
+    ):
         GPDynamics(2, 2).fit(torch.zeros(inputs), torch.zeros(targets))
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_data_that_are_not_finite_are_an_error_that_says_where(data: tuple[Tensor, Tensor], value: float) -> None:
+def test_data_that_are_not_finite_are_an_error_that_says_where(
+    data: tuple[Tensor, Tensor], value: float
+) -> None:
     inputs, targets = data
     targets[3, 1] = value
-    with pytest.raises(ValueError, match=rf"targets must be finite, got {value} in row 3, column 1"):
+    with pytest.raises(
+        ValueError, match=rf"targets must be finite, got {value} in row 3, column 1"
+    ):
         GPDynamics(2, 2).fit(inputs, targets)
 
 
@@ -297,5 +365,7 @@ def test_refused_data_leave_the_model_as_it_was(fitted: GPDynamics, draws: Draws
 
 
 def test_unknown_kind_of_targets_is_an_error() -> None:
-    with pytest.raises(ValueError, match='targets must be "difference" or "successor", got \'velocity\''):
+    with pytest.raises(
+        ValueError, match='targets must be "difference" or "successor", got \'velocity\''
+    ):
         GPDynamics(2, 2, targets="velocity")

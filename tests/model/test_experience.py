@@ -49,7 +49,9 @@ def test_order_is_that_of_arrival(draws: Draws) -> None:
         experience.extend(batch)
         assert len(experience) == count
     for key in KEYS:
-        assert torch.equal(experience.transitions[key], torch.cat([batch[key] for batch in batches]))
+        assert torch.equal(
+            experience.transitions[key], torch.cat([batch[key] for batch in batches])
+        )
 
 
 def test_batch_of_rollouts_is_one_rollout_after_the_other(draws: Draws) -> None:
@@ -65,7 +67,9 @@ def test_later_changes_of_a_batch_do_not_reach_the_experience(transitions: Tenso
 
 
 @pytest.mark.parametrize("targets", ["difference", "successor"])
-def test_training_data_are_features_and_action_and_where_they_led(transitions: TensorDict, targets: str) -> None:
+def test_training_data_are_features_and_action_and_where_they_led(
+    transitions: TensorDict, targets: str
+) -> None:
     inputs, outputs = filled(transitions).training_data(SPACE, targets, NO_LIMITS)
     (q, dq), u = transitions["observation"].unbind(-1), transitions["action"][:, 0]
     successor = transitions["next", "observation"]
@@ -94,7 +98,9 @@ def test_limits_leave_out_transitions_that_start_beyond_them_only(transitions: T
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 @pytest.mark.parametrize("key", KEYS, ids=["state", "action", "successor"])
-def test_entry_that_is_not_finite_is_refused_in_one_line(transitions: TensorDict, key: str, value: float) -> None:
+def test_entry_that_is_not_finite_is_refused_in_one_line(
+    transitions: TensorDict, key: str, value: float
+) -> None:
     experience = filled(transitions)
     broken: Tensor = transitions[key]
     broken[2, 0] = value

@@ -1,4 +1,6 @@
-"""Particles with common random numbers, against the model's posterior, moment matching and linear systems."""
+"""Particles with common random numbers, against the model's posterior, moment matching and linear
+systems.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def make_plain(draws: Draws, targets: Targets) -> tuple[RBFPolicy, GPDynamics]:
     """In a space without angles: a policy that does nothing, and a model of smooth functions."""
     inputs = draws.normal(25, 3)
     dynamics = GPDynamics(3, 2, targets)
-    dynamics.set_data(inputs, torch.stack([inputs[:, 0].sin(), inputs[:, 1] - 0.5 * inputs[:, 0]], -1))
+    dynamics.set_data(
+        inputs, torch.stack([inputs[:, 0].sin(), inputs[:, 1] - 0.5 * inputs[:, 0]], -1)
+    )
     dynamics.gp.likelihood.noise = torch.full((2, 1), 0.05, dtype=torch.float64)
     return RBFPolicy(torch.zeros(1, 2), torch.ones(1), torch.ones(2)), dynamics
 
@@ -52,26 +56,41 @@ def knows_nothing(inputs: int) -> GPDynamics:
 
 @torch.no_grad()
 @kinds_of_targets
-def test_one_step_from_a_certain_state_has_the_moments_of_the_gp(draws: Draws, targets: Targets) -> None:
+def test_one_step_from_a_certain_state_has_the_moments_of_the_gp(
+    draws: Draws, targets: Targets
+) -> None:
     """With observation noise; the entries, each drawn from a GP of its own, are uncorrelated."""
     (policy, dynamics), x = make_plain(draws, targets), draws.normal(2)
     certain = Gaussian(x, torch.zeros(2, 2, dtype=torch.float64))
     mean, variance = dynamics.expansion.predict(torch.cat([x, torch.zeros(1, dtype=torch.float64)]))
-    posterior = Gaussian(mean if targets == "successor" else x + mean, torch.diag(variance + dynamics.expansion.noise_variance))
-    assert_moments_of(sample_trajectories(certain, policy, dynamics, PLAIN, 1, 20_000, draws.generator)[:, 0], posterior)
+    posterior = Gaussian(
+        mean if targets == "successor" else x + mean,
+        torch.diag(variance + dynamics.expansion.noise_variance),
+    )
+    assert_moments_of(
+        sample_trajectories(certain, policy, dynamics, PLAIN, 1, 20_000, draws.generator)[:, 0],
+        posterior,
+    )
 
 
 @torch.no_grad()
 @kinds_of_targets
-def test_one_step_from_an_uncertain_state_has_the_moments_that_are_matched(draws: Draws, targets: Targets) -> None:
+def test_one_step_from_an_uncertain_state_has_the_moments_that_are_matched(
+    draws: Draws, targets: Targets
+) -> None:
     """Exact here, where features and action are Gaussian: all within four standard errors."""
     (policy, dynamics), state = make_plain(draws, targets), draws.belief(2)
     matched = predict_trajectory(state, policy, dynamics, PLAIN, 1)[0]
-    assert_moments_of(sample_trajectories(state, policy, dynamics, PLAIN, 1, 100_000, draws.generator)[:, 0], matched)
+    assert_moments_of(
+        sample_trajectories(state, policy, dynamics, PLAIN, 1, 100_000, draws.generator)[:, 0],
+        matched,
+    )
 
 
 @torch.no_grad()
-def test_prediction_is_the_gaussian_of_the_particles(draws: Draws, parts: tuple[RBFPolicy, GPDynamics]) -> None:
+def test_prediction_is_the_gaussian_of_the_particles(
+    draws: Draws, parts: tuple[RBFPolicy, GPDynamics]
+) -> None:
     state = draws.belief(2, scale=0.02)
     predicted = ParticlePrediction(50, seed=3)(state, *parts, SPACE, 4)
     particles = sample_trajectories(state, *parts, SPACE, 4, 50, torch.Generator().manual_seed(3))
@@ -83,59 +102,94 @@ def test_prediction_is_the_gaussian_of_the_particles(draws: Draws, parts: tuple[
 
 @torch.no_grad()
 def test_error_of_the_mean_falls_with_the_root_of_the_number_of_particles(draws: Draws) -> None:
-    """In a random walk from a certain start, whose covariance is t times that of a step: root mean square over seeds, within a fifth."""
+    """In a random walk from a certain start, whose covariance is t times that of a step: root mean
+    square over seeds, within a fifth.
+    """
     dynamics, policy = knows_nothing(3), RBFPolicy(torch.zeros(1, 2), torch.ones(1), torch.ones(2))
     certain = Gaussian(draws.normal(2), torch.zeros(2, 2, dtype=torch.float64))
     std = (4 * (dynamics.expansion.signal_variance + dynamics.expansion.noise_variance)).sqrt()
     for count in (10, 160):
-        predicted = [ParticlePrediction(count, seed)(certain, policy, dynamics, PLAIN, 4)[-1].mean for seed in range(200)]
+        predicted = [
+            ParticlePrediction(count, seed)(certain, policy, dynamics, PLAIN, 4)[-1].mean
+            for seed in range(200)
+        ]
         errors = (torch.stack(predicted) - certain.mean) / std
         assert errors.square().mean().sqrt().item() == pytest.approx(1 / math.sqrt(count), rel=0.2)
 
 
 def test_linear_system_moves_the_gaussian_of_the_particles_linearly(draws: Draws) -> None:
-    """A model of a linear system: mean and covariance go through the system, and grow by its noise, within four standard errors."""
-    A = torch.tensor([[0.9, 0.2], [-0.3, 0.8]], dtype=torch.float64)  # shrinks every vector, so that errors do not grow
+    """A model of a linear system: mean and covariance go through the system, and grow by its noise,
+    within four standard errors.
+    """
+    A = torch.tensor(
+        [[0.9, 0.2], [-0.3, 0.8]], dtype=torch.float64
+    )  # shrinks every vector, so that errors do not grow
     grid = torch.cartesian_prod(*[torch.linspace(-2, 2, 9, dtype=torch.float64)] * 2)
     inputs = torch.cat([grid, torch.zeros(81, 1)], -1)
     dynamics = GPDynamics(3, 2, "successor")
     dynamics.set_data(inputs, grid @ A.mT)
-    dynamics.gp.covar_module.base_kernel.lengthscale = torch.full((2, 1, 3), 8.0, dtype=torch.float64)
+    dynamics.gp.covar_module.base_kernel.lengthscale = torch.full(
+        (2, 1, 3), 8.0, dtype=torch.float64
+    )
     dynamics.gp.covar_module.outputscale = torch.full((2,), 100.0, dtype=torch.float64)
-    dynamics.gp.likelihood.noise = torch.full((2, 1), 1e-4, dtype=torch.float64)  # the condition number is below 1e8
+    dynamics.gp.likelihood.noise = torch.full(
+        (2, 1), 1e-4, dtype=torch.float64
+    )  # the condition number is below 1e8
     with torch.no_grad():
         mean, variance = dynamics.expansion.predict(inputs)
     bias, noise = (mean - grid @ A.mT).abs().max(), variance + dynamics.expansion.noise_variance
-    policy, state, count = RBFPolicy(torch.zeros(1, 2), torch.ones(1), torch.ones(2)), draws.belief(2, scale=0.02), 3000
+    policy, state, count = (
+        RBFPolicy(torch.zeros(1, 2), torch.ones(1), torch.ones(2)),
+        draws.belief(2, scale=0.02),
+        3000,
+    )
     predicted = ParticlePrediction(count)(state, policy, dynamics, PLAIN, 5).detach()
     first = state.sample(count, torch.Generator().manual_seed(0))
-    belief, spread, std = Gaussian(first.mean(0), torch.cov(first.mT)), first.std(0).max(), noise.max().sqrt()
+    belief, spread, std = (
+        Gaussian(first.mean(0), torch.cov(first.mT)),
+        first.std(0).max(),
+        noise.max().sqrt(),
+    )
     for t in range(1, 6):
         belief = belief.affine(A).add_noise(noise.mean(0))
         four_errors = 4 * math.sqrt(t / count) * std
         assert (predicted.mean[t - 1] - belief.mean).abs().max() <= four_errors + t * bias
-        assert (predicted.cov[t - 1] - belief.cov).abs().max() <= 2 * spread * (four_errors + t * bias) + 2 * std * four_errors
+        assert (predicted.cov[t - 1] - belief.cov).abs().max() <= 2 * spread * (
+            four_errors + t * bias
+        ) + 2 * std * four_errors
 
 
-def test_all_predictions_use_the_same_random_numbers(draws: Draws, parts: tuple[RBFPolicy, GPDynamics]) -> None:
+def test_all_predictions_use_the_same_random_numbers(
+    draws: Draws, parts: tuple[RBFPolicy, GPDynamics]
+) -> None:
     state, predict = draws.belief(2, scale=0.02), ParticlePrediction(20, seed=1)
-    one, again, other = (prediction(state, *parts, SPACE, 5).mean for prediction in (predict, predict, ParticlePrediction(20, seed=2)))
+    one, again, other = (
+        prediction(state, *parts, SPACE, 5).mean
+        for prediction in (predict, predict, ParticlePrediction(20, seed=2))
+    )
     assert torch.equal(one, again)
     assert not torch.isclose(one, other).any()
 
 
-def test_longer_horizon_begins_with_the_shorter_one(draws: Draws, parts: tuple[RBFPolicy, GPDynamics]) -> None:
+def test_longer_horizon_begins_with_the_shorter_one(
+    draws: Draws, parts: tuple[RBFPolicy, GPDynamics]
+) -> None:
     """So that the terms of a growing horizon do not change under it."""
     state, predict = draws.belief(2, scale=0.02), ParticlePrediction(7)
     short, long = (predict(state, *parts, SPACE, horizon) for horizon in (3, 6))
     assert torch.equal(short.mean, long.mean[:3]) and torch.equal(short.cov, long.cov[:3])
 
 
-def test_starts_of_a_batch_are_predicted_each_from_its_own_belief(draws: Draws, parts: tuple[RBFPolicy, GPDynamics]) -> None:
+def test_starts_of_a_batch_are_predicted_each_from_its_own_belief(
+    draws: Draws, parts: tuple[RBFPolicy, GPDynamics]
+) -> None:
     wide = draws.belief(2, 3, 2, scale=0.02)
     narrow = Gaussian(wide.mean, 1e-12 * wide.cov)
     with torch.no_grad():
-        predicted, matched = (predict(narrow, *parts, SPACE, 1) for predict in (ParticlePrediction(20_000), predict_trajectory))
+        predicted, matched = (
+            predict(narrow, *parts, SPACE, 1)
+            for predict in (ParticlePrediction(20_000), predict_trajectory)
+        )
     assert predicted.mean.shape == (2, 3, 1, 2)
     error = (predicted.mean - matched.mean).abs() / (matched.std / 20_000**0.5)
     assert error.max() < 4
@@ -148,8 +202,12 @@ def test_gradient_in_the_policy(draws: Draws, targets: Targets) -> None:
     state, predict = draws.belief(2, scale=0.02), ParticlePrediction(6)
 
     def last_state(centres: Tensor, weights: Tensor, log_widths: Tensor) -> tuple[Tensor, Tensor]:
-        network = KernelExpansion(centres, weights, log_widths.exp(), torch.ones(1, dtype=torch.float64))
-        predicted = predict(state, SimpleNamespace(controller=Controller(network, policy.u_max)), dynamics, SPACE, 3)
+        network = KernelExpansion(
+            centres, weights, log_widths.exp(), torch.ones(1, dtype=torch.float64)
+        )
+        predicted = predict(
+            state, SimpleNamespace(controller=Controller(network, policy.u_max)), dynamics, SPACE, 3
+        )
         return predicted.mean[-1], predicted.cov[-1]
 
     variables = draws.normal(4, 3), draws.normal(1, 4), 0.3 * draws.normal(1, 3)
@@ -157,23 +215,37 @@ def test_gradient_in_the_policy(draws: Draws, targets: Targets) -> None:
 
 
 @pytest.mark.parametrize("make_loss", [make_kl, make_cost])
-def test_losses_are_computed_from_the_particles_and_by_default_from_matched_moments(draws: Draws, make_loss: Callable) -> None:
+def test_losses_are_computed_from_the_particles_and_by_default_from_matched_moments(
+    draws: Draws, make_loss: Callable
+) -> None:
     state, particles = draws.belief(2, scale=0.02), ParticlePrediction(100)
-    for loss, prediction in ((make_loss(0, prediction=particles), particles), (make_loss(0), predict_trajectory)):
+    for loss, prediction in (
+        (make_loss(0, prediction=particles), particles),
+        (make_loss(0), predict_trajectory),
+    ):
         states = prediction(state, loss.actor_network, loss.dynamics, SPACE, HORIZON)
         assert torch.equal(loss.per_step(state), loss._costs(loss._observe(states)))
 
 
 def test_loss_is_nearly_that_of_matched_moments(draws: Draws) -> None:
     state = draws.belief(2, scale=0.002)
-    matched, sampled = (loss.per_step(state).detach() for loss in (make_kl(0), make_kl(0, prediction=ParticlePrediction(20_000))))
+    matched, sampled = (
+        loss.per_step(state).detach()
+        for loss in (make_kl(0), make_kl(0, prediction=ParticlePrediction(20_000)))
+    )
     torch.testing.assert_close(sampled, matched, rtol=0.05, atol=0)
 
 
 def test_search_on_particles_lowers_the_loss_and_repeats_itself(draws: Draws) -> None:
-    state, settings = draws.belief(2, scale=0.02), SearchSettings(3, 3, 3, first_horizon=2, horizon_step=2)
+    state, settings = (
+        draws.belief(2, scale=0.02),
+        SearchSettings(3, 3, 3, first_horizon=2, horizon_step=2),
+    )
     before = make_kl(0, prediction=ParticlePrediction(20)).per_step(state).sum().item()
-    one, other = (search_policy(make_kl(0, prediction=ParticlePrediction(20)), state, settings) for _ in range(2))
+    one, other = (
+        search_policy(make_kl(0, prediction=ParticlePrediction(20)), state, settings)
+        for _ in range(2)
+    )
     assert one.kl < before
     assert torch.equal(one.per_step, other.per_step)
 
@@ -184,7 +256,9 @@ def test_particles_that_are_not_finite_are_named(
     policy, dynamics = parts
     far = replace(dynamics.expansion, offset=torch.full((2,), torch.inf, dtype=torch.float64))
     monkeypatch.setattr(dynamics, "_expansion", far)
-    with pytest.raises(PredictionError, match="prediction of step 1 of 3 failed: q is not finite") as error:
+    with pytest.raises(
+        PredictionError, match="prediction of step 1 of 3 failed: q is not finite"
+    ) as error:
         ParticlePrediction(5)(draws.belief(2), policy, dynamics, SPACE, 3)
     assert error.value.step == 1
 

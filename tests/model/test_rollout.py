@@ -21,7 +21,12 @@ from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.model import rollout
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.particles import sample_trajectories
-from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory, predict_step, predict_trajectory
+from torch_pmil.model.rollout import (
+    PredictionError,
+    predict_mean_trajectory,
+    predict_step,
+    predict_trajectory,
+)
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))
@@ -33,14 +38,18 @@ def pendulum(inputs: Tensor) -> Tensor:
     return 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1)
 
 
-def make_dynamics(draws: Draws, n: int = 30, noise: float = 0.01, targets: Targets = "difference") -> GPDynamics:
+def make_dynamics(
+    draws: Draws, n: int = 30, noise: float = 0.01, targets: Targets = "difference"
+) -> GPDynamics:
     """A GP of a pendulum, with hyper-parameters by hand."""
     states, actions = draws.uniform(-1.5, 1.5, n, 2), draws.uniform(-2, 2, n, 1)
     inputs = torch.cat([SPACE.features(states), actions], -1)
     change = pendulum(inputs) + noise * draws.normal(n, 2)
     dynamics = GPDynamics(4, 2, targets)
     dynamics.set_data(inputs, change if targets == "difference" else states + change)
-    dynamics.gp.covar_module.base_kernel.lengthscale = torch.tensor([[3.0, 1.5, 1.5, 4.0]], dtype=torch.float64)
+    dynamics.gp.covar_module.base_kernel.lengthscale = torch.tensor(
+        [[3.0, 1.5, 1.5, 4.0]], dtype=torch.float64
+    )
     dynamics.gp.covar_module.outputscale = torch.tensor([0.5, 0.8], dtype=torch.float64)
     dynamics.gp.likelihood.noise = torch.full((2, 1), noise**2, dtype=torch.float64)
     return dynamics
@@ -65,17 +74,23 @@ def initial(draws: Draws) -> Gaussian:
 
 
 def assert_moments_of(samples: Tensor, belief: Gaussian, bias: float = 0.0) -> None:
-    """The samples (N, D) have this mean and covariance up to four standard errors, and ``bias`` times the standard deviation."""
+    """The samples (N, D) have this mean and covariance up to four standard errors, and ``bias``
+    times the standard deviation.
+    """
     deviation = samples - belief.mean
     products = deviation[:, :, None] * deviation[:, None, :]
     root_n = len(samples) ** 0.5
     scale = belief.std[:, None] * belief.std
     assert (deviation.mean(0).abs() <= 4 * deviation.std(0) / root_n + bias * belief.std).all()
-    assert ((products.mean(0) - belief.cov).abs() <= 4 * products.std(0) / root_n + bias * scale).all()
+    assert (
+        (products.mean(0) - belief.cov).abs() <= 4 * products.std(0) / root_n + bias * scale
+    ).all()
 
 
 class LinearController(Controller):
-    """Acts linearly on the features, so that the action of a Gaussian is Gaussian and one step's moments are exact."""
+    """Acts linearly on the features, so that the action of a Gaussian is Gaussian and one step's
+    moments are exact.
+    """
 
     gain = torch.tensor([[-0.4, 0.7, 0.3]], dtype=torch.float64)
 
@@ -91,8 +106,12 @@ class LinearController(Controller):
 
 @pytest.mark.parametrize("noise", [False, True], ids=["latent", "noisy"])
 @pytest.mark.parametrize("targets", ["difference", "successor"])
-def test_step_without_angles_has_the_moments_of_samples(draws: Draws, targets: Targets, noise: bool) -> None:
-    """Exact here: features and action are jointly Gaussian, so that nothing but the GP's output is approximated."""
+def test_step_without_angles_has_the_moments_of_samples(
+    draws: Draws, targets: Targets, noise: bool
+) -> None:
+    """Exact here: features and action are jointly Gaussian, so that nothing but the GP's output is
+    approximated.
+    """
     space = StateSpace(("a", "b", "c"), ("",) * 3, (), joint_match(("a", "b", "c"), ("",) * 3))
     inputs = draws.normal(25, 4)
     dynamics, controller, state = GPDynamics(4, 3, targets), LinearController(), draws.belief(3)
@@ -109,11 +128,22 @@ def test_step_without_angles_has_the_moments_of_samples(draws: Draws, targets: T
 
 @torch.no_grad()
 @pytest.mark.parametrize("targets", ["difference", "successor"])
-def test_step_has_the_moments_of_its_sampled_twin(draws: Draws, policy: RBFPolicy, initial: Gaussian, targets: Targets) -> None:
-    """Features and action are taken as Gaussian, which they are nearly for a narrow belief: half a per cent of the spread is allowed."""
-    dynamics, narrow = make_dynamics(draws, targets=targets), Gaussian(initial.mean, initial.cov / 10)
+def test_step_has_the_moments_of_its_sampled_twin(
+    draws: Draws, policy: RBFPolicy, initial: Gaussian, targets: Targets
+) -> None:
+    """Features and action are taken as Gaussian, which they are nearly for a narrow belief: half a
+    per cent of the spread is allowed.
+    """
+    dynamics, narrow = (
+        make_dynamics(draws, targets=targets),
+        Gaussian(initial.mean, initial.cov / 10),
+    )
     samples = sample_trajectories(narrow, policy, dynamics, SPACE, 1, 50_000, draws.generator)
-    assert_moments_of(samples[:, 0], predict_trajectory(narrow, policy, dynamics, SPACE, 1)[0].detach(), bias=0.005)
+    assert_moments_of(
+        samples[:, 0],
+        predict_trajectory(narrow, policy, dynamics, SPACE, 1)[0].detach(),
+        bias=0.005,
+    )
 
 
 @pytest.mark.slow
@@ -128,9 +158,14 @@ def test_trajectory_has_nearly_the_moments_of_its_sampled_twin(
         assert_moments_of(samples[:, t], predicted[t], bias=0.05)
 
 
-def test_prediction_without_uncertainty_is_the_mean_trajectory(draws: Draws, policy: RBFPolicy) -> None:
+def test_prediction_without_uncertainty_is_the_mean_trajectory(
+    draws: Draws, policy: RBFPolicy
+) -> None:
     """Dense data without noise leave next to no variance, up to what the prediction itself adds."""
-    dynamics, x = make_dynamics(draws, n=150, noise=1e-4), torch.tensor([0.3, -0.2], dtype=torch.float64)
+    dynamics, x = (
+        make_dynamics(draws, n=150, noise=1e-4),
+        torch.tensor([0.3, -0.2], dtype=torch.float64),
+    )
     certain = Gaussian(x, torch.zeros(2, 2, dtype=torch.float64))
     predicted = predict_trajectory(certain, policy, dynamics, SPACE, 5, observation_noise=False)
     mean = predict_mean_trajectory(x, policy, dynamics, SPACE, 5)
@@ -138,41 +173,64 @@ def test_prediction_without_uncertainty_is_the_mean_trajectory(draws: Draws, pol
     assert predicted.std.max() < 1e-2
 
 
-def test_first_step_from_a_certain_state_is_the_posterior(policy: RBFPolicy, dynamics: GPDynamics, draws: Draws) -> None:
+def test_first_step_from_a_certain_state_is_the_posterior(
+    policy: RBFPolicy, dynamics: GPDynamics, draws: Draws
+) -> None:
     x = draws.normal(2)
     features = SPACE.features(x)
     mean, variance = dynamics.expansion.predict(torch.cat([features, policy(features)]))
-    predicted = predict_trajectory(Gaussian(x, torch.zeros(2, 2, dtype=torch.float64)), policy, dynamics, SPACE, 1)[0]
+    predicted = predict_trajectory(
+        Gaussian(x, torch.zeros(2, 2, dtype=torch.float64)), policy, dynamics, SPACE, 1
+    )[0]
     torch.testing.assert_close(predicted.mean, x + mean)
-    torch.testing.assert_close(predicted.cov, torch.diag(variance + dynamics.expansion.noise_variance))
+    torch.testing.assert_close(
+        predicted.cov, torch.diag(variance + dynamics.expansion.noise_variance)
+    )
 
 
-def test_step_of_differences_is_the_step_of_successors_plus_the_state(draws: Draws, policy: RBFPolicy, initial: Gaussian) -> None:
+def test_step_of_differences_is_the_step_of_successors_plus_the_state(
+    draws: Draws, policy: RBFPolicy, initial: Gaussian
+) -> None:
     """The same GP, read as change and as next state: means differ by the state's."""
     difference, successor = make_dynamics(draws), GPDynamics(4, 2, "successor")
     successor.load_state_dict(difference.state_dict())
-    change, moved = (predict_step(initial, policy.controller, model, SPACE) for model in (successor, difference))
+    change, moved = (
+        predict_step(initial, policy.controller, model, SPACE) for model in (successor, difference)
+    )
     torch.testing.assert_close(moved.mean, initial.mean + change.mean)
 
 
-def test_model_that_knows_nothing_adds_its_prior_to_the_state(policy: RBFPolicy, initial: Gaussian) -> None:
-    """With targets of zero far away, differences mean: the state stays where it is, and its variance grows by the prior's."""
+def test_model_that_knows_nothing_adds_its_prior_to_the_state(
+    policy: RBFPolicy, initial: Gaussian
+) -> None:
+    """With targets of zero far away, differences mean: the state stays where it is, and its
+    variance grows by the prior's.
+    """
     dynamics = GPDynamics(4, 2)
     dynamics.set_data(torch.full((2, 4), 1e3), torch.zeros(2, 2))
     predicted = predict_step(initial, policy.controller, dynamics, SPACE, observation_noise=False)
     torch.testing.assert_close(predicted.mean, initial.mean)
-    torch.testing.assert_close(predicted.cov, initial.cov + torch.diag(dynamics.expansion.signal_variance))
+    torch.testing.assert_close(
+        predicted.cov, initial.cov + torch.diag(dynamics.expansion.signal_variance)
+    )
 
 
 def test_observation_noise_adds_up_step_by_step(policy: RBFPolicy, initial: Gaussian) -> None:
     dynamics = GPDynamics(4, 2)
     dynamics.set_data(torch.full((2, 4), 1e3), torch.zeros(2, 2))
-    latent, noisy = (predict_trajectory(initial, policy, dynamics, SPACE, 3, observation_noise=noise) for noise in (False, True))
+    latent, noisy = (
+        predict_trajectory(initial, policy, dynamics, SPACE, 3, observation_noise=noise)
+        for noise in (False, True)
+    )
     steps = torch.arange(1.0, 4.0, dtype=torch.float64)[:, None, None]
-    torch.testing.assert_close(noisy.cov - latent.cov, steps * torch.diag(dynamics.expansion.noise_variance))
+    torch.testing.assert_close(
+        noisy.cov - latent.cov, steps * torch.diag(dynamics.expansion.noise_variance)
+    )
 
 
-def test_covariances_are_symmetric_and_positive_definite(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+def test_covariances_are_symmetric_and_positive_definite(
+    policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian
+) -> None:
     cov = predict_trajectory(initial, policy, dynamics, SPACE, 15).cov.detach()
     assert torch.equal(cov, cov.mT)
     assert torch.linalg.eigvalsh(cov).min() > 0
@@ -187,11 +245,17 @@ def test_batch_of_starts_is_a_loop(policy: RBFPolicy, dynamics: GPDynamics, draw
         alone = predict_trajectory(initial[index], policy, dynamics, SPACE, 4)
         torch.testing.assert_close(together[index].mean, alone.mean)
         torch.testing.assert_close(together[index].cov, alone.cov)
-        torch.testing.assert_close(means[index], predict_mean_trajectory(initial.mean[index], policy, dynamics, SPACE, 4))
+        torch.testing.assert_close(
+            means[index], predict_mean_trajectory(initial.mean[index], policy, dynamics, SPACE, 4)
+        )
 
 
-def test_longer_horizon_begins_with_the_shorter_one(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
-    short, long = (predict_trajectory(initial, policy, dynamics, SPACE, horizon) for horizon in (3, 6))
+def test_longer_horizon_begins_with_the_shorter_one(
+    policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian
+) -> None:
+    short, long = (
+        predict_trajectory(initial, policy, dynamics, SPACE, horizon) for horizon in (3, 6)
+    )
     assert torch.equal(short.mean, long.mean[:3])
     assert torch.equal(short.cov, long.cov[:3])
 
@@ -201,7 +265,9 @@ def test_gradient_in_the_policy(draws: Draws, initial: Gaussian, targets: Target
     dynamics = make_dynamics(draws, n=8, targets=targets)
 
     def last_state(centres: Tensor, weights: Tensor, log_widths: Tensor) -> tuple[Tensor, Tensor]:
-        network = KernelExpansion(centres, weights, log_widths.exp(), torch.ones(1, dtype=torch.float64))
+        network = KernelExpansion(
+            centres, weights, log_widths.exp(), torch.ones(1, dtype=torch.float64)
+        )
         state = initial
         for _ in range(3):
             state = predict_step(state, Controller(network, U_MAX), dynamics, SPACE)
@@ -211,23 +277,41 @@ def test_gradient_in_the_policy(draws: Draws, initial: Gaussian, targets: Target
     assert gradcheck(last_state, tuple(variable.requires_grad_() for variable in variables))
 
 
-def test_gradient_of_the_mean_trajectory(policy: RBFPolicy, dynamics: GPDynamics, draws: Draws) -> None:
-    assert gradcheck(lambda x: predict_mean_trajectory(x, policy, dynamics, SPACE, 3), draws.normal(2, 2).requires_grad_())
+def test_gradient_of_the_mean_trajectory(
+    policy: RBFPolicy, dynamics: GPDynamics, draws: Draws
+) -> None:
+    assert gradcheck(
+        lambda x: predict_mean_trajectory(x, policy, dynamics, SPACE, 3),
+        draws.normal(2, 2).requires_grad_(),
+    )
 
 
-def test_prediction_is_differentiable_in_all_parameters(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+def test_prediction_is_differentiable_in_all_parameters(
+    policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian
+) -> None:
     predicted = predict_trajectory(initial, policy, dynamics, SPACE, 3)
-    for gradient in torch.autograd.grad(predicted.mean.sum() + predicted.cov.sum(), list(policy.parameters())):
+    for gradient in torch.autograd.grad(
+        predicted.mean.sum() + predicted.cov.sum(), list(policy.parameters())
+    ):
         assert gradient.isfinite().all() and (gradient != 0).all()
 
 
-def test_samples_of_the_same_seed_are_the_same(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
-    one, other = (sample_trajectories(initial, policy, dynamics, SPACE, 3, 5, torch.Generator().manual_seed(1)) for _ in range(2))
+def test_samples_of_the_same_seed_are_the_same(
+    policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian
+) -> None:
+    one, other = (
+        sample_trajectories(
+            initial, policy, dynamics, SPACE, 3, 5, torch.Generator().manual_seed(1)
+        )
+        for _ in range(2)
+    )
     assert one.shape == (5, 3, 2)
     assert torch.equal(one, other)
 
 
-def test_failed_step_is_named(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_step_is_named(
+    policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The matrix of the second step has no Cholesky factor."""
     steps = iter([initial.flattened])
 
@@ -237,7 +321,10 @@ def test_failed_step_is_named(policy: RBFPolicy, dynamics: GPDynamics, initial: 
         raise NotPositiveDefiniteError("I + Sigma P must be positive definite")
 
     monkeypatch.setattr(rollout, "_propagate", failing_step)
-    with pytest.raises(PredictionError, match=r"prediction of step 2 of 4 failed: I \+ Sigma P must be positive definite") as error:
+    with pytest.raises(
+        PredictionError,
+        match=r"prediction of step 2 of 4 failed: I \+ Sigma P must be positive definite",
+    ) as error:
         predict_trajectory(initial, policy, dynamics, SPACE, 4)
     assert error.value.step == 2
 
@@ -249,30 +336,56 @@ def test_state_that_is_not_finite_is_named(
     broken.cov[1, 1] = float("inf")
     states = iter(state.flattened for state in (initial, initial, broken, broken))
     monkeypatch.setattr(rollout, "_propagate", lambda *_: next(states))
-    with pytest.raises(PredictionError, match="prediction of step 3 of 4 failed: dq is not finite") as error:
+    with pytest.raises(
+        PredictionError, match="prediction of step 3 of 4 failed: dq is not finite"
+    ) as error:
         predict_trajectory(initial, policy, dynamics, SPACE, 4)
     assert error.value.step == 3
 
 
-def test_start_with_a_negative_variance_is_an_error(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
-    with pytest.raises(PredictionError, match=r"prediction of step 1 of 2 failed: .* must be positive definite"):
-        predict_trajectory(Gaussian(initial.mean, -100 * torch.eye(2, dtype=torch.float64)), policy, dynamics, SPACE, 2)
+def test_start_with_a_negative_variance_is_an_error(
+    policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian
+) -> None:
+    with pytest.raises(
+        PredictionError, match=r"prediction of step 1 of 2 failed: .* must be positive definite"
+    ):
+        predict_trajectory(
+            Gaussian(initial.mean, -100 * torch.eye(2, dtype=torch.float64)),
+            policy,
+            dynamics,
+            SPACE,
+            2,
+        )
 
 
 # --- the trajectory against its steps ---
 
 kinds_of_targets = pytest.mark.parametrize("targets", ["difference", "successor"])
-batches = pytest.mark.parametrize("batch", [(), (3,), (2, 3)], ids=["one start", "batch", "two batch dimensions"])
+batches = pytest.mark.parametrize(
+    "batch", [(), (3,), (2, 3)], ids=["one start", "batch", "two batch dimensions"]
+)
 
 
-def loop_of_steps(initial: Gaussian, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int, noise: bool) -> Gaussian:
+def loop_of_steps(
+    initial: Gaussian,
+    policy: RBFPolicy,
+    dynamics: GPDynamics,
+    space: StateSpace,
+    horizon: int,
+    noise: bool,
+) -> Gaussian:
     states = [initial]
     for _ in range(horizon):
         states.append(predict_step(states[-1], policy.controller, dynamics, space, noise))
-    return Gaussian(torch.stack([state.mean for state in states[1:]], -2), torch.stack([state.cov for state in states[1:]], -3))
+    return Gaussian(
+        torch.stack([state.mean for state in states[1:]], -2),
+        torch.stack([state.cov for state in states[1:]], -3),
+    )
 
 
-def loop_of_means(initial: Tensor, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int) -> Tensor:
+def loop_of_means(
+    initial: Tensor, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace, horizon: int
+) -> Tensor:
     states = [initial]
     for _ in range(horizon):
         features = space.features(states[-1])
@@ -290,17 +403,31 @@ def assert_all_close(ours: Sequence[Tensor], expected: Sequence[Tensor]) -> None
 @batches
 @pytest.mark.parametrize(("horizon", "noise"), [(1, True), (6, True), (6, False)])
 def test_trajectory_and_gradient_are_those_of_a_loop_of_steps(
-    draws: Draws, policy: RBFPolicy, targets: Targets, batch: tuple[int, ...], horizon: int, noise: bool
+    draws: Draws,
+    policy: RBFPolicy,
+    targets: Targets,
+    batch: tuple[int, ...],
+    horizon: int,
+    noise: bool,
 ) -> None:
-    dynamics, start = make_dynamics(draws, n=15, targets=targets), draws.belief(*batch, 2, scale=0.05)
+    dynamics, start = (
+        make_dynamics(draws, n=15, targets=targets),
+        draws.belief(*batch, 2, scale=0.05),
+    )
     mean, cov = (t.requires_grad_() for t in (start.mean, start.cov))
     loop = loop_of_steps(Gaussian(mean, cov), policy, dynamics, SPACE, horizon, noise)
     predicted = predict_trajectory(Gaussian(mean, cov), policy, dynamics, SPACE, horizon, noise)
     assert predicted.mean.shape == (*batch, horizon, 2)
     assert_all_close((predicted.mean, predicted.cov), (loop.mean, loop.cov))
 
-    leaves, cotangent = [mean, cov, *policy.parameters()], (draws.normal(*loop.mean.shape), draws.normal(*loop.cov.shape))
-    gradients = [list(torch.autograd.grad((states.mean, states.cov), leaves, cotangent)) for states in (predicted, loop)]
+    leaves, cotangent = (
+        [mean, cov, *policy.parameters()],
+        (draws.normal(*loop.mean.shape), draws.normal(*loop.cov.shape)),
+    )
+    gradients = [
+        list(torch.autograd.grad((states.mean, states.cov), leaves, cotangent))
+        for states in (predicted, loop)
+    ]
     torch.testing.assert_close(gradients[0][1], gradients[0][1].mT)
     gradients[1][1] = symmetric(gradients[1][1])
     assert_all_close(*gradients)
@@ -312,17 +439,27 @@ def test_trajectory_and_gradient_are_those_of_a_loop_of_steps(
 def test_mean_trajectory_and_gradient_are_those_of_a_loop(
     draws: Draws, policy: RBFPolicy, targets: Targets, batch: tuple[int, ...], horizon: int
 ) -> None:
-    dynamics, start = make_dynamics(draws, n=15, targets=targets), draws.normal(*batch, 2).requires_grad_()
-    loop, predicted = (function(start, policy, dynamics, SPACE, horizon) for function in (loop_of_means, predict_mean_trajectory))
+    dynamics, start = (
+        make_dynamics(draws, n=15, targets=targets),
+        draws.normal(*batch, 2).requires_grad_(),
+    )
+    loop, predicted = (
+        function(start, policy, dynamics, SPACE, horizon)
+        for function in (loop_of_means, predict_mean_trajectory)
+    )
     assert predicted.shape == (*batch, horizon, 2)
     assert_all_close([predicted], [loop])
     leaves, cotangent = [start, *policy.parameters()], draws.normal(*loop.shape)
-    assert_all_close(*(torch.autograd.grad(states, leaves, cotangent) for states in (predicted, loop)))
+    assert_all_close(
+        *(torch.autograd.grad(states, leaves, cotangent) for states in (predicted, loop))
+    )
 
 
 @kinds_of_targets
 @pytest.mark.parametrize("angles", [(), (2, 0)], ids=["no angle", "two angles"])
-def test_trajectories_in_other_spaces_are_those_of_a_loop(draws: Draws, targets: Targets, angles: tuple[int, ...]) -> None:
+def test_trajectories_in_other_spaces_are_those_of_a_loop(
+    draws: Draws, targets: Targets, angles: tuple[int, ...]
+) -> None:
     """With three entries of the state, two actions, and inputs of different scales."""
     names, u_max = ("a", "b", "c"), torch.tensor([2.0, 0.7], dtype=torch.float64)
     space = StateSpace(names, ("",) * 3, angles, joint_match(names, ("",) * 3))
@@ -349,28 +486,44 @@ def test_trajectories_in_other_spaces_are_those_of_a_loop(draws: Draws, targets:
         gradient[0] = symmetric(gradient[0])
     assert_all_close(*gradients)
 
-    means = [function(mean, policy, dynamics, space, 4) for function in (predict_mean_trajectory, loop_of_means)]
+    means = [
+        function(mean, policy, dynamics, space, 4)
+        for function in (predict_mean_trajectory, loop_of_means)
+    ]
     assert_all_close(means[:1], means[1:])
     assert_all_close(*(torch.autograd.grad(states, leaves, cotangent[0]) for states in means))
 
 
 @pytest.mark.parametrize("kept", [0, 300, 2**30])
 def test_gradient_is_the_same_however_many_steps_are_summed_up_together(
-    draws: Draws, policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian, monkeypatch: pytest.MonkeyPatch, kept: int
+    draws: Draws,
+    policy: RBFPolicy,
+    dynamics: GPDynamics,
+    initial: Gaussian,
+    monkeypatch: pytest.MonkeyPatch,
+    kept: int,
 ) -> None:
     parameters, cotangent = list(policy.parameters()), draws.normal(7, 2, 2)
     gradients = []
     for numbers in (linearised_moments.KEPT_NUMBERS, kept):
         monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", numbers)
-        gradients.append(torch.autograd.grad(predict_trajectory(initial, policy, dynamics, SPACE, 7).cov, parameters, cotangent))
+        gradients.append(
+            torch.autograd.grad(
+                predict_trajectory(initial, policy, dynamics, SPACE, 7).cov, parameters, cotangent
+            )
+        )
     assert_all_close(*gradients)
 
 
-def test_gradient_in_part_of_the_policy(policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian) -> None:
+def test_gradient_in_part_of_the_policy(
+    policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian
+) -> None:
     """With constant centres and widths, the gradient in the weights is what it is with all of them."""
 
     def by_weights() -> Sequence[Tensor]:
-        return torch.autograd.grad(predict_trajectory(initial, policy, dynamics, SPACE, 4).cov.sum(), [policy.weights])
+        return torch.autograd.grad(
+            predict_trajectory(initial, policy, dynamics, SPACE, 4).cov.sum(), [policy.weights]
+        )
 
     whole = by_weights()
     for parameter in (policy.centres, policy.log_widths):
@@ -382,14 +535,26 @@ def test_gradient_in_part_of_the_policy(policy: RBFPolicy, dynamics: GPDynamics,
 def test_no_array_of_pairs_of_data_is_saved_for_the_gradient(
     draws: Draws, initial: Gaussian, monkeypatch: pytest.MonkeyPatch, targets: Targets
 ) -> None:
-    """Nor is one made, but by pieces as small as the cache; the policy has as many centres as the model has data."""
+    """Nor is one made, but by pieces as small as the cache; the policy has as many centres as the
+    model has data.
+    """
     n, horizon, saved = 200, 3, []
-    dynamics, policy = make_dynamics(draws, n=n, noise=0.1, targets=targets), RBFPolicy(draws.normal(n, 3), U_MAX, torch.ones(3))
-    predict_trajectory(initial, policy, dynamics, SPACE, 1)  # what the expansion itself keeps is there from now on
+    dynamics, policy = (
+        make_dynamics(draws, n=n, noise=0.1, targets=targets),
+        RBFPolicy(draws.normal(n, 3), U_MAX, torch.ones(3)),
+    )
+    predict_trajectory(
+        initial, policy, dynamics, SPACE, 1
+    )  # what the expansion itself keeps is there from now on
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
     monkeypatch.setattr(exponential_sums, "CACHED_NUMBERS", 8 * n)
     monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", 0)
-    with LargestResult() as largest, saved_tensors_hooks(lambda tensor: (saved.append(tensor.numel()), tensor)[1], lambda tensor: tensor):
+    with (
+        LargestResult() as largest,
+        saved_tensors_hooks(
+            lambda tensor: (saved.append(tensor.numel()), tensor)[1], lambda tensor: tensor
+        ),
+    ):
         predicted = predict_trajectory(initial, policy, dynamics, SPACE, horizon)
         predicted.cov.sum().backward()
     assert 0 < max(saved) < n * n / 4

@@ -21,7 +21,9 @@ from torch_pmil.model.step_derivatives import LinearisedStep
 NAMES, UNITS = ("a", "b", "c"), ("",) * 3
 
 both_targets = pytest.mark.parametrize("targets", ["difference", "successor"])
-spaces = pytest.mark.parametrize("angles", [(), (1,), (0, 2)], ids=["no angle", "one angle", "two angles"])
+spaces = pytest.mark.parametrize(
+    "angles", [(), (1,), (0, 2)], ids=["no angle", "one angle", "two angles"]
+)
 
 
 @dataclass(frozen=True)
@@ -38,18 +40,34 @@ class Robot:
         features = len(space.feature_names)
         dynamics = GPDynamics(features + actions, space.dim, targets)
         dynamics.set_data(draws.normal(12, features + actions), draws.normal(12, space.dim))
-        dynamics.gp.covar_module.base_kernel.lengthscale = draws.uniform(0.8, 2.0, space.dim, 1, features + actions)
+        dynamics.gp.covar_module.base_kernel.lengthscale = draws.uniform(
+            0.8, 2.0, space.dim, 1, features + actions
+        )
         dynamics.gp.covar_module.outputscale = draws.uniform(0.5, 2.0, space.dim)
         dynamics.gp.likelihood.noise = draws.uniform(0.01, 0.1, space.dim, 1)
-        return cls(space, Controller(draws.network(6, features, actions), draws.uniform(0.5, 2.0, actions)), dynamics)
+        return cls(
+            space,
+            Controller(draws.network(6, features, actions), draws.uniform(0.5, 2.0, actions)),
+            dynamics,
+        )
 
     def linearise(self, state: Gaussian, noise: bool) -> LinearisedStep:
-        network, model = RecordedMoments(self.controller.network), RecordedMoments(self.dynamics.expansion, noise)
+        network, model = (
+            RecordedMoments(self.controller.network),
+            RecordedMoments(self.dynamics.expansion, noise),
+        )
         features, _ = self.space.belief(state)
         action, slope = self.controller.squashed(network(features))
         model(joint(features, action, features.cov @ slope))
         differences = self.dynamics.targets == "difference"
-        return LinearisedStep(state, network.linearised, self.controller.u_max, model.linearised, differences, self.space)
+        return LinearisedStep(
+            state,
+            network.linearised,
+            self.controller.u_max,
+            model.linearised,
+            differences,
+            self.space,
+        )
 
 
 @dataclass(frozen=True)
@@ -67,10 +85,15 @@ def cotangents(draws: Draws, N: int, C: int) -> tuple[Tensor, Tensor]:
     return draws.normal(N, C, 3), symmetric(draws.normal(N, C, 3, 3))
 
 
-def adjoint_by_graph(following: Gaussian, leaves: list[Tensor], d_mean: Tensor, d_cov: Tensor) -> list[Tensor]:
+def adjoint_by_graph(
+    following: Gaussian, leaves: list[Tensor], d_mean: Tensor, d_cov: Tensor
+) -> list[Tensor]:
     """Cotangents of the leaves, one copy after the other."""
     outputs = following.mean, following.cov
-    copies = [torch.autograd.grad(outputs, leaves, (d_mean[:, c], d_cov[:, c]), retain_graph=True) for c in range(d_mean.shape[1])]
+    copies = [
+        torch.autograd.grad(outputs, leaves, (d_mean[:, c], d_cov[:, c]), retain_graph=True)
+        for c in range(d_mean.shape[1])
+    ]
     return [torch.stack(copy, 1) for copy in zip(*copies, strict=True)]
 
 
@@ -81,14 +104,28 @@ def assert_all_close(ours: Tensor, graph: Tensor) -> None:
 @both_targets
 @spaces
 @pytest.mark.parametrize("actions", [1, 2])
-@pytest.mark.parametrize(("N", "C", "scale"), [(1, 1, 0.3), (3, 4, 0.3), (2, 3, 0.0)], ids=["one", "several", "certain"])
+@pytest.mark.parametrize(
+    ("N", "C", "scale"), [(1, 1, 0.3), (3, 4, 0.3), (2, 3, 0.0)], ids=["one", "several", "certain"]
+)
 def test_adjoint_of_the_state_is_that_of_the_graph(
-    draws: Draws, angles: tuple[int, ...], targets: Targets, actions: int, N: int, C: int, scale: float
+    draws: Draws,
+    angles: tuple[int, ...],
+    targets: Targets,
+    actions: int,
+    N: int,
+    C: int,
+    scale: float,
 ) -> None:
-    robot, state, noise = Robot.draw(draws, angles, targets, actions), draws.belief(N, 3, scale=scale), C == 4
+    robot, state, noise = (
+        Robot.draw(draws, angles, targets, actions),
+        draws.belief(N, 3, scale=scale),
+        C == 4,
+    )
     d_mean, d_cov = cotangents(draws, N, C)
     leaves = [t.clone().requires_grad_() for t in (state.mean, state.cov)]
-    following = predict_step(Gaussian(*leaves), robot.controller, robot.dynamics, robot.space, noise)
+    following = predict_step(
+        Gaussian(*leaves), robot.controller, robot.dynamics, robot.space, noise
+    )
     graph_mean, graph_cov = adjoint_by_graph(following, leaves, d_mean, d_cov)
 
     d_state_mean, d_state_cov = robot.linearise(state, noise).state_adjoint(d_mean, d_cov)
@@ -112,7 +149,9 @@ def test_adjoint_of_the_network_is_that_of_the_graph(
     following = predict_step(state, controller, robot.dynamics, robot.space)
     graph_mean, graph_cov, graph_slope = adjoint_by_graph(following, leaves, d_mean, d_cov)
 
-    d_raw_mean, d_raw_cov, d_raw_slope = robot.linearise(state, noise=True).network_adjoint(d_mean, d_cov)
+    d_raw_mean, d_raw_cov, d_raw_slope = robot.linearise(state, noise=True).network_adjoint(
+        d_mean, d_cov
+    )
     assert_all_close(d_raw_mean, graph_mean)
     assert_all_close(symmetric(d_raw_cov), symmetric(graph_cov))
     assert_all_close(d_raw_slope, graph_slope)
@@ -121,9 +160,15 @@ def test_adjoint_of_the_network_is_that_of_the_graph(
 @both_targets
 def test_adjoint_is_linear_in_the_cotangents(draws: Draws, targets: Targets) -> None:
     robot, state = Robot.draw(draws, (1,), targets, 1), draws.belief(2, 3)
-    step, one, other = robot.linearise(state, True), cotangents(draws, 2, 3), cotangents(draws, 2, 3)
+    step, one, other = (
+        robot.linearise(state, True),
+        cotangents(draws, 2, 3),
+        cotangents(draws, 2, 3),
+    )
     together = step.state_adjoint(*(2 * a + b for a, b in zip(one, other, strict=True)))
-    for whole, a, b in zip(together, step.state_adjoint(*one), step.state_adjoint(*other), strict=True):
+    for whole, a, b in zip(
+        together, step.state_adjoint(*one), step.state_adjoint(*other), strict=True
+    ):
         torch.testing.assert_close(whole, 2 * a + b, rtol=1e-11, atol=1e-11)
 
 

@@ -8,7 +8,10 @@ import pytest
 from torch_pmil.plotting import plot_frequencies
 
 FREQUENCIES = [2.0, 10.0, 50.0]
-SCORES = {"raw": ([1.0, 2.0, 3.0], [0.1, 0.2, 0.3]), "standardised": ([-1.0, 0.5, 0.0], [0.3, 0.2, 0.1])}
+SCORES = {
+    "raw": ([1.0, 2.0, 3.0], [0.1, 0.2, 0.3]),
+    "standardised": ([-1.0, 0.5, 0.0], [0.3, 0.2, 0.1]),
+}
 
 
 def test_each_form_has_a_panel_with_its_means_and_intervals() -> None:
@@ -19,7 +22,9 @@ def test_each_form_has_a_panel_with_its_means_and_intervals() -> None:
         line, _, (bars,) = drawn.lines
         np.testing.assert_allclose(line.get_xydata(), np.stack([FREQUENCIES, means], 1))
         ends = np.array(bars.get_segments())[..., 1]
-        np.testing.assert_allclose(ends, np.stack([np.subtract(means, half_widths), np.add(means, half_widths)], 1))
+        np.testing.assert_allclose(
+            ends, np.stack([np.subtract(means, half_widths), np.add(means, half_widths)], 1)
+        )
         assert panel.get_xscale() == "log"
         assert [tick.get_text() for tick in panel.get_xticklabels()] == ["2", "5", "10", "20", "50"]
 

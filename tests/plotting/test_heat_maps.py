@@ -14,13 +14,22 @@ from torch_pmil.plotting import plot_heat_map, save_figure
 X, Y = np.array([0.0, 0.1, 0.2, 0.3]), np.array([-0.7, -0.6, -0.5])
 VALUES = np.arange(12.0).reshape(3, 4)
 REACHED = VALUES % 3 == 0
-TARGETS = np.array([[0.05, -0.65], [0.25, -0.65], [0.15, -0.55], [0.15, -0.62]])  # the last one is inside
+TARGETS = np.array(
+    [[0.05, -0.65], [0.25, -0.65], [0.15, -0.55], [0.15, -0.62]]
+)  # the last one is inside
 PICTURE = np.full((8, 12, 3), 100, dtype=np.uint8)
 
 
-def draw(maps: dict | None = None, targets: np.ndarray = TARGETS, x: np.ndarray = X, picture: np.ndarray | None = None) -> Figure:
+def draw(
+    maps: dict | None = None,
+    targets: np.ndarray = TARGETS,
+    x: np.ndarray = X,
+    picture: np.ndarray | None = None,
+) -> Figure:
     maps = {"ours": (VALUES, REACHED)} if maps is None else maps
-    return plot_heat_map(x, Y, maps, targets, labels=("x (m)", "y (m)"), value="distance (m)", picture=picture)
+    return plot_heat_map(
+        x, Y, maps, targets, labels=("x (m)", "y (m)"), value="distance (m)", picture=picture
+    )
 
 
 def points_of(panel: Axes, label: str) -> np.ndarray:
@@ -37,7 +46,11 @@ def test_each_cell_has_its_value_about_its_target() -> None:
     np.testing.assert_allclose(middles, np.stack(np.meshgrid(X, Y), -1))
     np.testing.assert_array_equal(mesh.get_array(), VALUES)
     assert panel.get_aspect() == 1
-    assert (panel.get_xlabel(), panel.get_ylabel(), bar.get_ylabel()) == ("x (m)", "y (m)", "distance (m)")
+    assert (panel.get_xlabel(), panel.get_ylabel(), bar.get_ylabel()) == (
+        "x (m)",
+        "y (m)",
+        "distance (m)",
+    )
 
 
 def test_reached_and_missed_targets_have_marks_of_different_shapes() -> None:
@@ -51,9 +64,16 @@ def test_reached_and_missed_targets_have_marks_of_different_shapes() -> None:
 
 @pytest.mark.parametrize(
     ("targets", "corners"),
-    [(TARGETS, TARGETS[:3]), (TARGETS[:2], TARGETS[:2]), (TARGETS[:1], TARGETS[:1]), (TARGETS[[1, 0, 1]], TARGETS[:2])],
+    [
+        (TARGETS, TARGETS[:3]),
+        (TARGETS[:2], TARGETS[:2]),
+        (TARGETS[:1], TARGETS[:1]),
+        (TARGETS[[1, 0, 1]], TARGETS[:2]),
+    ],
 )
-def test_training_targets_are_discs_and_their_hull_is_a_closed_line(targets: np.ndarray, corners: np.ndarray) -> None:
+def test_training_targets_are_discs_and_their_hull_is_a_closed_line(
+    targets: np.ndarray, corners: np.ndarray
+) -> None:
     panel = draw(targets=targets).axes[0]
     np.testing.assert_array_equal(points_of(panel, "training target"), targets)
     for outline in panel.lines[:2]:
@@ -92,16 +112,31 @@ def test_map_on_which_all_is_zero_and_reached_is_drawn(tmp_path: Path) -> None:
             {"x": np.array([0.0, 0.1, 0.3, 0.4])},
             r"x must be at least two increasing, evenly spaced coordinates, got \[0.0, 0.1, 0.3, 0.4\]",
         ),
-        ({"x": X[::-1]}, r"x must be at least two increasing, evenly spaced coordinates, got \[0.3,"),
-        ({"x": X[:1]}, r"x must be at least two increasing, evenly spaced coordinates, got \[0.0\]"),
+        (
+            {"x": X[::-1]},
+            r"x must be at least two increasing, evenly spaced coordinates, got \[0.3,",
+        ),
+        (
+            {"x": X[:1]},
+            r"x must be at least two increasing, evenly spaced coordinates, got \[0.0\]",
+        ),
         ({"maps": {}}, "maps must hold at least one map, got none"),
         (
             {"maps": {"ours": (VALUES.T, REACHED)}},
             r"values and successes of ours must be numbers and bools \(3, 4\), got \(4, 3\) and bool",
         ),
-        ({"maps": {"ours": (VALUES, VALUES)}}, r"values and successes of ours must be .* and float64 \(3, 4\)"),
-        ({"maps": {"ours": (VALUES - 1, REACHED)}}, r"values of ours must be finite and not negative, got -1.0"),
-        ({"maps": {"ours": (VALUES * np.nan, REACHED)}}, r"values of ours must be finite and not negative, got nan"),
+        (
+            {"maps": {"ours": (VALUES, VALUES)}},
+            r"values and successes of ours must be .* and float64 \(3, 4\)",
+        ),
+        (
+            {"maps": {"ours": (VALUES - 1, REACHED)}},
+            r"values of ours must be finite and not negative, got -1.0",
+        ),
+        (
+            {"maps": {"ours": (VALUES * np.nan, REACHED)}},
+            r"values of ours must be finite and not negative, got nan",
+        ),
         ({"targets": TARGETS[0]}, r"training_targets must be \(S, 2\), got \(2,\)"),
         ({"targets": TARGETS[:0]}, r"training_targets must be \(S, 2\), got \(0, 2\)"),
     ],

@@ -16,7 +16,14 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.plotting import Plane, plot_calibration, plot_gp_slices, plot_kl_per_step, plot_policy, save_figure
+from torch_pmil.plotting import (
+    Plane,
+    plot_calibration,
+    plot_gp_slices,
+    plot_kl_per_step,
+    plot_policy,
+    save_figure,
+)
 from torch_pmil.search.kl import gaussian_kl, gaussian_kl_terms
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
@@ -36,7 +43,9 @@ def policy_of(draws: Draws) -> StatePolicy:
     return StatePolicy(network, StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS)), 0.1)
 
 
-def panels_of(draws: Draws, model: GPDynamics, over: list[int] | None = None) -> tuple[list[Axes], Tensor]:
+def panels_of(
+    draws: Draws, model: GPDynamics, over: list[int] | None = None
+) -> tuple[list[Axes], Tensor]:
     point = draws.normal(4)
     return plot_gp_slices(model, point, INPUTS, NAMES, UNITS, over).axes, point
 
@@ -46,11 +55,18 @@ def test_slices_have_a_row_for_each_output_and_a_column_for_each_chosen_input(dr
     assert len(panels_of(draws, model)[0]) == 2 * 4
     panels, _ = panels_of(draws, model, [3, 0])
     assert [panel.get_xlabel() for panel in panels] == ["", "", "u (N·m)", "dq (rad/s)"]
-    assert [panel.get_ylabel() for panel in panels] == ["change of\nq (rad)", "", "change of\ndq (rad/s)", ""]
+    assert [panel.get_ylabel() for panel in panels] == [
+        "change of\nq (rad)",
+        "",
+        "change of\ndq (rad/s)",
+        "",
+    ]
     assert panels_of(draws, model_of(draws, "successor"))[0][0].get_ylabel() == "next\nq (rad)"
 
 
-def test_slice_is_the_models_mean_and_two_standard_deviations_of_the_next_observation(draws: Draws) -> None:
+def test_slice_is_the_models_mean_and_two_standard_deviations_of_the_next_observation(
+    draws: Draws,
+) -> None:
     model = model_of(draws)
     panels, point = panels_of(draws, model, [1, 2])
     x, y = next(line for line in panels[3].lines if line.get_label() == "mean").get_xydata().T
@@ -64,16 +80,28 @@ def test_slice_is_the_models_mean_and_two_standard_deviations_of_the_next_observ
     np.testing.assert_allclose(distances.min(1), 0, atol=1e-12)
 
 
-def test_data_stand_off_the_slice_by_their_residual_and_are_as_opaque_as_they_are_correlated_with_it(draws: Draws) -> None:
+def test_data_stand_off_the_slice_by_their_residual_and_are_as_opaque_as_they_are_correlated_with_it(
+    draws: Draws,
+) -> None:
     model = model_of(draws)
     panels, point = panels_of(draws, model, [3])
     (dots,) = (drawn for drawn in panels[1].collections if drawn.get_label().startswith("data"))
     on_slice = point.repeat(12, 1)
     on_slice[:, 3] = model.train_inputs[:, 3]
-    expected = model.train_targets[:, 1] - model.expansion.mean(model.train_inputs)[:, 1] + model.expansion.mean(on_slice)[:, 1]
-    np.testing.assert_allclose(dots.get_offsets(), np.stack([model.train_inputs[:, 3], expected], -1), atol=1e-12)
-    correlation = model.expansion.kernel(on_slice)  # of each datum with all: with itself on the diagonal
-    own = torch.stack([correlation[i, 1, i] for i in range(12)]) / model.expansion.signal_variance[1]
+    expected = (
+        model.train_targets[:, 1]
+        - model.expansion.mean(model.train_inputs)[:, 1]
+        + model.expansion.mean(on_slice)[:, 1]
+    )
+    np.testing.assert_allclose(
+        dots.get_offsets(), np.stack([model.train_inputs[:, 3], expected], -1), atol=1e-12
+    )
+    correlation = model.expansion.kernel(
+        on_slice
+    )  # of each datum with all: with itself on the diagonal
+    own = (
+        torch.stack([correlation[i, 1, i] for i in range(12)]) / model.expansion.signal_variance[1]
+    )
     np.testing.assert_allclose(dots.get_alpha(), own, atol=1e-12)
 
 
@@ -87,17 +115,25 @@ def test_slices_that_do_not_fit_the_model_are_refused(draws: Draws) -> None:
         plot_gp_slices(GPDynamics(4, 2), torch.zeros(4), INPUTS, NAMES, UNITS)
 
 
-def test_calibration_is_the_coverage_in_percent_and_the_size_of_errors_at_each_time(draws: Draws) -> None:
+def test_calibration_is_the_coverage_in_percent_and_the_size_of_errors_at_each_time(
+    draws: Draws,
+) -> None:
     residuals = draws.normal(50, 8, 2) * torch.tensor([1.0, 4.0]).double()
     coverage, course = plot_calibration(NAMES, 0.1, residuals).axes
-    lines = {line.get_label(): line.get_xydata() for line in coverage.lines if line.get_label() in NAMES}
+    lines = {
+        line.get_label(): line.get_xydata() for line in coverage.lines if line.get_label() in NAMES
+    }
     for entry, name in enumerate(NAMES):
         at_half = lines[name][25]
         assert at_half[0] == pytest.approx(50)
-        assert at_half[1] == pytest.approx(100 * (residuals[..., entry].abs() < 0.67449).double().mean().item())
+        assert at_half[1] == pytest.approx(
+            100 * (residuals[..., entry].abs() < 0.67449).double().mean().item()
+        )
     drawn = [line for line in course.lines if len(line.get_xdata()) == 8]
     np.testing.assert_allclose([line.get_xdata() for line in drawn], 2 * [0.1 * np.arange(1, 9)])
-    np.testing.assert_allclose([line.get_ydata() for line in drawn], residuals.square().mean(0).sqrt().T)
+    np.testing.assert_allclose(
+        [line.get_ydata() for line in drawn], residuals.square().mean(0).sqrt().T
+    )
     assert len({(line.get_color(), line.get_marker()) for line in drawn}) == 2
 
 
@@ -108,20 +144,27 @@ def test_errors_of_many_standard_deviations_stay_readable(draws: Draws, tmp_path
 
 
 def test_residuals_of_other_entries_are_refused(draws: Draws) -> None:
-    with pytest.raises(ValueError, match=r"residuals must be \(N, T, 2\) for q, dq, got \(5, 8, 3\)"):
+    with pytest.raises(
+        ValueError, match=r"residuals must be \(N, T, 2\) for q, dq, got \(5, 8, 3\)"
+    ):
         plot_calibration(NAMES, 0.1, draws.normal(5, 8, 3))
 
 
 def stacks_of(panel: Axes) -> np.ndarray:
     """Bottoms and heights of the bars, (parts, T, 2)."""
-    return np.array([[(bar.get_y(), bar.get_height()) for bar in container] for container in panel.containers])
+    return np.array(
+        [[(bar.get_y(), bar.get_height()) for bar in container] for container in panel.containers]
+    )
 
 
 def test_kl_is_stacked_by_its_terms_at_each_step_up_to_the_kl(draws: Draws) -> None:
     expert, predicted = draws.belief(7, 3), draws.belief(7, 3)
     upper, lower = plot_kl_per_step(("x", "y", "z"), 0.1, expert, predicted).axes
     terms = gaussian_kl_terms(expert, predicted)
-    expected = {upper: torch.stack([terms.mean.sum(-1), terms.spread.sum(-1)]), lower: (terms.mean + terms.spread).mT}
+    expected = {
+        upper: torch.stack([terms.mean.sum(-1), terms.spread.sum(-1)]),
+        lower: (terms.mean + terms.spread).mT,
+    }
     for panel, heights in expected.items():
         stacks = stacks_of(panel)
         np.testing.assert_allclose(stacks[..., 1], heights, atol=1e-12)
@@ -137,16 +180,22 @@ def test_kl_is_stacked_by_its_terms_at_each_step_up_to_the_kl(draws: Draws) -> N
 def test_more_entries_than_colours_are_told_apart_by_hatches(draws: Draws) -> None:
     belief = draws.belief(3, 8)
     lower = plot_kl_per_step("abcdefgh", 0.1, belief, draws.belief(3, 8)).axes[1]
-    looks = {(container[0].get_facecolor(), container[0].get_hatch()) for container in lower.containers}
+    looks = {
+        (container[0].get_facecolor(), container[0].get_hatch()) for container in lower.containers
+    }
     assert len(looks) == 8
 
 
 def test_kl_of_other_shapes_is_refused(draws: Draws) -> None:
-    with pytest.raises(ValueError, match=r"must be \(T, 2\) for 2 names, got \(7, 3\) and \(6, 3\)"):
+    with pytest.raises(
+        ValueError, match=r"must be \(T, 2\) for 2 names, got \(7, 3\) and \(6, 3\)"
+    ):
         plot_kl_per_step(NAMES, 0.1, draws.belief(7, 3), draws.belief(6, 3))
 
 
-def test_colour_is_the_torque_at_the_state_on_a_scale_that_is_zero_in_the_middle(draws: Draws) -> None:
+def test_colour_is_the_torque_at_the_state_on_a_scale_that_is_zero_in_the_middle(
+    draws: Draws,
+) -> None:
     policy, states = policy_of(draws), draws.normal(2, 2)
     figure = plot_policy(policy, [PLANE, Plane(1, 0, 1, ((-8, 8), (-3, 3)))], states, ["a", "b"])
     panels = figure.axes[:4]
@@ -168,7 +217,9 @@ def test_arrows_point_to_where_the_robot_is_next(draws: Draws) -> None:
 
     (arrows,) = (
         drawn
-        for drawn in plot_policy(policy_of(draws), [PLANE], draws.normal(1, 2), ["a"], turned).axes[0].collections
+        for drawn in plot_policy(policy_of(draws), [PLANE], draws.normal(1, 2), ["a"], turned)
+        .axes[0]
+        .collections
         if hasattr(drawn, "U")
     )
     np.testing.assert_allclose(arrows.U, 0.3 / 6)
@@ -176,13 +227,21 @@ def test_arrows_point_to_where_the_robot_is_next(draws: Draws) -> None:
 
 
 def test_robot_at_rest_everywhere_has_arrows_without_length(draws: Draws, tmp_path: Path) -> None:
-    save_figure(plot_policy(policy_of(draws), [PLANE], draws.normal(1, 2), ["a"], lambda states: states), tmp_path / "rest.png")
+    save_figure(
+        plot_policy(policy_of(draws), [PLANE], draws.normal(1, 2), ["a"], lambda states: states),
+        tmp_path / "rest.png",
+    )
 
 
 def test_policy_pictures_that_do_not_fit_are_refused(draws: Draws) -> None:
-    with pytest.raises(ValueError, match=r"states must be \(K, 2\) with K titles, got \(1, 3\) and 1 titles"):
+    with pytest.raises(
+        ValueError, match=r"states must be \(K, 2\) with K titles, got \(1, 3\) and 1 titles"
+    ):
         plot_policy(policy_of(draws), [PLANE], torch.zeros(1, 3), ["a"])
-    with pytest.raises(ValueError, match=r"planes must be of entries below 2 and torques below 2, got Plane\(x=0, y=2"):
+    with pytest.raises(
+        ValueError,
+        match=r"planes must be of entries below 2 and torques below 2, got Plane\(x=0, y=2",
+    ):
         plot_policy(policy_of(draws), [Plane(0, 2, 0, ((0, 1), (0, 1)))], torch.zeros(1, 2), ["a"])
 
 

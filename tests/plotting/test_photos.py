@@ -13,7 +13,9 @@ def picture(shade: int) -> np.ndarray:
 
 
 def test_each_picture_is_in_its_row_and_below_its_time() -> None:
-    figure = plot_photo_series({"shown": [picture(0), picture(50)], "learned": [picture(100), picture(150)]}, (0.0, 1.25))
+    figure = plot_photo_series(
+        {"shown": [picture(0), picture(50)], "learned": [picture(100), picture(150)]}, (0.0, 1.25)
+    )
     shades = [panel.images[0].get_array()[0, 0, 0] for panel in figure.axes]
     assert shades == [0, 50, 100, 150]
     assert [panel.get_title() for panel in figure.axes[:2]] == ["0.00 s", "1.25 s"]
@@ -21,5 +23,7 @@ def test_each_picture_is_in_its_row_and_below_its_time() -> None:
 
 
 def test_missing_picture_is_refused() -> None:
-    with pytest.raises(ValueError, match="learned must have a picture for each of the 2 times, got 1"):
+    with pytest.raises(
+        ValueError, match="learned must have a picture for each of the 2 times, got 1"
+    ):
         plot_photo_series({"shown": [picture(0)] * 2, "learned": [picture(0)]}, (0.0, 1.0))

@@ -29,7 +29,9 @@ NAMES, UNITS = ("x1", "y1", "q", "dq"), ("m", "m", "rad", "rad/s")
 
 
 def make_belief(draws: Draws, steps: int = 6, dim: int = 4, std: float = 0.2) -> Gaussian:
-    return Gaussian(draws.normal(steps, dim), torch.diag_embed(std**2 * draws.uniform(0.5, 2.0, steps, dim)))
+    return Gaussian(
+        draws.normal(steps, dim), torch.diag_embed(std**2 * draws.uniform(0.5, 2.0, steps, dim))
+    )
 
 
 def swing(count: int) -> Tensor:
@@ -47,7 +49,9 @@ def draw(expert: Gaussian, predicted: Gaussian, executed: Tensor) -> Figure:
 def test_every_entry_has_a_panel_with_its_unit(draws: Draws, dim: int) -> None:
     belief = make_belief(draws, dim=dim)
     panels = draw(belief, belief, draws.normal(2, 6, dim)).axes
-    assert [panel.get_ylabel() for panel in panels] == [f"{name} ({unit})" for name, unit in zip(NAMES[:dim], UNITS[:dim], strict=True)]
+    assert [panel.get_ylabel() for panel in panels] == [
+        f"{name} ({unit})" for name, unit in zip(NAMES[:dim], UNITS[:dim], strict=True)
+    ]
     assert panels[-1].get_xlabel() == "time (s)"
 
 
@@ -55,7 +59,9 @@ def test_bands_reach_two_standard_deviations(draws: Draws) -> None:
     expert, predicted = make_belief(draws), make_belief(draws)
     time = TIME_STEP * np.arange(1, 7)
     for entry, panel in enumerate(draw(expert, predicted, draws.normal(2, 6, 4)).axes):
-        bands = [drawn for drawn in panel.collections if isinstance(drawn, FillBetweenPolyCollection)]
+        bands = [
+            drawn for drawn in panel.collections if isinstance(drawn, FillBetweenPolyCollection)
+        ]
         for belief, band in zip((expert, predicted), bands, strict=True):
             mean, std = belief.mean[:, entry].numpy(), belief.cov[:, entry, entry].sqrt().numpy()
             corners = band.get_paths()[0].vertices
@@ -68,7 +74,9 @@ def test_demonstrated_is_blue_and_predicted_is_not(draws: Draws) -> None:
     figure = draw(make_belief(draws), make_belief(draws), draws.normal(2, 6, 4))
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels == ["demonstrated ± 2 std", "predicted ± 2 std", "executed"]
-    demonstrated, predicted = (handle.get_facecolor()[:3] for handle in figure.legends[0].get_patches())
+    demonstrated, predicted = (
+        handle.get_facecolor()[:3] for handle in figure.legends[0].get_patches()
+    )
     assert np.argmax(demonstrated) == 2
     assert np.argmax(predicted) == 0
 
@@ -86,18 +94,26 @@ def test_without_rollouts_the_distributions_are_drawn_alone(draws: Draws) -> Non
 
 
 @pytest.mark.parametrize("std", [1e-4, 1e3])
-def test_the_demonstrated_band_stays_readable_beside_any_prediction(draws: Draws, std: float) -> None:
+def test_the_demonstrated_band_stays_readable_beside_any_prediction(
+    draws: Draws, std: float
+) -> None:
     expert = make_belief(draws)
-    for entry, panel in enumerate(draw(expert, make_belief(draws, std=std), draws.normal(2, 6, 4)).axes):
+    for entry, panel in enumerate(
+        draw(expert, make_belief(draws, std=std), draws.normal(2, 6, 4)).axes
+    ):
         bottom, top = panel.get_ylim()
-        edges = torch.stack([expert.mean - 2 * expert.std, expert.mean + 2 * expert.std])[..., entry]
+        edges = torch.stack([expert.mean - 2 * expert.std, expert.mean + 2 * expert.std])[
+            ..., entry
+        ]
         assert bottom < edges.min()
         assert edges.max() < top
         assert top - bottom < 20
 
 
 def test_distributions_of_different_shapes_are_refused(draws: Draws) -> None:
-    with pytest.raises(ValueError, match=r"predicted and executed must be .* got \(5, 4\) and \(2, 6, 4\)"):
+    with pytest.raises(
+        ValueError, match=r"predicted and executed must be .* got \(5, 4\) and \(2, 6, 4\)"
+    ):
         draw(make_belief(draws), make_belief(draws, steps=5), draws.normal(2, 6, 4))
 
 
@@ -107,7 +123,9 @@ def test_a_prediction_with_a_graph_is_drawn(draws: Draws) -> None:
 
 
 def test_learning_curve_is_in_percent_seconds_and_nats() -> None:
-    rates, divergences = plot_learning_curve([2.5, 5.0, 7.5], [0.0, 0.5, 1.0], [np.nan, 1e3, 10.0]).axes
+    rates, divergences = plot_learning_curve(
+        [2.5, 5.0, 7.5], [0.0, 0.5, 1.0], [np.nan, 1e3, 10.0]
+    ).axes
     curves = [line for line in rates.lines if line.get_marker() == "o"]
     np.testing.assert_array_equal(curves[0].get_xydata(), [[2.5, 0], [5, 50], [7.5, 100]])
     np.testing.assert_array_equal(divergences.lines[0].get_ydata(), [np.nan, 1e3, 10])
@@ -122,7 +140,10 @@ def test_learning_curve_is_in_percent_seconds_and_nats() -> None:
 
 
 def test_learning_curve_of_another_loss_is_labelled_so() -> None:
-    assert plot_learning_curve([2.5], [0.0], [5.0], "predicted cost").axes[1].get_ylabel() == "predicted cost"
+    assert (
+        plot_learning_curve([2.5], [0.0], [5.0], "predicted cost").axes[1].get_ylabel()
+        == "predicted cost"
+    )
 
 
 @pytest.mark.parametrize("kl", [[np.nan, np.nan], [0.0, 1.0]])
@@ -130,7 +151,9 @@ def test_learning_curve_leaves_out_what_has_no_logarithm(kl: list[float], tmp_pa
     save_figure(plot_learning_curve([2.5, 5.0], [0.0, 0.5], kl), tmp_path / "curve.png")
 
 
-@pytest.mark.parametrize(("losses", "told"), [([40.0, 14.0], {"20", "30", "40"}), ([1000.0, 2.0], {"10", "100", "1000"})])
+@pytest.mark.parametrize(
+    ("losses", "told"), [([40.0, 14.0], {"20", "30", "40"}), ([1000.0, 2.0], {"10", "100", "1000"})]
+)
 def test_loss_has_plain_numbers_on_its_axis(losses: list[float], told: set[str]) -> None:
     axis = plot_learning_curve([2.5, 5.0], [0.0, 0.5], losses).axes[1].yaxis
     labels = {axis.get_major_formatter()(at) for at in axis.get_majorticklocs()} | {
@@ -154,7 +177,11 @@ def test_every_pose_is_drawn_from_the_base_in_its_colour() -> None:
     np.testing.assert_allclose([line.get_xydata() for line in poses], expected)
     assert len({line.get_color() for line in poses}) == 5
     assert panel.get_aspect() == 1
-    assert (panel.get_xlabel(), panel.get_ylabel(), colourbar.get_ylabel()) == ("x (m)", "y (m)", "time (s)")
+    assert (panel.get_xlabel(), panel.get_ylabel(), colourbar.get_ylabel()) == (
+        "x (m)",
+        "y (m)",
+        "time (s)",
+    )
     assert colourbar.get_ylim() == pytest.approx((0, 4 * TIME_STEP))
 
 
@@ -166,8 +193,13 @@ def test_pendulum_frames_are_pictures_of_the_asked_size_that_move() -> None:
 
 
 def test_pendulum_is_drawn_with_up_on_top() -> None:
-    hanging, upright = (next(pendulum_frames(swing(2)[[index]], 0.02, size=100)) for index in (0, 1))
-    for frame, drawn, empty in ((upright, slice(15, 45), slice(60, 85)), (hanging, slice(55, 85), slice(15, 40))):
+    hanging, upright = (
+        next(pendulum_frames(swing(2)[[index]], 0.02, size=100)) for index in (0, 1)
+    )
+    for frame, drawn, empty in (
+        (upright, slice(15, 45), slice(60, 85)),
+        (hanging, slice(55, 85), slice(15, 40)),
+    ):
         white = (frame[:, 50] == 255).all(-1)
         assert not white[drawn].any()
         assert white[empty].all()
@@ -210,32 +242,53 @@ def test_success_over_experience_is_the_mean_of_the_runs_with_its_interval_in_pe
     for edge in (lower, upper):
         distances = np.abs(corners[None] - np.stack([experience, 100 * edge], -1)[:, None]).max(-1)
         np.testing.assert_allclose(distances.min(1), 0, atol=1e-12)
-    assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_ylim()) == ("experience (s)", "success rate (%)", (0, 100))
+    assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_ylim()) == (
+        "experience (s)",
+        "success rate (%)",
+        (0, 100),
+    )
 
 
 def test_success_over_experience_of_different_shapes_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"must be \(K,\) for rates \(runs, K\), got \(2,\), \(3,\), \(3,\) for \(1, 3\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"must be \(K,\) for rates \(runs, K\), got \(2,\), \(3,\), \(3,\) for \(1, 3\)",
+    ):
         plot_success_over_experience(np.zeros(2), np.zeros((1, 3)), np.zeros(3), np.zeros(3))
 
 
 def test_every_method_has_its_own_mean_and_interval_in_percent(tmp_path: Path) -> None:
     experience, half = np.array([2.5, 5.0]), np.full(2, 0.1)
     means = {"a": np.array([0.2, 0.9]), "b": np.array([0.5, 0.5])}
-    figure = plot_success_of_methods({name: (experience, mean, mean - half, mean + half) for name, mean in means.items()})
+    figure = plot_success_of_methods(
+        {name: (experience, mean, mean - half, mean + half) for name, mean in means.items()}
+    )
     (panel,) = figure.axes
     drawn = {line.get_label(): line for line in panel.lines}
     for (name, mean), band in zip(means.items(), panel.collections, strict=True):
         np.testing.assert_allclose(drawn[name].get_xydata(), np.stack([experience, 100 * mean], -1))
         corners = band.get_paths()[0].vertices
         for edge in (mean - half, mean + half):
-            distances = np.abs(corners[None] - np.stack([experience, 100 * edge], -1)[:, None]).max(-1)
+            distances = np.abs(corners[None] - np.stack([experience, 100 * edge], -1)[:, None]).max(
+                -1
+            )
             np.testing.assert_allclose(distances.min(1), 0, atol=1e-12)
-    assert drawn["a"].get_color() != drawn["b"].get_color() and drawn["a"].get_marker() != drawn["b"].get_marker()
+    assert (
+        drawn["a"].get_color() != drawn["b"].get_color()
+        and drawn["a"].get_marker() != drawn["b"].get_marker()
+    )
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", "b"]
-    assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_ylim()) == ("experience (s)", "success rate (%)", (0, 100))
+    assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_ylim()) == (
+        "experience (s)",
+        "success rate (%)",
+        (0, 100),
+    )
     save_figure(figure, tmp_path / "methods.png")
 
 
 def test_method_with_curves_of_different_lengths_is_named() -> None:
-    with pytest.raises(ValueError, match=r"experience, mean and interval of b must be equally long, got \[2, 3, 2, 2\]"):
+    with pytest.raises(
+        ValueError,
+        match=r"experience, mean and interval of b must be equally long, got \[2, 3, 2, 2\]",
+    ):
         plot_success_of_methods({"b": (np.zeros(2), np.zeros(3), np.zeros(2), np.zeros(2))})

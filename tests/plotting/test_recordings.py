@@ -1,4 +1,6 @@
-"""Recordings drawn: every demonstration in every panel, told apart, and paths in the plane of x and y."""
+"""Recordings drawn: every demonstration in every panel, told apart, and paths in the plane of x and
+y.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,20 @@ from matplotlib.figure import Figure
 from torch_pmil.plotting import plot_recordings
 
 
-def drawn(count: int, names: tuple[str, ...], units: tuple[str, ...] = ()) -> tuple[Figure, list[torch.Tensor], list[torch.Tensor]]:
+def drawn(
+    count: int, names: tuple[str, ...], units: tuple[str, ...] = ()
+) -> tuple[Figure, list[torch.Tensor], list[torch.Tensor]]:
     generator = torch.Generator().manual_seed(0)
     times = [5 + 0.1 * torch.arange(10 + number, dtype=torch.float64) for number in range(count)]
-    values = [torch.randn(len(time), len(names), generator=generator, dtype=torch.float64) for time in times]
-    return plot_recordings([str(number) for number in range(count)], times, values, names, units), times, values
+    values = [
+        torch.randn(len(time), len(names), generator=generator, dtype=torch.float64)
+        for time in times
+    ]
+    return (
+        plot_recordings([str(number) for number in range(count)], times, values, names, units),
+        times,
+        values,
+    )
 
 
 def test_every_demonstration_is_in_every_panel_from_time_0() -> None:
@@ -30,11 +41,18 @@ def test_every_demonstration_is_in_every_panel_from_time_0() -> None:
 def test_pairs_x_and_y_have_their_plane_with_starts_and_ends() -> None:
     figure, _, values = drawn(2, ("x1", "y1", "q", "x2", "y2"), ("m", "m", "rad", "m", "m"))
     for plane, (x, y) in zip(figure.axes[5:], ((0, 1), (3, 4)), strict=True):
-        assert (plane.get_xlabel(), plane.get_ylabel()) == (f"x{1 + x // 3} (m)", f"y{1 + x // 3} (m)")
+        assert (plane.get_xlabel(), plane.get_ylabel()) == (
+            f"x{1 + x // 3} (m)",
+            f"y{1 + x // 3} (m)",
+        )
         assert plane.get_aspect() == 1
-        for value, (path, start, end) in zip(values, zip(*[iter(plane.lines)] * 3, strict=True), strict=True):
+        for value, (path, start, end) in zip(
+            values, zip(*[iter(plane.lines)] * 3, strict=True), strict=True
+        ):
             assert np.array_equal(path.get_xydata(), value[:, [x, y]])
-            assert np.array_equal(start.get_xydata()[0], value[0, [x, y]]) and np.array_equal(end.get_xydata()[0], value[-1, [x, y]])
+            assert np.array_equal(start.get_xydata()[0], value[0, [x, y]]) and np.array_equal(
+                end.get_xydata()[0], value[-1, [x, y]]
+            )
         assert [text.get_text() for text in plane.get_legend().get_texts()] == ["start", "end"]
 
 
@@ -45,7 +63,10 @@ def test_other_entries_have_no_plane(names: tuple[str, ...]) -> None:
 
 def test_demonstrations_are_told_apart_while_they_can_be() -> None:
     lines = drawn(15, ("q",))[0].axes[0].lines
-    looks = {(line.get_color(), str(line.get_linestyle()), str(line._unscaled_dash_pattern)) for line in lines}
+    looks = {
+        (line.get_color(), str(line.get_linestyle()), str(line._unscaled_dash_pattern))
+        for line in lines
+    }
     assert len(looks) == 15
     many, _, _ = drawn(16, ("q",))
     assert len({line.get_color() for line in many.axes[0].lines}) == 1 and not many.legends
@@ -58,10 +79,14 @@ def test_legend_is_no_wider_than_the_figure_and_panels_do_not_overlap(count: int
     box, frame = figure.legends[0].get_window_extent(), figure.bbox
     assert frame.x0 <= box.x0 and box.x1 <= frame.x1 and box.y1 <= frame.y1
     assert not any(panel.get_window_extent().overlaps(box) for panel in figure.axes)
-    assert not any(one.get_tightbbox().overlaps(other.get_tightbbox()) for one, other in pairwise(figure.axes))
+    assert not any(
+        one.get_tightbbox().overlaps(other.get_tightbbox()) for one, other in pairwise(figure.axes)
+    )
 
 
 def test_numbers_that_do_not_fit_are_refused() -> None:
     time = torch.arange(3.0)
-    with pytest.raises(ValueError, match="1 labels and 2 names must be those of 1 trajectories of 1"):
+    with pytest.raises(
+        ValueError, match="1 labels and 2 names must be those of 1 trajectories of 1"
+    ):
         plot_recordings(["1"], [time], [time[:, None]], ["q", "dq"])

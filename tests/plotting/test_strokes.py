@@ -17,10 +17,16 @@ def writing(cov: torch.Tensor) -> tuple[torch.Tensor, Gaussian, torch.Tensor]:
 
 
 @pytest.mark.parametrize("angle", [0.0, 30.0, 100.0])
-def test_ellipses_are_two_standard_deviations_along_the_axes_of_the_covariance(angle: float) -> None:
+def test_ellipses_are_two_standard_deviations_along_the_axes_of_the_covariance(
+    angle: float,
+) -> None:
     turn = np.radians(angle)
-    axes = torch.tensor([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]], dtype=torch.float64)
-    panel = plot_writing({"": writing(axes @ torch.diag(torch.tensor([0.03, 0.01]) ** 2).double() @ axes.mT)}).axes[0]
+    axes = torch.tensor(
+        [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]], dtype=torch.float64
+    )
+    panel = plot_writing(
+        {"": writing(axes @ torch.diag(torch.tensor([0.03, 0.01]) ** 2).double() @ axes.mT)}
+    ).axes[0]
     (ellipses,) = panel.collections
     np.testing.assert_allclose(ellipses.get_widths(), 4 * 0.03, rtol=1e-6)
     np.testing.assert_allclose(ellipses.get_heights(), 4 * 0.01, rtol=1e-6)

@@ -23,7 +23,11 @@ def figure() -> Figure:
 
 def points(figure: Figure, panel: int, marker: str) -> np.ndarray:
     """Values (V, runs) drawn with a marker, the rows from above."""
-    (line,) = [line for line in figure.axes[panel].lines if isinstance(line, Line2D) and line.get_marker() == marker]
+    (line,) = [
+        line
+        for line in figure.axes[panel].lines
+        if isinstance(line, Line2D) and line.get_marker() == marker
+    ]
     rows = np.round(line.get_ydata()).reshape(RATES.shape)
     np.testing.assert_array_equal(rows, np.arange(4)[:, None] + np.zeros(2))
     return line.get_xdata().reshape(RATES.shape)
@@ -31,25 +35,38 @@ def points(figure: Figure, panel: int, marker: str) -> np.ndarray:
 
 def test_the_best_is_on_top_and_among_equals_the_one_that_needed_less(figure: Figure) -> None:
     left, right = figure.axes
-    assert [tick.get_text() for tick in left.get_yticklabels()] == [LABELS[index] for index in ORDER]
+    assert [tick.get_text() for tick in left.get_yticklabels()] == [
+        LABELS[index] for index in ORDER
+    ]
     assert left.yaxis_inverted() and right.yaxis_inverted()
 
 
 def test_every_run_is_a_point_in_percent_and_their_mean_a_bar(figure: Figure) -> None:
     np.testing.assert_array_equal(points(figure, 0, "o"), 100 * RATES[ORDER])
-    np.testing.assert_allclose([bar.get_width() for bar in figure.axes[0].patches], 100 * RATES[ORDER].mean(1))
-    assert [panel.get_xlabel() for panel in figure.axes] == ["success rate (%)", "experience before the first success (s)"]
+    np.testing.assert_allclose(
+        [bar.get_width() for bar in figure.axes[0].patches], 100 * RATES[ORDER].mean(1)
+    )
+    assert [panel.get_xlabel() for panel in figure.axes] == [
+        "success rate (%)",
+        "experience before the first success (s)",
+    ]
 
 
 def test_runs_without_success_are_crosses_beyond_the_end(figure: Figure) -> None:
     seconds, panel = SECONDS[ORDER], figure.axes[1]
-    np.testing.assert_array_equal(points(figure, 1, "o"), np.where(np.isfinite(seconds), seconds, np.nan))
+    np.testing.assert_array_equal(
+        points(figure, 1, "o"), np.where(np.isfinite(seconds), seconds, np.nan)
+    )
     crosses = points(figure, 1, "x")
     np.testing.assert_array_equal(np.isnan(crosses), np.isfinite(seconds))
     assert np.nanmin(crosses) > 20
     assert panel.get_xticklabels()[-1].get_text() == "never"
     assert panel.get_xticks()[-1] == np.nanmax(crosses) < panel.get_xlim()[1]
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a run", "mean", "a run without success"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "a run",
+        "mean",
+        "a run without success",
+    ]
 
 
 def test_where_all_succeed_nothing_is_said_of_never() -> None:
@@ -63,7 +80,11 @@ def test_where_none_succeeds_all_are_never() -> None:
 
 
 def test_other_shapes_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"must be \(3, runs\) for 3 labels, got \(4, 2\), \(4, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"must be \(3, runs\) for 3 labels, got \(4, 2\), \(4, 2\)"
+    ):
         plot_variants(LABELS[:3], RATES, SECONDS)
-    with pytest.raises(ValueError, match=r"must be \(4, runs\) for 4 labels, got \(4, 2\), \(4, 1\)"):
+    with pytest.raises(
+        ValueError, match=r"must be \(4, runs\) for 4 labels, got \(4, 2\), \(4, 1\)"
+    ):
         plot_variants(LABELS, RATES, SECONDS[:, :1])

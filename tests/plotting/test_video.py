@@ -19,14 +19,27 @@ from torch_pmil.plotting.video import render_rollout, write_gif, write_video
 
 def shades(count: int, height: int = 32, width: int = 48) -> list[np.ndarray]:
     """Pictures from black to white."""
-    return [np.full((height, width, 3), level, dtype=np.uint8) for level in np.linspace(0, 255, count)]
+    return [
+        np.full((height, width, 3), level, dtype=np.uint8) for level in np.linspace(0, 255, count)
+    ]
 
 
 def decode(path: Path, height: int, width: int) -> tuple[str, np.ndarray]:
     """What ffmpeg says about a video, and its frames (count, height, width, 3)."""
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        "-i",
+        path,
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-",
+    ]
     decoded = subprocess.run(command, capture_output=True, check=True)
-    return decoded.stderr.decode(), np.frombuffer(decoded.stdout, np.uint8).reshape(-1, height, width, 3)
+    return decoded.stderr.decode(), np.frombuffer(decoded.stdout, np.uint8).reshape(
+        -1, height, width, 3
+    )
 
 
 class StatesAsPictures(DoublePendulumEnv):
@@ -44,10 +57,14 @@ def test_video_decodes_to_the_frames_written(tmp_path: Path, height: int, width:
     about, decoded = decode(path, *even)
     assert re.search(rf"Video: h264 .* yuv420p\b.*, {even[1]}x{even[0]}\b.*, 50 fps", about)
     assert len(decoded) == 7
-    np.testing.assert_allclose(decoded[:, :height, :width].mean((1, 2, 3)), [frame.mean() for frame in frames], atol=6)
+    np.testing.assert_allclose(
+        decoded[:, :height, :width].mean((1, 2, 3)), [frame.mean() for frame in frames], atol=6
+    )
 
 
-def test_encoding_is_silent(tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture) -> None:
+def test_encoding_is_silent(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
     write_video(tmp_path / "odd.mp4", shades(3, 33, 47), fps=50)
     assert capfd.readouterr() == ("", "")
     assert not caplog.records
@@ -79,8 +96,14 @@ def test_frames_that_fail_leave_the_old_video(tmp_path: Path, whole: int) -> Non
     ("frames", "message"),
     [
         ([], "a video needs at least one frame, got none"),
-        ([np.zeros((32, 48), np.uint8)], r"frames must have shape \(height, width, 3\), got \(32, 48\)"),
-        ([*shades(2), *shades(1, 16, 16)], r"frame 2 must be uint8 of shape \(32, 48, 3\), got uint8 of shape \(16, 16, 3\)"),
+        (
+            [np.zeros((32, 48), np.uint8)],
+            r"frames must have shape \(height, width, 3\), got \(32, 48\)",
+        ),
+        (
+            [*shades(2), *shades(1, 16, 16)],
+            r"frame 2 must be uint8 of shape \(32, 48, 3\), got uint8 of shape \(16, 16, 3\)",
+        ),
         ([np.zeros((32, 48, 3))], r"frame 0 must be uint8 of shape \(32, 48, 3\), got float64"),
     ],
 )
@@ -107,7 +130,9 @@ def test_rollout_is_pictured_five_times_a_step_along_its_own_motion() -> None:
     np.testing.assert_array_equal(pictures[::5], torch.stack(states))
 
 
-def test_gif_shows_the_video_in_its_own_time_rests_for_a_second_and_begins_anew(tmp_path: Path) -> None:
+def test_gif_shows_the_video_in_its_own_time_rests_for_a_second_and_begins_anew(
+    tmp_path: Path,
+) -> None:
     write_video(tmp_path / "shades.mp4", shades(50), fps=50)
     write_gif(tmp_path / "shades.gif", tmp_path / "shades.mp4")
     with Image.open(tmp_path / "shades.gif") as gif:
@@ -125,7 +150,9 @@ def test_gif_shows_the_video_in_its_own_time_rests_for_a_second_and_begins_anew(
 
 
 @pytest.mark.parametrize("content", [None, b"no video"])
-def test_gif_of_no_video_is_an_os_error_and_leaves_the_old_one(tmp_path: Path, content: bytes | None) -> None:
+def test_gif_of_no_video_is_an_os_error_and_leaves_the_old_one(
+    tmp_path: Path, content: bytes | None
+) -> None:
     video, gif = tmp_path / "shades.mp4", tmp_path / "shades.gif"
     gif.write_text("old")
     if content is not None:

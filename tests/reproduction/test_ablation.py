@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 import torch
 
-from reproduction.ablation import LABELS, PARTICLES, Variation, needed_runs, outcome, report, variations
+from reproduction.ablation import (
+    LABELS,
+    PARTICLES,
+    Variation,
+    needed_runs,
+    outcome,
+    report,
+    variations,
+)
 from reproduction.learned import load_learned
 from tests.helpers.short_run import quick_fits, short_experiment, stop_in
 from torch_pmil.experiments import load_experiment
@@ -44,17 +52,28 @@ def differs(one: object, other: object) -> bool:
 
 def short(variation: Variation) -> Variation:
     """The same of the first steps, with searches of a few evaluations, but for what it varies."""
-    few = {entry.name: getattr(short_experiment(), entry.name) for entry in fields(load_experiment("double_pendulum"))}
+    few = {
+        entry.name: getattr(short_experiment(), entry.name)
+        for entry in fields(load_experiment("double_pendulum"))
+    }
     kept = CHANGED[variation.name.removeprefix("double_pendulum_ablation_")] - {"search"} | {"name"}
-    search = SearchSettings(min(variation.search.mean_iterations, 1), 1, 1, first_horizon=variation.search.first_horizon)
-    return replace(variation, **{name: few[name] for name in few.keys() - kept} | {"search": search})
+    search = SearchSettings(
+        min(variation.search.mean_iterations, 1), 1, 1, first_horizon=variation.search.first_horizon
+    )
+    return replace(
+        variation, **{name: few[name] for name in few.keys() - kept} | {"search": search}
+    )
 
 
 @pytest.mark.parametrize("name", LABELS)
-def test_each_variation_differs_from_ours_in_its_own_choice(varied: dict[str, Variation], name: str) -> None:
+def test_each_variation_differs_from_ours_in_its_own_choice(
+    varied: dict[str, Variation], name: str
+) -> None:
     names = {entry.name for entry in fields(Variation)} - {"name"}
     ours, variation = varied["ours"], varied[name]
-    assert {entry for entry in names if differs(getattr(variation, entry), getattr(ours, entry))} == CHANGED[name]
+    assert {
+        entry for entry in names if differs(getattr(variation, entry), getattr(ours, entry))
+    } == CHANGED[name]
 
 
 def test_variations_are_told_apart_by_name_and_by_settings(varied: dict[str, Variation]) -> None:
@@ -64,7 +83,10 @@ def test_variations_are_told_apart_by_name_and_by_settings(varied: dict[str, Var
 
 
 def test_ours_learns_as_the_double_pendulum_does(varied: dict[str, Variation]) -> None:
-    trainers = [make_trainer(task, 0, 1, False, print) for task in (varied["ours"], load_experiment("double_pendulum"))]
+    trainers = [
+        make_trainer(task, 0, 1, False, print)
+        for task in (varied["ours"], load_experiment("double_pendulum"))
+    ]
     for trainer in trainers:
         trainer.loss_module.dynamics.set_data(torch.eye(8).double(), torch.ones(8, 4).double())
     one, other = (trainer.loss_module.per_step(trainer.initial) for trainer in trainers)
@@ -72,12 +94,17 @@ def test_ours_learns_as_the_double_pendulum_does(varied: dict[str, Variation]) -
     assert torch.equal(*(trainer.loss_module.expert_cov for trainer in trainers))
 
 
-def test_plain_angles_are_seen_as_they_are_and_begin_where_the_robot_hangs(varied: dict[str, Variation]) -> None:
+def test_plain_angles_are_seen_as_they_are_and_begin_where_the_robot_hangs(
+    varied: dict[str, Variation],
+) -> None:
     plain = varied["plain_angles"]
     assert plain.space.feature_names == ("q1", "dq1", "q2", "dq2")
     starts = plain.demonstrated_states.unflatten(0, (5, 26))[:, 0]
     assert ((starts - plain.initial.mean)[:, [0, 2]].abs() < 4 * 0.05).all()
-    torch.testing.assert_close(plain.space.match(plain.demonstrated_states), plain.space.match(varied["ours"].demonstrated_states))
+    torch.testing.assert_close(
+        plain.space.match(plain.demonstrated_states),
+        plain.space.match(varied["ours"].demonstrated_states),
+    )
 
 
 def test_random_centres_lie_where_nothing_was_demonstrated(varied: dict[str, Variation]) -> None:
@@ -103,7 +130,9 @@ def test_each_variation_learns_is_saved_and_loaded(
     task = short(varied[name])
     result = train(task, seed=0, trials=1, out=tmp_path, command="", progress_bar=False)
     loaded = load_learned(tmp_path, task)
-    torch.testing.assert_close(loaded.predicted(task).mean, result.outcomes[0].predicted.mean, rtol=0, atol=1e-10)
+    torch.testing.assert_close(
+        loaded.predicted(task).mean, result.outcomes[0].predicted.mean, rtol=0, atol=1e-10
+    )
     assert loaded.dynamics.targets == task.targets
     assert json.loads((tmp_path / "summary.json").read_text())["experiment"] == varied[name].name
 
@@ -118,7 +147,10 @@ def test_run_on_particles_that_was_stopped_ends_as_one_that_was_not(
         stop_in(patch, "search", 5, stop)
         train(short(varied["particles"]), out=tmp_path / "stopped", **arguments)
     resumed = train(short(varied["particles"]), out=tmp_path / "stopped", resume=True, **arguments)
-    assert all(torch.equal(one, other) for one, other in zip(whole.policy.parameters(), resumed.policy.parameters(), strict=True))
+    assert all(
+        torch.equal(one, other)
+        for one, other in zip(whole.policy.parameters(), resumed.policy.parameters(), strict=True)
+    )
     assert [trial.kl for trial in whole.trials] == [trial.kl for trial in resumed.trials]
 
 
@@ -130,12 +162,23 @@ def test_all_variations_run_with_all_seeds(tmp_path: Path) -> None:
     full, quick = needed_runs(tmp_path, False), needed_runs(tmp_path, True)
     assert [run.out.name for run in full] == ["seed_0", "seed_1", "seed_2"] * len(LABELS)
     assert {run.learn.keywords["trials"] for run in full} == {10}
-    assert [run.out.parent.name.removeprefix("double_pendulum_ablation_") for run in quick] == list(LABELS)
+    assert [run.out.parent.name.removeprefix("double_pendulum_ablation_") for run in quick] == list(
+        LABELS
+    )
 
 
 def summary_of(rate: float, successes: list[bool]) -> dict:
-    trials = [{"experience_s": 2.5 * n, "success_rate": rate, "own_success": own} for n, own in enumerate(successes, start=1)]
-    numbers = {"seed": 0, "wall_seconds": 1.0, "saved_trial": 1, "saved_success_rate": rate, "experience_s": 2.5 * (len(successes) + 1)}
+    trials = [
+        {"experience_s": 2.5 * n, "success_rate": rate, "own_success": own}
+        for n, own in enumerate(successes, start=1)
+    ]
+    numbers = {
+        "seed": 0,
+        "wall_seconds": 1.0,
+        "saved_trial": 1,
+        "saved_success_rate": rate,
+        "experience_s": 2.5 * (len(successes) + 1),
+    }
     return {"experiment": "a", "stop_reason": "b", "trials": trials, **numbers}
 
 
@@ -157,8 +200,19 @@ def test_report_is_of_each_variation_over_its_seeds(tmp_path: Path) -> None:
     assert made.headline["particles_success"] == pytest.approx(0.805)
     assert made.headline["ours_first_success_s"] == pytest.approx((10 + 5) / 2)
     assert made.headline["random_centres_first_success_s"] == pytest.approx((7.5 + 5) / 2)
-    assert (made.headline["ours_runs_with_success"], made.headline["random_centres_runs_with_success"]) == (1, 2)
-    assert np.array(made.details["success"]).shape == np.array(made.details["first_success_s"]).shape == (len(LABELS), 2)
-    assert [tick.get_text() for tick in made.figures["ablation"].axes[0].get_yticklabels()] == list(LABELS.values())[::-1]
-    assert "never" in [tick.get_text() for tick in made.figures["ablation"].axes[1].get_xticklabels()]
+    assert (
+        made.headline["ours_runs_with_success"],
+        made.headline["random_centres_runs_with_success"],
+    ) == (1, 2)
+    assert (
+        np.array(made.details["success"]).shape
+        == np.array(made.details["first_success_s"]).shape
+        == (len(LABELS), 2)
+    )
+    assert [tick.get_text() for tick in made.figures["ablation"].axes[0].get_yticklabels()] == list(
+        LABELS.values()
+    )[::-1]
+    assert "never" in [
+        tick.get_text() for tick in made.figures["ablation"].axes[1].get_xticklabels()
+    ]
     json.dumps({**made.headline, **made.details})

@@ -1,4 +1,6 @@
-"""The BioRob's report: each number is that of the runs, and the pictures are of the motions that they say."""
+"""The BioRob's report: each number is that of the runs, and the pictures are of the motions that
+they say.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +29,20 @@ def summary(rate: float, error: float, trials: int = 4, **changes: object) -> di
         "wall_seconds": 10.0 * trials,
         "two_sigma_coverage": 0.95,
         "two_sigma_coverage_by_entry": dict.fromkeys(ENTRIES, 0.95),
-        "rms_error": {name: math.radians(error) if name.startswith("q") else 9.0 for name in ENTRIES},
-        "demonstration_spread": {name: math.radians(2.0) if name.startswith("q") else 9.0 for name in ENTRIES},
+        "rms_error": {
+            name: math.radians(error) if name.startswith("q") else 9.0 for name in ENTRIES
+        },
+        "demonstration_spread": {
+            name: math.radians(2.0) if name.startswith("q") else 9.0 for name in ENTRIES
+        },
         "trials": [{}] * trials,
     } | changes
 
 
 def test_headline_counts_seeds_that_hit_in_time() -> None:
-    headline = headline_of([summary(1.0, 3.0), summary(0.95, 4.0), summary(0.9, 4.0), summary(1.0, 4.0, trials=5)])
+    headline = headline_of(
+        [summary(1.0, 3.0), summary(0.95, 4.0), summary(0.9, 4.0), summary(1.0, 4.0, trials=5)]
+    )
     assert headline["seeds_solved_by_trial_4"] == 2
     assert headline["hit_rate"] == pytest.approx(3.85 / 4)
     assert headline["max_experience_s"] == pytest.approx(15.0)
@@ -51,20 +59,34 @@ def test_ten_seeds_of_four_trials_are_those_of_the_training_script(tmp_path: Pat
     assert {run.learn.keywords["trials"] for run in runs} == {4}
 
 
-def test_report_of_a_short_run_has_its_figures_in_degrees(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    short = replace(load_experiment("biorob"), num_centres=5, search=SearchSettings(0, 1, 1, first_horizon=18))
+def test_report_of_a_short_run_has_its_figures_in_degrees(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = replace(
+        load_experiment("biorob"), num_centres=5, search=SearchSettings(0, 1, 1, first_horizon=18)
+    )
     monkeypatch.setattr(biorob, "load_experiment", lambda name: short)
     with pytest.MonkeyPatch.context() as patch:
         quick_fits(patch)
         train(short, 0, 1, tmp_path, "test", progress_bar=False)
-    monkeypatch.setattr(biorob, "photo_series", lambda rollout, experiment: (_ for _ in ()).throw(RuntimeError("no OpenGL")))
+    monkeypatch.setattr(
+        biorob,
+        "photo_series",
+        lambda rollout, experiment: (_ for _ in ()).throw(RuntimeError("no OpenGL")),
+    )
     with pytest.warns(RuntimeWarning, match="there is no figure 8: no OpenGL"):
         made = report([tmp_path], quick=True)
     assert sorted(made.figures) == ["figure10", "hits_over_experience"]
     panels = made.figures["figure10"].axes
-    assert [panel.get_ylabel() for panel in panels] == ["q yaw (°)", "q shoulder (°)", "q elbow (°)"]
+    assert [panel.get_ylabel() for panel in panels] == [
+        "q yaw (°)",
+        "q shoulder (°)",
+        "q elbow (°)",
+    ]
     demonstrated = panels[1].lines[0].get_ydata()
-    assert demonstrated == pytest.approx(np.rad2deg(short.demonstrations.positions[:, 1:, 1].mean(0).numpy()))
+    assert demonstrated == pytest.approx(
+        np.rad2deg(short.demonstrations.positions[:, 1:, 1].mean(0).numpy())
+    )
 
 
 def test_photographs_are_of_the_demonstration_and_of_the_rollout() -> None:

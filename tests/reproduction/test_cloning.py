@@ -1,4 +1,6 @@
-"""Recorded torques: those of the shipped demonstrations, cloned where they were recorded, and what other masses would need."""
+"""Recorded torques: those of the shipped demonstrations, cloned where they were recorded, and what
+other masses would need.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 
 
-def test_at_the_demonstrators_mass_the_peak_is_that_of_the_applied_torques_and_it_grows_with_the_mass(draws: Draws) -> None:
+def test_at_the_demonstrators_mass_the_peak_is_that_of_the_applied_torques_and_it_grows_with_the_mass(
+    draws: Draws,
+) -> None:
     env, torques = DoublePendulumEnv(num_envs=2, seed=0), draws.uniform(-3.0, 3.0, 2, 3, 2)
     states = [env.reset()["observation"]]
     for step in range(3):
@@ -26,7 +30,14 @@ def test_at_the_demonstrators_mass_the_peak_is_that_of_the_applied_torques_and_i
 @pytest.mark.slow
 def test_seed_0_is_the_shipped_demonstrations_and_its_clone_swings_up_where_it_learned() -> None:
     states, torques = next(record_pairs([0]))
-    torch.testing.assert_close(link_positions(states), shipped_demonstrations("double_pendulum").positions, rtol=0, atol=1e-6)
+    torch.testing.assert_close(
+        link_positions(states),
+        shipped_demonstrations("double_pendulum").positions,
+        rtol=0,
+        atol=1e-6,
+    )
     clone = clone_double_pendulum(states, torques)
-    rates = [measured_success(clone, with_second_link(mass), starts=20, seed=1) for mass in (0.5, 1.0)]
+    rates = [
+        measured_success(clone, with_second_link(mass), starts=20, seed=1) for mass in (0.5, 1.0)
+    ]
     assert rates == [pytest.approx(1.0, abs=0.1), 0.0]

@@ -25,7 +25,9 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     return partial(run_script, monkeypatch, SCRIPT)
 
 
-def toy(learn: Callable[[Path, str], object] | None = None, **headline: float | None) -> PaperExperiment:
+def toy(
+    learn: Callable[[Path, str], object] | None = None, **headline: float | None
+) -> PaperExperiment:
     def runs(root: Path, quick: bool) -> list[Run]:
         return [] if learn is None else [Run(root / "seed_0", learn)]
 
@@ -35,10 +37,15 @@ def toy(learn: Callable[[Path, str], object] | None = None, **headline: float | 
     return PaperExperiment("figure6", "nothing", runs, report)
 
 
-def test_headline_and_files_are_told(script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_headline_and_files_are_told(
+    script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setitem(PAPER, "figure6", toy())
     script("figure6")
-    assert capsys.readouterr().out == "pi: 3.142\nquick: 0\nsee results/figure6/summary.json, results/figure6/empty.png\n"
+    assert (
+        capsys.readouterr().out
+        == "pi: 3.142\nquick: 0\nsee results/figure6/summary.json, results/figure6/empty.png\n"
+    )
     script("figure6", "--quick")
     assert "quick: 1\nsee results/quick/figure6/summary.json" in capsys.readouterr().out
 
@@ -49,21 +56,30 @@ def test_what_never_came_about_is_told_and_written_as_such(
     monkeypatch.setitem(PAPER, "figure6", toy(experience_to_95=None))
     script("figure6")
     assert "experience_to_95: never\n" in capsys.readouterr().out
-    assert json.loads(Path("results/figure6/summary.json").read_text())["headline"]["experience_to_95"] is None
+    assert (
+        json.loads(Path("results/figure6/summary.json").read_text())["headline"]["experience_to_95"]
+        is None
+    )
 
 
-def test_unknown_name_is_refused_with_those_there_are(script: Script, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_name_is_refused_with_those_there_are(
+    script: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as stop:
         script("figure99")
     assert stop.value.code == 2
     assert all(name in capsys.readouterr().err for name in ("figure99",))
 
 
-def test_help_says_what_each_experiment_shows(script: Script, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_says_what_each_experiment_shows(
+    script: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit):
         script("--help")
     told = capsys.readouterr().out
-    assert all(f"{name} " in told and experiment.shows in told for name, experiment in PAPER.items())
+    assert all(
+        f"{name} " in told and experiment.shows in told for name, experiment in PAPER.items()
+    )
 
 
 def test_failed_run_is_one_line(script: Script, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,4 +102,6 @@ def test_interrupted_reproduction_says_how_to_go_on(
     with pytest.raises(SystemExit) as stop:
         script("figure6", "--quick")
     assert stop.value.code == 130
-    assert capsys.readouterr().err.endswith("stopped; go on with: python scripts/reproduce.py figure6 --quick\n")
+    assert capsys.readouterr().err.endswith(
+        "stopped; go on with: python scripts/reproduce.py figure6 --quick\n"
+    )

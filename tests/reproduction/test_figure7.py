@@ -18,13 +18,29 @@ from torch_pmil.experiments.runs.summaries import RunError, read_summary
 
 
 def leave_runs(root: Path, curves: Mapping[str, Sequence[float]]) -> list[Path]:
-    """Two runs of each method with these success rates, a trial each 2.5 s; the last rate is the saved policy's."""
+    """Two runs of each method with these success rates, a trial each 2.5 s; the last rate is the
+    saved policy's.
+    """
     folders = []
     for method, rates in curves.items():
         for seed in range(2):
-            trials = [{"experience_s": 2.5 * number, "success_rate": rate} for number, rate in enumerate(rates[:-1], start=1)]
-            numbers = {"seed": seed, "wall_seconds": 1.0, "saved_trial": 1, "saved_success_rate": rates[-1]}
-            told = {"experiment": method, "stop_reason": "limit of trials", "experience_s": 2.5 * len(rates), "trials": trials, **numbers}
+            trials = [
+                {"experience_s": 2.5 * number, "success_rate": rate}
+                for number, rate in enumerate(rates[:-1], start=1)
+            ]
+            numbers = {
+                "seed": seed,
+                "wall_seconds": 1.0,
+                "saved_trial": 1,
+                "saved_success_rate": rates[-1],
+            }
+            told = {
+                "experiment": method,
+                "stop_reason": "limit of trials",
+                "experience_s": 2.5 * len(rates),
+                "trials": trials,
+                **numbers,
+            }
             folders.append(root / method / f"seed_{seed}")
             folders[-1].mkdir(parents=True)
             (folders[-1] / "summary.json").write_text(json.dumps(told))
@@ -35,7 +51,10 @@ def test_runs_are_our_ten_from_the_same_random_rollouts_as_the_baselines(tmp_pat
     def folders(*names: str, seeds: int) -> list[Path]:
         return [tmp_path / name / f"seed_{seed}" for name in names for seed in range(seeds)]
 
-    of_7a, of_7b = ("double_pendulum", "double_pendulum_pilco"), ("double_pendulum", "double_pendulum_dmp", "double_pendulum_dmp_10hz")
+    of_7a, of_7b = (
+        ("double_pendulum", "double_pendulum_pilco"),
+        ("double_pendulum", "double_pendulum_dmp", "double_pendulum_dmp_10hz"),
+    )
     for quick, seeds in ((False, 10), (True, 2)):
         assert [run.out for run in runs_of_7a(tmp_path, quick)] == folders(*of_7a, seeds=seeds)
         assert [run.out for run in runs_of_7b(tmp_path, quick)] == folders(*of_7b, seeds=seeds)
@@ -45,12 +64,19 @@ def test_numbers_of_trials_reach_the_papers_seconds_of_experience(tmp_path: Path
     for runs, count in ((runs_of_7a(tmp_path, False), 20), (runs_of_7b(tmp_path, False), 30)):
         trials = [run.learn.keywords["trials"] for run in runs]
         assert trials == [13] * 10 + [20] * (count - 10)
-    assert {run.learn.keywords["trials"] for run in runs_of_7a(tmp_path, True) + runs_of_7b(tmp_path, True)} == {3}
+    assert {
+        run.learn.keywords["trials"]
+        for run in runs_of_7a(tmp_path, True) + runs_of_7b(tmp_path, True)
+    } == {3}
 
 
-def test_report_of_7a_tells_when_each_is_at_95_percent_and_how_good_at_22_and_33_seconds(tmp_path: Path) -> None:
+def test_report_of_7a_tells_when_each_is_at_95_percent_and_how_good_at_22_and_33_seconds(
+    tmp_path: Path,
+) -> None:
     ours = [0.0] * 7 + [0.5, 0.96, 1.0, 1.0]  # at 20, 22.5, 25 and 27.5 s
-    pilco = [0.0] * 12 + [0.25] + [0.5] * 6 + [1.0, 0.9]  # at 32.5 s, from 35 s on, at 50 and 52.5 s
+    pilco = (
+        [0.0] * 12 + [0.25] + [0.5] * 6 + [1.0, 0.9]
+    )  # at 32.5 s, from 35 s on, at 50 and 52.5 s
     made = report_7a(leave_runs(tmp_path, {"ours": ours, "pilco": pilco}), quick=False)
     assert made.headline == {
         "ours_experience_to_95": 22.5,
@@ -66,7 +92,10 @@ def test_report_of_7a_tells_when_each_is_at_95_percent_and_how_good_at_22_and_33
 
 
 def test_report_of_7b_keeps_both_feedbacks_apart_and_says_never(tmp_path: Path) -> None:
-    made = report_7b(leave_runs(tmp_path, {"ours": [0.0, 1.0], "dmp": [0.0, 0.9, 0.8], "dmp_10hz": [0.1, 0.2]}), quick=False)
+    made = report_7b(
+        leave_runs(tmp_path, {"ours": [0.0, 1.0], "dmp": [0.0, 0.9, 0.8], "dmp_10hz": [0.1, 0.2]}),
+        quick=False,
+    )
     assert made.headline == {
         "ours_experience_to_95": 5.0,
         "ours_success_at_33s": 1.0,
@@ -78,7 +107,9 @@ def test_report_of_7b_keeps_both_feedbacks_apart_and_says_never(tmp_path: Path) 
         "dmp_10hz_success_at_33s": 0.2,
         "dmp_10hz_final_success": 0.2,
     }
-    assert [text.get_text() for text in made.figures["figure7b"].legends[0].get_texts()] == list(made.details["curves"])
+    assert [text.get_text() for text in made.figures["figure7b"].legends[0].get_texts()] == list(
+        made.details["curves"]
+    )
 
 
 def test_damaged_run_is_named(tmp_path: Path) -> None:
@@ -88,7 +119,9 @@ def test_damaged_run_is_named(tmp_path: Path) -> None:
         success_curves(folders, ("ours", "other"))
 
 
-def test_baseline_runs_with_the_feedback_that_its_folder_says_and_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_baseline_runs_with_the_feedback_that_its_folder_says_and_begins_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     quick_fits(monkeypatch)
     monkeypatch.setattr(figure7b, "load_experiment", lambda name: short_experiment(name=name))
     for name, period in (("double_pendulum_dmp", 0.01), ("double_pendulum_dmp_10hz", 0.1)):
@@ -96,10 +129,17 @@ def test_baseline_runs_with_the_feedback_that_its_folder_says_and_begins_anew(tm
         for _ in range(2):
             run.learn(run.out, "command")
         summary = read_summary(tmp_path / name / "seed_4")
-        assert (summary["seed"], summary["settings"]["feedback_period"], summary["command"]) == (4, period, "command")
+        assert (summary["seed"], summary["settings"]["feedback_period"], summary["command"]) == (
+            4,
+            period,
+            "command",
+        )
         assert len(summary["trials"]) == 1
 
 
 def test_both_are_on_the_command_line() -> None:
     assert {"figure7a", "figure7b"} < PAPER.keys()
-    assert all(isinstance(run.learn, partial) for run in runs_of_7a(Path("runs"), False) + runs_of_7b(Path("runs"), False))
+    assert all(
+        isinstance(run.learn, partial)
+        for run in runs_of_7a(Path("runs"), False) + runs_of_7b(Path("runs"), False)
+    )

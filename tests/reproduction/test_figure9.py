@@ -1,4 +1,6 @@
-"""Figure 9: the recordings are those that the paper describes, and the numbers are at their frequencies."""
+"""Figure 9: the recordings are those that the paper describes, and the numbers are at their
+frequencies.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,15 @@ def movements() -> list[Recording]:
 
 
 def test_recordings_are_24_s_of_motion_around_the_start(movements: list[Recording]) -> None:
-    states, torques = torch.stack([part.states for part in movements]), torch.stack([part.actions for part in movements])
+    states, torques = (
+        torch.stack([part.states for part in movements]),
+        torch.stack([part.actions for part in movements]),
+    )
     assert states.shape == (12, 201, 6) and torques.shape == (12, 200, 3)
     away = (states[..., :3] - torch.tensor(START[:3])).abs().amax((0, 1)).rad2deg()
-    assert (away > torch.tensor(REACH) / 2).all() and (away < 2 * torch.tensor(REACH)).all()  # light joints overshoot
+    assert (away > torch.tensor(REACH) / 2).all() and (
+        away < 2 * torch.tensor(REACH)
+    ).all()  # light joints overshoot
     assert (torques.abs() <= torch.tensor(TORQUE_LIMIT)).all()
 
 
@@ -39,9 +46,15 @@ def test_recordings_of_two_seeds_differ_and_of_one_agree(movements: list[Recordi
     assert not torch.equal(recorded_movements(seed=1)[1].states, movements[1].states)
 
 
-def test_numbers_are_means_over_recordings_at_their_frequency_and_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def values(inputs: torch.Tensor, targets: torch.Tensor, folds: int, max_iterations: int) -> torch.Tensor:
-        return torch.full((folds, 6), -abs(len(inputs) - 60.0)).double() + targets[0, 0]  # best where there are 60 transitions
+def test_numbers_are_means_over_recordings_at_their_frequency_and_length(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def values(
+        inputs: torch.Tensor, targets: torch.Tensor, folds: int, max_iterations: int
+    ) -> torch.Tensor:
+        return (
+            torch.full((folds, 6), -abs(len(inputs) - 60.0)).double() + targets[0, 0]
+        )  # best where there are 60 transitions
 
     monkeypatch.setattr("torch_pmil.model.sampling_frequency.held_out_log_likelihood", values)
     runs = needed_runs(tmp_path, quick=True)
@@ -50,11 +63,19 @@ def test_numbers_are_means_over_recordings_at_their_frequency_and_length(tmp_pat
     made = report([run.out for run in runs], quick=True)
     assert made.headline["best_frequency_raw_6s_hz"] == 10.0
     assert made.details["6s"]["transitions"] == [30, 60, 120]
-    first = [torch.stack([recorded_movements(seed)[0].states[10 * k] for k in (0, 1)])[:, 0].diff().item() for seed in (0, 1)]
+    first = [
+        torch.stack([recorded_movements(seed)[0].states[10 * k] for k in (0, 1)])[:, 0]
+        .diff()
+        .item()
+        for seed in (0, 1)
+    ]
     assert made.headline["raw_6s_10hz"] == pytest.approx(sum(first) / 2)
     half_width = stats.t.ppf(0.975, 1) * torch.tensor(first).std().item() / 2**0.5
     assert made.details["6s"]["half_widths"]["raw"][1] == pytest.approx(half_width, rel=1e-4)
-    assert [panel.get_title() for panel in made.figures["figure9_6s"].axes] == ["raw", "standardised"]
+    assert [panel.get_title() for panel in made.figures["figure9_6s"].axes] == [
+        "raw",
+        "standardised",
+    ]
 
 
 def test_each_score_has_a_folder_of_its_own(tmp_path: Path) -> None:

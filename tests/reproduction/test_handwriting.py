@@ -38,7 +38,9 @@ def test_every_shape_and_robot_has_a_folder_for_every_seed(tmp_path: Path) -> No
     runs = needed_runs(tmp_path, False)
     assert len({run.out for run in runs}) == len(runs) == len(TASKS) * len(SEEDS) == 18
     assert {run.learn.keywords["trials"] for run in runs} == {TRIALS} == {12}
-    assert [run.out for run in runs[:2]] == [tmp_path / f"handwriting_{s}_double_pendulum" / "seed_0" for s in ("Angle", "Sshape")]
+    assert [run.out for run in runs[:2]] == [
+        tmp_path / f"handwriting_{s}_double_pendulum" / "seed_0" for s in ("Angle", "Sshape")
+    ]
     assert len(needed_runs(tmp_path, True)) == 1
 
 
@@ -53,7 +55,9 @@ def test_ratio_is_one_where_the_error_is_the_spread_in_whatever_direction() -> N
     assert ratio(summary(error=0.02, spread=0.02, seed=0)) == pytest.approx(1.0)
 
 
-def test_every_median_is_at_its_shape_and_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_median_is_at_its_shape_and_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     point = torch.zeros(1, 2, 2, dtype=torch.float64)
     drawn = Writing(point, Gaussian(point[0, 1:], torch.eye(2, dtype=torch.float64)[None]), point)
     monkeypatch.setattr(handwriting, "writing", lambda folder, shape, robot: drawn)
@@ -70,4 +74,6 @@ def test_every_median_is_at_its_shape_and_robot(tmp_path: Path, monkeypatch: pyt
     assert found.headline["worst_ratio"] == pytest.approx(7.0 * len(TASKS))
     assert found.figures.keys() == SHAPES.keys()
     assert len(found.figures["double_pendulum"].axes) == 4
-    assert [(one["robot"], one["shape"]) for one in found.details["measured"]] == [task for task in TASKS for _ in SEEDS]
+    assert [(one["robot"], one["shape"]) for one in found.details["measured"]] == [
+        task for task in TASKS for _ in SEEDS
+    ]

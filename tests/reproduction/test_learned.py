@@ -48,7 +48,9 @@ def test_success_is_the_fraction_of_the_starts_of_that_robot() -> None:
     assert 0 < rate <= ((starts - wide.initial.mean)[:, 0].abs() <= 0.5).double().mean()
 
 
-def test_outcome_tells_of_the_run_and_measures_its_policy_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outcome_tells_of_the_run_and_measures_its_policy_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     quick_fits(monkeypatch)
     result = run(tmp_path, trials=1)
     easy = replace(short_experiment(), tolerance=10.0)

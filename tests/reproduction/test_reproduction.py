@@ -1,4 +1,6 @@
-"""The frame of the reproduction: what is run, what is not run again, what is written, what is said of failures."""
+"""The frame of the reproduction: what is run, what is not run again, what is written, what is said
+of failures.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,14 @@ def learn_quickly(out: Path, command: str, seed: int) -> None:
         "saved_success_rate": 1.0,
         "experience_s": 5.0,
     }
-    summary = {"experiment": "toy", "stop_reason": "limit", "command": command, "trials": trials, "process": os.getpid(), **numbers}
+    summary = {
+        "experiment": "toy",
+        "stop_reason": "limit",
+        "command": command,
+        "trials": trials,
+        "process": os.getpid(),
+        **numbers,
+    }
     (out / "summary.json").write_text(json.dumps(summary))
 
 
@@ -41,7 +50,10 @@ def fail(out: Path, command: str) -> None:
 
 
 def toy_runs(root: Path, quick: bool) -> list[Run]:
-    return [Run(root / f"seed_{seed}", partial(learn_quickly, seed=seed)) for seed in range(1 if quick else 2)]
+    return [
+        Run(root / f"seed_{seed}", partial(learn_quickly, seed=seed))
+        for seed in range(1 if quick else 2)
+    ]
 
 
 def toy_report(folders: Sequence[Path], quick: bool) -> Report:
@@ -81,7 +93,10 @@ def test_results_hold_headline_details_figures_and_where_all_comes_from() -> Non
 def test_a_quick_reproduction_touches_no_full_run_and_no_full_result() -> None:
     out, _ = reproduce(TOY, True, COMMAND)
     assert out == Path("results/quick/toy")
-    assert {str(path) for path in Path().rglob("summary.json")} == {"results/quick/toy/summary.json", "runs/quick/seed_0/summary.json"}
+    assert {str(path) for path in Path().rglob("summary.json")} == {
+        "results/quick/toy/summary.json",
+        "runs/quick/seed_0/summary.json",
+    }
     assert json.loads((out / "summary.json").read_text())["quick"] is True
 
 
@@ -98,7 +113,11 @@ def test_finished_runs_are_not_run_again() -> None:
 
 @pytest.mark.usefixtures("one_process")
 def test_failed_runs_are_named_a_line_each_after_the_others_were_run() -> None:
-    runs = [Run(Path("runs/bad"), fail), *toy_runs(Path("runs"), False), Run(Path("runs/worse"), fail)]
+    runs = [
+        Run(Path("runs/bad"), fail),
+        *toy_runs(Path("runs"), False),
+        Run(Path("runs/worse"), fail),
+    ]
     with pytest.raises(RunError) as error:
         finish(runs, COMMAND)
     assert str(error.value) == "runs/bad: no good\nruns/worse: no good"
@@ -118,9 +137,13 @@ def test_runs_that_are_missing_are_learned_side_by_side(monkeypatch: pytest.Monk
 def test_our_own_runs_go_on_from_where_they_were_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple] = []
 
-    def train(experiment: object, *settings: object, progress_bar: bool, on_trial: Callable, resume: bool) -> None:
+    def train(
+        experiment: object, *settings: object, progress_bar: bool, on_trial: Callable, resume: bool
+    ) -> None:
         asked.append((experiment.name, *settings, resume))
 
     monkeypatch.setattr(reproduction, "train", train)
-    finish([learning_run(Path("runs"), load_experiment("double_pendulum"), seed=3, trials=4)], COMMAND)
+    finish(
+        [learning_run(Path("runs"), load_experiment("double_pendulum"), seed=3, trials=4)], COMMAND
+    )
     assert asked == [("double_pendulum", 3, 4, Path("runs/double_pendulum/seed_3"), COMMAND, True)]

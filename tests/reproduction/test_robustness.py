@@ -1,4 +1,6 @@
-"""Robustness: what is varied is what the name says, the learner is told the start that it sees, and each number is at its place."""
+"""Robustness: what is varied is what the name says, the learner is told the start that it sees, and
+each number is at its place.
+"""
 
 from __future__ import annotations
 
@@ -51,10 +53,20 @@ def no_expert(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         (with_start_std(0.05), (0.05, 0.1, 0.05, 0.1)),
         (with_start_std(0.2), (0.2, 0.4, 0.2, 0.4)),
         (with_noise(0.0), (0.05, 0.1, 0.05, 0.1)),
-        (with_noise(0.05), (math.hypot(0.05, 0.05), math.hypot(0.1, 0.5), math.hypot(0.05, 0.05), math.hypot(0.1, 0.5))),
+        (
+            with_noise(0.05),
+            (
+                math.hypot(0.05, 0.05),
+                math.hypot(0.1, 0.5),
+                math.hypot(0.05, 0.05),
+                math.hypot(0.1, 0.5),
+            ),
+        ),
     ],
 )
-def test_start_belief_is_the_distribution_of_what_the_sensors_say_of_starts(experiment: Experiment, std: tuple[float, ...]) -> None:
+def test_start_belief_is_the_distribution_of_what_the_sensors_say_of_starts(
+    experiment: Experiment, std: tuple[float, ...]
+) -> None:
     count, initial = 20_000, experiment.initial
     seen = experiment.make_env(num_envs=count, seed=0).reset()["observation"]
     torch.testing.assert_close(initial.std, torch.tensor(std, dtype=torch.float64))
@@ -74,10 +86,19 @@ def test_demonstrations_are_nested_and_begin_with_those_of_the_package() -> None
 
 
 def test_plain_level_is_the_plain_experiment_and_all_others_differ_in_name() -> None:
-    names = {factor.name: [experiment.name for experiment in factor.experiments()] for factor in FACTORS}
+    names = {
+        factor.name: [experiment.name for experiment in factor.experiments()] for factor in FACTORS
+    }
     assert names == {
-        "start": ["double_pendulum", "double_pendulum_start_0.1rad", "double_pendulum_start_0.2rad"],
-        "noise": ["double_pendulum", *(f"double_pendulum_noise_{std}rad" for std in ("0.01", "0.02", "0.05"))],
+        "start": [
+            "double_pendulum",
+            "double_pendulum_start_0.1rad",
+            "double_pendulum_start_0.2rad",
+        ],
+        "noise": [
+            "double_pendulum",
+            *(f"double_pendulum_noise_{std}rad" for std in ("0.01", "0.02", "0.05")),
+        ],
         "demonstrations": [
             "double_pendulum_demonstrations_2",
             "double_pendulum_demonstrations_3",
@@ -87,12 +108,18 @@ def test_plain_level_is_the_plain_experiment_and_all_others_differ_in_name() -> 
     }
 
 
-def test_every_experiment_is_learned_once_with_every_seed_in_another_process(tmp_path: Path) -> None:
+def test_every_experiment_is_learned_once_with_every_seed_in_another_process(
+    tmp_path: Path,
+) -> None:
     runs = needed_runs(tmp_path, False)
-    assert [run.out for run in runs] == [tmp_path / name / f"seed_{seed}" for name in varied_experiments() for seed in SEEDS]
+    assert [run.out for run in runs] == [
+        tmp_path / name / f"seed_{seed}" for name in varied_experiments() for seed in SEEDS
+    ]
     assert len(needed_runs(tmp_path, True)) == len(varied_experiments()) == 9
     for run in runs:
-        sent, meant = (kept.learn.keywords["experiment"] for kept in (pickle.loads(pickle.dumps(run)), run))
+        sent, meant = (
+            kept.learn.keywords["experiment"] for kept in (pickle.loads(pickle.dumps(run)), run)
+        )
         starts = [experiment.make_env(seed=3).reset() for experiment in (sent, meant)]
         assert (starts[0] == starts[1]).all()
 
@@ -102,14 +129,25 @@ def test_every_number_is_at_its_level(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def outcome(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, object]:
         assert folder.parent.name == experiment.name
-        return {"experiment": experiment.name, "success_rate": names.index(experiment.name) / 10 + int(folder.name[-1]) / 100}
+        return {
+            "experiment": experiment.name,
+            "success_rate": names.index(experiment.name) / 10 + int(folder.name[-1]) / 100,
+        }
 
     monkeypatch.setattr(robustness, "outcome", outcome)
     made = report([Path(name, f"seed_{seed}") for name in names for seed in (0, 1)], quick=True)
     plain = load_experiment("double_pendulum").name
     for factor in FACTORS:
         for name, experiment in zip(factor.names(), factor.experiments(), strict=True):
-            assert made.headline[f"success_{name}"] == pytest.approx(names.index(experiment.name) / 10 + 0.005)
-    assert made.headline["success_start_0.05rad"] == made.headline["success_noise_0rad"] == made.headline["success_demonstrations_5"]
+            assert made.headline[f"success_{name}"] == pytest.approx(
+                names.index(experiment.name) / 10 + 0.005
+            )
+    assert (
+        made.headline["success_start_0.05rad"]
+        == made.headline["success_noise_0rad"]
+        == made.headline["success_demonstrations_5"]
+    )
     assert sum(run["experiment"] == plain for run in made.details["measured"]) == 2
-    assert [panel.get_xlabel() for panel in made.figures["robustness"].axes] == [factor.label for factor in FACTORS]
+    assert [panel.get_xlabel() for panel in made.figures["robustness"].axes] == [
+        factor.label for factor in FACTORS
+    ]

@@ -1,4 +1,6 @@
-"""The picture of the set-up shows each ball and the region around them, or says that it needs OpenGL."""
+"""The picture of the set-up shows each ball and the region around them, or says that it needs
+OpenGL.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +37,23 @@ assert draw_targets(pixel_size=(60, 80)).shape == (60, 80, 3)
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("backend", "fails"), [("egl", False), ("glfw", True)])
-def test_picture_shows_every_ball_and_the_region_or_is_refused_clearly(backend: str, fails: bool) -> None:
-    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+def test_picture_shows_every_ball_and_the_region_or_is_refused_clearly(
+    backend: str, fails: bool
+) -> None:
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("DISPLAY", "WAYLAND_DISPLAY")
+    }
     command = [sys.executable, "-W", "ignore", "-c", PICTURES]
-    result = subprocess.run(command, env={**environment, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False)
+    result = subprocess.run(
+        command,
+        env={**environment, "MUJOCO_GL": backend},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert (result.returncode != 0) == fails, result.stderr
-    assert ("RuntimeError: pictures need OpenGL, which failed with MUJOCO_GL glfw" in result.stderr) == fails
+    assert (
+        "RuntimeError: pictures need OpenGL, which failed with MUJOCO_GL glfw" in result.stderr
+    ) == fails

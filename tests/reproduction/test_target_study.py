@@ -26,11 +26,16 @@ G = 35
 
 def write(folder: Path, training: list[float], joint: list[float], **changes: object) -> Path:
     """The measurement of a run; the other methods reach nothing."""
-    grid = {name: {"success": joint if name == "joint" else [0.0] * G, "value": [0.1] * G} for name in METHODS}
+    grid = {
+        name: {"success": joint if name == "joint" else [0.0] * G, "value": [0.1] * G}
+        for name in METHODS
+    }
     run = {"seed": 0, "experience_s": 20.0, "trials": [{"kl": 9.0}] * 4, "learning_seconds": 100.0}
     folder.mkdir()
     (folder / "summary.json").write_text(
-        json.dumps({**run, "training": {"success": training, "value": [0.1] * 3}, "grid": grid, **changes})
+        json.dumps(
+            {**run, "training": {"success": training, "value": [0.1] * 3}, "grid": grid, **changes}
+        )
     )
     return folder
 
@@ -45,7 +50,10 @@ def test_report_counts_grid_points_that_most_starts_reach(tmp_path: Path) -> Non
     assert inside.sum() == 9
     joint = np.where(inside, 1.0, 0.0)
     joint[0], joint[1] = 0.6, 0.5  # of which the first counts
-    folders = [write(tmp_path / "a", [1.0, 1.0, 0.9], joint.tolist()), write(tmp_path / "b", [1.0] * 3, [1.0] * G, experience_s=30.0)]
+    folders = [
+        write(tmp_path / "a", [1.0, 1.0, 0.9], joint.tolist()),
+        write(tmp_path / "b", [1.0] * 3, [1.0] * G, experience_s=30.0),
+    ]
     headline = BALLS.report(folders).headline
     assert headline["training_success_rate"] == pytest.approx(5.9 / 6)
     assert headline["worst_training_success_rate"] == 0.9
@@ -65,7 +73,11 @@ def test_measurement_of_something_else_is_an_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("study", "experiment"), [(PLACES, "double_pendulum_targets"), pytest.param(BALLS, "biorob_targets", marks=pytest.mark.slow)]
+    ("study", "experiment"),
+    [
+        (PLACES, "double_pendulum_targets"),
+        pytest.param(BALLS, "biorob_targets", marks=pytest.mark.slow),
+    ],
 )
 def test_short_study_learns_measures_and_goes_on(
     study: TargetStudy, experiment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -81,7 +93,9 @@ def test_short_study_learns_measures_and_goes_on(
     run.learn(run.out, "python scripts/reproduce.py")
     assert (tmp_path / experiment / "seed_0" / "policy.pt").read_bytes() == learned
     measured = read_measurement(run.out)
-    assert len(measured["training"]["success"]) == 3 and len(measured["grid"]["blended"]["value"]) == G
+    assert (
+        len(measured["training"]["success"]) == 3 and len(measured["grid"]["blended"]["value"]) == G
+    )
     report = study.report([run.out], picture=np.zeros((60, 80, 3), dtype=np.uint8))
     assert list(report.figures) == [study.name]
     assert report.headline["training_success_rate"] == 0.0  # in 0.4 s nothing is reached
@@ -90,8 +104,13 @@ def test_short_study_learns_measures_and_goes_on(
 def test_narrow_functions_are_reported_beside_the_wide_ones(tmp_path: Path) -> None:
     runs = reaching_study.needed_runs(tmp_path, quick=True)
     assert [run.out.parent.name for run in runs] == ["reaching", "reaching_narrow"]
-    assert reaching_study.narrow().target_scale < reaching_study.double_pendulum_targets().target_scale
-    folders = [write(tmp_path / "wide", [1.0] * 3, [1.0] * G), write(tmp_path / "narrow", [1.0] * 3, [0.0] * G)]
+    assert (
+        reaching_study.narrow().target_scale < reaching_study.double_pendulum_targets().target_scale
+    )
+    folders = [
+        write(tmp_path / "wide", [1.0] * 3, [1.0] * G),
+        write(tmp_path / "narrow", [1.0] * 3, [0.0] * G),
+    ]
     headline = reaching_study.report(folders, quick=True).headline
     assert (headline["grid_fraction"], headline["narrow_grid_fraction"]) == (1.0, 0.0)
 

@@ -24,7 +24,9 @@ def record(monkeypatch):
 def test_seed_0_records_the_shipped_demonstrations(record, tmp_path, capsys):
     record("experiment=double_pendulum", "seed=0", f"out={tmp_path / 'recorded.npz'}")
     recorded = load_demonstrations(tmp_path / "recorded.npz")
-    torch.testing.assert_close(recorded.positions, shipped_demonstrations().positions, rtol=0, atol=1e-6)
+    torch.testing.assert_close(
+        recorded.positions, shipped_demonstrations().positions, rtol=0, atol=1e-6
+    )
     assert "peak torque (N·m)" in capsys.readouterr().out
     with np.load(tmp_path / "recorded.npz") as arrays:
         assert sorted(arrays.files) == ["names", "positions", "time_step"]
@@ -33,17 +35,28 @@ def test_seed_0_records_the_shipped_demonstrations(record, tmp_path, capsys):
 @pytest.mark.slow
 def test_seed_0_records_the_shipped_demonstrations_with_targets(record, tmp_path, capsys):
     record("experiment=double_pendulum_targets", "seed=0", f"out={tmp_path / 'recorded.npz'}")
-    recorded, shipped = load_demonstrations(tmp_path / "recorded.npz"), shipped_demonstrations("double_pendulum_targets")
+    recorded, shipped = (
+        load_demonstrations(tmp_path / "recorded.npz"),
+        shipped_demonstrations("double_pendulum_targets"),
+    )
     torch.testing.assert_close(recorded.positions, shipped.positions, rtol=0, atol=1e-6)
     assert torch.equal(recorded.targets, shipped.targets)
-    assert (recorded.names, recorded.target_names, recorded.time_step) == (shipped.names, shipped.target_names, shipped.time_step)
+    assert (recorded.names, recorded.target_names, recorded.time_step) == (
+        shipped.names,
+        shipped.target_names,
+        shipped.time_step,
+    )
     assert "largest distance from the target" in capsys.readouterr().out
 
 
 @pytest.mark.slow
 def test_demonstrator_that_misses_a_target_records_nothing(record, tmp_path):
     with pytest.raises(SystemExit, match=r"a demonstration must stay within 0.1 m, got"):
-        record("experiment=double_pendulum_targets", "torque_noise=3", f"out={tmp_path / 'recorded.npz'}")
+        record(
+            "experiment=double_pendulum_targets",
+            "torque_noise=3",
+            f"out={tmp_path / 'recorded.npz'}",
+        )
     assert os.listdir(tmp_path) == []
 
 
@@ -58,7 +71,14 @@ def test_missing_folder_is_reported_before_recording(record, tmp_path):
 def test_unknown_experiment_is_refused(record, tmp_path):
     with pytest.raises(SystemExit) as stop:
         record("experiment=triple", f"out={tmp_path / 'recorded.npz'}")
-    known = ["biorob", "biorob_targets", "double_pendulum", "double_pendulum_targets", "gym_pendulum", "inverted_pendulum"]
+    known = [
+        "biorob",
+        "biorob_targets",
+        "double_pendulum",
+        "double_pendulum_targets",
+        "gym_pendulum",
+        "inverted_pendulum",
+    ]
     assert stop.value.code == f"experiment must be one of {known}, got triple"
 
 
@@ -82,13 +102,20 @@ def test_seed_0_records_the_shipped_demonstrations_of_gymnasium(record, tmp_path
 
 def test_expert_that_fails_records_nothing(record, tmp_path):
     with pytest.raises(SystemExit, match=r"a demonstration must have an error of at most 0.1, got"):
-        record("experiment=inverted_pendulum", "torque_noise=30", f"out={tmp_path / 'recorded.npz'}")
+        record(
+            "experiment=inverted_pendulum", "torque_noise=30", f"out={tmp_path / 'recorded.npz'}"
+        )
     assert os.listdir(tmp_path) == []
 
 
-def test_seed_0_records_the_shipped_demonstrations_of_the_biorob_without_torques(record, tmp_path, capsys):
+def test_seed_0_records_the_shipped_demonstrations_of_the_biorob_without_torques(
+    record, tmp_path, capsys
+):
     record("experiment=biorob", "seed=0", f"out={tmp_path / 'recorded.npz'}")
-    recorded, shipped = load_demonstrations(tmp_path / "recorded.npz"), shipped_demonstrations("biorob")
+    recorded, shipped = (
+        load_demonstrations(tmp_path / "recorded.npz"),
+        shipped_demonstrations("biorob"),
+    )
     assert recorded.positions.shape == (3, 19, 6)
     torch.testing.assert_close(recorded.positions, shipped.positions, rtol=0, atol=1e-4)
     assert (recorded.names, recorded.time_step) == (shipped.names, 0.1)
@@ -99,23 +126,37 @@ def test_seed_0_records_the_shipped_demonstrations_of_the_biorob_without_torques
 
 def test_seed_0_records_the_shipped_demonstrations_of_three_balls(record, tmp_path, capsys):
     record("experiment=biorob_targets", "seed=0", f"out={tmp_path / 'recorded.npz'}")
-    recorded, shipped = load_demonstrations(tmp_path / "recorded.npz"), shipped_demonstrations("biorob_targets")
+    recorded, shipped = (
+        load_demonstrations(tmp_path / "recorded.npz"),
+        shipped_demonstrations("biorob_targets"),
+    )
     assert recorded.positions.shape == (6, 19, 6)
     torch.testing.assert_close(recorded.positions, shipped.positions, rtol=0, atol=1e-4)
-    assert torch.equal(recorded.targets, shipped.targets) and recorded.target_names == shipped.target_names == ("y", "z")
+    assert torch.equal(
+        recorded.targets, shipped.targets
+    ) and recorded.target_names == shipped.target_names == ("y", "z")
     assert (recorded.names, recorded.time_step) == (shipped_demonstrations("biorob").names, 0.1)
     assert capsys.readouterr().out.count(" 1.") == 6, "each hits"
 
 
 def test_each_training_target_is_demonstrated_twice_and_alike():
     targets, sets = shipped_demonstrations("biorob_targets").by_target()
-    assert torch.equal(targets, TRAINING_TARGETS) and [len(one.positions) for one in sets] == [2, 2, 2]
-    yaw = torch.stack([one.positions[:, 11:15, 0].mean(1) for one in sets])  # (targets, 2), around the hit
+    assert torch.equal(targets, TRAINING_TARGETS) and [len(one.positions) for one in sets] == [
+        2,
+        2,
+        2,
+    ]
+    yaw = torch.stack(
+        [one.positions[:, 11:15, 0].mean(1) for one in sets]
+    )  # (targets, 2), around the hit
     assert torch.pdist(yaw.mean(1, keepdim=True)).min() > 2 * yaw.diff(dim=1).abs().max()
 
 
 @pytest.mark.parametrize("experiment", ["biorob", "biorob_targets"])
 def test_hand_has_no_noise_of_torques(record, tmp_path, experiment):
-    with pytest.raises(SystemExit, match=f"torque_noise must be null for {experiment}, which is led by hand, got 0.2"):
+    with pytest.raises(
+        SystemExit,
+        match=f"torque_noise must be null for {experiment}, which is led by hand, got 0.2",
+    ):
         record(f"experiment={experiment}", "torque_noise=0.2", f"out={tmp_path / 'recorded.npz'}")
     assert os.listdir(tmp_path) == []

@@ -42,7 +42,9 @@ def test_gradients_in_the_prediction_are_those_of_the_paper(draws: Draws) -> Non
 
 def test_kl_is_zero_for_equal_beliefs_alone(draws: Draws) -> None:
     p, q = draws.belief(10, 3), draws.belief(10, 3)
-    torch.testing.assert_close(gaussian_kl(p, p), torch.zeros(10, dtype=torch.float64), rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        gaussian_kl(p, p), torch.zeros(10, dtype=torch.float64), rtol=0, atol=1e-12
+    )
     assert (gaussian_kl(p, q) > 0).all()
     assert (gaussian_kl(p, Gaussian(p.mean, 1.01 * p.cov)) > 0).all()
     assert (gaussian_kl(p, Gaussian(p.mean + 0.01, p.cov)) > 0).all()
@@ -55,7 +57,9 @@ def test_kl_is_not_symmetric(draws: Draws) -> None:
 
 def test_kl_does_not_change_under_an_affine_map(draws: Draws) -> None:
     p, q, matrix, offset = draws.belief(3), draws.belief(3), draws.normal(3, 3), draws.normal(3)
-    torch.testing.assert_close(gaussian_kl(p.affine(matrix, offset), q.affine(matrix, offset)), gaussian_kl(p, q))
+    torch.testing.assert_close(
+        gaussian_kl(p.affine(matrix, offset), q.affine(matrix, offset)), gaussian_kl(p, q)
+    )
 
 
 def test_batches_broadcast(draws: Draws) -> None:
@@ -74,7 +78,9 @@ def test_trajectory_kl_is_the_sum_over_time(draws: Draws) -> None:
 
 def test_mean_kl_is_the_kl_at_equal_covariances(draws: Draws) -> None:
     expert, mean = draws.belief(5, 3), draws.normal(5, 3)
-    torch.testing.assert_close(mean_kl(expert, mean), gaussian_kl(expert, Gaussian(mean, expert.cov)))
+    torch.testing.assert_close(
+        mean_kl(expert, mean), gaussian_kl(expert, Gaussian(mean, expert.cov))
+    )
 
 
 def test_singular_covariance_is_an_error_that_names_the_element(draws: Draws) -> None:
@@ -87,20 +93,36 @@ def test_singular_covariance_is_an_error_that_names_the_element(draws: Draws) ->
 def test_terms_sum_to_the_kl_and_none_is_negative(draws: Draws) -> None:
     p, q = draws.belief(5, 3, 4), draws.belief(5, 3, 4)
     terms = gaussian_kl_terms(p, q)
-    torch.testing.assert_close((terms.mean + terms.spread).sum(-1), gaussian_kl(p, q), rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(
+        (terms.mean + terms.spread).sum(-1), gaussian_kl(p, q), rtol=1e-12, atol=1e-12
+    )
     assert terms.mean.shape == terms.spread.shape == (5, 3, 4)
     assert (terms.mean >= 0).all() and (terms.spread >= 0).all()
 
 
-def test_terms_of_the_mean_are_the_kl_at_equal_covariances_and_those_of_the_spread_at_equal_means(draws: Draws) -> None:
+def test_terms_of_the_mean_are_the_kl_at_equal_covariances_and_those_of_the_spread_at_equal_means(
+    draws: Draws,
+) -> None:
     p, q = draws.belief(6, 3), draws.belief(6, 3)
     terms = gaussian_kl_terms(p, q)
-    torch.testing.assert_close(terms.mean.sum(-1), gaussian_kl(Gaussian(p.mean, q.cov), q), rtol=1e-10, atol=1e-12)
-    torch.testing.assert_close(terms.spread.sum(-1), gaussian_kl(Gaussian(q.mean, p.cov), q), rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(
+        terms.mean.sum(-1), gaussian_kl(Gaussian(p.mean, q.cov), q), rtol=1e-10, atol=1e-12
+    )
+    torch.testing.assert_close(
+        terms.spread.sum(-1), gaussian_kl(Gaussian(q.mean, p.cov), q), rtol=1e-10, atol=1e-12
+    )
 
 
 def test_terms_of_an_entry_are_what_it_adds_to_the_kl_of_those_before_it(draws: Draws) -> None:
     p, q = draws.belief(6, 4), draws.belief(6, 4)
     terms = gaussian_kl_terms(p, q)
-    of_first = torch.stack([gaussian_kl(*(belief.marginal(torch.arange(j)) for belief in (p, q))) for j in range(1, 5)], -1)
-    torch.testing.assert_close((terms.mean + terms.spread).cumsum(-1), of_first, rtol=1e-10, atol=1e-10)
+    of_first = torch.stack(
+        [
+            gaussian_kl(*(belief.marginal(torch.arange(j)) for belief in (p, q)))
+            for j in range(1, 5)
+        ],
+        -1,
+    )
+    torch.testing.assert_close(
+        (terms.mean + terms.spread).cumsum(-1), of_first, rtol=1e-10, atol=1e-10
+    )

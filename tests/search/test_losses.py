@@ -9,7 +9,17 @@ from torch import Tensor
 from torchrl.objectives.pilco import ExponentialQuadraticCost
 
 from tests.helpers.draws import Draws
-from tests.helpers.losses import HORIZON, NOISE_STD, SPACE, TIP, WIDTH, make_cost, make_kl, make_parts, start
+from tests.helpers.losses import (
+    HORIZON,
+    NOISE_STD,
+    SPACE,
+    TIP,
+    WIDTH,
+    make_cost,
+    make_kl,
+    make_parts,
+    start,
+)
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
@@ -32,7 +42,9 @@ def expert_of(loss: TrajectoryKLLoss) -> Gaussian:
     return Gaussian(loss.expert_mean, loss.expert_cov)
 
 
-def test_loss_is_the_kl_of_the_predicted_trajectory(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
+def test_loss_is_the_kl_of_the_predicted_trajectory(
+    loss: TrajectoryKLLoss, initial: Gaussian
+) -> None:
     expected = trajectory_kl(expert_of(loss), loss.predict(initial))
     torch.testing.assert_close(loss(start(initial))["loss_kl"], expected, rtol=1e-12, atol=0)
     torch.testing.assert_close(loss.per_step(initial).sum(), expected, rtol=1e-12, atol=0)
@@ -42,14 +54,21 @@ def test_steps_are_the_kls_of_the_marginals(loss: TrajectoryKLLoss, initial: Gau
     predicted, steps = loss.predict(initial), loss.per_step(initial)
     assert steps.shape == (HORIZON,)
     for t in range(HORIZON):
-        torch.testing.assert_close(steps[t], gaussian_kl(expert_of(loss)[t], predicted[t]), rtol=1e-12, atol=0)
+        torch.testing.assert_close(
+            steps[t], gaussian_kl(expert_of(loss)[t], predicted[t]), rtol=1e-12, atol=0
+        )
 
 
-def test_prediction_is_that_of_the_state_seen_in_the_match_space_with_noise(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
+def test_prediction_is_that_of_the_state_seen_in_the_match_space_with_noise(
+    loss: TrajectoryKLLoss, initial: Gaussian
+) -> None:
     states = predict_trajectory(initial, loss.actor_network, loss.dynamics, SPACE, HORIZON)
     seen, predicted = TIP.belief(states), loss.predict(initial)
     torch.testing.assert_close(predicted.mean, seen.mean, rtol=0, atol=0)
-    torch.testing.assert_close(predicted.cov - seen.cov, (NOISE_STD**2 * torch.eye(2, dtype=torch.float64)).expand(HORIZON, 2, 2))
+    torch.testing.assert_close(
+        predicted.cov - seen.cov,
+        (NOISE_STD**2 * torch.eye(2, dtype=torch.float64)).expand(HORIZON, 2, 2),
+    )
 
 
 def test_noise_floors_the_predicted_variance(loss: TrajectoryKLLoss) -> None:
@@ -59,21 +78,33 @@ def test_noise_floors_the_predicted_variance(loss: TrajectoryKLLoss) -> None:
 
 
 @pytest.mark.parametrize("horizon", [1, 3, HORIZON])
-def test_shorter_horizon_is_the_beginning_of_the_whole(loss: TrajectoryKLLoss, initial: Gaussian, horizon: int) -> None:
+def test_shorter_horizon_is_the_beginning_of_the_whole(
+    loss: TrajectoryKLLoss, initial: Gaussian, horizon: int
+) -> None:
     for per_step in (loss.per_step, loss.mean_per_step):
-        torch.testing.assert_close(per_step(initial, horizon), per_step(initial)[:horizon], rtol=1e-12, atol=0)
+        torch.testing.assert_close(
+            per_step(initial, horizon), per_step(initial)[:horizon], rtol=1e-12, atol=0
+        )
 
 
-def test_mean_objective_is_the_kl_of_a_prediction_as_wide_as_the_expert(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
-    states = predict_mean_trajectory(initial.mean, loss.actor_network, loss.dynamics, SPACE, HORIZON)
+def test_mean_objective_is_the_kl_of_a_prediction_as_wide_as_the_expert(
+    loss: TrajectoryKLLoss, initial: Gaussian
+) -> None:
+    states = predict_mean_trajectory(
+        initial.mean, loss.actor_network, loss.dynamics, SPACE, HORIZON
+    )
     as_wide = Gaussian(TIP(states), loss.expert_cov)
     torch.testing.assert_close(loss.mean_per_step(initial), gaussian_kl(expert_of(loss), as_wide))
 
 
-def test_expert_that_is_the_prediction_costs_nothing(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
+def test_expert_that_is_the_prediction_costs_nothing(
+    loss: TrajectoryKLLoss, initial: Gaussian
+) -> None:
     predicted = loss.predict(initial).detach()
     perfect = TrajectoryKLLoss(loss.actor_network, loss.dynamics, SPACE, predicted, NOISE_STD)
-    torch.testing.assert_close(perfect(start(initial))["loss_kl"], torch.zeros((), dtype=torch.float64), rtol=0, atol=1e-9)
+    torch.testing.assert_close(
+        perfect(start(initial))["loss_kl"], torch.zeros((), dtype=torch.float64), rtol=0, atol=1e-9
+    )
 
 
 def test_noise_of_each_entry_is_added_to_the_prediction_as_to_the_expert(draws: Draws) -> None:
@@ -85,17 +116,23 @@ def test_noise_of_each_entry_is_added_to_the_prediction_as_to_the_expert(draws: 
     noisy = Gaussian(predicted.mean, predicted.cov + (noise_std**2).diag())
     torch.testing.assert_close(loss.per_step(start), gaussian_kl(expert, noisy))
     same = TrajectoryKLLoss(*parts, SPACE, expert, torch.full((2,), 0.1, dtype=torch.float64))
-    assert torch.equal(same.per_step(start), TrajectoryKLLoss(*parts, SPACE, expert, 0.1).per_step(start))
+    assert torch.equal(
+        same.per_step(start), TrajectoryKLLoss(*parts, SPACE, expert, 0.1).per_step(start)
+    )
 
 
 def test_noise_of_other_entries_is_an_error(draws: Draws) -> None:
-    with pytest.raises(ValueError, match=r"noise_std must be a number or one for each of \('x', 'y'\)"):
+    with pytest.raises(
+        ValueError, match=r"noise_std must be a number or one for each of \('x', 'y'\)"
+    ):
         TrajectoryKLLoss(*make_parts(draws), SPACE, draws.belief(HORIZON, 2), torch.ones(3))
 
 
 def test_expert_of_another_dimension_is_an_error(loss: TrajectoryKLLoss, draws: Draws) -> None:
     with pytest.raises(ValueError, match=r"expert must have the 2 entries \('x', 'y'\), got 3"):
-        TrajectoryKLLoss(loss.actor_network, loss.dynamics, SPACE, draws.belief(HORIZON, 3), NOISE_STD)
+        TrajectoryKLLoss(
+            loss.actor_network, loss.dynamics, SPACE, draws.belief(HORIZON, 3), NOISE_STD
+        )
 
 
 @pytest.fixture
@@ -109,10 +146,14 @@ def weighted_cost(cost: ExpectedSaturatingCost, z: Tensor) -> Tensor:
     make_parts(again)
     target, weight = TIP(again.normal(2)), again.cov(2, scale=1.0)
     assert torch.equal(cost.target, target)
-    return 1 - torch.exp(-torch.einsum("...i,ij,...j->...", z - target, weight, z - target) / (2 * WIDTH**2))
+    return 1 - torch.exp(
+        -torch.einsum("...i,ij,...j->...", z - target, weight, z - target) / (2 * WIDTH**2)
+    )
 
 
-def test_cost_is_that_of_samples_of_the_prediction(cost: ExpectedSaturatingCost, initial: Gaussian, draws: Draws) -> None:
+def test_cost_is_that_of_samples_of_the_prediction(
+    cost: ExpectedSaturatingCost, initial: Gaussian, draws: Draws
+) -> None:
     samples = weighted_cost(cost, cost.predict(initial).detach().sample(100_000, draws.generator))
     standard_error = samples.std(0) / len(samples) ** 0.5
     assert ((samples.mean(0) - cost.per_step(initial)).abs() < 4 * standard_error).all()
@@ -120,28 +161,50 @@ def test_cost_is_that_of_samples_of_the_prediction(cost: ExpectedSaturatingCost,
 
 def test_cost_is_summed_over_the_horizon(cost: ExpectedSaturatingCost, initial: Gaussian) -> None:
     assert cost.horizon == HORIZON
-    torch.testing.assert_close(cost(start(initial))["loss_cost"], cost.per_step(initial).sum(), rtol=1e-14, atol=0)
+    torch.testing.assert_close(
+        cost(start(initial))["loss_cost"], cost.per_step(initial).sum(), rtol=1e-14, atol=0
+    )
 
 
-def test_prediction_of_the_cost_holds_no_observation_noise(cost: ExpectedSaturatingCost, initial: Gaussian) -> None:
+def test_prediction_of_the_cost_holds_no_observation_noise(
+    cost: ExpectedSaturatingCost, initial: Gaussian
+) -> None:
     states = predict_trajectory(initial, cost.actor_network, cost.dynamics, SPACE, HORIZON)
     torch.testing.assert_close(cost.predict(initial).cov, TIP.belief(states).cov, rtol=0, atol=0)
 
 
-def test_mean_cost_is_that_of_the_mean_trajectory(cost: ExpectedSaturatingCost, initial: Gaussian) -> None:
-    states = predict_mean_trajectory(initial.mean, cost.actor_network, cost.dynamics, SPACE, HORIZON)
-    torch.testing.assert_close(cost.mean_per_step(initial), weighted_cost(cost, TIP(states)), rtol=1e-12, atol=1e-14)
+def test_mean_cost_is_that_of_the_mean_trajectory(
+    cost: ExpectedSaturatingCost, initial: Gaussian
+) -> None:
+    states = predict_mean_trajectory(
+        initial.mean, cost.actor_network, cost.dynamics, SPACE, HORIZON
+    )
+    torch.testing.assert_close(
+        cost.mean_per_step(initial), weighted_cost(cost, TIP(states)), rtol=1e-12, atol=1e-14
+    )
 
 
 def test_weight_may_turn_the_axes(draws: Draws) -> None:
     """Of three entries: the eigenvectors of two are symmetric, and could be transposed unseen."""
     rows = torch.cat([torch.tensor([[1.0, 0.0, 0.0, 0.0]]), TIP.weights])
-    space = StateSpace(SPACE.names, SPACE.units, SPACE.angles, MatchSpace(("q", "x", "y"), ("rad", "m", "m"), TIP.angles, rows))
+    space = StateSpace(
+        SPACE.names,
+        SPACE.units,
+        SPACE.angles,
+        MatchSpace(("q", "x", "y"), ("rad", "m", "m"), TIP.angles, rows),
+    )
     weight, target, states = draws.cov(3, scale=1.0), draws.normal(3), draws.normal(5, 2)
-    cost = ExpectedSaturatingCost(*make_parts(draws), space, target, width=2.0, horizon=5, weight=weight, reduction="none")
+    cost = ExpectedSaturatingCost(
+        *make_parts(draws), space, target, width=2.0, horizon=5, weight=weight, reduction="none"
+    )
     certain = cost.rollout_loss(states, torch.zeros(5, 2, 2, dtype=torch.float64))
     delta = space.match(states) - target
-    torch.testing.assert_close(certain, 1 - torch.exp(-torch.einsum("ti,ij,tj->t", delta, weight, delta) / 8), rtol=1e-12, atol=1e-15)
+    torch.testing.assert_close(
+        certain,
+        1 - torch.exp(-torch.einsum("ti,ij,tj->t", delta, weight, delta) / 8),
+        rtol=1e-12,
+        atol=1e-15,
+    )
 
 
 def test_cost_is_that_of_torchrl_up_to_its_jitter(initial: Gaussian) -> None:
@@ -150,7 +213,9 @@ def test_cost_is_that_of_torchrl_up_to_its_jitter(initial: Gaussian) -> None:
     cost = make_cost(seed=1, weight=weight)
     predicted = cost.predict(initial)
     theirs = ExponentialQuadraticCost(cost.target, weight / WIDTH**2, reduction="none")
-    expected = theirs(TensorDict({"observation": {"mean": predicted.mean, "var": predicted.cov}}))["loss_cost"]
+    expected = theirs(TensorDict({"observation": {"mean": predicted.mean, "var": predicted.cov}}))[
+        "loss_cost"
+    ]
     torch.testing.assert_close(cost.per_step(initial), expected, rtol=0, atol=2e-5)
 
 
@@ -162,7 +227,9 @@ def test_weight_is_the_identity_unless_given(initial: Gaussian) -> None:
 def test_entry_without_weight_is_ignored(initial: Gaussian) -> None:
     weight, target = torch.diag(torch.tensor([1.0, 0.0])), torch.tensor([0.2, 0.3])
     here = make_cost(seed=0, weight=weight, target=target).per_step(initial)
-    there = make_cost(seed=0, weight=weight, target=target + torch.tensor([0.0, 5.0])).per_step(initial)
+    there = make_cost(seed=0, weight=weight, target=target + torch.tensor([0.0, 5.0])).per_step(
+        initial
+    )
     assert torch.equal(here, there)
 
 
@@ -173,7 +240,9 @@ def test_doubt_of_a_kl_is_the_kl(loss: TrajectoryKLLoss, initial: Gaussian) -> N
 def test_doubt_of_a_cost_is_the_cost_of_the_spread_around_the_target(initial: Gaussian) -> None:
     """1 - |I + W S / width²|^(-1/2), whether the target is near or far."""
     weight = torch.tensor([[2.0, 0.5], [0.5, 1.0]], dtype=torch.float64)
-    near, far = (make_cost(seed=0, weight=weight, target=torch.full((2,), place)) for place in (0.0, 9.0))
+    near, far = (
+        make_cost(seed=0, weight=weight, target=torch.full((2,), place)) for place in (0.0, 9.0)
+    )
     spread = weight @ near.predict(initial, 3).cov / WIDTH**2
     expected = 1 - torch.linalg.det(torch.eye(2) + spread).rsqrt()
     for cost in (near, far):
@@ -186,7 +255,9 @@ def test_search_lowers_the_loss(key: str, initial: Gaussian) -> None:
     """Every loss of a trajectory can be searched."""
     loss = {"loss_kl": make_kl, "loss_cost": make_cost}[key](seed=0)
     before = loss(start(initial))[key].item()
-    result = search_policy(loss, initial, SearchSettings(mean_iterations=3, stage_iterations=3, final_iterations=5))
+    result = search_policy(
+        loss, initial, SearchSettings(mean_iterations=3, stage_iterations=3, final_iterations=5)
+    )
     assert result.kl < before
     assert loss(start(initial))[key].item() == pytest.approx(result.kl, rel=1e-12)
 
@@ -194,13 +265,19 @@ def test_search_lowers_the_loss(key: str, initial: Gaussian) -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"target": torch.zeros(3)}, r"target must have shape \(2,\), the entries \('x', 'y'\), got \(3,\)"),
+        (
+            {"target": torch.zeros(3)},
+            r"target must have shape \(2,\), the entries \('x', 'y'\), got \(3,\)",
+        ),
         ({"width": 0.0}, "width must be positive and horizon at least 1, got 0.0 and 4"),
         ({"width": float("nan")}, "width must be positive and horizon at least 1, got nan and 4"),
         ({"horizon": 0}, "width must be positive and horizon at least 1, got 0.4 and 0"),
         ({"weight": torch.eye(3)}, r"weight must have shape \(2, 2\), got \(3, 3\)"),
         ({"weight": -torch.eye(2)}, "weight must be symmetric and positive semi-definite"),
-        ({"weight": torch.tensor([[1.0, 1.0], [0.0, 1.0]])}, "weight must be symmetric and positive semi-definite"),
+        (
+            {"weight": torch.tensor([[1.0, 1.0], [0.0, 1.0]])},
+            "weight must be symmetric and positive semi-definite",
+        ),
     ],
 )
 def test_cost_that_makes_no_sense_is_an_error(wrong: dict, message: str) -> None:

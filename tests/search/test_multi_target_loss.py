@@ -1,4 +1,6 @@
-"""One policy for many targets (Eq. 31): a target is an input without variance, and all targets are predicted in one batch."""
+"""One policy for many targets (Eq. 31): a target is an input without variance, and all targets are
+predicted in one batch.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,11 @@ def make_policy(draws: Draws, centres: int = 6) -> RBFPolicy:
 
 def make_loss(seed: int, centres: int = 6, **kwargs) -> MultiTargetKLLoss:
     draws = Draws(seed)
-    policy, dynamics, expert = make_policy(draws, centres), make_parts(draws)[1], draws.belief(S, HORIZON, 2, scale=0.05)
+    policy, dynamics, expert = (
+        make_policy(draws, centres),
+        make_parts(draws)[1],
+        draws.belief(S, HORIZON, 2, scale=0.05),
+    )
     return MultiTargetKLLoss(policy, dynamics, SPACE, expert, TARGETS, NOISE_STD, **kwargs)
 
 
@@ -83,7 +89,9 @@ def test_gradient_of_moments_with_weights_of_each_belief(draws: Draws) -> None:
         found = moment_match(of_x, belief)
         return found.mean, found.cov, found.inv_cov_cross_cov
 
-    leaves = tuple(tensor.clone().requires_grad_() for tensor in (f.inputs, f.weights, f.lengthscales))
+    leaves = tuple(
+        tensor.clone().requires_grad_() for tensor in (f.inputs, f.weights, f.lengthscales)
+    )
     assert torch.autograd.gradcheck(moments, leaves)
 
 
@@ -115,7 +123,9 @@ def test_gradient_is_the_difference_quotient(initial: Gaussian, form: str, name:
     loss = make_loss(2)
     parameter = getattr(loss.actor_network, name)
     direction, step = Draws(3).normal(*parameter.shape), 1e-4
-    slope = (torch.autograd.grad(getattr(loss, form)(initial).sum(), parameter)[0] * direction).sum()
+    slope = (
+        torch.autograd.grad(getattr(loss, form)(initial).sum(), parameter)[0] * direction
+    ).sum()
     values = []
     for shift in (step, -2 * step):
         parameter.data += shift * direction
@@ -148,7 +158,11 @@ def test_samples_of_the_prediction_act_for_their_targets(initial: Gaussian) -> N
 def test_search_lowers_the_loss_of_all_targets_together(initial: Gaussian) -> None:
     loss = make_loss(4)
     before = loss.per_step(initial).sum().item()
-    result = search_policy(loss, initial, SearchSettings(mean_iterations=5, stage_iterations=10, final_iterations=10, trusted=1.0))
+    result = search_policy(
+        loss,
+        initial,
+        SearchSettings(mean_iterations=5, stage_iterations=10, final_iterations=10, trusted=1.0),
+    )
     assert result.kl < before
     assert result.kl == pytest.approx(loss.per_step(initial).sum().item())
 
@@ -158,7 +172,13 @@ def test_renewed_policy_acts_as_the_old_one_at_every_target(initial: Gaussian) -
     starts, old = initial.sample(50, draws.generator), PolicyAtTargets(loss.actor_network, TARGETS)
     features = SPACE.features(starts)[:, None]
     before = old.controller(features)
-    renew_policy(loss, initial, make_policy(draws, 80), SearchSettings(first_horizon=1, trusted=0.0), draws.generator)
+    renew_policy(
+        loss,
+        initial,
+        make_policy(draws, 80),
+        SearchSettings(first_horizon=1, trusted=0.0),
+        draws.generator,
+    )
     assert before.std(1).mean() > 0.1
     assert (old.controller(features) - before).abs().mean() < 0.2 * before.std()
 
@@ -176,17 +196,29 @@ def test_failed_prediction_of_one_target_is_an_error_that_names_its_step(initial
         ((HORIZON, 2), TARGETS, 5, "and an expert of batch shape (4,)"),
         ((2, HORIZON, 2), TARGETS, 5, "got targets (3, 2) and an expert of batch shape (2, 4)"),
         ((S, HORIZON, 2), TARGETS[:, 0], 5, "got targets (3,) and an expert of batch shape (3, 4)"),
-        ((S, HORIZON, 2), TARGETS, 3, "the policy must see dq, sin q, cos q and a target of 2, got one of 3 inputs"),
+        (
+            (S, HORIZON, 2),
+            TARGETS,
+            3,
+            "the policy must see dq, sin q, cos q and a target of 2, got one of 3 inputs",
+        ),
     ],
 )
-def test_shapes_that_do_not_fit_are_errors(draws: Draws, expert: tuple[int, ...], targets: Tensor, inputs: int, message: str) -> None:
+def test_shapes_that_do_not_fit_are_errors(
+    draws: Draws, expert: tuple[int, ...], targets: Tensor, inputs: int, message: str
+) -> None:
     policy = RBFPolicy(torch.zeros(4, inputs), torch.ones(1), torch.ones(inputs))
     with pytest.raises(ValueError) as error:
-        MultiTargetKLLoss(policy, GPDynamics(4, 2), SPACE, draws.belief(*expert), targets, NOISE_STD)
+        MultiTargetKLLoss(
+            policy, GPDynamics(4, 2), SPACE, draws.belief(*expert), targets, NOISE_STD
+        )
     assert message in str(error.value)
 
 
 def test_policy_for_a_target_is_the_policy_told_that_target(draws: Draws) -> None:
     policy, features = make_policy(draws), draws.normal(7, 3)
     for target in TARGETS:
-        torch.testing.assert_close(policy.for_target(target)(features), policy(torch.cat([features, target.expand(7, -1)], -1)))
+        torch.testing.assert_close(
+            policy.for_target(target)(features),
+            policy(torch.cat([features, target.expand(7, -1)], -1)),
+        )

@@ -18,12 +18,28 @@ from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
-from torch_pmil.search.policy_search import WORTHWHILE, SearchResult, SearchSettings, _evaluate, renew_policy, search_policy
+from torch_pmil.search.policy_search import (
+    WORTHWHILE,
+    SearchResult,
+    SearchSettings,
+    _evaluate,
+    renew_policy,
+    search_policy,
+)
 
 HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
 SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
-SETTINGS = SearchSettings(mean_iterations=5, stage_iterations=5, final_iterations=5, first_horizon=2, horizon_step=2, trusted=1.0)
-INITIAL = Gaussian(torch.ones(1, dtype=torch.float64), torch.full((1, 1), 0.01, dtype=torch.float64))
+SETTINGS = SearchSettings(
+    mean_iterations=5,
+    stage_iterations=5,
+    final_iterations=5,
+    first_horizon=2,
+    horizon_step=2,
+    trusted=1.0,
+)
+INITIAL = Gaussian(
+    torch.ones(1, dtype=torch.float64), torch.full((1, 1), 0.01, dtype=torch.float64)
+)
 REACHABLE = 0.75 ** torch.arange(1.0, HORIZON + 1, dtype=torch.float64)
 
 
@@ -70,10 +86,16 @@ class Search:
     parameters: dict[str, Tensor]
 
 
-def search(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS, random: bool = False) -> Search:
+def search(
+    loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS, random: bool = False
+) -> Search:
     reports: list[tuple[str, float]] = []
     result = search_policy(loss, INITIAL, settings, lambda *report: reports.append(report), random)
-    return Search(result, reports, {name: value.clone() for name, value in loss.actor_network.state_dict().items()})
+    return Search(
+        result,
+        reports,
+        {name: value.clone() for name, value in loss.actor_network.state_dict().items()},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -89,14 +111,18 @@ def found(loss: TrajectoryKLLoss, finished: Search) -> TrajectoryKLLoss:
     return loss
 
 
-def test_search_lowers_the_kl_until_the_whole_horizon_is_matched(loss: TrajectoryKLLoss, finished: Search) -> None:
+def test_search_lowers_the_kl_until_the_whole_horizon_is_matched(
+    loss: TrajectoryKLLoss, finished: Search
+) -> None:
     result = finished.result
     assert result.kl < 0.5 * loss.per_step(INITIAL).sum().item()
     assert result.matched and result.horizon == HORIZON
     assert (result.per_step < SETTINGS.trusted).all()
 
 
-def test_result_is_that_of_the_policy_that_is_left(found: TrajectoryKLLoss, finished: Search) -> None:
+def test_result_is_that_of_the_policy_that_is_left(
+    found: TrajectoryKLLoss, finished: Search
+) -> None:
     assert torch.equal(finished.result.per_step, found.per_step(INITIAL).detach())
     assert finished.result.kl == finished.result.per_step.sum().item()
     assert finished.result.seconds > 0
@@ -105,10 +131,16 @@ def test_result_is_that_of_the_policy_that_is_left(found: TrajectoryKLLoss, fini
 def horizons(search: Search, objective: str) -> list[int]:
     """Horizons of the runs of L-BFGS on "mean" or "KL", as they were reported."""
     assert all(stage.endswith(f"/{HORIZON}") for stage, _ in search.reports)
-    return [int(stage.split()[1].split("/")[0]) for stage, _ in search.reports if stage.startswith(objective)]
+    return [
+        int(stage.split()[1].split("/")[0])
+        for stage, _ in search.reports
+        if stage.startswith(objective)
+    ]
 
 
-def test_horizon_grows_step_by_step_each_with_a_run_on_the_mean_and_then_the_kl(finished: Search) -> None:
+def test_horizon_grows_step_by_step_each_with_a_run_on_the_mean_and_then_the_kl(
+    finished: Search,
+) -> None:
     grown = [f"{objective} {horizon}/6" for horizon in (2, 4, 6) for objective in ("mean", "KL")]
     assert [stage for stage, _ in finished.reports] == [*grown, "KL 6/6"]
 
@@ -117,8 +149,12 @@ def test_last_report_is_the_result(finished: Search) -> None:
     assert finished.reports[-1][1] == pytest.approx(finished.result.kl)
 
 
-@pytest.mark.parametrize(("first", "step", "expected"), [(2, 3, [2, 5, 6]), (4, 7, [4, 6]), (9, 3, [6])])
-def test_horizon_never_exceeds_that_of_the_expert(loss: TrajectoryKLLoss, first: int, step: int, expected: list[int]) -> None:
+@pytest.mark.parametrize(
+    ("first", "step", "expected"), [(2, 3, [2, 5, 6]), (4, 7, [4, 6]), (9, 3, [6])]
+)
+def test_horizon_never_exceeds_that_of_the_expert(
+    loss: TrajectoryKLLoss, first: int, step: int, expected: list[int]
+) -> None:
     settings = SearchSettings(3, 3, 1, first_horizon=first, horizon_step=step, trusted=1.0)
     assert horizons(search(loss, settings), "mean") == expected
 
@@ -130,11 +166,16 @@ def test_policy_that_matches_is_searched_on_the_whole_kl_alone(found: Trajectory
     assert horizons(once, "mean") == []
 
 
-@pytest.mark.parametrize(("leaps", "random", "expected"), [(False, True, [2, 4, 6]), (False, False, []), (True, True, [])])
+@pytest.mark.parametrize(
+    ("leaps", "random", "expected"),
+    [(False, True, [2, 4, 6]), (False, False, []), (True, True, [])],
+)
 def test_random_policy_that_is_trusted_throughout_grows_step_by_step_if_the_horizon_does_not_leap(
     found: TrajectoryKLLoss, leaps: bool, random: bool, expected: list[int]
 ) -> None:
-    settings = SearchSettings(1, 1, 1, first_horizon=2, horizon_step=2, trusted=SETTINGS.trusted, leaps=leaps)
+    settings = SearchSettings(
+        1, 1, 1, first_horizon=2, horizon_step=2, trusted=SETTINGS.trusted, leaps=leaps
+    )
     assert horizons(search(found, settings, random), "mean") == expected
 
 
@@ -157,10 +198,16 @@ def test_horizon_stops_where_the_last_steps_are_not_trusted(hopeless: Trajectory
 
 
 @pytest.mark.parametrize(("trusted", "horizon"), [(1e-9, 2), (0.0018, HORIZON), (0.5, HORIZON)])
-def test_costly_prediction_is_followed_as_far_as_it_is_sure(dynamics: GPDynamics, draws: Draws, trusted: float, horizon: int) -> None:
+def test_costly_prediction_is_followed_as_far_as_it_is_sure(
+    dynamics: GPDynamics, draws: Draws, trusted: float, horizon: int
+) -> None:
     """The target is out of reach: every step costs more than may be doubted."""
-    cost = ExpectedSaturatingCost(make_policy(draws), dynamics, SPACE, torch.tensor([5.0]), width=1.5, horizon=HORIZON)
-    result = search(cost, SearchSettings(2, 2, 1, first_horizon=2, horizon_step=2, trusted=trusted)).result
+    cost = ExpectedSaturatingCost(
+        make_policy(draws), dynamics, SPACE, torch.tensor([5.0]), width=1.5, horizon=HORIZON
+    )
+    result = search(
+        cost, SearchSettings(2, 2, 1, first_horizon=2, horizon_step=2, trusted=trusted)
+    ).result
     assert (result.per_step > 0.5).all()
     assert (result.horizon, result.complete) == (horizon, horizon == HORIZON)
 
@@ -174,7 +221,9 @@ def test_same_start_gives_the_same_search(loss: TrajectoryKLLoss, finished: Sear
 def test_search_leaves_the_model_as_it_was(loss: TrajectoryKLLoss) -> None:
     before = {name: value.clone() for name, value in loss.dynamics.state_dict().items()}
     search(loss, SearchSettings(1, 1, 1))
-    assert all(torch.equal(value, before[name]) for name, value in loss.dynamics.state_dict().items())
+    assert all(
+        torch.equal(value, before[name]) for name, value in loss.dynamics.state_dict().items()
+    )
 
 
 def fail_beyond(loss: TrajectoryKLLoss, step: int, monkeypatch: pytest.MonkeyPatch) -> Tensor:
@@ -191,20 +240,26 @@ def fail_beyond(loss: TrajectoryKLLoss, step: int, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("step", [1, 3, 5])
-def test_steps_beyond_a_failed_prediction_cost_infinitely_much(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, step: int) -> None:
+def test_steps_beyond_a_failed_prediction_cost_infinitely_much(
+    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, step: int
+) -> None:
     known = fail_beyond(loss, step, monkeypatch)
     evaluated = _evaluate(loss.per_step, INITIAL, HORIZON)
     assert torch.equal(evaluated[:step], known)
     assert evaluated[step:].tolist() == [math.inf] * (HORIZON - step)
 
 
-def test_failure_of_the_first_step_is_an_error(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failure_of_the_first_step_is_an_error(
+    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fail_beyond(loss, 0, monkeypatch)
     with pytest.raises(PredictionError, match="prediction of step 1 failed"):
         search_policy(loss, INITIAL, SETTINGS)
 
 
-def test_search_goes_on_where_the_prediction_can_be_followed(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_search_goes_on_where_the_prediction_can_be_followed(
+    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The far part fails throughout, and is not searched."""
     fail_beyond(loss, 3, monkeypatch)
     result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted=0.0)).result
@@ -212,8 +267,13 @@ def test_search_goes_on_where_the_prediction_can_be_followed(loss: TrajectoryKLL
     assert result.per_step[:3].isfinite().all()
 
 
-@pytest.mark.parametrize("error", [PredictionError("no Cholesky factor", 2), NotPositiveDefiniteError("no Cholesky factor")])
-def test_failures_within_a_run_are_survived_and_counted(loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+@pytest.mark.parametrize(
+    "error",
+    [PredictionError("no Cholesky factor", 2), NotPositiveDefiniteError("no Cholesky factor")],
+)
+def test_failures_within_a_run_are_survived_and_counted(
+    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
     mean_per_step, calls = loss.mean_per_step, []
 
     def failing_once(initial: Gaussian, horizon: int) -> Tensor:
@@ -228,8 +288,12 @@ def test_failures_within_a_run_are_survived_and_counted(loss: TrajectoryKLLoss, 
     assert result.evaluations > len(calls) > 2
 
 
-def renewed(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS) -> tuple[Tensor, Tensor, RBFPolicy]:
-    """Actions before and after along the mean of the old policy, x_0 first, and the new policy as it was drawn."""
+def renewed(
+    loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS
+) -> tuple[Tensor, Tensor, RBFPolicy]:
+    """Actions before and after along the mean of the old policy, x_0 first, and the new policy as
+    it was drawn.
+    """
     draws = Draws(seed=5)
     new, policy = make_policy(draws), loss.actor_network
     drawn = {name: value.clone() for name, value in new.state_dict().items()}
@@ -242,7 +306,9 @@ def renewed(loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS) -> tupl
     return before, after, new
 
 
-def test_renewed_policy_acts_nearly_as_the_old_one_along_the_prediction(found: TrajectoryKLLoss) -> None:
+def test_renewed_policy_acts_nearly_as_the_old_one_along_the_prediction(
+    found: TrajectoryKLLoss,
+) -> None:
     before, after, drawn = renewed(found)
     assert (after - before).abs().max() < 0.05 * U_MAX
     features = SPACE.features(INITIAL.mean)
@@ -256,13 +322,23 @@ def test_renewed_policy_has_the_centres_and_widths_of_the_new_one(found: Traject
     assert not torch.equal(found.actor_network.weights, drawn.weights)
 
 
-@pytest.mark.parametrize(("trusted", "same"), [(0.0, True), (math.inf, False)], ids=["nowhere", "everywhere"])
-def test_policy_is_renewed_at_the_start_and_where_the_prediction_is_trusted(found: TrajectoryKLLoss, trusted: float, same: bool) -> None:
+@pytest.mark.parametrize(
+    ("trusted", "same"), [(0.0, True), (math.inf, False)], ids=["nowhere", "everywhere"]
+)
+def test_policy_is_renewed_at_the_start_and_where_the_prediction_is_trusted(
+    found: TrajectoryKLLoss, trusted: float, same: bool
+) -> None:
     """What a model predicts matters only where it is trusted."""
     other = copy.deepcopy(found)
     other.dynamics.set_data(other.dynamics.train_inputs, -other.dynamics.train_targets)
     for loss in (found, other):
-        renew_policy(loss, INITIAL, make_policy(Draws(seed=5)), SearchSettings(first_horizon=1, trusted=trusted), Draws(seed=6).generator)
+        renew_policy(
+            loss,
+            INITIAL,
+            make_policy(Draws(seed=5)),
+            SearchSettings(first_horizon=1, trusted=trusted),
+            Draws(seed=6).generator,
+        )
     assert torch.equal(found.actor_network.weights, other.actor_network.weights) == same
 
 
@@ -282,14 +358,21 @@ def test_horizon_grows_no_further_than_the_prediction_can_be_followed(
     assert (result.horizon, result.kl) == (known, math.inf)
 
 
-def test_without_iterations_of_the_mean_each_horizon_begins_with_the_loss(loss: TrajectoryKLLoss) -> None:
+def test_without_iterations_of_the_mean_each_horizon_begins_with_the_loss(
+    loss: TrajectoryKLLoss,
+) -> None:
     found = search(loss, replace(SETTINGS, mean_iterations=0))
     assert horizons(found, "mean") == []
     assert horizons(found, "KL")[:2] == [2, 4]
-    assert found.result.kl < 0.5 * make_loss(loss.dynamics, Draws(seed=0), REACHABLE).per_step(INITIAL).sum().item()
+    assert (
+        found.result.kl
+        < 0.5 * make_loss(loss.dynamics, Draws(seed=0), REACHABLE).per_step(INITIAL).sum().item()
+    )
 
 
-def test_policy_whose_prediction_fails_early_is_renewed_as_far_as_it_can_be_followed(found: TrajectoryKLLoss) -> None:
+def test_policy_whose_prediction_fails_early_is_renewed_as_far_as_it_can_be_followed(
+    found: TrajectoryKLLoss,
+) -> None:
     def failing(*arguments: object) -> Gaussian:
         if arguments[-1] > 2:
             raise PredictionError("prediction of step 3 failed", 3)
@@ -305,8 +388,12 @@ def losses_at(found: Search, horizon: int) -> list[float]:
     return [loss for name, loss in found.reports[:-1] if name == f"KL {horizon}/{HORIZON}"]
 
 
-def test_horizon_that_is_not_trusted_is_searched_on_while_that_lowers_the_loss(hopeless: TrajectoryKLLoss) -> None:
-    """No torque leads to step 4: the search on the horizon that holds it goes on while runs of two iterations bring a tenth."""
+def test_horizon_that_is_not_trusted_is_searched_on_while_that_lowers_the_loss(
+    hopeless: TrajectoryKLLoss,
+) -> None:
+    """No torque leads to step 4: the search on the horizon that holds it goes on while runs of two
+    iterations bring a tenth.
+    """
     found = search(hopeless, SearchSettings(1, 2, 1, first_horizon=4, horizon_step=1, trusted=1.0))
     reached = losses_at(found, 4)
     falls = [after / before for before, after in pairwise(reached)]

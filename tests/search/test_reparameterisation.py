@@ -1,4 +1,6 @@
-"""The variables of the policy search: the same policies, the same loss, and a gradient that leads further."""
+"""The variables of the policy search: the same policies, the same loss, and a gradient that leads
+further.
+"""
 
 from __future__ import annotations
 
@@ -34,13 +36,20 @@ def total(loss: TrajectoryKLLoss) -> Tensor:
 
 
 def test_start_is_the_policy_itself(loss: TrajectoryKLLoss) -> None:
-    """Its weights come back as accurately as the system for them is conditioned, and the loss is that of these weights."""
-    weights, condition = loss.actor_network.weights.detach().clone(), torch.linalg.cond(gram(loss.actor_network)).item()
+    """Its weights come back as accurately as the system for them is conditioned, and the loss is
+    that of these weights.
+    """
+    weights, condition = (
+        loss.actor_network.weights.detach().clone(),
+        torch.linalg.cond(gram(loss.actor_network)).item(),
+    )
     conditioned = ConditionedLoss(loss)
     value = conditioned.total(loss.per_step, START, HORIZON).item()
     conditioned.write()
     written = loss.actor_network.weights.detach()
-    assert (written - weights).norm() <= len(weights) * condition * torch.finfo(torch.float64).eps * weights.norm()
+    assert (written - weights).norm() <= len(weights) * condition * torch.finfo(
+        torch.float64
+    ).eps * weights.norm()
     assert total(loss).item() == value
 
 
@@ -50,13 +59,17 @@ def test_values_are_those_of_the_network_at_its_centres_with_noise(loss: Traject
     torch.testing.assert_close(ConditionedLoss(loss).values[0], gram(policy) @ policy.weights)
 
 
-def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(loss: TrajectoryKLLoss, draws: Draws) -> None:
+def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(
+    loss: TrajectoryKLLoss, draws: Draws
+) -> None:
     policy, conditioned = loss.actor_network, ConditionedLoss(loss)
     conditioned.values.data += 0.3 * draws.normal(*conditioned.values.shape)
     value = conditioned.total(loss.per_step, START, HORIZON)
     centres, values, widths = torch.autograd.grad(value, conditioned.variables)
     conditioned.write()
-    of_centres, of_weights, of_widths = torch.autograd.grad(total(loss), [policy.centres, policy.weights, policy.log_widths])
+    of_centres, of_weights, of_widths = torch.autograd.grad(
+        total(loss), [policy.centres, policy.weights, policy.log_widths]
+    )
     torch.testing.assert_close(centres, of_centres)
     torch.testing.assert_close(widths, of_widths)
     torch.testing.assert_close(values[0], torch.linalg.solve(gram(policy), of_weights))
@@ -64,7 +77,9 @@ def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(loss: Trajec
 
 def found_by_values(loss: TrajectoryKLLoss, iterations: int) -> MinimiseResult:
     conditioned = ConditionedLoss(loss)
-    result = minimise(conditioned.variables, lambda: conditioned.total(loss.per_step, START, HORIZON), iterations)
+    result = minimise(
+        conditioned.variables, lambda: conditioned.total(loss.per_step, START, HORIZON), iterations
+    )
     conditioned.write()
     return result
 
@@ -74,7 +89,9 @@ def test_search_changes_the_policy_itself_and_keeps_its_parameters(loss: Traject
     found = found_by_values(loss, iterations=5)
     assert found.loss < found.initial_loss
     assert total(loss).item() == pytest.approx(found.loss, rel=1e-9)
-    assert all(one is other for one, other in zip(before, loss.actor_network.parameters(), strict=True))
+    assert all(
+        one is other for one, other in zip(before, loss.actor_network.parameters(), strict=True)
+    )
     assert list(loss.actor_network.state_dict()) == names
 
 

@@ -1,4 +1,6 @@
-"""The expected saturating cost, against quadrature, samples, its limits and the determinant form of the literature."""
+"""The expected saturating cost, against quadrature, samples, its limits and the determinant form of
+the literature.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ def nodes_2d(belief: Gaussian, count: int) -> tuple[Tensor, Tensor]:
     """Gauss-Hermite nodes (count², 2) of a belief and their weights."""
     nodes, weights = (torch.as_tensor(a) for a in np.polynomial.hermite_e.hermegauss(count))
     white = torch.cartesian_prod(nodes, nodes)
-    return belief.mean + white @ torch.linalg.cholesky(belief.cov).mT, torch.outer(weights, weights).flatten() / (2 * torch.pi)
+    return belief.mean + white @ torch.linalg.cholesky(belief.cov).mT, torch.outer(
+        weights, weights
+    ).flatten() / (2 * torch.pi)
 
 
 def test_cost_is_zero_at_the_target_and_one_far_from_it() -> None:
@@ -27,13 +31,17 @@ def test_cost_is_zero_at_the_target_and_one_far_from_it() -> None:
 
 def test_cost_of_width_two_is_that_of_the_paper() -> None:
     """Eq. 28: c(x) = 1 - exp(-|x - x_target|² / 8), here at a distance of 5."""
-    assert saturating_cost(torch.tensor([3.0, 4.0]).double() / 2).item() == pytest.approx(1 - np.exp(-25 / 8), rel=1e-14)
+    assert saturating_cost(torch.tensor([3.0, 4.0]).double() / 2).item() == pytest.approx(
+        1 - np.exp(-25 / 8), rel=1e-14
+    )
 
 
 def test_expectation_is_that_of_quadrature(draws: Draws) -> None:
     belief = draws.belief(2)
     nodes, weights = nodes_2d(belief, 60)
-    torch.testing.assert_close(expected_saturating_cost(belief), weights @ saturating_cost(nodes), rtol=1e-10, atol=0)
+    torch.testing.assert_close(
+        expected_saturating_cost(belief), weights @ saturating_cost(nodes), rtol=1e-10, atol=0
+    )
 
 
 def test_expectation_is_that_of_samples(draws: Draws) -> None:
@@ -50,12 +58,20 @@ def test_expectation_is_that_of_the_determinant_form(draws: Draws) -> None:
     widened, delta = torch.eye(3, dtype=torch.float64) + belief.cov @ W, belief.mean - target
     exponent = torch.einsum("bi,ij,bjk,bk->b", delta, W, torch.linalg.inv(widened), delta)
     expected = 1 - torch.linalg.det(widened).rsqrt() * torch.exp(-exponent / 2)
-    torch.testing.assert_close(expected_saturating_cost(belief.affine(root, -root @ target)), expected, rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(
+        expected_saturating_cost(belief.affine(root, -root @ target)),
+        expected,
+        rtol=1e-12,
+        atol=1e-14,
+    )
 
 
 def test_zero_covariance_gives_the_cost_of_the_mean(draws: Draws) -> None:
     mean = 3 * draws.normal(10, 3)
-    assert torch.equal(expected_saturating_cost(Gaussian(mean, torch.zeros(10, 3, 3).double())), saturating_cost(mean))
+    assert torch.equal(
+        expected_saturating_cost(Gaussian(mean, torch.zeros(10, 3, 3).double())),
+        saturating_cost(mean),
+    )
 
 
 def test_gradient_at_zero_covariance_is_half_the_curvature_of_the_cost(draws: Draws) -> None:
@@ -69,7 +85,10 @@ def test_gradient_at_zero_covariance_is_half_the_curvature_of_the_cost(draws: Dr
 @pytest.mark.parametrize("variance", [1e8, 1e12, 1e100, 1e300])
 def test_cost_goes_to_one_as_the_covariance_grows(draws: Draws, variance: float) -> None:
     """In one dimension at the target, 1 - (1 + S)^(-1/2)."""
-    mean, cov = torch.zeros(1, dtype=torch.float64), torch.full((1, 1), variance, dtype=torch.float64, requires_grad=True)
+    mean, cov = (
+        torch.zeros(1, dtype=torch.float64),
+        torch.full((1, 1), variance, dtype=torch.float64, requires_grad=True),
+    )
     cost = expected_saturating_cost(Gaussian(mean, cov))
     assert cost.item() == pytest.approx(1 - (1 + variance) ** -0.5, rel=1e-15)
     (gradient,) = torch.autograd.grad(cost, cov)
@@ -80,7 +99,9 @@ def test_cost_goes_to_one_as_the_covariance_grows(draws: Draws, variance: float)
 def test_singular_covariance_is_that_of_its_own_line(draws: Draws, variance: float) -> None:
     """Along a unit vector d alone, at the target: 1 - (1 + S)^(-1/2)."""
     direction = torch.nn.functional.normalize(draws.normal(3), dim=0)
-    belief = Gaussian(torch.zeros(3, dtype=torch.float64), variance * torch.outer(direction, direction))
+    belief = Gaussian(
+        torch.zeros(3, dtype=torch.float64), variance * torch.outer(direction, direction)
+    )
     expected = -np.expm1(-np.log1p(variance) / 2)
     assert expected_saturating_cost(belief).item() == pytest.approx(expected, rel=1e-9, abs=1e-15)
 
@@ -88,19 +109,28 @@ def test_singular_covariance_is_that_of_its_own_line(draws: Draws, variance: flo
 def test_entry_without_weight_does_not_matter(draws: Draws) -> None:
     belief, first = draws.belief(5, 3), torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
     ignoring = torch.diag(first[0])
-    torch.testing.assert_close(expected_saturating_cost(belief.affine(ignoring)), expected_saturating_cost(belief.affine(first)))
+    torch.testing.assert_close(
+        expected_saturating_cost(belief.affine(ignoring)),
+        expected_saturating_cost(belief.affine(first)),
+    )
 
 
 def test_uncertainty_costs_near_the_target_and_pays_far_from_it() -> None:
     """PILCO's exploration: where the mean is far, a wide prediction is better than a narrow one."""
-    narrow, wide = (variance * torch.eye(2, dtype=torch.float64).expand(2, 2, 2) for variance in (0.01, 1.0))
+    narrow, wide = (
+        variance * torch.eye(2, dtype=torch.float64).expand(2, 2, 2) for variance in (0.01, 1.0)
+    )
     means = torch.tensor([[0.0, 0.0], [5.0, 0.0]], dtype=torch.float64)
-    near, far = expected_saturating_cost(Gaussian(means, wide)) - expected_saturating_cost(Gaussian(means, narrow))
+    near, far = expected_saturating_cost(Gaussian(means, wide)) - expected_saturating_cost(
+        Gaussian(means, narrow)
+    )
     assert near > 0 > far
 
 
 def test_cost_lies_between_zero_and_one(draws: Draws) -> None:
-    cost = expected_saturating_cost(Gaussian(10 * draws.normal(100, 3), draws.cov(100, 3, scale=10)))
+    cost = expected_saturating_cost(
+        Gaussian(10 * draws.normal(100, 3), draws.cov(100, 3, scale=10))
+    )
     assert ((cost > 0) & (cost <= 1)).all()
 
 
@@ -112,7 +142,10 @@ def test_gradients_are_difference_quotients(draws: Draws) -> None:
 def test_gradient_keeps_its_digits_where_the_cost_is_saturated() -> None:
     """At a distance of 12 widths the cost is 1 to the last bit, its slope r exp(-r² / 2)."""
     mean = torch.tensor([12.0], dtype=torch.float64, requires_grad=True)
-    for cost in (saturating_cost(mean), expected_saturating_cost(Gaussian(mean, torch.zeros(1, 1).double()))):
+    for cost in (
+        saturating_cost(mean),
+        expected_saturating_cost(Gaussian(mean, torch.zeros(1, 1).double())),
+    ):
         assert cost.item() == 1
         (slope,) = torch.autograd.grad(cost, mean)
         assert slope.item() == pytest.approx(12 * np.exp(-72), rel=1e-12, abs=0)
@@ -131,11 +164,16 @@ def test_batch_equals_loop(draws: Draws) -> None:
     together = expected_saturating_cost(belief)
     assert together.shape == (2, 3)
     for i, j in np.ndindex(2, 3):
-        torch.testing.assert_close(together[i, j], expected_saturating_cost(belief[i, j]), rtol=1e-13, atol=0)
+        torch.testing.assert_close(
+            together[i, j], expected_saturating_cost(belief[i, j]), rtol=1e-13, atol=0
+        )
 
 
 def test_negative_covariance_is_an_error_that_names_the_element(draws: Draws) -> None:
     belief = draws.belief(3, 2)
     belief.cov[1] = -2 * torch.eye(2)
-    with pytest.raises(NotPositiveDefiniteError, match=r"identity plus covariance of the residual .* batch element \(1,\)"):
+    with pytest.raises(
+        NotPositiveDefiniteError,
+        match=r"identity plus covariance of the residual .* batch element \(1,\)",
+    ):
         expected_saturating_cost(belief)

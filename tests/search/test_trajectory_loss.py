@@ -1,4 +1,6 @@
-"""Every loss of a trajectory as a TorchRL LossModule: what TorchRL's own tests ask of a loss, and the mathematics of its sums."""
+"""Every loss of a trajectory as a TorchRL LossModule: what TorchRL's own tests ask of a loss, and
+the mathematics of its sums.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ def rollout(loss: TrajectoryLoss, batch: Gaussian) -> TensorDict:
 
 
 def rollout_of(states: Gaussian) -> TensorDict:
-    return TensorDict({"next": {"observation": {"mean": states.mean, "var": states.cov}}}, states.batch_shape)
+    return TensorDict(
+        {"next": {"observation": {"mean": states.mean, "var": states.cov}}}, states.batch_shape
+    )
 
 
 def policy_gradients(loss: TrajectoryLoss, value: Tensor) -> tuple[Tensor, ...]:
@@ -70,7 +74,9 @@ def test_loss_is_a_loss_module(loss: TrajectoryLoss, key: str) -> None:
     assert loss.out_keys == [key]
 
 
-def test_loss_reads_its_in_keys_and_writes_its_out_keys_alone(loss: TrajectoryLoss, initial: Gaussian) -> None:
+def test_loss_reads_its_in_keys_and_writes_its_out_keys_alone(
+    loss: TrajectoryLoss, initial: Gaussian
+) -> None:
     read = start(initial)
     more = read.clone().update({"action": torch.zeros(1), "next": {"reward": torch.zeros(1)}})
     untouched = more.clone()
@@ -81,15 +87,25 @@ def test_loss_reads_its_in_keys_and_writes_its_out_keys_alone(loss: TrajectoryLo
 
 
 @pytest.mark.parametrize("missing", [("observation", "mean"), ("observation", "var")])
-def test_missing_entry_is_an_error_that_names_it(loss: TrajectoryLoss, initial: Gaussian, missing: tuple[str, str]) -> None:
-    with pytest.raises(KeyError, match=rf"{type(loss).__name__} reads \('observation', '{missing[1]}'\), got a tensordict with"):
+def test_missing_entry_is_an_error_that_names_it(
+    loss: TrajectoryLoss, initial: Gaussian, missing: tuple[str, str]
+) -> None:
+    with pytest.raises(
+        KeyError,
+        match=rf"{type(loss).__name__} reads \('observation', '{missing[1]}'\), got a tensordict with",
+    ):
         loss(start(initial).exclude(missing))
-    with pytest.raises(KeyError, match=r"reads \('observation', 'mean'\), got a tensordict with \['observation'\]"):
+    with pytest.raises(
+        KeyError, match=r"reads \('observation', 'mean'\), got a tensordict with \['observation'\]"
+    ):
         loss(TensorDict({"observation": torch.zeros(2)}))
 
 
 def test_default_keys_are_those_of_the_class(loss: TrajectoryLoss) -> None:
-    assert vars(loss.tensor_keys) == {"mean": ("observation", "mean"), "var": ("observation", "var")}
+    assert vars(loss.tensor_keys) == {
+        "mean": ("observation", "mean"),
+        "var": ("observation", "var"),
+    }
 
 
 def test_unknown_key_is_an_error(loss: TrajectoryLoss) -> None:
@@ -97,7 +113,9 @@ def test_unknown_key_is_an_error(loss: TrajectoryLoss) -> None:
         loss.set_keys(reward="r")
 
 
-def test_other_keys_can_be_set_for_one_loss(loss: TrajectoryLoss, key: str, initial: Gaussian) -> None:
+def test_other_keys_can_be_set_for_one_loss(
+    loss: TrajectoryLoss, key: str, initial: Gaussian
+) -> None:
     expected, other = loss(start(initial))[key], MAKERS[key](seed=0)
     loss.set_keys(mean="mu", var=("start", "Sigma"))
     assert loss.in_keys == ["mu", ("start", "Sigma")]
@@ -116,7 +134,9 @@ def test_one_key_can_be_set_and_reset(loss: TrajectoryLoss, initial: Gaussian) -
     loss(start(initial))
 
 
-def test_loss_takes_tensors_in_place_of_a_tensordict(loss: TrajectoryLoss, key: str, batch: Gaussian, rollout: TensorDict) -> None:
+def test_loss_takes_tensors_in_place_of_a_tensordict(
+    loss: TrajectoryLoss, key: str, batch: Gaussian, rollout: TensorDict
+) -> None:
     expected = loss(start(batch))[key]
     assert torch.equal(loss(batch.mean, batch.cov), expected)
     assert torch.equal(loss(observation_mean=batch.mean, observation_var=batch.cov), expected)
@@ -124,7 +144,9 @@ def test_loss_takes_tensors_in_place_of_a_tensordict(loss: TrajectoryLoss, key: 
     mean, var = (rollout[k] for k in loss.rollout_keys)
     expected = loss.rollout_loss(rollout)[key]
     assert torch.equal(loss.rollout_loss(mean, var), expected)
-    assert torch.equal(loss.rollout_loss(next_observation_mean=mean, next_observation_var=var), expected)
+    assert torch.equal(
+        loss.rollout_loss(next_observation_mean=mean, next_observation_var=var), expected
+    )
 
 
 def test_out_keys_can_be_selected(loss: TrajectoryLoss, key: str, initial: Gaussian) -> None:
@@ -155,19 +177,25 @@ def test_mean_is_the_default(loss: TrajectoryLoss, key: str, batch: Gaussian) ->
 
 
 def test_unknown_reduction_is_an_error(key: str) -> None:
-    with pytest.raises(ValueError, match='reduction must be "none", "mean" or "sum", got \'median\''):
+    with pytest.raises(
+        ValueError, match='reduction must be "none", "mean" or "sum", got \'median\''
+    ):
         MAKERS[key](seed=0, reduction="median")
 
 
 def test_batch_of_any_shape_is_taken(loss: TrajectoryLoss, key: str, draws: Draws) -> None:
     initial = Gaussian(0.5 * draws.normal(2, 3, 2), draws.cov(2, 3, 2, scale=0.02))
     flat = Gaussian(initial.mean.flatten(0, 1), initial.cov.flatten(0, 1))
-    torch.testing.assert_close(loss(start(initial))[key], loss(start(flat))[key], rtol=1e-12, atol=0)
+    torch.testing.assert_close(
+        loss(start(initial))[key], loss(start(flat))[key], rtol=1e-12, atol=0
+    )
     loss.reduction = "none"
     assert loss(start(initial))[key].shape == (2, 3, HORIZON)
 
 
-def test_beliefs_of_single_precision_are_computed_in_double(loss: TrajectoryLoss, key: str, batch: Gaussian, rollout: TensorDict) -> None:
+def test_beliefs_of_single_precision_are_computed_in_double(
+    loss: TrajectoryLoss, key: str, batch: Gaussian, rollout: TensorDict
+) -> None:
     for method, read in ((loss, start(batch)), (loss.rollout_loss, rollout.detach())):
         single = method(read.float())[key]
         assert single.dtype == torch.float64
@@ -177,7 +205,9 @@ def test_beliefs_of_single_precision_are_computed_in_double(loss: TrajectoryLoss
 STEPS_MASK = torch.tensor([[True, True, False, True], [False] * HORIZON, [True] * HORIZON])
 BELIEF_MASK = torch.tensor([True, False, True])
 masks = pytest.mark.parametrize(
-    "mask", [STEPS_MASK, STEPS_MASK[..., None], BELIEF_MASK, BELIEF_MASK[:, None]], ids=["steps", "steps of TorchRL", "beliefs", "column"]
+    "mask",
+    [STEPS_MASK, STEPS_MASK[..., None], BELIEF_MASK, BELIEF_MASK[:, None]],
+    ids=["steps", "steps of TorchRL", "beliefs", "column"],
 )
 
 
@@ -187,9 +217,15 @@ def over_steps(mask: Tensor) -> Tensor:
 
 @masks
 @pytest.mark.parametrize("mask_key", [("collector", "mask"), "shifted_valid", ("my", "valid")])
-def test_masked_steps_are_left_out(key: str, batch: Gaussian, mask: Tensor, mask_key: str | tuple[str, str]) -> None:
+def test_masked_steps_are_left_out(
+    key: str, batch: Gaussian, mask: Tensor, mask_key: str | tuple[str, str]
+) -> None:
     counted, steps = over_steps(mask), MAKERS[key](seed=0).per_step(batch)
-    expected = {"none": steps * counted, "sum": steps[counted].sum(), "mean": steps[counted].sum() / 2}  # the second does not count
+    expected = {
+        "none": steps * counted,
+        "sum": steps[counted].sum(),
+        "mean": steps[counted].sum() / 2,
+    }  # the second does not count
     for reduction, value in expected.items():
         loss = MAKERS[key](seed=0, reduction=reduction)
         if mask_key == ("my", "valid"):
@@ -199,25 +235,37 @@ def test_masked_steps_are_left_out(key: str, batch: Gaussian, mask: Tensor, mask
 
 
 @masks
-def test_what_is_masked_may_hold_anything(loss: TrajectoryLoss, key: str, batch: Gaussian, mask: Tensor) -> None:
+def test_what_is_masked_may_hold_anything(
+    loss: TrajectoryLoss, key: str, batch: Gaussian, mask: Tensor
+) -> None:
     """Neither the value nor a gradient notices it, and a belief that is none raises no error."""
     masked = start(batch).set("shifted_valid", mask)
     expected = loss(masked)[key]
     broken = copy.deepcopy(masked)
-    broken["observation", "mean"][1], broken["observation", "var"][1] = float("nan"), -1e3 * torch.eye(2)
+    broken["observation", "mean"][1], broken["observation", "var"][1] = (
+        float("nan"),
+        -1e3 * torch.eye(2),
+    )
     assert torch.equal(loss(broken)[key], expected)
-    for gradient, other in zip(policy_gradients(loss, loss(broken)[key]), policy_gradients(loss, expected), strict=True):
+    for gradient, other in zip(
+        policy_gradients(loss, loss(broken)[key]), policy_gradients(loss, expected), strict=True
+    ):
         torch.testing.assert_close(gradient, other, rtol=1e-12, atol=1e-14)
 
 
 @masks
-def test_what_is_masked_in_a_rollout_may_hold_anything(loss: TrajectoryLoss, key: str, rollout: TensorDict, mask: Tensor) -> None:
+def test_what_is_masked_in_a_rollout_may_hold_anything(
+    loss: TrajectoryLoss, key: str, rollout: TensorDict, mask: Tensor
+) -> None:
     counted, masked = over_steps(mask), rollout.detach()
     masked.batch_size = [BATCH]
     masked["shifted_valid"] = mask
     expected = loss.rollout_loss(masked)[key]
     broken, (mean_key, var_key) = masked.clone(), loss.rollout_keys
-    broken[mean_key][~counted], broken[var_key][~counted] = float("nan"), -1e3 * torch.eye(2).double()
+    broken[mean_key][~counted], broken[var_key][~counted] = (
+        float("nan"),
+        -1e3 * torch.eye(2).double(),
+    )
     mean, var = broken[mean_key].requires_grad_(), broken[var_key].requires_grad_()
     value = loss.rollout_loss(broken)[key]
     assert torch.equal(value, expected)
@@ -237,7 +285,9 @@ def test_mask_can_be_switched_off(loss: TrajectoryLoss, key: str, batch: Gaussia
 
 @pytest.mark.parametrize("reduction", ["none", "mean", "sum"])
 def test_nothing_costs_nothing(key: str, batch: Gaussian, reduction: str) -> None:
-    value = MAKERS[key](seed=0, reduction=reduction)(start(batch).set("shifted_valid", torch.zeros(BATCH, dtype=torch.bool)))[key]
+    value = MAKERS[key](seed=0, reduction=reduction)(
+        start(batch).set("shifted_valid", torch.zeros(BATCH, dtype=torch.bool))
+    )[key]
     assert (value == 0).all()
 
 
@@ -249,12 +299,16 @@ def test_rollout_of_the_prediction_costs_what_the_prediction_costs(
 ) -> None:
     expected, value = loss(start(batch))[key], loss.rollout_loss(rollout)[key]
     assert torch.equal(value, expected)
-    for gradient, other in zip(policy_gradients(loss, value), policy_gradients(loss, expected), strict=True):
+    for gradient, other in zip(
+        policy_gradients(loss, value), policy_gradients(loss, expected), strict=True
+    ):
         assert (gradient != 0).all()
         torch.testing.assert_close(gradient, other, rtol=1e-12, atol=0)
 
 
-def test_rollout_is_scored_whatever_its_start(loss: TrajectoryLoss, key: str, batch: Gaussian, rollout: TensorDict) -> None:
+def test_rollout_is_scored_whatever_its_start(
+    loss: TrajectoryLoss, key: str, batch: Gaussian, rollout: TensorDict
+) -> None:
     """The rollout of an imagined environment holds the beliefs before each step too."""
     expected = loss.rollout_loss(rollout)[key]
     states = Gaussian(rollout["next", "observation", "mean"], rollout["next", "observation", "var"])
@@ -265,21 +319,35 @@ def test_rollout_is_scored_whatever_its_start(loss: TrajectoryLoss, key: str, ba
     assert torch.equal(loss.rollout_loss(rollout.update(start(before)))[key], expected)
 
 
-def test_trainer_of_torchrl_reaches_the_loss_of_rollouts(loss: TrajectoryLoss, key: str, rollout: TensorDict) -> None:
+def test_trainer_of_torchrl_reaches_the_loss_of_rollouts(
+    loss: TrajectoryLoss, key: str, rollout: TensorDict
+) -> None:
     trainer = SimpleNamespace(loss_module=loss)
-    assert torch.equal(Trainer.compute_loss(trainer, rollout, "rollout_loss")[key], loss.rollout_loss(rollout)[key])
+    assert torch.equal(
+        Trainer.compute_loss(trainer, rollout, "rollout_loss")[key], loss.rollout_loss(rollout)[key]
+    )
 
 
 @pytest.mark.parametrize("steps", [1, 3])
-def test_shorter_rollout_is_scored_as_the_beginning(key: str, batch: Gaussian, rollout: TensorDict, steps: int) -> None:
+def test_shorter_rollout_is_scored_as_the_beginning(
+    key: str, batch: Gaussian, rollout: TensorDict, steps: int
+) -> None:
     loss = MAKERS[key](seed=0, reduction="none")
-    torch.testing.assert_close(loss.rollout_loss(rollout[:, :steps])[key], loss.per_step(batch)[:, :steps], rtol=1e-12, atol=0)
+    torch.testing.assert_close(
+        loss.rollout_loss(rollout[:, :steps])[key],
+        loss.per_step(batch)[:, :steps],
+        rtol=1e-12,
+        atol=0,
+    )
 
 
 def test_gradient_flows_into_a_rollout(loss: TrajectoryLoss, key: str, rollout: TensorDict) -> None:
     """It is the difference quotient in a random direction."""
     mean_key, var_key = loss.rollout_keys
-    mean, root = rollout[mean_key].detach().requires_grad_(), torch.linalg.cholesky(rollout[var_key].detach()).requires_grad_()
+    mean, root = (
+        rollout[mean_key].detach().requires_grad_(),
+        torch.linalg.cholesky(rollout[var_key].detach()).requires_grad_(),
+    )
 
     def value(mean: Tensor, root: Tensor) -> Tensor:
         return loss.rollout_loss(mean, root @ root.mT)
@@ -288,8 +356,13 @@ def test_gradient_flows_into_a_rollout(loss: TrajectoryLoss, key: str, rollout: 
 
 
 @pytest.mark.parametrize("shape", [(HORIZON + 1, 2), (BATCH, HORIZON + 1, 2), (2,)])
-def test_rollout_of_another_length_is_an_error(loss: TrajectoryLoss, draws: Draws, shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match=rf"a trajectory must have shape \(\*batch, t, D\) with t up to {HORIZON}, got \({shape[0]},"):
+def test_rollout_of_another_length_is_an_error(
+    loss: TrajectoryLoss, draws: Draws, shape: tuple[int, ...]
+) -> None:
+    with pytest.raises(
+        ValueError,
+        match=rf"a trajectory must have shape \(\*batch, t, D\) with t up to {HORIZON}, got \({shape[0]},",
+    ):
         loss.rollout_loss(rollout_of(draws.belief(*shape)))
 
 
@@ -300,21 +373,32 @@ def test_real_rollout_is_an_error(loss: TrajectoryLoss) -> None:
 
 
 def test_belief_over_another_space_is_an_error(loss: TrajectoryLoss, draws: Draws) -> None:
-    with pytest.raises(ValueError, match=r"\('observation', 'mean'\) must hold the 2 entries \('q', 'dq'\), got 3"):
+    with pytest.raises(
+        ValueError, match=r"\('observation', 'mean'\) must hold the 2 entries \('q', 'dq'\), got 3"
+    ):
         loss(start(draws.belief(3)))
 
 
-def test_failed_prediction_is_an_error_that_names_its_step(loss: TrajectoryLoss, initial: Gaussian) -> None:
+def test_failed_prediction_is_an_error_that_names_its_step(
+    loss: TrajectoryLoss, initial: Gaussian
+) -> None:
     negative = Gaussian(initial.mean, -100 * torch.eye(2, dtype=torch.float64))
-    with pytest.raises(PredictionError, match=rf"prediction of step 1 of {HORIZON} failed") as error:
+    with pytest.raises(
+        PredictionError, match=rf"prediction of step 1 of {HORIZON} failed"
+    ) as error:
         loss(start(negative))
     assert error.value.step == 1
 
 
-def test_degenerate_belief_of_a_rollout_is_an_error_that_names_its_step(loss: TrajectoryLoss, rollout: TensorDict) -> None:
+def test_degenerate_belief_of_a_rollout_is_an_error_that_names_its_step(
+    loss: TrajectoryLoss, rollout: TensorDict
+) -> None:
     degenerate = rollout.detach().clone()
     degenerate["next", "observation", "var"][1, 2, 0, 0] = -3.0
-    with pytest.raises(PredictionError, match=rf"comparison of step 3 of {HORIZON} failed: .* batch element \(1, 2\)") as error:
+    with pytest.raises(
+        PredictionError,
+        match=rf"comparison of step 3 of {HORIZON} failed: .* batch element \(1, 2\)",
+    ) as error:
         loss.rollout_loss(degenerate)
     assert error.value.step == 3
 
@@ -324,30 +408,43 @@ def test_degenerate_belief_of_a_rollout_is_an_error_that_names_its_step(loss: Tr
 
 @pytest.mark.parametrize("objective", ["per_step", "mean_per_step"])
 @pytest.mark.parametrize("name", ["centres", "weights", "log_widths"])
-def test_gradient_is_the_difference_quotient(loss: TrajectoryLoss, initial: Gaussian, draws: Draws, objective: str, name: str) -> None:
+def test_gradient_is_the_difference_quotient(
+    loss: TrajectoryLoss, initial: Gaussian, draws: Draws, objective: str, name: str
+) -> None:
     parameter, per_step = loss.actor_network.get_parameter(name), getattr(loss, objective)
     (gradient,) = torch.autograd.grad(per_step(initial).sum(), parameter)
     direction, step, values = draws.normal(*parameter.shape), 1e-4, []
     for move in (step, -2 * step):
         parameter.data.add_(direction, alpha=move)
         values.append(per_step(initial).sum().item())
-    assert (gradient * direction).sum().item() == pytest.approx((values[0] - values[1]) / (2 * step), rel=1e-5)
+    assert (gradient * direction).sum().item() == pytest.approx(
+        (values[0] - values[1]) / (2 * step), rel=1e-5
+    )
 
 
-def test_gradient_reaches_the_policy_and_leaves_the_model_alone(loss: TrajectoryLoss, key: str, initial: Gaussian) -> None:
+def test_gradient_reaches_the_policy_and_leaves_the_model_alone(
+    loss: TrajectoryLoss, key: str, initial: Gaussian
+) -> None:
     loss(start(initial))[key].backward()
     assert all((parameter.grad != 0).all() for parameter in loss.actor_network.parameters())
     assert all(parameter.grad is None for parameter in loss.dynamics.parameters())
 
 
 def test_parameters_are_those_of_the_policy(loss: TrajectoryLoss) -> None:
-    named = {f"actor_network.{name}": parameter for name, parameter in loss.actor_network.named_parameters()}
+    named = {
+        f"actor_network.{name}": parameter
+        for name, parameter in loss.actor_network.named_parameters()
+    }
     assert dict(loss.named_parameters()) == named
     assert list(map(id, loss.parameters())) == list(map(id, loss.actor_network.parameters()))
-    assert [name for name, _ in loss.named_parameters("outer")] == [f"outer.{name}" for name in named]
+    assert [name for name, _ in loss.named_parameters("outer")] == [
+        f"outer.{name}" for name in named
+    ]
 
 
-def test_optimiser_of_the_loss_trains_the_policy_alone(loss: TrajectoryLoss, key: str, initial: Gaussian) -> None:
+def test_optimiser_of_the_loss_trains_the_policy_alone(
+    loss: TrajectoryLoss, key: str, initial: Gaussian
+) -> None:
     model = copy.deepcopy(loss.dynamics.state_dict())
     optimiser, values = torch.optim.Adam(loss.parameters(), lr=0.02), []
     for _ in range(10):
@@ -376,7 +473,9 @@ def test_reset_is_refused_in_place_of_nothing_being_reset(loss: TrajectoryLoss) 
         loss.reset_parameters_recursive()
 
 
-def test_fresh_loss_with_the_state_of_another_is_the_same(loss: TrajectoryLoss, key: str, initial: Gaussian, tmp_path: Path) -> None:
+def test_fresh_loss_with_the_state_of_another_is_the_same(
+    loss: TrajectoryLoss, key: str, initial: Gaussian, tmp_path: Path
+) -> None:
     """Policy, model with its data, and aim: all are in the state."""
     other = MAKERS[key](seed=1)
     expected = loss(start(initial))[key]
@@ -385,10 +484,15 @@ def test_fresh_loss_with_the_state_of_another_is_the_same(loss: TrajectoryLoss, 
     other.load_state_dict(torch.load(tmp_path / "loss.pt", weights_only=True))
     assert torch.equal(other(start(initial))[key], expected)
     buffers = {"loss_kl": {"expert_mean", "expert_cov"}, "loss_cost": {"target", "to_widths"}}[key]
-    assert {name.split(".")[0] for name in loss.state_dict()} == {"actor_network", "dynamics"} | buffers
+    assert {name.split(".")[0] for name in loss.state_dict()} == {
+        "actor_network",
+        "dynamics",
+    } | buffers
 
 
-def test_copy_is_the_same_and_independent(loss: TrajectoryLoss, key: str, initial: Gaussian) -> None:
+def test_copy_is_the_same_and_independent(
+    loss: TrajectoryLoss, key: str, initial: Gaussian
+) -> None:
     expected = loss(start(initial))[key]
     other = copy.deepcopy(loss)
     assert torch.equal(other(start(initial))[key], expected)

@@ -30,7 +30,12 @@ from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
 from torch_pmil.gp.gaussian import symmetric
 from torch_pmil.model.rollout import predict_step
 from torch_pmil.torchrl_interop import BeliefPolicy, GPWorldModel, ImaginedEnv
-from torch_pmil.torchrl_interop.keys import ACTION_BELIEF, FEATURE_CROSS_COVARIANCE, STATE_BELIEF, raw_space
+from torch_pmil.torchrl_interop.keys import (
+    ACTION_BELIEF,
+    FEATURE_CROSS_COVARIANCE,
+    STATE_BELIEF,
+    raw_space,
+)
 
 NAMES, UNITS = ("q1", "dq1", "q2", "dq2"), ("rad", "rad/s") * 2
 ANGLES = StateSpace(NAMES, UNITS, (0, 2), joint_match(NAMES, UNITS))
@@ -43,7 +48,12 @@ CART = """<mujoco>
   <actuator><motor joint="slide"/></actuator>
 </mujoco>"""
 HORIZON = 4
-JITTER = 1e-6 * 3**2 * HORIZON  # TorchRL's, which it adds to the raw action's variance; times the largest action squared, in every step
+JITTER = (
+    1e-6 * 3**2 * HORIZON
+    # TorchRL's, which it adds to the raw action's variance; times the largest action squared, in
+    # every
+    # step
+)
 
 raw_or_angles = pytest.mark.parametrize("space", [None, ANGLES], ids=["raw", "angles"])
 
@@ -56,14 +66,23 @@ def robot(num_envs: int | None = None) -> DoublePendulumEnv:
 def cart() -> MujocoRobotEnv:
     """Two state entries and one action, which is what TorchRL's ``ImaginedEnv`` takes."""
     model = mujoco.MjModel.from_xml_string(CART)
-    return MujocoRobotEnv(model, ["slide"], initial_mean=[0.0, 0.0], initial_std=[0.5, 0.5], torque_limit=2.0, seed=0)
+    return MujocoRobotEnv(
+        model, ["slide"], initial_mean=[0.0, 0.0], initial_std=[0.5, 0.5], torque_limit=2.0, seed=0
+    )
 
 
 def transitions(draws: Draws, n: int = 20, D: int = 4, F: int = 2) -> TensorDictBase:
     """Of a smooth system."""
     x, u = draws.uniform(-1, 1, n, D), draws.uniform(-2, 2, n, F)
     change = 0.1 * torch.sin(x @ draws.normal(D, D) + u @ draws.normal(F, D))
-    return TensorDict({"observation": x, "action": u, "next": {"observation": x + change + 0.003 * draws.normal(n, D)}}, [n])
+    return TensorDict(
+        {
+            "observation": x,
+            "action": u,
+            "next": {"observation": x + change + 0.003 * draws.normal(n, D)},
+        },
+        [n],
+    )
 
 
 def world(draws: Draws, space: StateSpace | None = None, D: int = 4, F: int = 2) -> GPWorldModel:
@@ -74,9 +93,13 @@ def world(draws: Draws, space: StateSpace | None = None, D: int = 4, F: int = 2)
     return model
 
 
-def rbf_policy(draws: Draws, space: StateSpace | None = None, D: int = 4, F: int = 2) -> BeliefPolicy:
+def rbf_policy(
+    draws: Draws, space: StateSpace | None = None, D: int = 4, F: int = 2
+) -> BeliefPolicy:
     inputs = len((space or raw_space(D)).feature_names)
-    policy = RBFPolicy(draws.normal(6, inputs), torch.linspace(2, 3, F), scale=draws.uniform(0.8, 1.5, inputs))
+    policy = RBFPolicy(
+        draws.normal(6, inputs), torch.linspace(2, 3, F), scale=draws.uniform(0.8, 1.5, inputs)
+    )
     with torch.no_grad():
         policy.weights.copy_(0.5 * draws.normal(6, F))
     return BeliefPolicy(policy, space)
@@ -93,11 +116,15 @@ def joint_belief(draws: Draws, *batch: int, scale: float = 0.05) -> TensorDictBa
     state, action = both.marginal(torch.arange(4)), both.marginal(torch.arange(4, 6))
     slope = torch.linalg.solve(state.cov, both.cov[..., :4, 4:])
     tensordict = as_observation(state)
-    return tensordict.update({"action": {"mean": action.mean, "var": action.cov, "cross_covariance": slope}})
+    return tensordict.update(
+        {"action": {"mean": action.mean, "var": action.cov, "cross_covariance": slope}}
+    )
 
 
 def next_belief(tensordict: TensorDictBase) -> Gaussian:
-    return Gaussian(tensordict["next", "observation", "mean"], tensordict["next", "observation", "var"])
+    return Gaussian(
+        tensordict["next", "observation", "mean"], tensordict["next", "observation", "var"]
+    )
 
 
 def posterior(model: GPDynamics, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -119,7 +146,13 @@ def test_certain_belief_gives_the_gp_posterior(draws: Draws) -> None:
     model, x, u = GPWorldModel(4, 2), draws.uniform(-1, 1, 7, 4), draws.uniform(-2, 2, 7, 2)
     model.fit(transitions(draws))
     mean, variance = posterior(model.dynamics, torch.cat([x, u], -1))
-    belief = next_belief(model(as_observation(Gaussian(x, torch.zeros(7, 4, 4).double())).update({"action": {"mean": u}})))
+    belief = next_belief(
+        model(
+            as_observation(Gaussian(x, torch.zeros(7, 4, 4).double())).update(
+                {"action": {"mean": u}}
+            )
+        )
+    )
     assert close(belief.mean, x + mean, 1e-10)
     assert close(belief.cov, torch.diag_embed(variance), 1e-9)
 
@@ -129,7 +162,11 @@ def test_missing_covariances_are_zero(draws: Draws, space: StateSpace | None) ->
     model, x, u = world(draws, space), draws.normal(3, 4), draws.normal(3, 2)
     short = TensorDict({"observation": {"mean": x}, "action": {"mean": u}}, [3])
     whole = as_observation(Gaussian(x, torch.zeros(3, 4, 4).double()))
-    zeros = {"mean": u, "var": torch.zeros(3, 2, 2).double(), "cross_covariance": torch.zeros(3, 4, 2).double()}
+    zeros = {
+        "mean": u,
+        "var": torch.zeros(3, 2, 2).double(),
+        "cross_covariance": torch.zeros(3, 4, 2).double(),
+    }
     short, whole = next_belief(model(short)), next_belief(model(whole.update({"action": zeros})))
     assert torch.equal(short.mean, whole.mean) and torch.equal(short.cov, whole.cov)
 
@@ -145,12 +182,17 @@ def test_plain_observation_gives_the_posterior_mean_with_gradients(draws: Draws)
 
 
 @raw_or_angles
-def test_belief_is_differentiable_in_all_that_is_read(draws: Draws, space: StateSpace | None) -> None:
+def test_belief_is_differentiable_in_all_that_is_read(
+    draws: Draws, space: StateSpace | None
+) -> None:
     model, belief = world(draws, space), joint_belief(draws)
     keys = model.in_keys[:5]
 
     def successor(*values: Tensor) -> tuple[Tensor, Tensor]:
-        values = [value + value.mT if key[1] == "var" else value for key, value in zip(keys, values, strict=True)]
+        values = [
+            value + value.mT if key[1] == "var" else value
+            for key, value in zip(keys, values, strict=True)
+        ]
         result = next_belief(model(TensorDict(dict(zip(keys, values, strict=True)))))
         return result.mean, result.cov
 
@@ -167,18 +209,34 @@ def test_batch_equals_loop(draws: Draws, space: StateSpace | None) -> None:
         assert close(batch[index].mean, one.mean, 1e-12) and close(batch[index].cov, one.cov, 1e-12)
 
 
-def test_features_of_a_state_jointly_gaussian_with_the_action_covary_as_samples_do(draws: Draws) -> None:
+def test_features_of_a_state_jointly_gaussian_with_the_action_covary_as_samples_do(
+    draws: Draws,
+) -> None:
     model, belief = world(draws, ANGLES), joint_belief(draws, scale=0.3)
     cross_cov = belief["observation", "var"] @ belief["action", "cross_covariance"]
-    both = torch.cat([torch.cat([belief["observation", "var"], cross_cov], -1), torch.cat([cross_cov.mT, belief["action", "var"]], -1)])
+    both = torch.cat(
+        [
+            torch.cat([belief["observation", "var"], cross_cov], -1),
+            torch.cat([cross_cov.mT, belief["action", "var"]], -1),
+        ]
+    )
     mean = torch.cat([belief["observation", "mean"], belief["action", "mean"]])
     samples = Gaussian(mean, both).sample(400_000, draws.generator)
-    features = ANGLES.belief(Gaussian(belief["observation", "mean"], belief["observation", "var"]))[0]
-    products = (ANGLES.features(samples[:, :4]) - features.mean)[..., None] * (samples[:, None, 4:] - belief["action", "mean"])
-    estimates = [successor_given(model, belief, torch.linalg.solve(features.cov, chunk.mean(0))) for chunk in products.chunk(20)]
+    features = ANGLES.belief(Gaussian(belief["observation", "mean"], belief["observation", "var"]))[
+        0
+    ]
+    products = (ANGLES.features(samples[:, :4]) - features.mean)[..., None] * (
+        samples[:, None, 4:] - belief["action", "mean"]
+    )
+    estimates = [
+        successor_given(model, belief, torch.linalg.solve(features.cov, chunk.mean(0)))
+        for chunk in products.chunk(20)
+    ]
     estimates, exact = torch.stack(estimates), next_belief(model(belief.clone()))
     error = 4 * estimates.std(0) / len(estimates) ** 0.5
-    assert ((estimates.mean(0) - torch.cat([exact.mean[None], exact.cov])).abs() <= error + 1e-7).all()
+    assert (
+        (estimates.mean(0) - torch.cat([exact.mean[None], exact.cov])).abs() <= error + 1e-7
+    ).all()
     assert error.max() < 1e-3
 
 
@@ -196,7 +254,9 @@ def test_keys_can_be_renamed(draws: Draws) -> None:
     renamed, model = GPWorldModel(4, 2, in_keys=keys, out_keys=["m1", "V1"]), world(draws)
     renamed.load_state_dict(model.state_dict())
     belief = joint_belief(draws)
-    result = renamed(TensorDict({key: belief[old] for key, old in zip(keys, model.in_keys, strict=True)}))
+    result = renamed(
+        TensorDict({key: belief[old] for key, old in zip(keys, model.in_keys, strict=True)})
+    )
     assert torch.equal(result["V1"], next_belief(model(belief)).cov) and "m1" in result
 
 
@@ -208,13 +268,17 @@ def test_state_dict_loads(draws: Draws, tmp_path: Path, n: int) -> None:
     torch.save(model.state_dict(), tmp_path / "model.pt")
     other.load_state_dict(torch.load(tmp_path / "model.pt", weights_only=True))
     belief = joint_belief(draws)
-    assert torch.equal(next_belief(model(belief.clone())).cov, next_belief(other(belief.clone())).cov)
+    assert torch.equal(
+        next_belief(model(belief.clone())).cov, next_belief(other(belief.clone())).cov
+    )
 
 
 def test_transitions_of_any_batch_and_precision_are_learned_from(draws: Draws) -> None:
     data, model = transitions(draws).float(), GPWorldModel(4, 2)
     model.fit(data.reshape(4, 5))
-    assert torch.equal(model.dynamics.train_inputs, torch.cat([data["observation"], data["action"]], -1).double())
+    assert torch.equal(
+        model.dynamics.train_inputs, torch.cat([data["observation"], data["action"]], -1).double()
+    )
 
 
 def drop(key: str) -> Callable[[TensorDictBase], TensorDictBase]:
@@ -229,12 +293,22 @@ def put(key: object, value: Tensor) -> Callable[[TensorDictBase], TensorDictBase
     ("change", "error", "message"),
     [
         (drop("action"), KeyError, r"expected action \(\*batch, 2\), got the keys"),
-        (put("action", torch.zeros(20, 3)), ValueError, r"action must have shape \(\*batch, 2\), got \(20, 3\)"),
-        (put(("next", "observation"), torch.full((20, 4), torch.nan)), ValueError, "targets must be finite"),
+        (
+            put("action", torch.zeros(20, 3)),
+            ValueError,
+            r"action must have shape \(\*batch, 2\), got \(20, 3\)",
+        ),
+        (
+            put(("next", "observation"), torch.full((20, 4), torch.nan)),
+            ValueError,
+            "targets must be finite",
+        ),
     ],
     ids=["missing", "shape", "not finite"],
 )
-def test_bad_transitions_are_named(draws: Draws, change: Callable, error: type[Exception], message: str) -> None:
+def test_bad_transitions_are_named(
+    draws: Draws, change: Callable, error: type[Exception], message: str
+) -> None:
     with pytest.raises(error, match=message):
         GPWorldModel(4, 2).fit(change(transitions(draws)))
 
@@ -244,11 +318,17 @@ def test_bad_transitions_are_named(draws: Draws, change: Callable, error: type[E
     [
         (drop("action"), KeyError, "expected the action under"),
         (drop("observation"), KeyError, r"expected observation \(\*batch, 4\), got the keys"),
-        (put(("observation", "var"), torch.ones(4)), ValueError, r"\('observation', 'var'\) must have shape \(\*batch, 4, 4\), got \(4,\)"),
+        (
+            put(("observation", "var"), torch.ones(4)),
+            ValueError,
+            r"\('observation', 'var'\) must have shape \(\*batch, 4, 4\), got \(4,\)",
+        ),
     ],
     ids=["no action", "no observation", "variances"],
 )
-def test_bad_beliefs_are_named(draws: Draws, change: Callable, error: type[Exception], message: str) -> None:
+def test_bad_beliefs_are_named(
+    draws: Draws, change: Callable, error: type[Exception], message: str
+) -> None:
     with pytest.raises(error, match=message):
         world(draws)(change(joint_belief(draws)))
 
@@ -256,7 +336,9 @@ def test_bad_beliefs_are_named(draws: Draws, change: Callable, error: type[Excep
 def test_bad_settings_are_named(draws: Draws) -> None:
     with pytest.raises(ValueError, match="space must have obs_dim = 3 entries, got the 4"):
         GPWorldModel(3, 1, space=ANGLES)
-    with pytest.raises(ValueError, match="expected five or six in_keys and two out_keys, got 1 and 2"):
+    with pytest.raises(
+        ValueError, match="expected five or six in_keys and two out_keys, got 1 and 2"
+    ):
         GPWorldModel(4, 1, in_keys=["u"])
     with pytest.raises(RuntimeError, match="has no data yet"):
         GPWorldModel(4, 2)(joint_belief(draws))
@@ -268,25 +350,40 @@ def test_bad_settings_are_named(draws: Draws) -> None:
 
 
 @raw_or_angles
-def test_certain_policy_acts_as_on_the_plain_observation(draws: Draws, space: StateSpace | None) -> None:
+def test_certain_policy_acts_as_on_the_plain_observation(
+    draws: Draws, space: StateSpace | None
+) -> None:
     policy, x = rbf_policy(draws, space), draws.normal(5, 4)
     belief = policy(as_observation(Gaussian(x, torch.zeros(5, 4, 4).double())))
     plain = TensorDict({"observation": x}, [5])
-    slope = torch.stack([torch.autograd.functional.jacobian(lambda s: policy(TensorDict({"observation": s}))["action"], one) for one in x])
+    slope = torch.stack(
+        [
+            torch.autograd.functional.jacobian(
+                lambda s: policy(TensorDict({"observation": s}))["action"], one
+            )
+            for one in x
+        ]
+    )
     assert close(belief["action", "mean"], policy(plain)["action"], 1e-12)
     assert belief["action", "var"].abs().max() < 1e-12
     assert close(belief["action", "cross_covariance"], slope.mT, 1e-10)
 
 
 @raw_or_angles
-def test_policy_covaries_with_the_state_as_samples_do(draws: Draws, space: StateSpace | None) -> None:
+def test_policy_covaries_with_the_state_as_samples_do(
+    draws: Draws, space: StateSpace | None
+) -> None:
     policy, state = rbf_policy(draws, space), Gaussian(draws.normal(4), draws.cov(4, scale=1e-3))
     action = policy(as_observation(state))["action"]
     x = state.sample(200_000, draws.generator)
     u = policy(TensorDict({"observation": x}))["action"].detach()
     products = (x - state.mean)[..., None] * (u - action["mean"])[:, None]
     difference = products.mean(0) - state.cov @ action["cross_covariance"]
-    assert (difference.abs() <= 4 * products.std(0) / len(x) ** 0.5 + 1e-2 * state.std[:, None] * action["var"].diagonal().sqrt()).all()
+    assert (
+        difference.abs()
+        <= 4 * products.std(0) / len(x) ** 0.5
+        + 1e-2 * state.std[:, None] * action["var"].diagonal().sqrt()
+    ).all()
 
 
 def test_policy_asks_for_an_observation(draws: Draws) -> None:
@@ -298,9 +395,21 @@ def test_one_policy_acts_in_the_imagined_and_in_the_real_environment(draws: Draw
     policy, env = rbf_policy(draws), robot()
     with torch.no_grad():
         real = env.rollout(3, policy)
-    collected = next(iter(Collector(robot(), policy, frames_per_batch=3, total_frames=3, auto_register_policy_transforms=False)))
+    collected = next(
+        iter(
+            Collector(
+                robot(),
+                policy,
+                frames_per_batch=3,
+                total_frames=3,
+                auto_register_policy_transforms=False,
+            )
+        )
+    )
     imagined = ImaginedEnv(world(draws), env).rollout(3, policy)
-    assert real["action"].shape == collected["action"].shape == (3, 2) and imagined["action", "mean"].shape == (1, 3, 2)
+    assert real["action"].shape == collected["action"].shape == (3, 2) and imagined[
+        "action", "mean"
+    ].shape == (1, 3, 2)
 
 
 # the environment
@@ -309,7 +418,9 @@ def test_one_policy_acts_in_the_imagined_and_in_the_real_environment(draws: Draw
 @raw_or_angles
 @pytest.mark.parametrize("batch_size", [None, (), (3,), (2, 3)], ids=str)
 @pytest.mark.parametrize("num_envs", [None, 3])
-def test_specs_hold(draws: Draws, space: StateSpace | None, batch_size: tuple[int, ...] | None, num_envs: int | None) -> None:
+def test_specs_hold(
+    draws: Draws, space: StateSpace | None, batch_size: tuple[int, ...] | None, num_envs: int | None
+) -> None:
     env = ImaginedEnv(world(draws, space), robot(num_envs), batch_size)
     assert env.batch_size == ((num_envs or 1,) if batch_size is None else batch_size)
     check_env_specs(env, seed=0, break_when_any_done="both")
@@ -325,7 +436,9 @@ def test_random_actions_are_certain_for_torchrls_model(draws: Draws) -> None:
     predicted = ours.rollout(2, tensordict=start)["next", "observation"]
     torch.manual_seed(0)
     reference = theirs.rollout(2, tensordict=start)["next", "observation"]
-    assert close(predicted["mean"], reference["mean"], 1e-6) and close(predicted["var"], reference["var"], 1e-6)
+    assert close(predicted["mean"], reference["mean"], 1e-6) and close(
+        predicted["var"], reference["var"], 1e-6
+    )
 
 
 def test_random_actions_keep_to_the_robots_limits(draws: Draws) -> None:
@@ -338,44 +451,67 @@ def test_random_actions_keep_to_the_robots_limits(draws: Draws) -> None:
 
 @raw_or_angles
 @pytest.mark.parametrize("batch", [(), (1,), (2, 3)], ids=str)
-def test_rollout_is_the_plain_loop_with_its_gradients(draws: Draws, space: StateSpace | None, batch: tuple[int, ...]) -> None:
+def test_rollout_is_the_plain_loop_with_its_gradients(
+    draws: Draws, space: StateSpace | None, batch: tuple[int, ...]
+) -> None:
     model, policy = world(draws, space), rbf_policy(draws, space)
-    start = Gaussian(0.3 * draws.normal(*batch, 4).requires_grad_(), draws.cov(*batch, 4, scale=0.02).requires_grad_())
+    start = Gaussian(
+        0.3 * draws.normal(*batch, 4).requires_grad_(),
+        draws.cov(*batch, 4, scale=0.02).requires_grad_(),
+    )
     leaves = [start.mean, start.cov, *policy.parameters()]
     weights = draws.normal(*batch, HORIZON, 4), draws.normal(*batch, HORIZON, 4, 4)
 
-    imagined = ImaginedEnv(model, robot(), batch).rollout(HORIZON, policy, tensordict=as_observation(start))["next", "observation"]
+    imagined = ImaginedEnv(model, robot(), batch).rollout(
+        HORIZON, policy, tensordict=as_observation(start)
+    )["next", "observation"]
     looped = plain_loop(start, policy, model, HORIZON)
     assert close(imagined["mean"], looped.mean) and close(imagined["var"], looped.cov)
     gradients = [
         torch.autograd.grad((mean * weights[0]).sum() + (var * weights[1]).sum(), leaves)
         for mean, var in ((imagined["mean"], imagined["var"]), (looped.mean, looped.cov))
     ]
-    for by_env, by_loop in zip(*((mean, symmetric(cov), *rest) for mean, cov, *rest in gradients), strict=True):
+    for by_env, by_loop in zip(
+        *((mean, symmetric(cov), *rest) for mean, cov, *rest in gradients), strict=True
+    ):
         assert by_loop.abs().max() > 1e-3 and close(by_env, by_loop)
 
 
-def plain_loop(state: Gaussian, policy: BeliefPolicy, model: GPWorldModel, horizon: int) -> Gaussian:
+def plain_loop(
+    state: Gaussian, policy: BeliefPolicy, model: GPWorldModel, horizon: int
+) -> Gaussian:
     controller, states = policy.policy.controller, []
     for _ in range(horizon):
         state = predict_step(state, controller, model.dynamics, model.space)
         states.append(state)
-    return Gaussian(torch.stack([s.mean for s in states], -2), torch.stack([s.cov for s in states], -3))
+    return Gaussian(
+        torch.stack([s.mean for s in states], -2), torch.stack([s.cov for s in states], -3)
+    )
 
 
 def test_rollout_starts_where_it_is_told(draws: Draws) -> None:
-    env, belief, x = ImaginedEnv(world(draws), robot(), (2,)), draws.belief(2, 4), draws.normal(2, 4)
+    env, belief, x = (
+        ImaginedEnv(world(draws), robot(), (2,)),
+        draws.belief(2, 4),
+        draws.normal(2, 4),
+    )
     given = env.reset(as_observation(belief))
     certain = env.reset(TensorDict({"observation": x}, [2]))
-    assert torch.equal(given["observation", "var"], belief.cov) and torch.equal(given["observation", "mean"], belief.mean)
-    assert torch.equal(certain["observation", "mean"], x) and not certain["observation", "var"].any()
+    assert torch.equal(given["observation", "var"], belief.cov) and torch.equal(
+        given["observation", "mean"], belief.mean
+    )
+    assert (
+        torch.equal(certain["observation", "mean"], x) and not certain["observation", "var"].any()
+    )
 
 
 def test_partial_reset_leaves_the_others_where_they_are(draws: Draws) -> None:
     env, belief = ImaginedEnv(world(draws), robot(), (2,)), draws.belief(2, 4)
     now = env.reset(as_observation(belief)).set("_reset", torch.tensor([[True], [False]]))
     then = env.reset(now, select_reset_only=True)["observation"]
-    assert torch.equal(then["mean"][1], belief.mean[1]) and torch.equal(then["var"][1], belief.cov[1])
+    assert torch.equal(then["mean"][1], belief.mean[1]) and torch.equal(
+        then["var"][1], belief.cov[1]
+    )
     assert not torch.equal(then["mean"][0], belief.mean[0]) and not then["var"][0].any()
 
 
@@ -401,7 +537,10 @@ class OddEnv(EnvBase):
 
 def test_environments_that_cannot_be_imagined_are_named(draws: Draws) -> None:
     vector = robot().observation_spec
-    with pytest.raises(ValueError, match="base_env must have one action that is a vector of real numbers, got Categorical"):
+    with pytest.raises(
+        ValueError,
+        match="base_env must have one action that is a vector of real numbers, got Categorical",
+    ):
         ImaginedEnv(world(draws), OddEnv(observation=vector, action=Categorical(3)))
     picture = type(vector)(observation=Unbounded((4, 4, 3)))
     with pytest.raises(ValueError, match='base_env must have a vector "observation"'):
@@ -412,34 +551,56 @@ def test_environments_that_cannot_be_imagined_are_named(draws: Draws) -> None:
 
 
 def torchrl_policy(policy: BeliefPolicy) -> TensorDictModule:
-    return TensorDictModule(rbf_controller(policy.policy), in_keys=STATE_BELIEF, out_keys=ACTION_BELIEF)
+    return TensorDictModule(
+        rbf_controller(policy.policy), in_keys=STATE_BELIEF, out_keys=ACTION_BELIEF
+    )
 
 
-@pytest.mark.parametrize("env", [ImaginedEnv, model_based.ImaginedEnv], ids=["our env", "torchrl env"])
+@pytest.mark.parametrize(
+    "env", [ImaginedEnv, model_based.ImaginedEnv], ids=["our env", "torchrl env"]
+)
 @pytest.mark.parametrize("our_policy", [True, False], ids=["our policy", "torchrl policy"])
 @pytest.mark.parametrize("our_model", [True, False], ids=["our model", "torchrl model"])
-def test_all_combinations_with_torchrls_pieces_predict_the_same(draws: Draws, env: type, our_model: bool, our_policy: bool) -> None:
+def test_all_combinations_with_torchrls_pieces_predict_the_same(
+    draws: Draws, env: type, our_model: bool, our_policy: bool
+) -> None:
     pytest.importorskip("botorch")
     ours, policy = world(draws, D=2, F=1), rbf_policy(draws, D=2, F=1)
-    model, actor = ours if our_model else world_model(ours.dynamics), policy if our_policy else torchrl_policy(policy)
+    model, actor = (
+        ours if our_model else world_model(ours.dynamics),
+        policy if our_policy else torchrl_policy(policy),
+    )
     start = Gaussian(0.3 * draws.normal(1, 2), draws.cov(1, 2, scale=0.02))
-    predicted = env(model, cart()).rollout(HORIZON, actor, tensordict=as_observation(start))["next", "observation"]
+    predicted = env(model, cart()).rollout(HORIZON, actor, tensordict=as_observation(start))[
+        "next", "observation"
+    ]
     reference = plain_loop(start, policy, ours, HORIZON)
-    assert close(predicted["mean"], reference.mean, JITTER) and close(predicted["var"], reference.cov, JITTER)
+    assert close(predicted["mean"], reference.mean, JITTER) and close(
+        predicted["var"], reference.cov, JITTER
+    )
     gradients = torch.autograd.grad(predicted["mean"].sum(), list(actor.parameters()))
     assert all(gradient.abs().max() > 0 for gradient in gradients)
 
 
 @pytest.mark.parametrize("our_policy", [True, False], ids=["our policy", "torchrl policy"])
 @pytest.mark.parametrize("our_model", [True, False], ids=["our model", "torchrl model"])
-def test_several_actions_and_batches_with_torchrls_pieces(draws: Draws, our_model: bool, our_policy: bool) -> None:
+def test_several_actions_and_batches_with_torchrls_pieces(
+    draws: Draws, our_model: bool, our_policy: bool
+) -> None:
     pytest.importorskip("botorch")
     ours, policy = world(draws), rbf_policy(draws)
-    model, actor = ours if our_model else world_model(ours.dynamics), policy if our_policy else torchrl_policy(policy)
+    model, actor = (
+        ours if our_model else world_model(ours.dynamics),
+        policy if our_policy else torchrl_policy(policy),
+    )
     start = Gaussian(0.3 * draws.normal(3, 4), draws.cov(3, 4, scale=0.02))
-    predicted = ImaginedEnv(model, robot(3)).rollout(HORIZON, actor, tensordict=as_observation(start))["next", "observation"]
+    predicted = ImaginedEnv(model, robot(3)).rollout(
+        HORIZON, actor, tensordict=as_observation(start)
+    )["next", "observation"]
     reference = plain_loop(start, policy, ours, HORIZON)
-    assert close(predicted["mean"], reference.mean, JITTER) and close(predicted["var"], reference.cov, JITTER)
+    assert close(predicted["mean"], reference.mean, JITTER) and close(
+        predicted["var"], reference.cov, JITTER
+    )
 
 
 # the page and the commands
@@ -454,14 +615,23 @@ def test_the_code_of_the_page_runs() -> None:
 
 
 def run(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False
+    )
 
 
 @pytest.mark.slow
 def test_torchrls_model_misses_its_own_posterior_and_ours_does_not(tmp_path: Path) -> None:
     pytest.importorskip("botorch")
-    assert run("benchmarks.torchrl_model", "--n", "50", "--json", str(tmp_path / "summary.json")).returncode == 0
-    rows = {row["model"]: row for row in json.loads((tmp_path / "summary.json").read_text())["rows"]}
+    assert (
+        run(
+            "benchmarks.torchrl_model", "--n", "50", "--json", str(tmp_path / "summary.json")
+        ).returncode
+        == 0
+    )
+    rows = {
+        row["model"]: row for row in json.loads((tmp_path / "summary.json").read_text())["rows"]
+    }
     ours, theirs = rows["torch_pmil"], rows["torchrl"]
     assert abs(ours["variance_ratio_max"] - 1) < 1e-2 and ours["mean_error_std"] < 1e-6
     assert ours["state_dict"] == "loads" and ours["gradients"]
@@ -472,12 +642,16 @@ def test_torchrls_model_misses_its_own_posterior_and_ours_does_not(tmp_path: Pat
 @pytest.mark.slow
 def test_the_example_balances_the_pole() -> None:
     pytest.importorskip("gymnasium")
-    result = run("examples.torchrl_pilco", "--epochs", "1", "--random-steps", "100", "--episodes", "3")
+    result = run(
+        "examples.torchrl_pilco", "--epochs", "1", "--random-steps", "100", "--episodes", "3"
+    )
     assert result.returncode == 0, result.stdout + result.stderr
     assert result.stdout.endswith("[1000, 1000, 1000] of 1000 steps; learned\n")
 
 
-def test_the_example_says_what_is_missing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_says_what_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(torchrl_pilco, "find_spec", lambda name: None)
     monkeypatch.setattr(sys, "argv", ["torchrl_pilco"])
     with pytest.raises(SystemExit):

@@ -1,4 +1,6 @@
-"""L-BFGS as the optimisation step of TorchRL's own trainer, on TorchRL's own losses and on one that is made to be difficult."""
+"""L-BFGS as the optimisation step of TorchRL's own trainer, on TorchRL's own losses and on one that
+is made to be difficult.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,26 @@ class Quadratic(LossModule):
 
     def __init__(self, extra=lambda weight: 0.0) -> None:
         super().__init__()
-        self.weight, self.extra = nn.Parameter(torch.tensor([3.0, -1.0], dtype=torch.float64)), extra
+        self.weight, self.extra = (
+            nn.Parameter(torch.tensor([3.0, -1.0], dtype=torch.float64)),
+            extra,
+        )
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         shift = self.weight - tensordict["target"]
-        return TensorDict({"loss_a": shift[0] ** 2 + self.extra(self.weight), "loss_b": 100 * shift[1] ** 2, "metric": torch.ones(())})
+        return TensorDict(
+            {
+                "loss_a": shift[0] ** 2 + self.extra(self.weight),
+                "loss_b": 100 * shift[1] ** 2,
+                "metric": torch.ones(()),
+            }
+        )
 
 
 def one_step(loss: LossModule, batch: TensorDictBase, **settings: object) -> TensorDictBase:
-    return LBFGSStepper(**settings).step(SimpleNamespace(loss_module=loss, compute_loss=loss), batch)
+    return LBFGSStepper(**settings).step(
+        SimpleNamespace(loss_module=loss, compute_loss=loss), batch
+    )
 
 
 @pytest.fixture
@@ -55,7 +68,9 @@ def test_step_ends_at_the_minimum_of_the_sum_of_the_losses(target: TensorDict) -
 def test_chosen_entries_alone_are_minimised(target: TensorDict) -> None:
     loss = Quadratic()
     one_step(loss, target, loss_components=["loss_a"])
-    torch.testing.assert_close(loss.weight.detach(), torch.tensor([1.0, -1.0], dtype=torch.float64), rtol=0, atol=1e-6)
+    torch.testing.assert_close(
+        loss.weight.detach(), torch.tensor([1.0, -1.0], dtype=torch.float64), rtol=0, atol=1e-6
+    )
 
 
 def test_points_without_a_finite_loss_are_stepped_back_from(target: TensorDict) -> None:
@@ -93,7 +108,9 @@ def test_random_loss_is_one_function_throughout_a_step(target: TensorDict) -> No
 
 @pytest.mark.parametrize("chosen", [["loss_c"], ["loss_a", "loss_c"]])
 def test_missing_entry_is_refused(chosen: list[str], target: TensorDict) -> None:
-    with pytest.raises(ValueError, match=r"must have \['loss_c'\], got \['loss_a', 'loss_b', 'metric'\]"):
+    with pytest.raises(
+        ValueError, match=r"must have \['loss_c'\], got \['loss_a', 'loss_b', 'metric'\]"
+    ):
         one_step(Quadratic(), target, loss_components=chosen)
 
 
@@ -117,7 +134,9 @@ def test_trainer_of_torchrl_clones_a_linear_teacher() -> None:
     teacher, student = (nn.Linear(4, 2, dtype=torch.float64) for _ in range(2))
     teacher.weight.data.mul_(0.1)
     calls: list[str] = []
-    states = env.rollout(FRAMES, TensorDictModule(teacher, ["observation"], ["action"]))["observation"]
+    states = env.rollout(FRAMES, TensorDictModule(teacher, ["observation"], ["action"]))[
+        "observation"
+    ]
     before = (student(states) - teacher(states)).square().mean()
     trainer = Trainer(
         collector=Collector(
@@ -143,14 +162,24 @@ def test_trainer_of_torchrl_clones_a_linear_teacher() -> None:
 
 def test_ppo_loss_is_lowered() -> None:
     torch.manual_seed(0)
-    network = nn.Sequential(nn.Linear(4, 8), nn.Tanh(), nn.Linear(8, 4), NormalParamExtractor()).double()
+    network = nn.Sequential(
+        nn.Linear(4, 8), nn.Tanh(), nn.Linear(8, 4), NormalParamExtractor()
+    ).double()
     actor = ProbabilisticActor(
-        TensorDictModule(network, ["observation"], ["loc", "scale"]), ["loc", "scale"], distribution_class=TanhNormal, return_log_prob=True
+        TensorDictModule(network, ["observation"], ["loc", "scale"]),
+        ["loc", "scale"],
+        distribution_class=TanhNormal,
+        return_log_prob=True,
     )
     critic = ValueOperator(nn.Linear(4, 1, dtype=torch.float64), ["observation"])
     loss = ClipPPOLoss(actor, critic, entropy_coeff=0.0)
-    batch = actor(TensorDict({"observation": torch.randn(64, 4, dtype=torch.float64)}, [64])).detach()
-    batch["advantage"], batch["value_target"] = torch.randn(64, 1, dtype=torch.float64), torch.randn(64, 1, dtype=torch.float64)
+    batch = actor(
+        TensorDict({"observation": torch.randn(64, 4, dtype=torch.float64)}, [64])
+    ).detach()
+    batch["advantage"], batch["value_target"] = (
+        torch.randn(64, 1, dtype=torch.float64),
+        torch.randn(64, 1, dtype=torch.float64),
+    )
     before = loss(batch)
     after = one_step(loss, batch, loss_components=["loss_objective", "loss_critic"])
     assert after["loss_objective"] < before["loss_objective"] - 0.01

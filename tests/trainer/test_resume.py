@@ -84,8 +84,13 @@ def tensors(path: Path) -> dict[str, Tensor]:
 
 def numbers(folder: Path) -> dict:
     summary = json.loads((folder / "summary.json").read_text())
-    trials = [{key: value for key, value in trial.items() if key not in TIMES[1]} for trial in summary["trials"]]
-    return {key: value for key, value in summary.items() if key not in TIMES[0]} | {"trials": trials}
+    trials = [
+        {key: value for key, value in trial.items() if key not in TIMES[1]}
+        for trial in summary["trials"]
+    ]
+    return {key: value for key, value in summary.items() if key not in TIMES[0]} | {
+        "trials": trials
+    }
 
 
 def assert_same_end(folder: Path, whole: Path) -> None:
@@ -97,7 +102,9 @@ def assert_same_end(folder: Path, whole: Path) -> None:
 
 
 @pytest.mark.parametrize(("phase", "count"), FEW, ids=str)
-def test_stopped_run_ends_as_one_that_was_not_stopped(phase: str, count: int, whole: Path, tmp_path: Path) -> None:
+def test_stopped_run_ends_as_one_that_was_not_stopped(
+    phase: str, count: int, whole: Path, tmp_path: Path
+) -> None:
     folder = stopped_run(tmp_path / "run", phase, count)
     run(folder, resume=True)
     assert_same_end(folder, whole)
@@ -105,10 +112,14 @@ def test_stopped_run_ends_as_one_that_was_not_stopped(phase: str, count: int, wh
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("phase", "count"), STOPS, ids=str)
-def test_killed_run_ends_as_one_that_was_not_killed(phase: str, count: int, whole: Path, tmp_path: Path) -> None:
+def test_killed_run_ends_as_one_that_was_not_killed(
+    phase: str, count: int, whole: Path, tmp_path: Path
+) -> None:
     folder = tmp_path / "run"
     command = [sys.executable, "-m", "tests.helpers.short_run", str(folder)]
-    with subprocess.Popen([*command, phase, str(count)], cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [*command, phase, str(count)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as process:
         assert "stopped\n" in process.stdout
         process.kill()
     folder.mkdir(exist_ok=True)
@@ -126,7 +137,9 @@ def test_run_of_the_baseline_goes_on_too(tmp_path: Path) -> None:
     assert_same_end(tmp_path / "stopped", tmp_path / "whole")
 
 
-def test_run_with_noisy_sensors_goes_on_with_the_same_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_with_noisy_sensors_goes_on_with_the_same_noise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     noisy = with_noise(0.02)
     monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: noisy)
     run(tmp_path / "whole")
@@ -135,17 +148,23 @@ def test_run_with_noisy_sensors_goes_on_with_the_same_noise(tmp_path: Path, monk
 
 
 @pytest.mark.parametrize(("phase", "count"), [("fit", 1), ("search", 5)], ids=str)
-def test_run_with_a_first_motion_of_its_own_goes_on_too(phase: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_with_a_first_motion_of_its_own_goes_on_too(
+    phase: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     experiment = replace(load_experiment("double_pendulum"), pd_movements=PD_MOVEMENTS)
     monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: experiment)
     run(tmp_path / "whole")
-    assert numbers(tmp_path / "whole")["experience_s"] == pytest.approx(0.1 * (2 * 7 + TRIALS * STEPS))
+    assert numbers(tmp_path / "whole")["experience_s"] == pytest.approx(
+        0.1 * (2 * 7 + TRIALS * STEPS)
+    )
     run(stopped_run(tmp_path / "stopped", phase, count), resume=True)
     assert_same_end(tmp_path / "stopped", tmp_path / "whole")
 
 
 @pytest.mark.parametrize(("before", "after"), [(None, "csv"), ("csv", None)])
-def test_run_goes_on_with_another_logger(before: str | None, after: str | None, whole: Path, tmp_path: Path) -> None:
+def test_run_goes_on_with_another_logger(
+    before: str | None, after: str | None, whole: Path, tmp_path: Path
+) -> None:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
         stop_in(patch, "search", 5, stop)
         run(tmp_path / "run", logger=before)
@@ -181,15 +200,24 @@ def test_resuming_where_nothing_was_saved_is_a_new_run(whole: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("flaw", ["cut short", "one byte", "empty", "not an archive"])
-def test_damaged_newest_checkpoint_falls_back_to_the_one_before(flaw: str, whole: Path, stopped: Path) -> None:
+def test_damaged_newest_checkpoint_falls_back_to_the_one_before(
+    flaw: str, whole: Path, stopped: Path
+) -> None:
     newest = saved_checkpoints(rotation_in(stopped / "checkpoints"))[0]
     content = bytearray(newest.read_bytes())
     place = content.index(b"state.json") + 200
     content[place] ^= 1
     newest.write_bytes(
-        {"cut short": content[: len(content) // 2], "one byte": content, "empty": b"", "not an archive": b"checkpoint" * 100}[flaw]
+        {
+            "cut short": content[: len(content) // 2],
+            "one byte": content,
+            "empty": b"",
+            "not an archive": b"checkpoint" * 100,
+        }[flaw]
     )
-    with pytest.warns(RuntimeWarning, match=f"{newest.name} is damaged .*: the one before it is taken"):
+    with pytest.warns(
+        RuntimeWarning, match=f"{newest.name} is damaged .*: the one before it is taken"
+    ):
         run(stopped, resume=True)
     assert_same_end(stopped, whole)
 
@@ -197,12 +225,17 @@ def test_damaged_newest_checkpoint_falls_back_to_the_one_before(flaw: str, whole
 def test_all_checkpoints_damaged_is_said(stopped: Path) -> None:
     for path in saved_checkpoints(rotation_in(stopped / "checkpoints")):
         path.write_bytes(b"")
-    with pytest.warns(RuntimeWarning), pytest.raises(RuntimeError, match=r"all checkpoints in .* are damaged"):
+    with (
+        pytest.warns(RuntimeWarning),
+        pytest.raises(RuntimeError, match=r"all checkpoints in .* are damaged"),
+    ):
         run(stopped, resume=True)
 
 
 def test_stopped_run_is_not_overwritten(stopped: Path) -> None:
-    with pytest.raises(UnfinishedRunError, match=f"{stopped} holds a run that was stopped: go on with resume=true"):
+    with pytest.raises(
+        UnfinishedRunError, match=f"{stopped} holds a run that was stopped: go on with resume=true"
+    ):
         run(stopped)
     assert saved_checkpoints(rotation_in(stopped / "checkpoints"))
 
@@ -227,10 +260,14 @@ def test_another_run_is_not_gone_on_with(stopped: Path) -> None:
         run(stopped, resume=True, seed=SEED + 1)
 
 
-def test_robot_moves_as_often_as_in_a_run_without_stops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_robot_moves_as_often_as_in_a_run_without_stops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The rollout that was collected before the stop is learned from, and not collected again."""
     rollouts: list[int] = []
     original = RolloutCollector.rollout
-    monkeypatch.setattr(RolloutCollector, "rollout", lambda self: rollouts.append(1) or original(self))
+    monkeypatch.setattr(
+        RolloutCollector, "rollout", lambda self: rollouts.append(1) or original(self)
+    )
     run(stopped_run(tmp_path / "run", "search", 5), resume=True)
     assert len(rollouts) == TRIALS + 1

@@ -1,4 +1,6 @@
-"""Algorithm 1 as a trainer, on the first four steps of the double pendulum and with searches of a few evaluations."""
+"""Algorithm 1 as a trainer, on the first four steps of the double pendulum and with searches of a
+few evaluations.
+"""
 
 from __future__ import annotations
 
@@ -34,14 +36,20 @@ def quick_fits() -> Iterator[None]:
         yield
 
 
-def make(trials: int, seed: int = 0, progress_bar: bool = False, **changes: object) -> tuple[PMILTrainer, list[Trial]]:
+def make(
+    trials: int, seed: int = 0, progress_bar: bool = False, **changes: object
+) -> tuple[PMILTrainer, list[Trial]]:
     """A trainer, and the list that its trials are told to."""
     told: list[Trial] = []
-    return make_trainer(short_experiment(HORIZON, **changes), seed, trials, progress_bar, told.append), told
+    return make_trainer(
+        short_experiment(HORIZON, **changes), seed, trials, progress_bar, told.append
+    ), told
 
 
 def own_errors(*errors: float) -> Callable[[TensorDictBase], Tensor]:
-    """An error measure under which own rollouts have these errors, one after the other, and a quarter of the starts succeed."""
+    """An error measure under which own rollouts have these errors, one after the other, and a
+    quarter of the starts succeed.
+    """
     script, starts = iter(errors), torch.arange(STARTS) % 4
     return lambda rollout: torch.tensor(next(script)) if rollout.ndim == 1 else 1.0 * starts
 
@@ -86,9 +94,16 @@ def test_first_rollout_is_random_within_a_fraction_of_the_limit() -> None:
 def test_first_motion_may_be_several_rollouts_of_another_length() -> None:
     trainer, told = make(trials=2, pd_movements=PD_MOVEMENTS)
     sizes: list[int] = []
-    trainer.register_op("post_optim", lambda: sizes.append(len(trainer.loss_module.dynamics.train_inputs)))
+    trainer.register_op(
+        "post_optim", lambda: sizes.append(len(trainer.loss_module.dynamics.train_inputs))
+    )
     trainer.train()
-    assert len(trainer.experience) == trainer.collected_frames == trainer.total_frames == 2 * 7 + 2 * HORIZON
+    assert (
+        len(trainer.experience)
+        == trainer.collected_frames
+        == trainer.total_frames
+        == 2 * 7 + 2 * HORIZON
+    )
     assert sizes == [14, 14 + HORIZON]
     assert [trial.experience_s for trial in told] == pytest.approx([1.4, 1.4 + 0.1 * HORIZON])
     transitions = trainer.experience.transitions
@@ -101,14 +116,19 @@ def test_first_motion_is_that_of_the_pd_controller_from_the_robots_starts() -> N
     """The collector tries out robot and motion when it is made."""
     trainer, _ = make(trials=1, pd_movements=PD_MOVEMENTS)
     trainer.train()
-    env, motion = short_experiment().make_env(seed=0), PD_MOVEMENTS.motion(torch.Generator().manual_seed(1_000_000))
+    env, motion = (
+        short_experiment().make_env(seed=0),
+        PD_MOVEMENTS.motion(torch.Generator().manual_seed(1_000_000)),
+    )
     motion(env.reset()["observation"])
     for rollout in trainer.experience.transitions[:14].split(7):
         motion.begin()
         state = env.reset()["observation"]
         for step in rollout:
             action = motion(state)
-            torch.testing.assert_close((step["observation"], step["action"]), (state, action), rtol=0, atol=1e-12)
+            torch.testing.assert_close(
+                (step["observation"], step["action"]), (state, action), rtol=0, atol=1e-12
+            )
             state = env.step(TensorDict({"action": action}))["next", "observation"]
 
 
@@ -129,7 +149,9 @@ def test_model_is_fitted_to_all_experience_before_each_search() -> None:
     """The last rollout belongs to no search any more."""
     trainer, _ = make(trials=2)
     sizes: list[int] = []
-    trainer.register_op("post_optim", lambda: sizes.append(len(trainer.loss_module.dynamics.train_inputs)))
+    trainer.register_op(
+        "post_optim", lambda: sizes.append(len(trainer.loss_module.dynamics.train_inputs))
+    )
     trainer.train()
     assert sizes == [HORIZON, 2 * HORIZON]
 
@@ -137,15 +159,31 @@ def test_model_is_fitted_to_all_experience_before_each_search() -> None:
 def test_hooks_of_a_user_are_called() -> None:
     trainer, _ = make(trials=2)
     calls: list[str] = []
-    for destination in ("batch_process", "process_optim_batch", "pre_steps_log", "post_steps_log", "post_optim_log"):
+    for destination in (
+        "batch_process",
+        "process_optim_batch",
+        "pre_steps_log",
+        "post_steps_log",
+        "post_optim_log",
+    ):
         trainer.register_op(destination, lambda batch, name=destination: calls.append(name))
     for destination in ("setup", "pre_optim_steps", "post_optim", "post_steps", "shutdown"):
         trainer.register_op(destination, lambda name=destination: calls.append(name))
     trainer.train()
-    of_a_batch, of_a_search = ("batch_process", "pre_steps_log", "post_steps", "post_steps_log"), ("pre_optim_steps", "post_optim")
+    of_a_batch, of_a_search = (
+        ("batch_process", "pre_steps_log", "post_steps", "post_steps_log"),
+        ("pre_optim_steps", "post_optim"),
+    )
     assert [calls.count(name) for name in of_a_batch] == [3] * 4
-    assert [calls.count(name) for name in (*of_a_search, "process_optim_batch", "post_optim_log")] == [2] * 4
-    assert (calls[0], calls[-1], calls.count("setup"), calls.count("shutdown")) == ("setup", "shutdown", 1, 1)
+    assert [
+        calls.count(name) for name in (*of_a_search, "process_optim_batch", "post_optim_log")
+    ] == [2] * 4
+    assert (calls[0], calls[-1], calls.count("setup"), calls.count("shutdown")) == (
+        "setup",
+        "shutdown",
+        1,
+        1,
+    )
 
 
 def test_rate_is_that_of_the_fresh_starts_and_decides_nothing() -> None:
@@ -159,19 +197,33 @@ def test_trials_are_told_one_by_one_when_their_rollout_is_done() -> None:
     trainer, told = make(trials=2, error=own_errors(0.2, 0.9), tolerance=0.5)
     trainer.train()
     assert told == trainer.trials
-    assert [(trial.own_error, trial.own_success) for trial in told] == [(pytest.approx(0.2), True), (pytest.approx(0.9), False)]
+    assert [(trial.own_error, trial.own_success) for trial in told] == [
+        (pytest.approx(0.2), True),
+        (pytest.approx(0.9), False),
+    ]
 
 
-def test_error_is_of_the_rollout_as_the_environment_gives_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_is_of_the_rollout_as_the_environment_gives_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """What the states do not say: here, how fast the torques were."""
-    trainer, told = make(trials=1, error=lambda rollout: rollout["action"].norm(dim=-1).amax(-1), tolerance=0.0)
+    trainer, told = make(
+        trials=1, error=lambda rollout: rollout["action"].norm(dim=-1).amax(-1), tolerance=0.0
+    )
     trainer.train()
     assert told[0].own_error == rollouts_of(trainer)[1]["action"].norm(dim=-1).max().item()
 
 
 @pytest.mark.parametrize(("confirmations", "trials"), [(1, 1), (3, 5)])
-def test_experiment_says_how_many_successes_in_a_row_end_the_training(confirmations: int, trials: int) -> None:
-    trainer, told = make(trials=6, error=own_errors(0.1, 0.9, 0.1, 0.1, 0.1), tolerance=0.5, confirmations=confirmations)
+def test_experiment_says_how_many_successes_in_a_row_end_the_training(
+    confirmations: int, trials: int
+) -> None:
+    trainer, told = make(
+        trials=6,
+        error=own_errors(0.1, 0.9, 0.1, 0.1, 0.1),
+        tolerance=0.5,
+        confirmations=confirmations,
+    )
     trainer.train()
     assert len(told) == trials
     assert trainer.stop_reason.startswith("the own rollout")
@@ -191,7 +243,9 @@ def test_training_ends_after_two_own_successes_in_a_row() -> None:
 
 
 @pytest.mark.parametrize("errors", [(0.1,), (0.1, 0.9, 0.1), (0.9, 0.9)], ids=str)
-def test_training_ends_at_the_limit_of_trials_without_two_in_a_row(errors: tuple[float, ...]) -> None:
+def test_training_ends_at_the_limit_of_trials_without_two_in_a_row(
+    errors: tuple[float, ...],
+) -> None:
     trainer, told = make(trials=len(errors), error=own_errors(*errors), tolerance=0.5)
     trainer.train()
     assert len(told) == len(errors)
@@ -202,7 +256,9 @@ def timeless(trials: list[Trial]) -> list[dict[str, object]]:
     return [asdict(replace(trial, gp_seconds=0.0, search_seconds=0.0)) for trial in trials]
 
 
-def test_same_seed_gives_the_same_trials_bit_for_bit_with_a_progress_bar_too(trained: PMILTrainer) -> None:
+def test_same_seed_gives_the_same_trials_bit_for_bit_with_a_progress_bar_too(
+    trained: PMILTrainer,
+) -> None:
     again, _ = make(trials=2, progress_bar=True)
     again.train()
     assert timeless(again.trials) == timeless(trained.trials)
@@ -229,7 +285,9 @@ def test_no_trials_are_an_error() -> None:
 
 @pytest.fixture
 def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Candidate]:
-    """Chooses among policies with these own errors and predicted KLs (None: the prediction fails), numbered from 1."""
+    """Chooses among policies with these own errors and predicted KLs (None: the prediction fails),
+    numbered from 1.
+    """
 
     def choose(*outcomes: tuple[float, float | None]) -> Candidate:
         policy, made = trained.loss_module.actor_network, []
@@ -261,14 +319,24 @@ def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callabl
         ([(0.1, None), (0.2, 5.0)], 2),
         ([(0.1, None), (0.3, 5.0)], 1),
     ],
-    ids=["least KL of the successes", "tolerance succeeds", "least error without success", "failed KL is worst", "success before KL"],
+    ids=[
+        "least KL of the successes",
+        "tolerance succeeds",
+        "least error without success",
+        "failed KL is worst",
+        "success before KL",
+    ],
 )
-def test_best_policy(candidates: Callable[..., Candidate], trained: PMILTrainer, outcomes: list, best: int) -> None:
+def test_best_policy(
+    candidates: Callable[..., Candidate], trained: PMILTrainer, outcomes: list, best: int
+) -> None:
     assert candidates(*outcomes).trial == best
     assert (trained.loss_module.actor_network.weights == best).all()
 
 
-def test_best_policy_is_chosen_under_a_model_of_all_experience(candidates: Callable[..., Candidate], trained: PMILTrainer) -> None:
+def test_best_policy_is_chosen_under_a_model_of_all_experience(
+    candidates: Callable[..., Candidate], trained: PMILTrainer
+) -> None:
     candidates((0.1, 1.0))
     assert len(trained.loss_module.dynamics.train_inputs) == len(trained.experience)
 
@@ -277,17 +345,28 @@ def test_best_policy_is_chosen_under_a_model_of_all_experience(candidates: Calla
 
 
 class ScriptedSearches:
-    """A stepper whose searches end with these results; the policy's weights are then the number of the search, 1, 2, ..."""
+    """A stepper whose searches end with these results; the policy's weights are then the number of
+    the search, 1, 2, ...
+    """
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, results: list[tuple[float, int, bool]], restarts: int = 0) -> None:
+    def __init__(
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        results: list[tuple[float, int, bool]],
+        restarts: int = 0,
+    ) -> None:
         self.loss = make(trials=1)[0].loss_module
         self.renewed_from: list[int] = []  # numbers of the searches whose policies were renewed
         self.random_at: list[int] = []  # and of those that were told that theirs is random
         self.searches = 0
         self._results = iter(results)
         monkeypatch.setattr(stepper_module, "search_policy", self._search)
-        monkeypatch.setattr(stepper_module, "renew_policy", lambda *_: self.renewed_from.append(self.kept))
-        self.stepper = PolicySearchStepper(SearchSettings(restarts=restarts), self._random, torch.Generator(), lambda *_: None)
+        monkeypatch.setattr(
+            stepper_module, "renew_policy", lambda *_: self.renewed_from.append(self.kept)
+        )
+        self.stepper = PolicySearchStepper(
+            SearchSettings(restarts=restarts), self._random, torch.Generator(), lambda *_: None
+        )
 
     def _random(self) -> RBFPolicy:
         policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
@@ -301,7 +380,16 @@ class ScriptedSearches:
         loss.actor_network.weights.data.fill_(self.searches)
         kl, horizon, matched = next(self._results)
         per_step = torch.full((HORIZON,), kl / HORIZON, dtype=torch.float64)
-        return SearchResult(kl, per_step, horizon, matched, evaluations=10, failures=1, seconds=0.5, stop_reason="iteration limit")
+        return SearchResult(
+            kl,
+            per_step,
+            horizon,
+            matched,
+            evaluations=10,
+            failures=1,
+            seconds=0.5,
+            stop_reason="iteration limit",
+        )
 
     @property
     def kept(self) -> int:
@@ -319,8 +407,12 @@ class ScriptedSearches:
 SLOW = 1.1 * PROGRESS * 100  # after a search that came to 100
 
 
-@pytest.mark.parametrize("second", [(0.9 * PROGRESS * 100, 2, False), (SLOW, 4, True)], ids=["well below", "complete"])
-def test_search_that_makes_progress_is_the_only_one(monkeypatch: pytest.MonkeyPatch, second: tuple[float, int, bool]) -> None:
+@pytest.mark.parametrize(
+    "second", [(0.9 * PROGRESS * 100, 2, False), (SLOW, 4, True)], ids=["well below", "complete"]
+)
+def test_search_that_makes_progress_is_the_only_one(
+    monkeypatch: pytest.MonkeyPatch, second: tuple[float, int, bool]
+) -> None:
     scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), second])
     assert [scripted.step(), scripted.step()] == [1, 2]
     assert (scripted.renewed_from, scripted.random_at, scripted.stepper.renewed) == ([], [1], False)
@@ -330,7 +422,9 @@ def test_search_that_makes_progress_is_the_only_one(monkeypatch: pytest.MonkeyPa
 def test_search_without_progress_is_followed_by_one_of_the_renewed_policy_and_the_better_is_kept(
     monkeypatch: pytest.MonkeyPatch, renewed: float, kept: int
 ) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), (SLOW, 3, False), (renewed, 2, False)])
+    scripted = ScriptedSearches(
+        monkeypatch, [(100.0, 2, False), (SLOW, 3, False), (renewed, 2, False)]
+    )
     assert [scripted.step(), scripted.step()] == [1, kept]
     assert (scripted.renewed_from, scripted.stepper.renewed) == ([2], True)
     result = scripted.stepper.result
@@ -338,8 +432,16 @@ def test_search_without_progress_is_followed_by_one_of_the_renewed_policy_and_th
     assert (result.evaluations, result.failures, result.seconds) == (20, 2, 1.0)
 
 
-def test_searches_from_random_policies_follow_until_one_brings_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    results = [(100.0, 2, False), (SLOW, 2, False), (SLOW, 2, False), (99.0, 2, False), (50.0, 2, False)]
+def test_searches_from_random_policies_follow_until_one_brings_enough(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    results = [
+        (100.0, 2, False),
+        (SLOW, 2, False),
+        (SLOW, 2, False),
+        (99.0, 2, False),
+        (50.0, 2, False),
+    ]
     scripted = ScriptedSearches(monkeypatch, results, restarts=3)
     assert [scripted.step(), scripted.step()] == [1, 5]
     assert (scripted.renewed_from, scripted.random_at) == ([2], [1, 4, 5])
@@ -347,7 +449,16 @@ def test_searches_from_random_policies_follow_until_one_brings_enough(monkeypatc
 
 
 def test_progress_is_from_the_least_loss_of_all_trials(monkeypatch: pytest.MonkeyPatch) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), (150.0, 2, False), (140.0, 2, False), (SLOW, 2, False), (95.0, 2, False)])
+    scripted = ScriptedSearches(
+        monkeypatch,
+        [
+            (100.0, 2, False),
+            (150.0, 2, False),
+            (140.0, 2, False),
+            (SLOW, 2, False),
+            (95.0, 2, False),
+        ],
+    )
     assert [scripted.step() for _ in range(3)] == [1, 3, 4]
     assert scripted.renewed_from == [2, 4]
 
@@ -364,7 +475,11 @@ def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPa
 def actor() -> RobotActor:
     experiment = short_experiment(HORIZON)
     generator = torch.Generator().manual_seed(0)
-    return RobotActor(experiment.make_policy(generator), experiment.space, RandomTorques(experiment.u_max, 0.4, HORIZON).motion(generator))
+    return RobotActor(
+        experiment.make_policy(generator),
+        experiment.space,
+        RandomTorques(experiment.u_max, 0.4, HORIZON).motion(generator),
+    )
 
 
 def test_exploring_robot_acts_uniformly_within_its_fraction_of_the_limit(actor: RobotActor) -> None:
@@ -380,7 +495,9 @@ def test_robot_that_no_longer_explores_follows_its_policy(actor: RobotActor) -> 
     actor.exploring = False
     states = torch.linspace(-1, 1, 12, dtype=torch.float64).reshape(3, 4)
     actions = actor(states)
-    torch.testing.assert_close(actions, actor.policy(actor.space.features(states)).detach(), rtol=1e-12, atol=0)
+    torch.testing.assert_close(
+        actions, actor.policy(actor.space.features(states)).detach(), rtol=1e-12, atol=0
+    )
     assert not actions.requires_grad
 
 

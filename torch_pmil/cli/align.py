@@ -1,15 +1,17 @@
-"""Make demonstrations of what people recorded: one time step, one length, the same moment at the same time.
+"""Make demonstrations of what people recorded: one time step, one length, the same moment at the
+same time.
 
 Example:
     pmil align recorded.csv demonstrations.npz --time-step 0.1 --velocities dq1 dq2
     pmil align tracked.csv demonstrations.npz --fastest 5 --smooth 0.2 --draw steps.png \\
         --marker 105 912 0 0 --marker 1480 905 1 0 --marker 1466 130 1 0.5 --marker 118 121 0 0.5
 
-The recording is of any format that docs/demonstrations.md lists; a CSV file has the columns demonstration,time,NAME,... and, if there are
-several targets, "target NAME",... for what each demonstration was for. Its demonstrations may differ in length, and their samples may be
-uneven. In this order, and only as told: pixels become metres, jumps are left out, the rest is smoothed, velocities are derived, rests are
-cut off. All are sampled at the median time step that was recorded, aligned by dynamic time warping, and then sampled at the time step of
-the robot.
+The recording is of any format that docs/demonstrations.md lists; a CSV file has the columns
+demonstration,time,NAME,... and, if there are several targets, "target NAME",... for what each
+demonstration was for. Its demonstrations may differ in length, and their samples may be uneven. In
+this order, and only as told: pixels become metres, jumps are left out, the rest is smoothed,
+velocities are derived, rests are cut off. All are sampled at the median time step that was
+recorded, aligned by dynamic time warping, and then sampled at the time step of the robot.
 """
 
 from __future__ import annotations
@@ -21,7 +23,12 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings, load_recordings
+from torch_pmil.demonstrations import (
+    DemonstrationError,
+    Demonstrations,
+    Recordings,
+    load_recordings,
+)
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError, align, crop, resample
 from torch_pmil.demonstrations.preparation.camera import plane_coordinates
 from torch_pmil.demonstrations.preparation.jumps import without_jumps
@@ -43,61 +50,99 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     """
     names = [*recordings.names, *(velocity for velocity, _ in options.derive)]
     rates = [*options.velocities, *names[len(recordings.names) :]]
-    check_names(recordings.names, [*options.velocities, *(position for _, position in options.derive)])
-    conditioned = [conditioned_one(*one, recordings.names, options) for one in zip(recordings.times, recordings.values, strict=True)]
+    check_names(
+        recordings.names, [*options.velocities, *(position for _, position in options.derive)]
+    )
+    conditioned = [
+        conditioned_one(*one, recordings.names, options)
+        for one in zip(recordings.times, recordings.values, strict=True)
+    ]
     recorded_step = torch.cat([times.diff() for times in recordings.times]).median().item()
     even = [resample(values, times, recorded_step) for times, values in conditioned]
     derived = range(len(recordings.names), len(names))
     kept = [crop(values, velocities=derived) for values in even] if options.crop else even
-    reference = None if options.reference is None else number_of(options.reference, recordings.labels)
+    reference = (
+        None if options.reference is None else number_of(options.reference, recordings.labels)
+    )
     aligned = align(kept, [names.index(name) for name in rates], options.window, reference)
     times = recorded_step * torch.arange(aligned.shape[1], dtype=torch.float64)
     positions = resample(aligned, times, options.time_step)
-    return Demonstrations(positions, options.time_step, tuple(names), recordings.targets, recordings.target_names)
+    return Demonstrations(
+        positions, options.time_step, tuple(names), recordings.targets, recordings.target_names
+    )
 
 
-def conditioned_one(times: Tensor, values: Tensor, names: tuple[str, ...], options: argparse.Namespace) -> Timed:
-    """One recording: in metres, without jumps and noise, with velocities, each as far as it was asked for."""
+def conditioned_one(
+    times: Tensor, values: Tensor, names: tuple[str, ...], options: argparse.Namespace
+) -> Timed:
+    """One recording: in metres, without jumps and noise, with velocities, each as far as it was
+    asked for.
+    """
     positions = torch.tensor([name not in options.velocities for name in names])
     if options.marker:
         values = values.clone()
-        values[:, positions] = in_metres(values[:, positions], torch.tensor(options.marker, dtype=torch.float64))
+        values[:, positions] = in_metres(
+            values[:, positions], torch.tensor(options.marker, dtype=torch.float64)
+        )
     if options.fastest is not None:
         limits = torch.where(positions, options.fastest, torch.inf).double()
         values, times = without_jumps(values, times, limits)
     if options.smooth is None:
         return times, values
-    derived = velocities(values[:, [names.index(position) for _, position in options.derive]], times, options.smooth)
+    derived = velocities(
+        values[:, [names.index(position) for _, position in options.derive]], times, options.smooth
+    )
     return times, torch.cat([smooth(values, times, options.smooth), derived], -1)
 
 
 def in_metres(values: Tensor, markers: Tensor) -> Tensor:
-    """Points (T, 2 P), in pixels, x and y of each in turn, in m; markers [pixel x, pixel y, x, y], (K, 4)."""
+    """Points (T, 2 P), in pixels, x and y of each in turn, in m; markers [pixel x, pixel y, x, y],
+    (K, 4).
+    """
     if values.shape[1] % 2:
-        raise AlignmentError(f"with markers the columns must be x and y of each point in turn, got {values.shape[1]} columns")
-    return plane_coordinates(values.unflatten(-1, (-1, 2)), markers[:, :2], markers[:, 2:]).flatten(-2)
+        raise AlignmentError(
+            "with markers the columns must be x and y of each point in turn, got "
+            f"{values.shape[1]} columns"
+        )
+    return plane_coordinates(values.unflatten(-1, (-1, 2)), markers[:, :2], markers[:, 2:]).flatten(
+        -2
+    )
 
 
 def check_names(known: tuple[str, ...], told: list[str]) -> None:
     """Raise AlignmentError unless all that were told are columns."""
     if unknown := sorted(set(told) - set(known)):
-        raise AlignmentError(f"velocities must be columns of {', '.join(known)}, got {', '.join(unknown)}")
+        raise AlignmentError(
+            f"velocities must be columns of {', '.join(known)}, got {', '.join(unknown)}"
+        )
 
 
 def number_of(label: str, labels: tuple[str, ...]) -> int:
     """Number of the demonstration that is called so."""
     if label not in labels:
-        raise AlignmentError(f"reference must be one of the demonstrations {', '.join(labels)}, got {label}")
+        raise AlignmentError(
+            f"reference must be one of the demonstrations {', '.join(labels)}, got {label}"
+        )
     return labels.index(label)
 
 
 def draw(recordings: Recordings, demonstrations: Demonstrations, path: Path) -> None:
     """What was recorded beside the demonstrations that became of it."""
-    before = [(times - times[0], values) for times, values in zip(recordings.times, recordings.values, strict=True)]
-    times = demonstrations.time_step * torch.arange(demonstrations.positions.shape[1], dtype=torch.float64)
+    before = [
+        (times - times[0], values)
+        for times, values in zip(recordings.times, recordings.values, strict=True)
+    ]
+    times = demonstrations.time_step * torch.arange(
+        demonstrations.positions.shape[1], dtype=torch.float64
+    )
     after = [(times, values) for values in demonstrations.positions]
     names = demonstrations.names
-    save_figure(plot_before_after(names, [""] * len(names), before, after, f"every {demonstrations.time_step:g} s"), path)
+    save_figure(
+        plot_before_after(
+            names, [""] * len(names), before, after, f"every {demonstrations.time_step:g} s"
+        ),
+        path,
+    )
 
 
 def pair(text: str) -> tuple[str, str]:
@@ -111,25 +156,95 @@ def pair(text: str) -> tuple[str, str]:
 def options_of_command_line() -> argparse.Namespace:
     """Read the command line, or end with what is wrong with it."""
     parser = argparse.ArgumentParser(
-        description=__doc__.partition("\n")[0], epilog=__doc__.partition("\n\n")[2], formatter_class=argparse.RawDescriptionHelpFormatter
+        description=__doc__.partition("\n")[0],
+        epilog=__doc__.partition("\n\n")[2],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("recorded", type=Path, metavar="RECORDED", help="file or folder")
     parser.add_argument("out", type=Path, metavar="OUT.npz")
-    parser.add_argument("--time-step", type=float, default=0.1, help="of the demonstrations, the robot's control period, in s (0.1)")
-    parser.add_argument("--velocities", nargs="+", default=[], metavar="NAME", help="columns that are velocities, not positions")
     parser.add_argument(
-        "--marker", nargs=4, type=float, action="append", metavar=("PX", "PY", "X", "Y"), help="pixel and place, m; four times or more"
+        "--time-step",
+        type=float,
+        default=0.1,
+        help="of the demonstrations, the robot's control period, in s (0.1)",
     )
-    parser.add_argument("--fastest", type=float, metavar="SPEED", help="leave out jumps: what no motion of this speed passes, unit/s")
-    parser.add_argument("--smooth", type=float, metavar="PERIOD", help="smooth: of what oscillates with this period half is left, s")
-    parser.add_argument("--derive", nargs="+", default=[], type=pair, metavar="DQ=Q", help="velocities of smoothed positions, appended")
-    parser.add_argument("--crop", action="store_true", help="keep only the part that moves of each, not the rest before and after it")
-    parser.add_argument("--reference", metavar="DEMONSTRATION", help="whose timing all take over, in place of the mean timing")
-    parser.add_argument("--window", type=float, default=0.2, help="largest shift in time, as a fraction of the longest recording (0.2)")
-    parser.add_argument("--keys", nargs="+", default=[], metavar="KEY", help="what to read of the recording: keys, columns or entries")
-    parser.add_argument("--names", nargs="+", default=[], metavar="NAME", help="of the entries, in place of the recording's")
-    parser.add_argument("--recorded-time-step", type=float, metavar="S", help="of the recording, in s, where it has no times")
-    parser.add_argument("--draw", type=Path, metavar="PICTURE.png", help="what was recorded beside what became of it")
+    parser.add_argument(
+        "--velocities",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="columns that are velocities, not positions",
+    )
+    parser.add_argument(
+        "--marker",
+        nargs=4,
+        type=float,
+        action="append",
+        metavar=("PX", "PY", "X", "Y"),
+        help="pixel and place, m; four times or more",
+    )
+    parser.add_argument(
+        "--fastest",
+        type=float,
+        metavar="SPEED",
+        help="leave out jumps: what no motion of this speed passes, unit/s",
+    )
+    parser.add_argument(
+        "--smooth",
+        type=float,
+        metavar="PERIOD",
+        help="smooth: of what oscillates with this period half is left, s",
+    )
+    parser.add_argument(
+        "--derive",
+        nargs="+",
+        default=[],
+        type=pair,
+        metavar="DQ=Q",
+        help="velocities of smoothed positions, appended",
+    )
+    parser.add_argument(
+        "--crop",
+        action="store_true",
+        help="keep only the part that moves of each, not the rest before and after it",
+    )
+    parser.add_argument(
+        "--reference",
+        metavar="DEMONSTRATION",
+        help="whose timing all take over, in place of the mean timing",
+    )
+    parser.add_argument(
+        "--window",
+        type=float,
+        default=0.2,
+        help="largest shift in time, as a fraction of the longest recording (0.2)",
+    )
+    parser.add_argument(
+        "--keys",
+        nargs="+",
+        default=[],
+        metavar="KEY",
+        help="what to read of the recording: keys, columns or entries",
+    )
+    parser.add_argument(
+        "--names",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="of the entries, in place of the recording's",
+    )
+    parser.add_argument(
+        "--recorded-time-step",
+        type=float,
+        metavar="S",
+        help="of the recording, in s, where it has no times",
+    )
+    parser.add_argument(
+        "--draw",
+        type=Path,
+        metavar="PICTURE.png",
+        help="what was recorded beside what became of it",
+    )
     return parser.parse_args()
 
 
@@ -139,9 +254,16 @@ def main() -> None:
     if options.out.suffix != ".npz":
         sys.exit(f"error: {options.out}: demonstrations are written to a .npz file")
     if options.derive and options.smooth is None:
-        sys.exit("error: --derive needs --smooth PERIOD: velocities are those of smoothed positions")
+        sys.exit(
+            "error: --derive needs --smooth PERIOD: velocities are those of smoothed positions"
+        )
     try:
-        recordings = load_recordings(options.recorded, keys=options.keys, names=options.names, time_step=options.recorded_time_step)
+        recordings = load_recordings(
+            options.recorded,
+            keys=options.keys,
+            names=options.names,
+            time_step=options.recorded_time_step,
+        )
         demonstrations = align_recordings(recordings, options)
         demonstrations.save(options.out)
         if options.draw:
@@ -149,4 +271,7 @@ def main() -> None:
     except (AlignmentError, DemonstrationError, ImportError, OSError) as error:
         sys.exit(f"error: {error}")
     count, samples, _ = demonstrations.positions.shape
-    print(f"wrote {options.out}: {count} demonstrations of {samples} samples, {demonstrations.duration:g} s")
+    print(
+        f"wrote {options.out}: {count} demonstrations of {samples} samples, "
+        f"{demonstrations.duration:g} s"
+    )

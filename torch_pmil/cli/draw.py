@@ -1,10 +1,12 @@
-"""Draw demonstrations by hand: a page in the browser of this machine takes a shape five times and saves it for training.
+"""Draw demonstrations by hand: a page in the browser of this machine takes a shape five times and
+saves it for training.
 
 Example:
     pmil draw heart.npz
 
-Open the address that is printed, with a mouse, a pen or a touch screen. The page is a square of 0.3 m; x points right and y up from its
-lower left corner. Strokes are brought to one length and timing; what was recorded stays beside them in heart.csv.
+Open the address that is printed, with a mouse, a pen or a touch screen. The page is a square of 0.3
+m; x points right and y up from its lower left corner. Strokes are brought to one length and timing;
+what was recorded stays beside them in heart.csv.
 """
 
 from __future__ import annotations
@@ -35,7 +37,11 @@ from torch_pmil.demonstrations.preparation.drawing import (
 
 STROKES = 5  # that the page asks for
 PAGE = Path(__file__).parent / "drawing_page"
-FILES = {"": ("index.html", "text/html"), "page.css": ("page.css", "text/css"), "page.js": ("page.js", "text/javascript")}
+FILES = {
+    "": ("index.html", "text/html"),
+    "page.css": ("page.css", "text/css"),
+    "page.js": ("page.js", "text/javascript"),
+}
 LARGEST_BODY = 16 * 2**20  # bytes: the most strokes, the longest, at 1 kHz
 PATIENCE = 10  # s, with a browser that opens a connection and says nothing
 HEADERS = {
@@ -48,7 +54,8 @@ HEADERS = {
 
 
 class DrawingServer(ThreadingHTTPServer):
-    """Serves the page on the loopback interface alone, to who knows its address, until a drawing is saved.
+    """Serves the page on the loopback interface alone, to who knows its address, until a drawing is
+    saved.
 
     Args:
         path: of the NPZ file that is to be written.
@@ -77,7 +84,8 @@ class DrawingServer(ThreadingHTTPServer):
         """Write what a page sent, once.
 
         Raises:
-            DrawingError, AlignmentError: the strokes are not as they must be, or were saved already.
+            DrawingError, AlignmentError: the strokes are not as they must be, or were saved
+                already.
             OSError: the file cannot be written.
         """
         with self.saving:
@@ -112,10 +120,13 @@ class DrawingHandler(BaseHTTPRequestHandler):
             return self._answer(HTTPStatus.NOT_FOUND, "strokes are sent to save")
         length = self.headers.get("Content-Length", "")
         if not length.isascii() or not length.isdigit():
-            return self._answer(HTTPStatus.LENGTH_REQUIRED, "Not saved: the length of the strokes must be told.")
+            return self._answer(
+                HTTPStatus.LENGTH_REQUIRED, "Not saved: the length of the strokes must be told."
+            )
         if int(length) > LARGEST_BODY:
             return self._answer(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"Not saved: strokes must be {LARGEST_BODY} bytes at most, got {length}."
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+                f"Not saved: strokes must be {LARGEST_BODY} bytes at most, got {length}.",
             )
         try:
             saved = self.server.save(self.rfile.read(int(length)))
@@ -124,7 +135,8 @@ class DrawingHandler(BaseHTTPRequestHandler):
             return self._answer(HTTPStatus.UNPROCESSABLE_ENTITY, f"Not saved: {error}.")
         self._answer(
             HTTPStatus.OK,
-            f"Saved {len(saved.positions)} strokes in {self.server.path.name}: see the terminal for how to train.",
+            f"Saved {len(saved.positions)} strokes in {self.server.path.name}: see the terminal "
+            "for how to train.",
         )
         self.server.shutdown()
 
@@ -132,9 +144,16 @@ class DrawingHandler(BaseHTTPRequestHandler):
         """Keeps quiet: the terminal is for the person."""
 
     def _allowed(self) -> bool:
-        """Whether the page itself asks, not another site through this browser or by another name of this address."""
-        ours = self.headers.get("Host") == self.server.host and self.headers.get("Origin") in (None, f"http://{self.server.host}")
-        token = secrets.compare_digest(self.path[: len(self.server.root)].encode(), self.server.root.encode())
+        """Whether the page itself asks, not another site through this browser or by another name of
+        this address.
+        """
+        ours = self.headers.get("Host") == self.server.host and self.headers.get("Origin") in (
+            None,
+            f"http://{self.server.host}",
+        )
+        token = secrets.compare_digest(
+            self.path[: len(self.server.root)].encode(), self.server.root.encode()
+        )
         if not (ours and token):
             self._answer(HTTPStatus.FORBIDDEN, "open the address that the script printed")
         return ours and token
@@ -142,7 +161,11 @@ class DrawingHandler(BaseHTTPRequestHandler):
     def _answer(self, status: HTTPStatus, text: str, kind: str = "text/plain") -> None:
         content = text.encode()
         self.send_response(status)
-        for name, value in {**HEADERS, "Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(content))}.items():
+        for name, value in {
+            **HEADERS,
+            "Content-Type": f"{kind}; charset=utf-8",
+            "Content-Length": str(len(content)),
+        }.items():
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(content)
@@ -151,12 +174,19 @@ class DrawingHandler(BaseHTTPRequestHandler):
 def _with_limits(page: str) -> str:
     """The page, told what a stroke must be."""
     return Template(page).substitute(
-        wanted=STROKES, most=MOST_STROKES, samples=LEAST_SAMPLES, shortest=SHORTEST, longest=LONGEST, extent=LEAST_EXTENT
+        wanted=STROKES,
+        most=MOST_STROKES,
+        samples=LEAST_SAMPLES,
+        shortest=SHORTEST,
+        longest=LONGEST,
+        extent=LEAST_EXTENT,
     )
 
 
 def _check(out: Path, time_step: float) -> None:
-    """Before anybody draws: raises DrawingError where nothing could be saved, or something would be overwritten."""
+    """Before anybody draws: raises DrawingError where nothing could be saved, or something would be
+    overwritten.
+    """
     check_time_step(time_step)
     if out.suffix != ".npz":
         raise DrawingError(f"{out}: demonstrations are written to a .npz file")
@@ -170,10 +200,17 @@ def _check(out: Path, time_step: float) -> None:
 def main() -> None:
     """Serve the page until a drawing is saved, then say how to train with it."""
     parser = argparse.ArgumentParser(
-        description=__doc__.partition("\n")[0], epilog=__doc__.partition("\n\n")[2], formatter_class=argparse.RawDescriptionHelpFormatter
+        description=__doc__.partition("\n")[0],
+        epilog=__doc__.partition("\n\n")[2],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("out", type=Path, metavar="OUT.npz")
-    parser.add_argument("--time-step", type=float, default=0.1, help="of the demonstrations, the robot's control period, in s (0.1)")
+    parser.add_argument(
+        "--time-step",
+        type=float,
+        default=0.1,
+        help="of the demonstrations, the robot's control period, in s (0.1)",
+    )
     arguments = parser.parse_args()
     try:
         _check(arguments.out, arguments.time_step)
@@ -186,7 +223,16 @@ def main() -> None:
         sys.exit("\nended, nothing was saved")
     assert server.saved is not None  # the server ends by itself when a drawing is saved
     count, samples, _ = server.saved.positions.shape
-    print(f"wrote {arguments.out}: {count} demonstrations of {samples} samples, {server.saved.duration:g} s")
+    print(
+        f"wrote {arguments.out}: {count} demonstrations of {samples} samples, "
+        f"{server.saved.duration:g} s"
+    )
     print(f"as they were recorded: {arguments.out.with_suffix('.csv')}")
-    train = ("pmil", "train", "experiment=handwriting", "robot=double_pendulum", f"demonstrations={arguments.out}")
+    train = (
+        "pmil",
+        "train",
+        "experiment=handwriting",
+        "robot=double_pendulum",
+        f"demonstrations={arguments.out}",
+    )
     print(f"train with: {shlex.join(train)}")

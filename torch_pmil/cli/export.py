@@ -18,7 +18,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("policy", type=Path, help="policy.pt of a run")
     parser.add_argument("out", type=Path, help="file to write, ending in .pt2")
-    parser.add_argument("--batch", action="store_true", help="take states (N, D) and not one state (D,)")
+    parser.add_argument(
+        "--batch", action="store_true", help="take states (N, D) and not one state (D,)"
+    )
     arguments = parser.parse_args()
     try:
         policy = load_policy(arguments.policy)

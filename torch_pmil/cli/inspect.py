@@ -19,12 +19,29 @@ def main() -> None:
     """Read, say what was understood, draw it if asked."""
     arguments = _parser().parse_args()
     try:
-        recordings = load_recordings(arguments.file, keys=arguments.keys, names=arguments.names, time_step=arguments.time_step)
+        recordings = load_recordings(
+            arguments.file,
+            keys=arguments.keys,
+            names=arguments.names,
+            time_step=arguments.time_step,
+        )
         print(f"{arguments.file}\n\n{describe(recordings)}\n")
-        found = advice(recordings, str(arguments.file), arguments.control_period, _options(arguments))
-        print("before training", *(f"- {line}" for line in found or ["nothing to do: it is loaded as it is"]), sep="\n")
+        found = advice(
+            recordings, str(arguments.file), arguments.control_period, _options(arguments)
+        )
+        print(
+            "before training",
+            *(f"- {line}" for line in found or ["nothing to do: it is loaded as it is"]),
+            sep="\n",
+        )
         if arguments.draw:
-            figure = plot_recordings(recordings.labels, recordings.times, recordings.values, recordings.names, recordings.units)
+            figure = plot_recordings(
+                recordings.labels,
+                recordings.times,
+                recordings.values,
+                recordings.names,
+                recordings.units,
+            )
             save_figure(figure, arguments.draw)
             print(f"\nwrote {arguments.draw}")
     except (DemonstrationError, ImportError, OSError) as error:
@@ -35,15 +52,45 @@ def _options(arguments: argparse.Namespace) -> list[str]:
     """The options that say how the file is read."""
     given = {"--keys": arguments.keys, "--names": arguments.names}
     options = [text for option, names in given.items() if names for text in (option, *names)]
-    return options if arguments.time_step is None else [*options, "--recorded-time-step", f"{arguments.time_step:g}"]
+    return (
+        options
+        if arguments.time_step is None
+        else [*options, "--recorded-time-step", f"{arguments.time_step:g}"]
+    )
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("file", type=Path, metavar="FILE", help="or folder: NPZ, CSV, LASA, Minari, robomimic or LeRobot")
-    parser.add_argument("--keys", nargs="+", default=[], metavar="KEY", help="what to read of it: keys, columns or entries")
-    parser.add_argument("--names", nargs="+", default=[], metavar="NAME", help="of the entries, in place of the file's")
-    parser.add_argument("--time-step", type=float, help="between samples, in s, where the file has no times")
-    parser.add_argument("--control-period", type=float, default=0.1, help="of the robot that is to move, in s (0.1)")
-    parser.add_argument("--draw", type=Path, metavar="OUT.png", help="draw each entry over time, and paths in a plane")
+    parser.add_argument(
+        "file",
+        type=Path,
+        metavar="FILE",
+        help="or folder: NPZ, CSV, LASA, Minari, robomimic or LeRobot",
+    )
+    parser.add_argument(
+        "--keys",
+        nargs="+",
+        default=[],
+        metavar="KEY",
+        help="what to read of it: keys, columns or entries",
+    )
+    parser.add_argument(
+        "--names",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="of the entries, in place of the file's",
+    )
+    parser.add_argument(
+        "--time-step", type=float, help="between samples, in s, where the file has no times"
+    )
+    parser.add_argument(
+        "--control-period", type=float, default=0.1, help="of the robot that is to move, in s (0.1)"
+    )
+    parser.add_argument(
+        "--draw",
+        type=Path,
+        metavar="OUT.png",
+        help="draw each entry over time, and paths in a plane",
+    )
     return parser

@@ -20,10 +20,13 @@ from torch_pmil.experiments.runs.summaries import RunError
 def main() -> None:
     """Read the command line, and train with the run's own settings."""
     parser = argparse.ArgumentParser(
-        description=__doc__.partition("\n")[0], epilog="Relative paths among the settings count from where the run was started."
+        description=__doc__.partition("\n")[0],
+        epilog="Relative paths among the settings count from where the run was started.",
     )
     parser.add_argument("folder", type=Path, metavar="RUN", help="folder of the run")
-    parser.add_argument("settings", nargs="*", metavar="NAME=VALUE", help="settings to change, as trials=24")
+    parser.add_argument(
+        "settings", nargs="*", metavar="NAME=VALUE", help="settings to change, as trials=24"
+    )
     arguments = parser.parse_args()
     try:
         sys.argv = ["pmil train", *overrides(arguments.folder, arguments.settings)]
@@ -41,7 +44,9 @@ def overrides(folder: Path, changed: list[str]) -> list[str]:
     """
     words = shlex.split(read_command(folder))
     if words[:2] != ["pmil", "train"]:
-        raise RunError(f"{folder} was begun by {shlex.join(words)}, not by pmil train: use that command")
+        raise RunError(
+            f"{folder} was begun by {shlex.join(words)}, not by pmil train: use that command"
+        )
     out = str(folder).replace("\\", "\\\\").replace("'", "\\'")
     new = [*changed, f"out='{out}'", "resume=true"]
     names = {setting.partition("=")[0] for setting in new}

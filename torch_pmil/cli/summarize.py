@@ -1,4 +1,5 @@
-"""Put several runs of one experiment together: a table, their main numbers, and their mean success rate over experience.
+"""Put several runs of one experiment together: a table, their main numbers, and their mean success
+rate over experience.
 
 Example:
     pmil summarize runs/double_pendulum --out results/double_pendulum
@@ -34,10 +35,11 @@ HEADER = "experience (s)  trials  saved  success rate  computing (s)  ended beca
 
 
 def headline(runs: list[dict]) -> dict[str, float]:
-    """Main numbers over runs; a run has learned if its saved policy reaches the success rate within the paper's experience.
+    """Main numbers over runs; a run has learned if its saved policy reaches the success rate within
+    the paper's experience.
 
-    ``median_experience_s`` and ``max_experience_s`` count all rollouts, the two that confirm a success too. Runs of a method that predicts
-    nothing have no coverage.
+    ``median_experience_s`` and ``max_experience_s`` count all rollouts, the two that confirm a
+    success too. Runs of a method that predicts nothing have no coverage.
     """
     experience = [run["experience_s"] for run in runs]
     coverage = [run[COVERAGE] for run in runs if COVERAGE in run]
@@ -89,7 +91,8 @@ def summarize(folders: list[Path], out: Path | None, command: str) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "summary.json", merged)
     save_figure(
-        plot_success_over_experience(curve.experience_s, curve.rates, curve.lower, curve.upper), out / "success_over_experience.png"
+        plot_success_over_experience(curve.experience_s, curve.rates, curve.lower, curve.upper),
+        out / "success_over_experience.png",
     )
     print("\n".join(f"{name}: {value:g}" for name, value in merged["headline"].items()))
     print(f"see {out}/summary.json, {out}/success_over_experience.png")
@@ -101,25 +104,40 @@ def table(finished: dict[Path, dict], unfinished: dict[Path, int]) -> str:
     lines = [f"{'run':{width}}  {HEADER}"]
     for path, run in finished.items():
         lines.append(
-            f"{path!s:{width}}  {run['experience_s']:14.1f}  {len(run['trials']):6d}  {run['saved_trial']:5d}  "
-            f"{run['saved_success_rate']:12.0%}  {run['wall_seconds']:13.0f}  {run['stop_reason']}"
+            f"{path!s:{width}}  {run['experience_s']:14.1f}  {len(run['trials']):6d}  "
+            f"{run['saved_trial']:5d}  {run['saved_success_rate']:12.0%}  "
+            f"{run['wall_seconds']:13.0f}  {run['stop_reason']}"
         )
-    lines += [f"{path!s:{width}}  {'':14}  {trials:6d}  not ended: left out" for path, trials in unfinished.items()]
+    lines += [
+        f"{path!s:{width}}  {'':14}  {trials:6d}  not ended: left out"
+        for path, trials in unfinished.items()
+    ]
     return "\n".join(lines)
 
 
 def plain(curve: SuccessCurve) -> dict[str, object]:
     """The curve as JSON says it; each run's own is in its trials."""
-    return {"interval": INTERVAL} | {name: getattr(curve, name).tolist() for name in ("experience_s", "mean", "lower", "upper")}
+    return {"interval": INTERVAL} | {
+        name: getattr(curve, name).tolist() for name in ("experience_s", "mean", "lower", "upper")
+    }
 
 
 def main() -> None:
     """Read, sort by seed, write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folders", metavar="DIR", type=Path, nargs="+", help="a run, or a folder of runs")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where to write; the folder that the runs lie in if not given")
+    parser.add_argument(
+        "folders", metavar="DIR", type=Path, nargs="+", help="a run, or a folder of runs"
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="where to write; the folder that the runs lie in if not given",
+    )
     arguments = parser.parse_args()
     try:
-        summarize(arguments.folders, arguments.out, shlex.join(["pmil", "summarize", *sys.argv[1:]]))
+        summarize(
+            arguments.folders, arguments.out, shlex.join(["pmil", "summarize", *sys.argv[1:]])
+        )
     except (OSError, RunError) as error:
         sys.exit(f"error: {error}")

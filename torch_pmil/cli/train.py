@@ -54,17 +54,36 @@ def learn(config: DictConfig) -> None:
     job = HydraConfig.get()
     alone = job.mode == RunMode.RUN
     label = "" if alone else f"{out}: "
-    given = sys.argv[1:] if alone else [override.replace("\\", "") for override in job.overrides.task]  # Hydra escapes braces
+    given = (
+        sys.argv[1:] if alone else [override.replace("\\", "") for override in job.overrides.task]
+    )  # Hydra escapes braces
     command = shlex.join(["pmil", "train", *(given or [f"experiment={config.experiment}"])])
     try:
-        os.chdir(job.runtime.cwd)  # where the sweep was started: a cluster's worker may be elsewhere
-        demonstrations = load_demonstrations(config.demonstrations) if config.demonstrations else None
+        os.chdir(
+            job.runtime.cwd
+        )  # where the sweep was started: a cluster's worker may be elsewhere
+        demonstrations = (
+            load_demonstrations(config.demonstrations) if config.demonstrations else None
+        )
         experiment = load_experiment(config.experiment, demonstrations, config.shape, config.robot)
         warn_of(label, check(experiment))
         told = partial(print_trial, label, experiment.objective)
-        result = train(experiment, config.seed, config.trials, out, command, alone, told, config.resume, config.logger)
+        result = train(
+            experiment,
+            config.seed,
+            config.trials,
+            out,
+            command,
+            alone,
+            told,
+            config.resume,
+            config.logger,
+        )
     except KeyboardInterrupt:
-        print(f"\n{label}stopped; go on with: {command.removesuffix(' resume=true')} resume=true", file=sys.stderr)
+        print(
+            f"\n{label}stopped; go on with: {command.removesuffix(' resume=true')} resume=true",
+            file=sys.stderr,
+        )
         sys.exit(130)
     except (ImportError, ValueError, OSError, RuntimeError) as error:
         fail(f"{label}error: {error}", alone)
@@ -73,7 +92,9 @@ def learn(config: DictConfig) -> None:
 
 
 def fail(message: str, alone: bool) -> NoReturn:
-    """End the run; the other runs of a sweep go on, and Hydra ends it with an error when all are done."""
+    """End the run; the other runs of a sweep go on, and Hydra ends it with an error when all are
+    done.
+    """
     if alone:
         sys.exit(message)
     print(message, file=sys.stderr, flush=True)
@@ -81,13 +102,17 @@ def fail(message: str, alone: bool) -> NoReturn:
 
 
 def say(label: str, text: str) -> None:
-    """Print lines above the progress bar, each with the label: the runs of a sweep print to one terminal."""
+    """Print lines above the progress bar, each with the label: the runs of a sweep print to one
+    terminal.
+    """
     tqdm.write("\n".join(label + line for line in text.splitlines()))
     sys.stdout.flush()
 
 
 def warn_of(label: str, findings: list[Finding]) -> None:
-    """Print what may go wrong with the demonstrations, once. Raises DemonstrationError at what must."""
+    """Print what may go wrong with the demonstrations, once. Raises DemonstrationError at what
+    must.
+    """
     for finding in findings:
         if finding.fatal:
             raise DemonstrationError(finding.message)
@@ -100,25 +125,32 @@ def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> No
     predicted = f"{objective.label} {trial.kl:6.1f} {objective.unit}".rstrip()
     say(
         label,
-        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {predicted}, "
-        f"own rollout {'succeeded' if trial.own_success else 'failed'}, "
-        f"success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s",
+        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {predicted}, own "
+        f"rollout {'succeeded' if trial.own_success else 'failed'}, success rate "
+        f"{trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s",
     )
 
 
 def by_entry(summary: dict) -> str:
     """The coverage of each entry of the state."""
-    return ", ".join(f"{name} {coverage:.0%}" for name, coverage in summary["two_sigma_coverage_by_entry"].items())
+    return ", ".join(
+        f"{name} {coverage:.0%}"
+        for name, coverage in summary["two_sigma_coverage_by_entry"].items()
+    )
 
 
 def print_summary(label: str, summary: dict, out: Path) -> None:
     """What the run came to, and where it is."""
     say(
         label,
-        f"policy of trial {summary['saved_trial']}: success rate {summary['saved_success_rate']:.0%} of "
-        f"{summary['saved_n_eval']} fresh starts after {summary['experience_s']:.1f} s of experience and "
-        f"{summary['wall_seconds']:.0f} s of computing ({summary['stop_reason']})\n"
-        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted standard deviations: {by_entry(summary)}\n"
-        + "".join(f"likely reason: {reason['cause']}: {reason['message']}\n" for reason in summary["diagnosis"])
+        f"policy of trial {summary['saved_trial']}: success rate "
+        f"{summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh starts after "
+        f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of "
+        f"computing ({summary['stop_reason']})\n{summary['two_sigma_coverage']:.0%} of the "
+        f"executed states lie within two predicted standard deviations: {by_entry(summary)}\n"
+        + "".join(
+            f"likely reason: {reason['cause']}: {reason['message']}\n"
+            for reason in summary["diagnosis"]
+        )
         + f"see {', '.join(str(out / name) for name in LEFT if (out / name).exists())}",
     )

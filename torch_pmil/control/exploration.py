@@ -80,7 +80,9 @@ class _Uniform:
 
     def __call__(self, state: Tensor) -> Tensor:
         shape = (*state.shape[:-1], len(self.limit))
-        return self.limit * (2 * torch.rand(shape, dtype=torch.float64, generator=self.generator) - 1)
+        return self.limit * (
+            2 * torch.rand(shape, dtype=torch.float64, generator=self.generator) - 1
+        )
 
 
 @dataclass(frozen=True)
@@ -94,14 +96,16 @@ class PDMovements:
     Args:
         pose: state (D,) around which the robot moves.
         reach: largest distances (D,) of a target from the pose, in its units; 0 for velocities.
-        gain: K (F, D): stiffness (N·m/rad) in the columns of the positions, damping (N·m·s/rad) in those of the velocities.
+        gain: K (F, D): stiffness (N·m/rad) in the columns of the positions, damping (N·m·s/rad) in
+            those of the velocities.
         u_max: torque limits (F,), N·m.
         hold: control steps for which a target stays.
         rollouts, steps: number of rollouts and control steps of each.
         feedforward: torques (*batch, F) at states (*batch, D), which carry the robot's weight.
 
     Raises:
-        ValueError: shapes do not fit each other, a distance is negative, or a number is not positive.
+        ValueError: shapes do not fit each other, a distance is negative, or a number is not
+            positive.
 
     Example:
         >>> still, gain = torch.zeros(2), torch.tensor([[5.0, 1.0]])
@@ -123,11 +127,20 @@ class PDMovements:
         D, F = len(self.pose), len(self.u_max)
         if self.reach.shape != (D,) or self.gain.shape != (F, D):
             got = f"{tuple(self.reach.shape)} and {tuple(self.gain.shape)}"
-            raise ValueError(f"reach and gain must have shapes ({D},) and ({F}, {D}) for a pose of {D} and {F} torques, got {got}")
+            raise ValueError(
+                f"reach and gain must have shapes ({D},) and ({F}, {D}) for a pose of {D} and {F} "
+                f"torques, got {got}"
+            )
         if not ((self.reach >= 0).all() and (self.u_max > 0).all()):
-            raise ValueError(f"reach must not be negative and u_max be positive, got {self.reach.tolist()} and {self.u_max.tolist()}")
+            raise ValueError(
+                f"reach must not be negative and u_max be positive, got {self.reach.tolist()} and "
+                f"{self.u_max.tolist()}"
+            )
         if min(self.hold, self.rollouts, self.steps) < 1:
-            raise ValueError(f"hold, rollouts and steps must be at least 1, got {self.hold}, {self.rollouts} and {self.steps}")
+            raise ValueError(
+                f"hold, rollouts and steps must be at least 1, got {self.hold}, {self.rollouts} "
+                f"and {self.steps}"
+            )
 
     @property
     def settings(self) -> dict[str, object]:

@@ -12,7 +12,8 @@ entry               holds
 ``control_period``  for which the robot holds a torque, s
 ``target_names``    names of the K entries of a target, which the policy sees after the features; absent if it has none
 ``parameters``      ``RBFPolicy.state_dict()``: float64 tensors ``centres`` (m, D' + K) and ``log_widths`` (F, D' + K)
-                    in multiples of ``scale`` (D' + K,), ``weights`` (m, F), torque limits ``u_max`` (F,) in N·m
+                    in multiples of ``scale`` (D' + K,), ``weights`` (m, F), torque limits ``u_max``
+                    (F,) in N·m
 ==================  ==================================================================================
 """
 
@@ -38,10 +39,18 @@ LISTS = {"names": str, "units": str, "angles": int, "target_names": str}
 
 
 class PolicyFileError(ValueError):
-    """A file holds no policy that can be used; the message says where, what was expected and what came, in one line."""
+    """A file holds no policy that can be used; the message says where, what was expected and what
+    came, in one line.
+    """
 
 
-def save_policy(path: Path | str, policy: RBFPolicy, space: StateSpace, control_period: float, target_names: Sequence[str] = ()) -> None:
+def save_policy(
+    path: Path | str,
+    policy: RBFPolicy,
+    space: StateSpace,
+    control_period: float,
+    target_names: Sequence[str] = (),
+) -> None:
     """Write a policy and what it needs to act, wholly or not at all.
 
     Args:
@@ -52,7 +61,8 @@ def save_policy(path: Path | str, policy: RBFPolicy, space: StateSpace, control_
         target_names: names of the K entries of a target.
 
     Raises:
-        ValueError: the policy sees another number of features, or the control period is not positive.
+        ValueError: the policy sees another number of features, or the control period is not
+            positive.
         OSError: the file cannot be written.
 
     Example: see :func:`load_policy`.
@@ -74,16 +84,19 @@ def save_policy(path: Path | str, policy: RBFPolicy, space: StateSpace, control_
 
 
 def load_policy(path: Path | str) -> StatePolicy:
-    """Load a policy that :func:`save_policy` or ``pmil train`` wrote. Nothing that the file carries is executed.
+    """Load a policy that :func:`save_policy` or ``pmil train`` wrote. Nothing that the file carries
+    is executed.
 
     Args:
         path: of the file.
 
     Returns:
-        The policy of a state, on the CPU, its parameters without gradient. Its match space is the state itself.
+        The policy of a state, on the CPU, its parameters without gradient. Its match space is the
+        state itself.
 
     Raises:
-        PolicyFileError: the file is damaged, of another kind or version, or its entries do not fit each other.
+        PolicyFileError: the file is damaged, of another kind or version, or its entries do not fit
+            each other.
         OSError: the file cannot be read.
 
     Example:
@@ -113,7 +126,10 @@ def _unpickled(data: bytes) -> Any:
             damaged = archive.testzip()  # torch.load compares no checksums
         content = torch.load(io.BytesIO(data), weights_only=True, map_location="cpu")
     except Exception as error:  # other files can make the readers fail with any type
-        raise PolicyFileError(f"must be a file of save_policy, got what torch.load cannot read ({type(error).__name__})") from error
+        raise PolicyFileError(
+            "must be a file of save_policy, got what torch.load cannot read "
+            f"({type(error).__name__})"
+        ) from error
     if damaged is not None:
         raise PolicyFileError(f"must be whole, got a wrong checksum of {damaged}")
     return content
@@ -121,29 +137,55 @@ def _unpickled(data: bytes) -> Any:
 
 def _check_entries(content: object) -> None:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        found = f"entries {', '.join(map(str, list(content)[:5]))}" if isinstance(content, dict) else f"a {type(content).__name__}"
-        raise PolicyFileError(f"must be a file of save_policy, with the entry format = {FORMAT!r}, got {found}")
+        found = (
+            f"entries {', '.join(map(str, list(content)[:5]))}"
+            if isinstance(content, dict)
+            else f"a {type(content).__name__}"
+        )
+        raise PolicyFileError(
+            f"must be a file of save_policy, with the entry format = {FORMAT!r}, got {found}"
+        )
     if content.get("version") != FORMAT_VERSION:
         writer = f"torch_pmil {content.get('torch_pmil')}"
-        raise PolicyFileError(f"format version must be {FORMAT_VERSION}, got {content.get('version')}, written by {writer}")
+        raise PolicyFileError(
+            f"format version must be {FORMAT_VERSION}, got {content.get('version')}, written by "
+            f"{writer}"
+        )
     for name, kind in LISTS.items():
         value = content.get(name, [] if name == "target_names" else None)
         if not isinstance(value, list) or {type(item) for item in value} - {kind}:
             raise PolicyFileError(f"entry {name} must be a list of {kind.__name__}, got {value!r}")
     if len(content["units"]) != len(content["names"]):
-        raise PolicyFileError(f"entry units must hold one for each of names {content['names']}, got {content['units']}")
+        raise PolicyFileError(
+            f"entry units must hold one for each of names {content['names']}, got "
+            f"{content['units']}"
+        )
     if not isinstance(content.get("control_period"), float):
-        raise PolicyFileError(f"entry control_period must be a float, got {content.get('control_period')!r}")
+        raise PolicyFileError(
+            f"entry control_period must be a float, got {content.get('control_period')!r}"
+        )
     if not isinstance(content.get("parameters"), dict):
-        raise PolicyFileError(f"entry parameters must be a dict of tensors, got {type(content.get('parameters')).__name__}")
+        raise PolicyFileError(
+            "entry parameters must be a dict of tensors, got "
+            f"{type(content.get('parameters')).__name__}"
+        )
 
 
 def _network(parameters: dict[str, Tensor], inputs: int) -> RBFPolicy:
     """The policy of given parameters, which sees so many features."""
     m, outputs = (*getattr(parameters.get("weights"), "shape", ()), 0, 0)[:2]
-    shapes = {"centres": (m, inputs), "weights": (m, outputs), "log_widths": (outputs, inputs), "u_max": (outputs,), "scale": (inputs,)}
+    shapes = {
+        "centres": (m, inputs),
+        "weights": (m, outputs),
+        "log_widths": (outputs, inputs),
+        "u_max": (outputs,),
+        "scale": (inputs,),
+    }
     if parameters.keys() != shapes.keys():
-        raise PolicyFileError(f"parameters must be {', '.join(shapes)}, got {', '.join(map(str, parameters)) or 'none'}")
+        raise PolicyFileError(
+            f"parameters must be {', '.join(shapes)}, got "
+            f"{', '.join(map(str, parameters)) or 'none'}"
+        )
     for name, shape in shapes.items():
         _check_parameter(name, parameters[name], shape)
     policy = RBFPolicy(parameters["centres"], parameters["u_max"], parameters["scale"])
@@ -153,8 +195,13 @@ def _network(parameters: dict[str, Tensor], inputs: int) -> RBFPolicy:
 
 def _check_parameter(name: str, value: object, shape: tuple[int, ...]) -> None:
     if not isinstance(value, Tensor) or value.dtype != torch.float64:
-        raise PolicyFileError(f"parameter {name} must be a float64 tensor, got {getattr(value, 'dtype', type(value).__name__)}")
+        raise PolicyFileError(
+            f"parameter {name} must be a float64 tensor, got "
+            f"{getattr(value, 'dtype', type(value).__name__)}"
+        )
     if value.shape != shape:
         raise PolicyFileError(f"parameter {name} must have shape {shape}, got {tuple(value.shape)}")
     if not value.isfinite().all():
-        raise PolicyFileError(f"parameter {name} must be finite, got {value[~value.isfinite()][0].item()}")
+        raise PolicyFileError(
+            f"parameter {name} must be finite, got {value[~value.isfinite()][0].item()}"
+        )

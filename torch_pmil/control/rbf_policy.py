@@ -1,4 +1,5 @@
-r"""The policy: an RBF network squashed to the torque limits (Eqs. 25-27), on a state and on a belief.
+r"""The policy: an RBF network squashed to the torque limits (Eqs. 25-27), on a state and on a
+belief.
 
 ====================  ===========================================
 paper                 here
@@ -23,7 +24,9 @@ from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import Moments, moment_match
 from torch_pmil.gp.trigonometry import squash
 
-MAX_SINE = 0.999  # of a torque that is taken back through Eq. 27: at the limit itself its slope is zero
+MAX_SINE = (
+    0.999  # of a torque that is taken back through Eq. 27: at the limit itself its slope is zero
+)
 
 
 class Policy(Protocol):
@@ -35,10 +38,11 @@ class Policy(Protocol):
 
 
 class RBFPolicy(nn.Module):
-    r""":math:`\pi(x) = u_{\max} \sin(\sum_i w_i \exp(-\tfrac12 (x - c_i)^\top \Gamma^{-1} (x - c_i)))` (Eqs. 25-27).
+    r""":math:`\pi(x) = u_{\max} \sin(\sum_i w_i \exp(-\tfrac12 (x - c_i)^\top \Gamma^{-1} (x -
+    c_i)))` (Eqs. 25-27).
 
-    Inputs are divided by ``scale`` first, so that parameters of all inputs are of order one; the policy has
-    m (D' + F) + F D' parameters.
+    Inputs are divided by ``scale`` first, so that parameters of all inputs are of order one; the
+    policy has m (D' + F) + F D' parameters.
 
     Args:
         centres: (m, D'), in the units of the inputs.
@@ -62,7 +66,9 @@ class RBFPolicy(nn.Module):
         if scale.shape != (inputs,) or not (scale > 0).all():
             raise ValueError(f"scale must hold {inputs} positive numbers, got {scale.tolist()}")
         if u_max.ndim != 1 or not (u_max > 0).all():
-            raise ValueError(f"u_max must be a vector of positive torque limits, got {u_max.tolist()}")
+            raise ValueError(
+                f"u_max must be a vector of positive torque limits, got {u_max.tolist()}"
+            )
         self.register_buffer("u_max", u_max.double())
         self.register_buffer("scale", scale.double())
         self.centres = nn.Parameter(centres.double() / self.scale)
@@ -71,7 +77,9 @@ class RBFPolicy(nn.Module):
 
     @property
     def controller(self) -> Controller:
-        """The policy as a function of its present parameters, with their graph: build it once for a rollout."""
+        """The policy as a function of its present parameters, with their graph: build it once for a
+        rollout.
+        """
         network = KernelExpansion(
             inputs=self.centres * self.scale,
             weights=self.weights.mT,
@@ -86,7 +94,8 @@ class RBFPolicy(nn.Module):
 
     @torch.no_grad()
     def fit_weights(self, features: Tensor, actions: Tensor, ridge: float = 0.1) -> None:
-        """Set the weights so that the policy acts as told: ridge regression around the present weights (Eq. 25).
+        """Set the weights so that the policy acts as told: ridge regression around the present
+        weights (Eq. 25).
 
         Args:
             features: (S, D').
@@ -100,15 +109,20 @@ class RBFPolicy(nn.Module):
             0.5
         """
         basis = self.controller.network.kernel(features.double()).transpose(0, 1)  # (F, S, m)
-        raw = torch.asin((actions / self.u_max).clamp(-MAX_SINE, MAX_SINE)).mT[..., None]  # (F, S, 1)
+        raw = torch.asin((actions / self.u_max).clamp(-MAX_SINE, MAX_SINE)).mT[
+            ..., None
+        ]  # (F, S, 1)
         weights = self.weights.mT[..., None]
         gram = basis.mT @ basis + ridge * torch.eye(len(self.centres)).to(basis)
-        change = torch.cholesky_solve(basis.mT @ (raw - basis @ weights), torch.linalg.cholesky(gram))
+        change = torch.cholesky_solve(
+            basis.mT @ (raw - basis @ weights), torch.linalg.cholesky(gram)
+        )
         self.weights.copy_((weights + change)[..., 0].mT)
 
     @torch.no_grad()
     def for_target(self, target: Tensor) -> RBFPolicy:
-        """The policy of the features alone that acts as this one does for a target (K,), the last of its inputs (Eq. 31).
+        """The policy of the features alone that acts as this one does for a target (K,), the last
+        of its inputs (Eq. 31).
 
         Example:
             >>> policy = RBFPolicy(torch.zeros(5, 8), torch.ones(3), torch.ones(8)).for_target(torch.zeros(2))
@@ -125,9 +139,11 @@ class RBFPolicy(nn.Module):
 
 @dataclass(frozen=True)
 class PolicyAtTargets:
-    """A policy whose last K inputs are a target, at N targets: row i of a batch of N states is for target i.
+    """A policy whose last K inputs are a target, at N targets: row i of a batch of N states is for
+    target i.
 
-    A target is known exactly, so it has no variance and its part of the network is a factor of the weights (Eq. 31).
+    A target is known exactly, so it has no variance and its part of the network is a factor of the
+    weights (Eq. 31).
 
     Args:
         policy: sees the features of the state, then the target.
@@ -157,12 +173,16 @@ class Controller:
 
     @property
     def parameters(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D') of the network, in the units of its inputs."""
+        """Centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D') of the network, in the
+        units of its inputs.
+        """
         return self.network.inputs, self.network.weights, self.network.lengthscales
 
     def with_parameters(self, centres: Tensor, weights: Tensor, widths: Tensor) -> Controller:
         """The same with another network."""
-        return Controller(KernelExpansion(centres, weights, widths, self.network.signal_variance), self.u_max)
+        return Controller(
+            KernelExpansion(centres, weights, widths, self.network.signal_variance), self.u_max
+        )
 
     def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
         """Exact moments of the network at an uncertain input, then of its squashing.

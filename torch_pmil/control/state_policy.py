@@ -1,4 +1,6 @@
-"""A learned policy as the robot needs it: from the measured state to the torque, in NumPy, PyTorch, TensorDict, or exported."""
+"""A learned policy as the robot needs it: from the measured state to the torque, in NumPy, PyTorch,
+TensorDict, or exported.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,12 @@ State = TypeVar("State", np.ndarray, Tensor)
 
 
 class StatePolicy(nn.Module):
-    """Torques (*batch, F), N·m, at states (*batch, D): NumPy arrays for NumPy arrays, tensors for tensors, always float64.
+    """Torques (*batch, F), N·m, at states (*batch, D): NumPy arrays for NumPy arrays, tensors for
+    tensors, always float64.
 
-    Integers and floats of any precision are taken; a tensor must be on the device of the policy, and its gradient passes. A policy of
-    targets is called with these too, (*batch, K): ``policy(state, target)``.
+    Integers and floats of any precision are taken; a tensor must be on the device of the policy,
+    and its gradient passes. A policy of targets is called with these too, (*batch, K):
+    ``policy(state, target)``.
 
     Args:
         policy: sees the features of the state, then the target if there is one.
@@ -33,10 +37,11 @@ class StatePolicy(nn.Module):
         target_names: names of the K entries of a target.
 
     Raises:
-        ValueError: the policy sees another number of inputs, or the control period is not positive. When called: the state or the target
-            has another shape, is not finite, or is on another device.
-        TypeError: when called: the state or the target is no array or tensor, does not hold real numbers, or a target is missing or too
-            much.
+        ValueError: the policy sees another number of inputs, or the control period is not positive.
+            When called: the state or the target has another shape, is not finite, or is on another
+            device.
+        TypeError: when called: the state or the target is no array or tensor, does not hold real
+            numbers, or a target is missing or too much.
 
     Example:
         >>> from torch_pmil.control.state_space import joint_match
@@ -49,26 +54,50 @@ class StatePolicy(nn.Module):
         torch.Size([7, 1])
     """
 
-    def __init__(self, policy: RBFPolicy, space: StateSpace, control_period: float, target_names: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        policy: RBFPolicy,
+        space: StateSpace,
+        control_period: float,
+        target_names: Sequence[str] = (),
+    ) -> None:
         super().__init__()
         inputs = (*space.feature_names, *target_names)
         if len(policy.scale) != len(inputs):
-            raise ValueError(f"policy must see the features {', '.join(inputs)}, got one of {len(policy.scale)} features")
+            raise ValueError(
+                f"policy must see the features {', '.join(inputs)}, got one of {len(policy.scale)} "
+                "features"
+            )
         if not 0 < control_period < math.inf:
-            raise ValueError(f"control_period must be positive and finite, in seconds, got {control_period}")
-        self.policy, self.space, self.control_period, self.target_names = policy, space, control_period, tuple(target_names)
+            raise ValueError(
+                f"control_period must be positive and finite, in seconds, got {control_period}"
+            )
+        self.policy, self.space, self.control_period, self.target_names = (
+            policy,
+            space,
+            control_period,
+            tuple(target_names),
+        )
 
     def extra_repr(self) -> str:
         """State, torque limits and control period, in their units."""
-        state = ", ".join(f"{name} ({unit})" for name, unit in zip(self.space.names, self.space.units, strict=True))
+        state = ", ".join(
+            f"{name} ({unit})"
+            for name, unit in zip(self.space.names, self.space.units, strict=True)
+        )
         limits = ", ".join(f"{limit:g}" for limit in self.policy.u_max)
         target = f"; target {', '.join(self.target_names)}" if self.target_names else ""
         return f"state {state}{target}; torques up to {limits} N·m; every {self.control_period:g} s"
 
     def forward(self, state: State, target: State | None = None) -> State:
-        """Torques (*batch, F), N·m, at states (*batch, D), for targets (*batch, K) if the policy is of targets."""
+        """Torques (*batch, F), N·m, at states (*batch, D), for targets (*batch, K) if the policy is
+        of targets.
+        """
         if (target is None) == bool(self.target_names):
-            raise TypeError(f"policy must be called with a state{' and a target' if self.target_names else ' alone'}")
+            raise TypeError(
+                "policy must be called with a "
+                f"state{' and a target' if self.target_names else ' alone'}"
+            )
         inputs = self.space.features(self._checked("state", state, self.space.names))
         if target is not None:
             known = self._checked("target", target, self.target_names)
@@ -77,21 +106,28 @@ class StatePolicy(nn.Module):
         return torque.detach().cpu().numpy() if isinstance(state, np.ndarray) else torque
 
     def as_tensordict_module(self) -> TensorDictModule:
-        """The policy of TorchRL's environments and collectors: from ``"observation"``, and ``"target"`` of targets, to ``"action"``.
+        """The policy of TorchRL's environments and collectors: from ``"observation"``, and
+        ``"target"`` of targets, to ``"action"``.
 
         Example: see ``docs/deploy.md``.
         """
-        return TensorDictModule(self, in_keys=["observation", "target"][: 1 + bool(self.target_names)], out_keys=["action"])
+        return TensorDictModule(
+            self,
+            in_keys=["observation", "target"][: 1 + bool(self.target_names)],
+            out_keys=["action"],
+        )
 
     def export(self, path: Path | str, batch: bool = False) -> None:
         """Write a program that ``torch.export.load`` reads where there is nothing but PyTorch.
 
-        Its inputs, the state and the target if there is one, are float64 tensors on the CPU with the number of dimensions that it was
-        exported for. The program raises an error at another shape or dtype, and at a number that is not finite.
+        Its inputs, the state and the target if there is one, are float64 tensors on the CPU with
+        the number of dimensions that it was exported for. The program raises an error at another
+        shape or dtype, and at a number that is not finite.
 
         Args:
             path: of the file, ending in .pt2.
-            batch: whether the program takes states (N, D), any N, and not one state (D,); targets alike.
+            batch: whether the program takes states (N, D), any N, and not one state (D,); targets
+                alike.
 
         Raises:
             ValueError: the file has another ending.
@@ -104,22 +140,33 @@ class StatePolicy(nn.Module):
             raise ValueError(f"an exported policy must be a .pt2 file, got {path}")
         program = _Program(_constant(self.policy.controller), self.space)
         dims = [self.space.dim, *([len(self.target_names)] if self.target_names else [])]
-        examples = tuple(torch.zeros((2, dim) if batch else dim, dtype=torch.float64) for dim in dims)
-        program(*examples)  # what space and network keep from their first call must not come from the tracer
+        examples = tuple(
+            torch.zeros((2, dim) if batch else dim, dtype=torch.float64) for dim in dims
+        )
+        program(
+            *examples
+        )  # what space and network keep from their first call must not come from the tracer
         shapes = tuple({0: torch.export.Dim("N", min=0)} for _ in dims) if batch else None
         exported = torch.export.export(program, examples, dynamic_shapes=shapes)
         with replacing(path) as temporary, temporary.open("wb") as file:
             torch.export.save(exported, file)
 
     def _checked(self, what: str, state: np.ndarray | Tensor, names: Sequence[str]) -> Tensor:
-        """The state or the target, of these entries, as the policy takes it: float64, on its device."""
+        """The state or the target, of these entries, as the policy takes it: float64, on its
+        device.
+        """
         dim, device = len(names), self.policy.u_max.device
         if not isinstance(state, np.ndarray | Tensor):
-            raise TypeError(f"{what} must be a NumPy array or a PyTorch tensor, got {type(state).__name__}")
+            raise TypeError(
+                f"{what} must be a NumPy array or a PyTorch tensor, got {type(state).__name__}"
+            )
         if not _is_real(state):
             raise TypeError(f"{what} must hold real numbers, got {state.dtype}")
         if state.ndim == 0 or state.shape[-1] != dim:
-            raise ValueError(f"{what} must have shape (*batch, {dim}) for {', '.join(names)}, got {tuple(state.shape)}")
+            raise ValueError(
+                f"{what} must have shape (*batch, {dim}) for {', '.join(names)}, got "
+                f"{tuple(state.shape)}"
+            )
         if isinstance(state, np.ndarray):
             state = torch.from_numpy(np.array(state, dtype=np.float64, order="C")).to(device)
         elif state.device != device:
@@ -128,7 +175,10 @@ class StatePolicy(nn.Module):
         if not finite.all():
             *element, entry = (~finite).nonzero()[0].tolist()
             where = f" at batch element {tuple(element)}" if element else ""
-            raise ValueError(f"{what} must be finite, got {names[entry]} = {state[*element, entry].item()}{where}")
+            raise ValueError(
+                f"{what} must be finite, got {names[entry]} = "
+                f"{state[*element, entry].item()}{where}"
+            )
         return state.double()
 
 
@@ -141,8 +191,16 @@ def _is_real(state: np.ndarray | Tensor) -> bool:
 def _constant(controller: Controller) -> Controller:
     """The same of tensors on the CPU that are neither parameters nor views."""
     network = controller.network
-    tensors = network.inputs, network.weights, network.lengthscales, network.signal_variance, controller.u_max
-    *of_network, u_max = (tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for tensor in tensors)
+    tensors = (
+        network.inputs,
+        network.weights,
+        network.lengthscales,
+        network.signal_variance,
+        controller.u_max,
+    )
+    *of_network, u_max = (
+        tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for tensor in tensors
+    )
     return Controller(KernelExpansion(*of_network), u_max)
 
 
@@ -155,10 +213,14 @@ class _Program(nn.Module):
 
     def forward(self, state: Tensor, target: Tensor | None = None) -> Tensor:
         inputs = self.space.features(_finite("state", state))
-        return self.controller(inputs if target is None else torch.cat([inputs, _finite("target", target)], -1))
+        return self.controller(
+            inputs if target is None else torch.cat([inputs, _finite("target", target)], -1)
+        )
 
 
 def _finite(what: str, given: Tensor) -> Tensor:
-    given = given.double().view(given.shape)  # leaves checks of the dtype and of the number of dimensions in the graph
+    given = given.double().view(
+        given.shape
+    )  # leaves checks of the dtype and of the number of dimensions in the graph
     torch._assert_async(given.isfinite().all(), f"{what} must be finite")
     return given

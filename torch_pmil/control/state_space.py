@@ -1,4 +1,6 @@
-"""What the entries of a state mean: which are angles, what models and policies see of it, and where trajectories are matched."""
+"""What the entries of a state mean: which are angles, what models and policies see of it, and where
+trajectories are matched.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ from torch_pmil.gp.trigonometry import Augmentation
 
 @dataclass(frozen=True)
 class MatchSpace:
-    r"""The space in which demonstrations were observed: affine in the state and in sin/cos of linear combinations of it.
+    r"""The space in which demonstrations were observed: affine in the state and in sin/cos of
+    linear combinations of it.
 
     .. math:: z = B\,[x, \sin(Ax), \cos(Ax)]
 
@@ -38,7 +41,10 @@ class MatchSpace:
     def __post_init__(self) -> None:
         entries = len(self.names), 2 * self.angles.shape[0] + self.angles.shape[1]
         if len(self.units) != len(self.names) or self.weights.shape != entries:
-            raise ValueError(f"weights must have shape {entries} and units {len(self.names)} entries, got {tuple(self.weights.shape)}")
+            raise ValueError(
+                f"weights must have shape {entries} and units {len(self.names)} entries, got "
+                f"{tuple(self.weights.shape)}"
+            )
 
     @property
     def dim(self) -> int:
@@ -56,14 +62,17 @@ class MatchSpace:
 
     @cached_property
     def _augmentation(self) -> Augmentation:
-        return Augmentation.of(torch.eye(self.angles.shape[-1], dtype=torch.float64), self.angles.double())
+        return Augmentation.of(
+            torch.eye(self.angles.shape[-1], dtype=torch.float64), self.angles.double()
+        )
 
 
 @dataclass(frozen=True)
 class StateSpace:
     """A robot's state: names and units of its D entries, which are angles, and its match space.
 
-    Models and policies see the other entries as they are and sin and cos in place of each angle (D' = D + number of angles).
+    Models and policies see the other entries as they are and sin and cos in place of each angle (D'
+    = D + number of angles).
 
     Args:
         names, units: one for each entry.
@@ -111,11 +120,15 @@ class StateSpace:
     def features(self, states: Tensor) -> Tensor:
         """What models and policies see of states (*batch, D): (*batch, D')."""
         selected = states @ self.augmentation.to(states).rows.mT
-        plain, for_sine, for_cosine = selected.split([len(self.plain), len(self.angles), len(self.angles)], -1)
+        plain, for_sine, for_cosine = selected.split(
+            [len(self.plain), len(self.angles), len(self.angles)], -1
+        )
         return torch.cat([plain, for_sine.sin(), for_cosine.cos()], -1)
 
     def belief(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
-        """Exact moments of the features of an uncertain state, and Sigma_x^-1 cov(x, features), (*batch, D, D')."""
+        """Exact moments of the features of an uncertain state, and Sigma_x^-1 cov(x, features),
+        (*batch, D, D').
+        """
         return self.augmentation.to(state.mean)(state)
 
     @cached_property

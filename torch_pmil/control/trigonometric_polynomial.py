@@ -1,8 +1,9 @@
-r"""Sums of sines and cosines of linear combinations of angles, closed under products: where the points of a robot's links are.
+r"""Sums of sines and cosines of linear combinations of angles, closed under products: where the
+points of a robot's links are.
 
-The position of a point of a chain of hinges is a sum of products of sines and cosines of its angles. With
-:math:`\cos a \cos b = \tfrac12 [\cos(a - b) + \cos(a + b)]` and its kin it is a sum of sines and cosines of sums of angles, whose moments
-under a Gaussian are known: a match space.
+The position of a point of a chain of hinges is a sum of products of sines and cosines of its
+angles. With :math:`\cos a \cos b = \tfrac12 [\cos(a - b) + \cos(a + b)]` and its kin it is a sum of
+sines and cosines of sums of angles, whose moments under a Gaussian are known: a match space.
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ Frequency = tuple[int, ...]
 
 @dataclass(frozen=True)
 class TrigonometricPolynomial:
-    r"""A real function of K angles, :math:`f(q) = \sum_n c_n e^{i n^\top q}` with :math:`c_{-n} = \bar c_n`.
+    r"""A real function of K angles, :math:`f(q) = \sum_n c_n e^{i n^\top q}` with :math:`c_{-n} =
+    \bar c_n`.
 
-    Sums of polynomials, and products with polynomials and numbers, are polynomials again; of a product, the coefficients are
-    :math:`\sum_{k + l = n} a_k b_l`.
+    Sums of polynomials, and products with polynomials and numbers, are polynomials again; of a
+    product, the coefficients are :math:`\sum_{k + l = n} a_k b_l`.
 
     Args:
         coefficients: c_n by n.
@@ -55,24 +57,40 @@ class TrigonometricPolynomial:
 
     @property
     def terms(self) -> dict[Frequency, tuple[float, float]]:
-        """Coefficients of cos(n q) and sin(n q), for those n alone whose first entry other than 0 is positive, and n = 0."""
+        """Coefficients of cos(n q) and sin(n q), for those n alone whose first entry other than 0
+        is positive, and n = 0.
+        """
         zero = (0,) * len(next(iter(self.coefficients)))
-        once = {n: (1 if n == zero else 2) * c for n, c in sorted(self.coefficients.items()) if n >= zero and c}
+        once = {
+            n: (1 if n == zero else 2) * c
+            for n, c in sorted(self.coefficients.items())
+            if n >= zero and c
+        }
         return {n: (c.real, -c.imag) for n, c in once.items()}
 
 
 def cosine(frequency: Frequency) -> TrigonometricPolynomial:
-    """The cosine of the sum of the angles, each as often as ``frequency`` says; of no angle, it is 1."""
-    return TrigonometricPolynomial({frequency: 0.5 + 0j}) + TrigonometricPolynomial({_negative(frequency): 0.5 + 0j})
+    """The cosine of the sum of the angles, each as often as ``frequency`` says; of no angle, it is
+    1.
+    """
+    return TrigonometricPolynomial({frequency: 0.5 + 0j}) + TrigonometricPolynomial(
+        {_negative(frequency): 0.5 + 0j}
+    )
 
 
 def sine(frequency: Frequency) -> TrigonometricPolynomial:
     """The sine of the sum of the angles, each as often as ``frequency`` says."""
-    return TrigonometricPolynomial({frequency: -0.5j}) + TrigonometricPolynomial({_negative(frequency): 0.5j})
+    return TrigonometricPolynomial({frequency: -0.5j}) + TrigonometricPolynomial(
+        {_negative(frequency): 0.5j}
+    )
 
 
 def match_of(
-    polynomials: Sequence[TrigonometricPolynomial], names: tuple[str, ...], units: tuple[str, ...], dim: int, angles: Sequence[int]
+    polynomials: Sequence[TrigonometricPolynomial],
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    dim: int,
+    angles: Sequence[int],
 ) -> MatchSpace:
     """The match space whose entries are these polynomials of some entries of the state.
 
@@ -92,9 +110,18 @@ def match_of(
     combinations = torch.zeros(len(frequencies), dim, dtype=torch.float64)
     combinations[:, list(angles)] = torch.tensor(frequencies, dtype=torch.float64)
     cosines, sines = (
-        torch.tensor([[entry.get(n, (0.0, 0.0))[part] for n in frequencies] for entry in terms], dtype=torch.float64) for part in (0, 1)
+        torch.tensor(
+            [[entry.get(n, (0.0, 0.0))[part] for n in frequencies] for entry in terms],
+            dtype=torch.float64,
+        )
+        for part in (0, 1)
     )
-    return MatchSpace(names, units, combinations, torch.cat([torch.zeros(len(terms), dim, dtype=torch.float64), sines, cosines], -1))
+    return MatchSpace(
+        names,
+        units,
+        combinations,
+        torch.cat([torch.zeros(len(terms), dim, dtype=torch.float64), sines, cosines], -1),
+    )
 
 
 def _negative(frequency: Frequency) -> Frequency:

@@ -1,4 +1,6 @@
-"""Demonstrations: observed trajectories, without actions. Load them from what people and robots recorded, check, save."""
+"""Demonstrations: observed trajectories, without actions. Load them from what people and robots
+recorded, check, save.
+"""
 
 from torch_pmil.demonstrations.dataset import Demonstrations
 from torch_pmil.demonstrations.errors import DemonstrationError

@@ -20,18 +20,21 @@ TIME_STEP_TOLERANCE = 1e-6  # relative difference between two time steps that co
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
-    """Observed trajectories of N demonstrations of one task, sampled at the same times, time 0 included.
+    """Observed trajectories of N demonstrations of one task, sampled at the same times, time 0
+    included.
 
     Attributes:
-        positions: what was observed, (N, T+1, M), float64; for the double pendulum [x1, y1, x2, y2] in m.
+        positions: what was observed, (N, T+1, M), float64; for the double pendulum [x1, y1, x2, y2]
+            in m.
         time_step: seconds between two samples.
         names: names of the M observed coordinates.
-        targets: what each demonstration was for, (N, K), float64, as where the ball hung. None where all are for one thing.
+        targets: what each demonstration was for, (N, K), float64, as where the ball hung. None
+            where all are for one thing.
         target_names: names of the K entries of a target.
 
     Raises:
-        DemonstrationError: a shape is wrong, there are fewer than two demonstrations (of each target) or samples, a number is not
-            finite, or the time step is not positive.
+        DemonstrationError: a shape is wrong, there are fewer than two demonstrations (of each
+            target) or samples, a number is not finite, or the time step is not positive.
 
     Example:
         >>> Demonstrations(torch.zeros(2, 26, 1), time_step=0.1, names=("x",)).duration
@@ -51,37 +54,52 @@ class Demonstrations:
         object.__setattr__(self, "target_names", tuple(str(name) for name in self.target_names))
         self._check_shapes()
         if not (math.isfinite(self.time_step) and self.time_step > 0):
-            raise DemonstrationError(f"time_step must be positive and finite, in seconds, got {self.time_step}")
+            raise DemonstrationError(
+                f"time_step must be positive and finite, in seconds, got {self.time_step}"
+            )
         bad = (~self.positions.isfinite()).nonzero()
         if len(bad):
             demonstration, step, column = bad[0].tolist()
             raise DemonstrationError(
-                f"positions must be finite, got {self.positions[demonstration, step, column].item()} in "
-                f"demonstration {demonstration}, step {step}, column {self.names[column]}"
+                "positions must be finite, got "
+                f"{self.positions[demonstration, step, column].item()} in demonstration "
+                f"{demonstration}, step {step}, column {self.names[column]}"
             )
         if self.targets is not None:
             object.__setattr__(self, "targets", torch.as_tensor(self.targets).to(torch.float64))
             self._check_targets(self.targets)
         elif self.target_names:
-            raise DemonstrationError(f"target_names must come with targets, got {self.target_names} alone")
+            raise DemonstrationError(
+                f"target_names must come with targets, got {self.target_names} alone"
+            )
 
     def _check_targets(self, targets: Tensor) -> None:
         N, shape, names = len(self.positions), tuple(targets.shape), self.target_names
         if len(shape) != 2 or shape[0] != N or shape[1] < 1:
-            raise DemonstrationError(f"targets must have shape ({N}, entries), one for each demonstration, got {shape}")
+            raise DemonstrationError(
+                f"targets must have shape ({N}, entries), one for each demonstration, got {shape}"
+            )
         if len(names) != shape[1] or len(set(names)) != shape[1]:
-            raise DemonstrationError(f"target_names must be {shape[1]} different names, one per entry, got {names}")
+            raise DemonstrationError(
+                f"target_names must be {shape[1]} different names, one per entry, got {names}"
+            )
         bad = (~targets.isfinite()).nonzero()
         if len(bad):
             demonstration, entry = bad[0].tolist()
-            raise DemonstrationError(f"targets must be finite, got {targets[demonstration, entry].item()} of demonstration {demonstration}")
+            raise DemonstrationError(
+                f"targets must be finite, got {targets[demonstration, entry].item()} of "
+                f"demonstration {demonstration}"
+            )
         distinct, counts = targets.unique(dim=0, return_counts=True)
         if (counts < 2).any():
             lonely = distinct[counts.argmin()].tolist()
-            raise DemonstrationError(f"each target must have at least two demonstrations, got one of {lonely}")
+            raise DemonstrationError(
+                f"each target must have at least two demonstrations, got one of {lonely}"
+            )
 
     def by_target(self) -> tuple[Tensor, tuple[Demonstrations, ...]]:
-        """The S different targets (S, K), in the order in which they came, and the demonstrations of each.
+        """The S different targets (S, K), in the order in which they came, and the demonstrations
+        of each.
 
         Raises:
             DemonstrationError: they have no targets.
@@ -94,20 +112,30 @@ class Demonstrations:
         """
         if self.targets is None:
             raise DemonstrationError("demonstrations must have targets, got none")
-        distinct = torch.tensor(list(dict.fromkeys(map(tuple, self.targets.tolist()))), dtype=torch.float64)
+        distinct = torch.tensor(
+            list(dict.fromkeys(map(tuple, self.targets.tolist()))), dtype=torch.float64
+        )
         of_target = [self.positions[(self.targets == target).all(-1)] for target in distinct]
-        return distinct, tuple(Demonstrations(positions, self.time_step, self.names) for positions in of_target)
+        return distinct, tuple(
+            Demonstrations(positions, self.time_step, self.names) for positions in of_target
+        )
 
     def _check_shapes(self) -> None:
         shape = tuple(self.positions.shape)
         if len(shape) != 3:
-            raise DemonstrationError(f"positions must have shape (demonstrations, steps, columns), got {shape}")
+            raise DemonstrationError(
+                f"positions must have shape (demonstrations, steps, columns), got {shape}"
+            )
         if shape[0] < 2:
-            raise DemonstrationError(f"positions must hold at least two demonstrations, got {shape[0]}")
+            raise DemonstrationError(
+                f"positions must hold at least two demonstrations, got {shape[0]}"
+            )
         if shape[1] < 2:
             raise DemonstrationError(f"positions must hold at least two steps, got {shape[1]}")
         if shape[2] < 1 or len(self.names) != shape[2] or len(set(self.names)) != shape[2]:
-            raise DemonstrationError(f"names must be {shape[2]} different names, one per column, got {self.names}")
+            raise DemonstrationError(
+                f"names must be {shape[2]} different names, one per column, got {self.names}"
+            )
 
     @property
     def duration(self) -> float:
@@ -115,7 +143,8 @@ class Demonstrations:
         return self.time_step * (self.positions.shape[1] - 1)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an NPZ file with positions, time_step, names, and targets and target_names if there are any: wholly or not at all.
+        """Write an NPZ file with positions, time_step, names, and targets and target_names if there
+        are any: wholly or not at all.
 
         Args:
             path: of the file; one that is there is replaced.
@@ -127,7 +156,11 @@ class Demonstrations:
             np.savez(file, **self._arrays())
 
     def _arrays(self) -> dict[str, Any]:
-        arrays = {"positions": self.positions.numpy(), "time_step": np.array(self.time_step), "names": np.array(self.names)}
+        arrays = {
+            "positions": self.positions.numpy(),
+            "time_step": np.array(self.time_step),
+            "names": np.array(self.names),
+        }
         if self.targets is not None:
             arrays |= {"targets": self.targets.numpy(), "target_names": np.array(self.target_names)}
         return arrays

@@ -10,14 +10,17 @@ from torch_pmil.gp.gaussian import Gaussian, symmetric
 
 
 def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tensor) -> Gaussian:
-    r"""Marginals :math:`\mathcal N(\hat\mu_t^{\exp}, \hat\Sigma_t^{\exp} + \sigma_{\mathrm{obs}}^2 I)` at t = 1..T, unbiased (Eqs. 10-12).
+    r"""Marginals :math:`\mathcal N(\hat\mu_t^{\exp}, \hat\Sigma_t^{\exp} + \sigma_{\mathrm{obs}}^2
+    I)` at t = 1..T, unbiased (Eqs. 10-12).
 
-    A few demonstrations have a singular sample covariance, and positions of links lie on circles: the observation noise
-    :math:`\sigma_{\mathrm{obs}}` is therefore part of the model, and the same is added to the prediction.
+    A few demonstrations have a singular sample covariance, and positions of links lie on circles:
+    the observation noise :math:`\sigma_{\mathrm{obs}}` is therefore part of the model, and the same
+    is added to the prediction.
 
     Args:
         demonstrations: N aligned demonstrations of T + 1 samples, the first at t = 0.
-        noise_std: standard deviation of the observation noise, in the units of the match space: one number, or one for each entry, (M,).
+        noise_std: standard deviation of the observation noise, in the units of the match space: one
+            number, or one for each entry, (M,).
 
     Returns:
         Mean (T, M) and covariance (T, M, M).
@@ -36,7 +39,10 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tenso
     if not (noise > 0).all():
         raise ValueError(f"noise_std must be positive, got {noise.tolist()}")
     if noise.shape not in ((), observed.shape[-1:]):
-        raise ValueError(f"noise_std must be a number or one for each of {', '.join(demonstrations.names)}, got {noise.tolist()}")
+        raise ValueError(
+            f"noise_std must be a number or one for each of {', '.join(demonstrations.names)}, got "
+            f"{noise.tolist()}"
+        )
     mean = observed.mean(0)  # Eq. 10
     deviation = observed - mean
     cov = torch.einsum("ntj,ntk->tjk", deviation, deviation) / (len(observed) - 1)  # Eq. 11
@@ -44,7 +50,8 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tenso
 
 
 def rms_error(demonstrations: Demonstrations, executed: Tensor) -> Tensor:
-    r"""Root mean square distance of rollouts from the demonstrated mean (Eq. 10), over rollouts and t = 1..T, for each observed entry.
+    r"""Root mean square distance of rollouts from the demonstrated mean (Eq. 10), over rollouts and
+    t = 1..T, for each observed entry.
 
     .. math:: \sqrt{\frac{1}{N T} \sum_{n, t} (z_{nt} - \hat\mu_t^{\exp})^2}
 
@@ -65,11 +72,13 @@ def rms_error(demonstrations: Demonstrations, executed: Tensor) -> Tensor:
 
 
 def demonstration_spread(demonstrations: Demonstrations) -> Tensor:
-    r"""What :func:`rms_error` may be compared with: the demonstrations' own standard deviation (Eq. 11) over t = 1..T, for each entry.
+    r"""What :func:`rms_error` may be compared with: the demonstrations' own standard deviation (Eq.
+    11) over t = 1..T, for each entry.
 
     .. math:: \sqrt{\frac{1}{T} \sum_t \hat\Sigma_{t, jj}^{\exp}}
 
-    Unbiased, without observation noise. A further demonstration would have an rms error of :math:`\sqrt{1 + 1/N}` times this.
+    Unbiased, without observation noise. A further demonstration would have an rms error of
+    :math:`\sqrt{1 + 1/N}` times this.
 
     Returns:
         (M,), in the units of the match space.

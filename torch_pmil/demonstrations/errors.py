@@ -7,12 +7,25 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
-# what parsers raise at bytes that make no sense; UnicodeDecodeError is a ValueError, NotImplementedError a RuntimeError
-DAMAGE = (OSError, ValueError, TypeError, AttributeError, LookupError, OverflowError, RuntimeError, MemoryError, EOFError)
+# what parsers raise at bytes that make no sense; UnicodeDecodeError is a ValueError,
+# NotImplementedError a RuntimeError
+DAMAGE = (
+    OSError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    LookupError,
+    OverflowError,
+    RuntimeError,
+    MemoryError,
+    EOFError,
+)
 
 
 class DemonstrationError(ValueError):
-    """Demonstrations are malformed; the message says where, what was expected and what came, in one line."""
+    """Demonstrations are malformed; the message says where, what was expected and what came, in one
+    line.
+    """
 
 
 @contextmanager
@@ -74,4 +87,7 @@ def optional(module: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise ImportError(f"reading this format needs {module.partition('.')[0]}: pip install 'torch_pmil[formats]'") from error
+        raise ImportError(
+            f"reading this format needs {module.partition('.')[0]}: pip install "
+            "'torch_pmil[formats]'"
+        ) from error

@@ -18,7 +18,8 @@ AGREEMENT = 0.3  # relative error of a rate of change that counts as the velocit
 
 
 def describe(recordings: Recordings) -> str:
-    """Format, number, lengths, rate, entries with their ranges and spread, and targets of recordings, in some lines.
+    """Format, number, lengths, rate, entries with their ranges and spread, and targets of
+    recordings, in some lines.
 
     Example:
         >>> import torch
@@ -43,15 +44,21 @@ def describe(recordings: Recordings) -> str:
         "demonstrations": str(len(recordings.labels)),
         "samples": _range([len(times) for times in recordings.times]),
         "duration": f"{_range(recordings.durations)} s",
-        "rate": f"{_range([1 / one.median().item() for one in steps if len(one)])} Hz" + ("" if even else ", steps uneven"),
+        "rate": f"{_range([1 / one.median().item() for one in steps if len(one)])} Hz"
+        + ("" if even else ", steps uneven"),
         "targets": _targets(recordings),
     }
     summary = [f"{name:<16}{text}" for name, text in lines.items()]
-    note = "spread: standard deviation between demonstrations of one duration, root mean square over time"
+    note = (
+        "spread: standard deviation between demonstrations of one duration, root mean square over "
+        "time"
+    )
     return "\n".join([*summary, "", *_table(recordings), "", note])
 
 
-def advice(recordings: Recordings, path: str, control_period: float, options: Sequence[str] = ()) -> list[str]:
+def advice(
+    recordings: Recordings, path: str, control_period: float, options: Sequence[str] = ()
+) -> list[str]:
     """What is missing for training, a line each.
 
     Args:
@@ -65,38 +72,65 @@ def advice(recordings: Recordings, path: str, control_period: float, options: Se
     velocities = velocities_of(recordings)
     if late and len(recordings.labels) > 1:
         named = [recordings.names[column] for column in velocities]
-        command = ["python", ALIGN, path, "demonstrations.npz", "--time-step", f"{control_period:g}", *options]
-        found.append(f"align them: {shlex.join([*command, *(['--velocities', *named] if named else [])])}")
+        command = [
+            "python",
+            ALIGN,
+            path,
+            "demonstrations.npz",
+            "--time-step",
+            f"{control_period:g}",
+            *options,
+        ]
+        found.append(
+            f"align them: {shlex.join([*command, *(['--velocities', *named] if named else [])])}"
+        )
     if not velocities:
-        found.append("positions alone, no velocities: enough where the match space observes positions")
+        found.append(
+            "positions alone, no velocities: enough where the match space observes positions"
+        )
     return found
 
 
 def spread(recordings: Recordings) -> np.ndarray:
-    """Standard deviation between demonstrations (of one target), each stretched to one duration, (M,), root mean square over time.
+    """Standard deviation between demonstrations (of one target), each stretched to one duration,
+    (M,), root mean square over time.
 
     It is NaN where no two demonstrations are for the same target.
     """
     stretched = _stretched(recordings)  # (N, SAMPLES, M)
-    targets = np.zeros((len(stretched), 1)) if recordings.targets is None else recordings.targets.numpy()
+    targets = (
+        np.zeros((len(stretched), 1)) if recordings.targets is None else recordings.targets.numpy()
+    )
     owners = np.unique(targets, axis=0, return_inverse=True)[1]
     parts = [stretched[owners == owner] for owner in np.unique(owners)]
     squares = sum(((part - part.mean(0)) ** 2).sum(0) for part in parts)
     freedom = len(stretched) - len(parts)
-    return np.sqrt((squares / freedom).mean(0)) if freedom else np.full(len(recordings.names), math.nan)
+    return (
+        np.sqrt((squares / freedom).mean(0))
+        if freedom
+        else np.full(len(recordings.names), math.nan)
+    )
 
 
 def velocities_of(recordings: Recordings) -> dict[int, int]:
     """Columns that are the rate of change of another column: velocity to position."""
-    samples = [(times.numpy(), values.numpy()) for times, values in zip(recordings.times, recordings.values, strict=True) if len(times) > 1]
+    samples = [
+        (times.numpy(), values.numpy())
+        for times, values in zip(recordings.times, recordings.values, strict=True)
+        if len(times) > 1
+    ]
     if not samples:
         return {}
     rate = np.concatenate([CubicSpline(times, values)(times, 1) for times, values in samples])
     value = np.concatenate([values for _, values in samples])
     size = np.sqrt((value**2).mean(0))
-    error = np.sqrt(((rate[:, :, None] - value[:, None, :]) ** 2).mean(0))  # of position i and velocity j
+    error = np.sqrt(
+        ((rate[:, :, None] - value[:, None, :]) ** 2).mean(0)
+    )  # of position i and velocity j
     fits = (error < AGREEMENT * size) & (size > 0)
-    return {int(velocity): int(error[:, velocity].argmin()) for velocity in np.flatnonzero(fits.any(0))}
+    return {
+        int(velocity): int(error[:, velocity].argmin()) for velocity in np.flatnonzero(fits.any(0))
+    }
 
 
 def _too_few(recordings: Recordings) -> Iterator[str]:
@@ -104,7 +138,10 @@ def _too_few(recordings: Recordings) -> Iterator[str]:
         yield "one demonstration: training needs two at least, better three to five"
     if recordings.targets is not None:
         targets, counts = np.unique(recordings.targets.numpy(), axis=0, return_counts=True)
-        yield from (f"one demonstration of target {targets[lonely].tolist()}: each needs two" for lonely in np.flatnonzero(counts < 2)[:1])
+        yield from (
+            f"one demonstration of target {targets[lonely].tolist()}: each needs two"
+            for lonely in np.flatnonzero(counts < 2)[:1]
+        )
 
 
 def _timing(recordings: Recordings, control_period: float) -> Iterator[str]:
@@ -114,8 +151,14 @@ def _timing(recordings: Recordings, control_period: float) -> Iterator[str]:
     steps = np.concatenate([times.diff().numpy() for times in recordings.times])
     if not _is_even(steps):
         yield f"time steps differ: {_range(steps)} s"
-    if len(steps) and not math.isclose(np.median(steps), control_period, rel_tol=TIME_STEP_TOLERANCE):
-        slower = "; what is between samples will be interpolated" if np.median(steps) > control_period else ""
+    if len(steps) and not math.isclose(
+        np.median(steps), control_period, rel_tol=TIME_STEP_TOLERANCE
+    ):
+        slower = (
+            "; what is between samples will be interpolated"
+            if np.median(steps) > control_period
+            else ""
+        )
         yield f"sampled every {np.median(steps):.4g} s, the robot is controlled every {control_period:.4g} s{slower}"
 
 
@@ -124,7 +167,9 @@ def _stretched(recordings: Recordings) -> np.ndarray:
     stretched = []
     for times, values in zip(recordings.times, recordings.values, strict=True):
         own = np.linspace(times[0].item(), times[-1].item(), SAMPLES)
-        stretched.append(np.stack([np.interp(own, times.numpy(), column) for column in values.numpy().T], 1))
+        stretched.append(
+            np.stack([np.interp(own, times.numpy(), column) for column in values.numpy().T], 1)
+        )
     return np.stack(stretched)
 
 
@@ -135,12 +180,20 @@ def _is_even(steps: np.ndarray) -> bool:
 def _table(recordings: Recordings) -> list[str]:
     everything = np.concatenate([values.numpy() for values in recordings.values])
     columns = np.stack([everything.min(0), everything.max(0), spread(recordings)], 1)
-    numbers = np.where(np.abs(columns) < ROUNDING * np.abs(everything).max(0)[:, None], 0.0, columns)
+    numbers = np.where(
+        np.abs(columns) < ROUNDING * np.abs(everything).max(0)[:, None], 0.0, columns
+    )
     units = recordings.units or len(recordings.names) * ("?",)
     rows: list[tuple[str, ...]] = [("entry", "unit", "least", "largest", "spread")]
-    rows += [(name, unit, *(f"{n:.3g}" for n in three)) for name, unit, three in zip(recordings.names, units, numbers, strict=True)]
+    rows += [
+        (name, unit, *(f"{n:.3g}" for n in three))
+        for name, unit, three in zip(recordings.names, units, numbers, strict=True)
+    ]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return [
+        "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
 
 
 def _targets(recordings: Recordings) -> str:
@@ -150,5 +203,7 @@ def _targets(recordings: Recordings) -> str:
 
 
 def _range(numbers: Sequence[float] | np.ndarray) -> str:
-    least, largest = (f"{number:.4g}" for number in (min(numbers, default=0), max(numbers, default=0)))
+    least, largest = (
+        f"{number:.4g}" for number in (min(numbers, default=0), max(numbers, default=0))
+    )
     return least if least == largest else f"{least} to {largest}"

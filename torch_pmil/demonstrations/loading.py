@@ -35,16 +35,25 @@ FOLDERS = {  # by what they hold
 
 
 def load_recordings(
-    path: str | os.PathLike[str], *, keys: Sequence[str] = (), names: Sequence[str] = (), time_step: float | None = None
+    path: str | os.PathLike[str],
+    *,
+    keys: Sequence[str] = (),
+    names: Sequence[str] = (),
+    time_step: float | None = None,
 ) -> Recordings:
-    """Load what was recorded, with any number of samples at any times; never actions, and nothing in the file is executed.
+    """Load what was recorded, with any number of samples at any times; never actions, and nothing
+    in the file is executed.
 
     Args:
-        path: a file or folder: NPZ as ``Demonstrations.save`` writes it; CSV, a file with the columns ``demonstration,time,NAME,...`` or a
-            folder with a file ``time,NAME,...`` for each demonstration; a shape of the LASA handwriting set, as ``DataSet/Angle`` or
-            with its suffix .mat; a Minari data set (HDF5); a robomimic file (.hdf5); a LeRobot data set or a .parquet file of one.
-        keys: what to read of it, in that order: keys or columns of the file, or single entries by name. None for all of an NPZ or CSV file,
-            the positions of a LASA file, ``observation.state`` of LeRobot's, and what was observed in the others if it is one data set.
+        path: a file or folder: NPZ as ``Demonstrations.save`` writes it; CSV, a file with the
+            columns ``demonstration,time,NAME,...`` or a folder with a file ``time,NAME,...`` for
+            each demonstration; a shape of the LASA handwriting set, as ``DataSet/Angle`` or with
+            its suffix .mat; a Minari data set (HDF5); a robomimic file (.hdf5); a LeRobot data set
+            or a .parquet file of one.
+        keys: what to read of it, in that order: keys or columns of the file, or single entries by
+            name. None for all of an NPZ or CSV file, the positions of a LASA file,
+            ``observation.state`` of LeRobot's, and what was observed in the others if it is one
+            data set.
         names: of the entries, in place of those that the file has.
         time_step: seconds between samples, for files without times: Minari's and robomimic's.
 
@@ -52,7 +61,8 @@ def load_recordings(
         The recordings, in the order of the file.
 
     Raises:
-        DemonstrationError: the file is malformed, or an argument does not fit it; the message says where, what was expected, what came.
+        DemonstrationError: the file is malformed, or an argument does not fit it; the message says
+            where, what was expected, what came.
         ImportError: the format needs a library that is missing.
         OSError: the file cannot be read.
     """
@@ -63,13 +73,19 @@ def load_recordings(
 
 
 def load_demonstrations(
-    path: str | os.PathLike[str], time_step: float | None = None, *, keys: Sequence[str] = (), names: Sequence[str] = ()
+    path: str | os.PathLike[str],
+    time_step: float | None = None,
+    *,
+    keys: Sequence[str] = (),
+    names: Sequence[str] = (),
 ) -> Demonstrations:
-    """Load demonstrations from any file that :func:`load_recordings` reads, if all have equally many samples at one time step.
+    """Load demonstrations from any file that :func:`load_recordings` reads, if all have equally
+    many samples at one time step.
 
     Args:
         path: of the file or folder.
-        time_step: seconds between samples that the file must have, or has if it holds no times; None takes what the file says.
+        time_step: seconds between samples that the file must have, or has if it holds no times;
+            None takes what the file says.
         keys: as there.
         names: as there.
 
@@ -77,7 +93,8 @@ def load_demonstrations(
         The demonstrations of the file.
 
     Raises:
-        DemonstrationError: the file is malformed, or lengths or time steps differ; the message names file and place.
+        DemonstrationError: the file is malformed, or lengths or time steps differ; the message
+            names file and place.
         ImportError: the format needs a library that is missing.
         OSError: the file cannot be read.
     """
@@ -86,9 +103,15 @@ def load_demonstrations(
         if path.suffix == ".npz":
             demonstrations = load_npz(path, keys)
         else:
-            demonstrations = _read(path, keys, time_step if _reader(path) is read_hdf5 else None).demonstrations()
-        if time_step is not None and not math.isclose(demonstrations.time_step, time_step, rel_tol=TIME_STEP_TOLERANCE):
-            raise DemonstrationError(f"time_step must be {time_step} s, got {demonstrations.time_step} s")
+            demonstrations = _read(
+                path, keys, time_step if _reader(path) is read_hdf5 else None
+            ).demonstrations()
+        if time_step is not None and not math.isclose(
+            demonstrations.time_step, time_step, rel_tol=TIME_STEP_TOLERANCE
+        ):
+            raise DemonstrationError(
+                f"time_step must be {time_step} s, got {demonstrations.time_step} s"
+            )
         return replace(demonstrations, names=tuple(names)) if names else demonstrations
 
 
@@ -113,8 +136,13 @@ def _reader(path: Path) -> Callable[..., Recordings]:
     if path.is_dir():
         fitting = [reader for held, reader in FOLDERS.items() if any(path.glob(held))]
         if not fitting:
-            raise DemonstrationError(f"a folder of demonstrations must hold one of {', '.join(FOLDERS)}")
+            raise DemonstrationError(
+                f"a folder of demonstrations must hold one of {', '.join(FOLDERS)}"
+            )
         return fitting[0]
     if path.suffix not in FILES:
-        raise DemonstrationError(f"demonstrations must be a {', '.join(list(FILES)[:-1])} or {list(FILES)[-1]} file, or a folder of them")
+        raise DemonstrationError(
+            f"demonstrations must be a {', '.join(list(FILES)[:-1])} or {list(FILES)[-1]} file, or "
+            "a folder of them"
+        )
     return FILES[path.suffix]

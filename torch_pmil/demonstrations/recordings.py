@@ -29,7 +29,8 @@ class Recordings:
         places: what a message calls each sample, as "row 3"; empty for demonstration and number.
 
     Raises:
-        DemonstrationError: there is nothing, a shape does not fit, a name comes twice, a number is not finite, or a time does not increase.
+        DemonstrationError: there is nothing, a shape does not fit, a name comes twice, a number is
+            not finite, or a time does not increase.
 
     Example:
         >>> time = torch.arange(3, dtype=torch.float64)
@@ -50,25 +51,35 @@ class Recordings:
     def __post_init__(self) -> None:
         entries = len(self.names)
         if not (self.labels and entries):
-            raise DemonstrationError(f"a recording must hold demonstrations and entries, got {len(self.labels)} and {entries}")
+            raise DemonstrationError(
+                f"a recording must hold demonstrations and entries, got {len(self.labels)} and "
+                f"{entries}"
+            )
         if self.values[0].shape[1] != entries or len(set(self.names)) != entries:
             width = self.values[0].shape[1]
-            raise DemonstrationError(f"names must be {width} different names, one per column, got {self.names}")
+            raise DemonstrationError(
+                f"names must be {width} different names, one per column, got {self.names}"
+            )
         for demonstration, (times, values) in enumerate(zip(self.times, self.values, strict=True)):
             if values.shape != (len(times), entries) or not len(times):
                 raise DemonstrationError(
-                    f"demonstration {self.labels[demonstration]} must hold {entries} entries at each of at least one time, "
-                    f"got {tuple(values.shape)} at {len(times)} times"
+                    f"demonstration {self.labels[demonstration]} must hold {entries} entries at "
+                    f"each of at least one time, got {tuple(values.shape)} at {len(times)} times"
                 )
             self._check_numbers(demonstration, times, values)
 
     def _check_numbers(self, demonstration: int, times: Tensor, values: Tensor) -> None:
         for sample, entry in (~values.isfinite()).nonzero().tolist()[:1]:
             name, number = self.names[entry], values[sample, entry].item()
-            raise DemonstrationError(f"{self.place(demonstration, sample)}, {name} must be a finite number, got {number}")
+            raise DemonstrationError(
+                f"{self.place(demonstration, sample)}, {name} must be a finite number, got {number}"
+            )
         for sample in (~(times.diff() > 0)).nonzero().flatten().tolist()[:1]:
             before, after = times[sample : sample + 2].tolist()
-            raise DemonstrationError(f"{self.place(demonstration, sample + 1)}, time must increase, got {after:g} s after {before:g} s")
+            raise DemonstrationError(
+                f"{self.place(demonstration, sample + 1)}, time must increase, got {after:g} s "
+                f"after {before:g} s"
+            )
 
     @property
     def durations(self) -> list[float]:
@@ -77,7 +88,11 @@ class Recordings:
 
     def place(self, demonstration: int, sample: int) -> str:
         """What a message calls a sample."""
-        return self.places[demonstration][sample] if self.places else f"demonstration {self.labels[demonstration]}, sample {sample}"
+        return (
+            self.places[demonstration][sample]
+            if self.places
+            else f"demonstration {self.labels[demonstration]}, sample {sample}"
+        )
 
     def demonstrations(self) -> Demonstrations:
         """The same as demonstrations, where they have one length and one time step.
@@ -86,28 +101,37 @@ class Recordings:
             DemonstrationError: they have not, or there are fewer than two (of each target).
         """
         if len(self.labels) < 2:
-            raise DemonstrationError(f"at least two demonstrations are needed, got {len(self.labels)}")
+            raise DemonstrationError(
+                f"at least two demonstrations are needed, got {len(self.labels)}"
+            )
         self._check_lengths()
         times = torch.stack(self.times)  # (N, T+1)
         self._check_steps(times.diff())
         time_step = ((times[:, -1] - times[:, 0]).mean() / (times.shape[1] - 1)).item()
-        return Demonstrations(torch.stack(self.values), time_step, self.names, self.targets, self.target_names)
+        return Demonstrations(
+            torch.stack(self.values), time_step, self.names, self.targets, self.target_names
+        )
 
     def _check_lengths(self) -> None:
         lengths = [len(times) for times in self.times]
         if lengths[0] < 2:
-            raise DemonstrationError(f"demonstration {self.labels[0]} must have at least two samples, got {lengths[0]}")
+            raise DemonstrationError(
+                f"demonstration {self.labels[0]} must have at least two samples, got {lengths[0]}"
+            )
         for label, length in zip(self.labels, lengths, strict=True):
             if length != lengths[0]:
                 raise DemonstrationError(
-                    f"demonstration {label} must have {lengths[0]} samples like demonstration {self.labels[0]}, got {length}; "
-                    f"{ALIGN} makes them one length"
+                    f"demonstration {label} must have {lengths[0]} samples like demonstration "
+                    f"{self.labels[0]}, got {length}; {ALIGN} makes them one length"
                 )
 
     def _check_steps(self, steps: Tensor) -> None:
         expected = steps[0, 0].item()
-        for demonstration, step in ((steps - expected).abs() > TIME_STEP_TOLERANCE * expected).nonzero().tolist()[:1]:
+        for demonstration, step in (
+            ((steps - expected).abs() > TIME_STEP_TOLERANCE * expected).nonzero().tolist()[:1]
+        ):
             raise DemonstrationError(
-                f"{self.place(demonstration, step + 1)}, time must follow the sample before it by {expected:g} s, "
-                f"got {steps[demonstration, step].item():g} s; {ALIGN} makes steps one length"
+                f"{self.place(demonstration, step + 1)}, time must follow the sample before it by "
+                f"{expected:g} s, got {steps[demonstration, step].item():g} s; {ALIGN} makes steps "
+                "one length"
             )

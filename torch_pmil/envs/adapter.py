@@ -1,4 +1,6 @@
-"""Any TorchRL environment with continuous actions and a real vector observation, made such as the learning needs it."""
+"""Any TorchRL environment with continuous actions and a real vector observation, made such as the
+learning needs it.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ class CosSin:
 
     Args:
         cos, sin: indices of the two entries of the observation.
-        near: an angle near which episodes start (rad): cosine and sine do not tell a turn from the next.
+        near: an angle near which episodes start (rad): cosine and sine do not tell a turn from the
+            next.
     """
 
     cos: int
@@ -34,31 +37,35 @@ class CosSin:
 
 
 class AdaptedEnv(RobotEnv):
-    """A robot made of a TorchRL environment: float64, torques around zero, episodes that do not end, starts of its own seed.
+    """A robot made of a TorchRL environment: float64, torques around zero, episodes that do not
+    end, starts of its own seed.
 
-    Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all float64, and with
-    ``from_pixels`` also ``"pixels"``. The action is the difference to the middle of the environment's range, clipped to that
-    range. The reward is zero and ``"done"`` is never set, whatever the environment says of them: an imitation runs for all its
-    steps, and failing is something to learn from. An environment that resets itself is not such a robot.
+    Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all
+    float64, and with ``from_pixels`` also ``"pixels"``. The action is the difference to the middle
+    of the environment's range, clipped to that range. The reward is zero and ``"done"`` is never
+    set, whatever the environment says of them: an imitation runs for all its steps, and failing is
+    something to learn from. An environment that resets itself is not such a robot.
 
-    Each ``reset`` seeds the environment with the next number of this class's own generator. So ``state_dict``, which holds that
-    generator, resumes at the start of an episode bit for bit with any environment that heeds ``set_seed``; the state in the
-    midst of an episode is not in it.
+    Each ``reset`` seeds the environment with the next number of this class's own generator. So
+    ``state_dict``, which holds that generator, resumes at the start of an episode bit for bit with
+    any environment that heeds ``set_seed``; the state in the midst of an episode is not in it.
 
     Args:
-        make_env: makes the environment; called with ``from_pixels=True`` if, and only if, pictures are wanted, beside the
-            observation. ``functools.partial(GymEnv, "InvertedPendulum-v5", pixels_only=False)`` is one.
+        make_env: makes the environment; called with ``from_pixels=True`` if, and only if, pictures
+            are wanted, beside the observation. ``functools.partial(GymEnv, "InvertedPendulum-v5",
+            pixels_only=False)`` is one.
         control_period: seconds between two actions, which an environment does not say.
-        num_envs: None for one robot with the batch size of the environment, N for N of them with batch size (N,).
+        num_envs: None for one robot with the batch size of the environment, N for N of them with
+            batch size (N,).
         observation, action: keys of the environment.
-        angles: angles of which the observation holds cosine and sine. The angle takes the place of the cosine, the sine is left out; it
-            goes on beyond a whole turn.
+        angles: angles of which the observation holds cosine and sine. The angle takes the place of
+            the cosine, the sine is left out; it goes on beyond a whole turn.
         from_pixels: whether to have pictures.
         seed: of the generator of the starts; None takes entropy from the system.
 
     Raises:
-        ValueError: the environment has no such observation or action, or a setting is out of range; the message says what was
-            expected and what came.
+        ValueError: the environment has no such observation or action, or a setting is out of range;
+            the message says what was expected and what came.
         RuntimeError: in a step, when the environment shows a number that is not finite.
 
     Example:
@@ -82,10 +89,16 @@ class AdaptedEnv(RobotEnv):
         seed: int | None = None,
     ) -> None:
         if not (math.isfinite(control_period) and control_period > 0):
-            raise ValueError(f"control_period must be positive and finite, in seconds, got {control_period}")
+            raise ValueError(
+                f"control_period must be positive and finite, in seconds, got {control_period}"
+            )
         check_num_envs(num_envs)
         pictures = {"from_pixels": True} if from_pixels else {}
-        env = make_env(**pictures) if num_envs is None else SerialEnv(num_envs, lambda: make_env(**pictures))
+        env = (
+            make_env(**pictures)
+            if num_envs is None
+            else SerialEnv(num_envs, lambda: make_env(**pictures))
+        )
         super().__init__(env.batch_size, float(control_period), from_pixels, seed)
         self.__dict__["base_env"] = env  # no submodule: its state is not ours to save
         self.angles, self._observation, self._action = tuple(angles), observation, action
@@ -108,7 +121,10 @@ class AdaptedEnv(RobotEnv):
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
         if mask is not None and not mask.all():
-            raise ValueError(f"all robots must be reset together, got a mask with {int(mask.sum())} of {mask.numel()}")
+            raise ValueError(
+                f"all robots must be reset together, got a mask with {int(mask.sum())} of "
+                f"{mask.numel()}"
+            )
         self.base_env.set_seed(int(torch.randint(LARGEST_SEED, (), generator=self._generator)))
         self._last = self.base_env.reset()
         near = torch.tensor([angle.near for angle in self.angles], dtype=torch.float64)
@@ -127,7 +143,9 @@ class AdaptedEnv(RobotEnv):
     def _measure(self) -> TensorDictBase:
         shown = self._last[self._observation].double()
         if not shown.isfinite().all():
-            raise RuntimeError(f"the environment's observation must be finite, got {shown.tolist()}")
+            raise RuntimeError(
+                f"the environment's observation must be finite, got {shown.tolist()}"
+            )
         measured = {"observation": self._state(shown)}
         if self.from_pixels:
             measured["pixels"] = self._last["pixels"]
@@ -137,7 +155,9 @@ class AdaptedEnv(RobotEnv):
         """Observations with angles, each of them the one nearest to that of the step before."""
         if not self.angles:
             return shown
-        cosines, sines = ([getattr(angle, name) for angle in self.angles] for name in ("cos", "sin"))
+        cosines, sines = (
+            [getattr(angle, name) for angle in self.angles] for name in ("cos", "sin")
+        )
         change = torch.atan2(shown[..., sines], shown[..., cosines]) - self._turned
         self._turned = self._turned + torch.atan2(change.sin(), change.cos())
         state = shown.clone()
@@ -148,7 +168,9 @@ class AdaptedEnv(RobotEnv):
 def _entry(specs: Composite, key: NestedKey, role: str) -> TensorSpec:
     names = sorted(str(name) for name in specs.keys(True, True))
     if str(key) not in names:
-        raise ValueError(f"the environment must have {role} under {key!r}, got {', '.join(names) or 'nothing'}")
+        raise ValueError(
+            f"the environment must have {role} under {key!r}, got {', '.join(names) or 'nothing'}"
+        )
     return specs[key]
 
 
@@ -156,14 +178,21 @@ def _vector(specs: Composite, key: NestedKey, role: str, batch_dims: int) -> Ten
     spec = _entry(specs, key, role)
     if not spec.dtype.is_floating_point or len(spec.shape) != batch_dims + 1:
         kind = f"{type(spec).__name__} of {spec.dtype} with shape {tuple(spec.shape[batch_dims:])}"
-        raise ValueError(f"the environment's {role} {key!r} must be a vector of real numbers, got {kind}")
+        raise ValueError(
+            f"the environment's {role} {key!r} must be a vector of real numbers, got {kind}"
+        )
     return spec
 
 
 def _box(specs: Composite, key: NestedKey, batch_dims: int) -> TensorSpec:
     spec = _vector(specs, key, "action", batch_dims)
-    if not isinstance(spec, Bounded) or not (spec.space.low.isfinite() & spec.space.high.isfinite()).all():
-        raise ValueError(f"the environment's action {key!r} must have finite limits, got {type(spec).__name__}")
+    if (
+        not isinstance(spec, Bounded)
+        or not (spec.space.low.isfinite() & spec.space.high.isfinite()).all()
+    ):
+        raise ValueError(
+            f"the environment's action {key!r} must have finite limits, got {type(spec).__name__}"
+        )
     return spec
 
 
@@ -171,5 +200,8 @@ def _kept_entries(angles: Sequence[CosSin], dim: int) -> list[int]:
     """Indices of an observation that stay when angles replace cosines."""
     used = [index for angle in angles for index in (angle.cos, angle.sin)]
     if len(set(used)) < len(used) or not set(used) <= set(range(dim)):
-        raise ValueError(f"angles must be of different entries of the {dim} observed, got {', '.join(map(str, angles))}")
+        raise ValueError(
+            f"angles must be of different entries of the {dim} observed, got "
+            f"{', '.join(map(str, angles))}"
+        )
     return [index for index in range(dim) if index not in {angle.sin for angle in angles}]

@@ -1,4 +1,6 @@
-"""The BioRob of Sec. 5.2: a light arm whose motors pull it by elastic cables, a racket, and a ball on a string."""
+"""The BioRob of Sec. 5.2: a light arm whose motors pull it by elastic cables, a racket, and a ball
+on a string.
+"""
 
 from __future__ import annotations
 
@@ -29,35 +31,43 @@ SCENE = Path(__file__).parent / "assets" / "biorob" / "scene.xml"
 
 
 class BioRobEnv(MujocoRobotEnv):
-    """The compliant, tendon-driven BioRob X4 with a table-tennis racket, in MuJoCo, at 10 Hz (Sec. 5.2).
+    """The compliant, tendon-driven BioRob X4 with a table-tennis racket, in MuJoCo, at 10 Hz (Sec.
+    5.2).
 
-    The state is x = [q, dq] of yaw, shoulder and elbow (rad, rad/s): positions first. Yaw turns to the left; with shoulder and elbow at 0
-    the arm hangs, and positive angles lift it forwards. The action is the torque of the three motors in N·m, reflected to the
-    joints. Motors and joints are coupled by cables alone, so that the motors' angles, like the ball, are hidden: a reset puts the motors
-    where cables and gravity balance, moving with their joints, and the ball at rest on its string.
+    The state is x = [q, dq] of yaw, shoulder and elbow (rad, rad/s): positions first. Yaw turns to
+    the left; with shoulder and elbow at 0 the arm hangs, and positive angles lift it forwards. The
+    action is the torque of the three motors in N·m, reflected to the joints. Motors and joints are
+    coupled by cables alone, so that the motors' angles, like the ball, are hidden: a reset puts the
+    motors where cables and gravity balance, moving with their joints, and the ball at rest on its
+    string.
 
-    ``("info", "racket_ball_distance")`` (*batch, 1), float64, is the least distance between the surfaces of racket and ball
-    over the simulation time steps of the last step (m; at a reset: the distance now), ``("info", "centre_distance")`` the same from the
-    blade's centre to the ball's, ``("info", "hit")`` (*batch, 1), bool, whether the racket has touched the ball since the reset. A hit
-    ends nothing.
+    ``("info", "racket_ball_distance")`` (*batch, 1), float64, is the least distance between the
+    surfaces of racket and ball over the simulation time steps of the last step (m; at a reset: the
+    distance now), ``("info", "centre_distance")`` the same from the blade's centre to the ball's,
+    ``("info", "hit")`` (*batch, 1), bool, whether the racket has touched the ball since the reset.
+    A hit ends nothing.
 
-    Stated in the paper: the structure, the joints and what is controlled, the control rate. Estimates: all numbers of the model, see its
-    file and docs/biorob.md, and the start.
+    Stated in the paper: the structure, the joints and what is controlled, the control rate.
+    Estimates: all numbers of the model, see its file and docs/biorob.md, and the start.
 
     Args:
-        ball: where the ball hangs, (3,) for all robots or (num_envs, 3) one for each, in m; x forwards, y to the left, z up from the floor.
+        ball: where the ball hangs, (3,) for all robots or (num_envs, 3) one for each, in m; x
+            forwards, y to the left, z up from the floor.
         initial_mean: mean of the start state, length 6.
         initial_std: standard deviations of the start state, length 6.
-        observation_std: standard deviations of the sensors' noise, length 6; None for exact sensors.
+        observation_std: standard deviations of the sensors' noise, length 6; None for exact
+            sensors.
         control_period: seconds between two actions; a whole number of 1 ms steps.
-        targets: what each robot is to do, (num_envs, K) or (K,) for one robot, shown under ``"target"``; None for nothing. The ball
-            hangs where ``ball`` says, see ``ball_at`` of the hitting plane.
+        targets: what each robot is to do, (num_envs, K) or (K,) for one robot, shown under
+            ``"target"``; None for nothing. The ball hangs where ``ball`` says, see ``ball_at`` of
+            the hitting plane.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
         from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
         seed: of the generator of starts and noise; None takes entropy from the system.
 
     Raises:
-        ValueError: a setting has the wrong shape or range; the message says what was expected and what came.
+        ValueError: a setting has the wrong shape or range; the message says what was expected and
+            what came.
 
     Example:
         >>> env = BioRobEnv(seed=0)
@@ -103,21 +113,30 @@ class BioRobEnv(MujocoRobotEnv):
         return Equilibrium(self.model, JOINTS, ROTORS, HELD)
 
     def _physics_from_state(self, state: Tensor, models: Sequence[mujoco.MjModel]) -> Tensor:
-        physics, arm = super()._physics_from_state(state, models), self.model.joint("ball").qposadr[0]
+        physics, arm = (
+            super()._physics_from_state(state, models),
+            self.model.joint("ball").qposadr[0],
+        )
         positions, velocities = state.to(torch.float64).numpy().reshape(-1, 2, 3).swapaxes(0, 1)
         speeds = state_columns(self.model, ROTORS, positions_first=True)[len(ROTORS) :]
         physics[:, 1 : 1 + arm] = torch.from_numpy(self._equilibrium(positions)[0])[:, :arm]
         physics[:, speeds] = torch.from_numpy(velocities @ self._equilibrium.ratio.T)
         return physics
 
-    def _inverse_dynamics(self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
-        """As if the cables kept their length from the equilibrium on: the rotors move along with the joints."""
+    def _inverse_dynamics(
+        self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray
+    ) -> np.ndarray:
+        """As if the cables kept their length from the equilibrium on: the rotors move along with
+        the joints.
+        """
         return self._equilibrium.moving_torques(positions, velocities, accelerations)
 
     def _make_specs(self) -> None:
         super()._make_specs()
         shape = (*self.batch_size, 1)
-        self.observation_spec["info", "racket_ball_distance"] = Unbounded(shape, dtype=torch.float64)
+        self.observation_spec["info", "racket_ball_distance"] = Unbounded(
+            shape, dtype=torch.float64
+        )
         self.observation_spec["info", "centre_distance"] = Unbounded(shape, dtype=torch.float64)
         self.observation_spec["info", "hit"] = Binary(shape=shape, dtype=torch.bool)
 
@@ -127,20 +146,32 @@ class BioRobEnv(MujocoRobotEnv):
         return super()._reset(tensordict, **kwargs)
 
     def _measure(self, sensors: Tensor) -> TensorDictBase:
-        distance, contact = (sensors[..., self.model.sensor(f"racket_ball_{name}").adr[0]] for name in ("distance", "contact"))
+        distance, contact = (
+            sensors[..., self.model.sensor(f"racket_ball_{name}").adr[0]]
+            for name in ("distance", "contact")
+        )
         self._hit = self._hit | (contact > 0).any(-1)
         first = self.model.sensor("ball_from_racket").adr[0]
         between = sensors[..., first : first + 3].norm(dim=-1)
-        info = {"racket_ball_distance": distance.amin(-1), "centre_distance": between.amin(-1), "hit": self._hit}
+        info = {
+            "racket_ball_distance": distance.amin(-1),
+            "centre_distance": between.amin(-1),
+            "hit": self._hit,
+        }
         measured = super()._measure(sensors)
         measured["info"] = TensorDict(
-            {name: value.reshape(*self.batch_size, 1) for name, value in info.items()}, batch_size=self.batch_size
+            {name: value.reshape(*self.batch_size, 1) for name, value in info.items()},
+            batch_size=self.batch_size,
         )
         return measured
 
 
-def _models(ball: Sequence[float] | Tensor, num_envs: int | None) -> mujoco.MjModel | list[mujoco.MjModel]:
-    """One model, or one for each robot where ``ball`` says a place for each; equal places share theirs."""
+def _models(
+    ball: Sequence[float] | Tensor, num_envs: int | None
+) -> mujoco.MjModel | list[mujoco.MjModel]:
+    """One model, or one for each robot where ``ball`` says a place for each; equal places share
+    theirs.
+    """
     places = torch.as_tensor(ball, dtype=torch.float64)
     if places.ndim != 2:
         return biorob_model(ball)
@@ -178,7 +209,8 @@ def biorob_model(ball: Sequence[float] | Tensor = BALL) -> mujoco.MjModel:
 
 
 def holding_torques(q: Tensor) -> Tensor:
-    """Motor torques that hold the arm in a pose, against gravity; friction aside, which would hold it too within its bounds.
+    """Motor torques that hold the arm in a pose, against gravity; friction aside, which would hold
+    it too within its bounds.
 
     Args:
         q: [yaw, shoulder, elbow], (*batch, 3) in rad.

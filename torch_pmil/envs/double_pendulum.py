@@ -19,27 +19,32 @@ LINK_LENGTH = 0.5  # m, paper
 class DoublePendulumEnv(MujocoRobotEnv):
     """Two actuated links on a fixed base, in MuJoCo, at 10 Hz (Sec. 5.1).
 
-    The state is x = [q1, dq1, q2, dq2] (rad, rad/s): q1 is the angle of link 1 from upright (0 up, pi hanging), q2
-    the angle of link 2 relative to link 1. The link ends are at x1 = l sin q1, y1 = l cos q1, x2 = x1 + l sin(q1 + q2)
-    and y2 = y1 + l cos(q1 + q2), with l = 0.5 m. The action is the torque of the two joints in N·m.
+    The state is x = [q1, dq1, q2, dq2] (rad, rad/s): q1 is the angle of link 1 from upright (0 up,
+    pi hanging), q2 the angle of link 2 relative to link 1. The link ends are at x1 = l sin q1, y1 =
+    l cos q1, x2 = x1 + l sin(q1 + q2) and y2 = y1 + l cos(q1 + q2), with l = 0.5 m. The action is
+    the torque of the two joints in N·m.
 
-    Stated in the paper: masses, lengths, torque limit, control rate. Chosen here: links are uniform rods (inertia
-    m l²/12 about the centre), the start hangs with standard deviations of 0.05 rad and 0.1 rad/s; no friction.
+    Stated in the paper: masses, lengths, torque limit, control rate. Chosen here: links are uniform
+    rods (inertia m l²/12 about the centre), the start hangs with standard deviations of 0.05 rad
+    and 0.1 rad/s; no friction.
 
     Args:
         link_masses: masses of the two rods in kg.
         torque_limit: largest absolute torque in N·m, one for both motors or one each.
         initial_mean: mean of the start state, length 4.
         initial_std: standard deviations of the start state, length 4.
-        observation_std: standard deviations of the sensors' noise, length 4; None for exact sensors.
+        observation_std: standard deviations of the sensors' noise, length 4; None for exact
+            sensors.
         control_period: seconds between two actions; a whole number of 2 ms steps.
-        targets: what each robot is to do, (num_envs, K) or (K,) for one robot, shown under ``"target"``; None for nothing.
+        targets: what each robot is to do, (num_envs, K) or (K,) for one robot, shown under
+            ``"target"``; None for nothing.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
         from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
         seed: of the generator of starts and noise; None takes entropy from the system.
 
     Raises:
-        ValueError: a setting has the wrong shape or range; the message says what was expected and what came.
+        ValueError: a setting has the wrong shape or range; the message says what was expected and
+            what came.
 
     Example:
         >>> env = DoublePendulumEnv(seed=0)
@@ -96,7 +101,9 @@ def link_positions(state: Tensor) -> Tensor:
     """
     inner, outer = state[..., 0], state[..., 0] + state[..., 2]  # angles from upright
     x1, y1 = LINK_LENGTH * inner.sin(), LINK_LENGTH * inner.cos()
-    return torch.stack([x1, y1, x1 + LINK_LENGTH * outer.sin(), y1 + LINK_LENGTH * outer.cos()], dim=-1)
+    return torch.stack(
+        [x1, y1, x1 + LINK_LENGTH * outer.sin(), y1 + LINK_LENGTH * outer.cos()], dim=-1
+    )
 
 
 def double_pendulum_model(link_masses: Sequence[float] = (0.5, 0.5)) -> mujoco.MjModel:
@@ -117,12 +124,20 @@ def double_pendulum_model(link_masses: Sequence[float] = (0.5, 0.5)) -> mujoco.M
     """
     masses = np.asarray(link_masses, dtype=np.float64)
     if masses.shape != (2,) or not (np.isfinite(masses) & (masses > 0)).all():
-        raise ValueError(f"link_masses must be two positive finite numbers in kg, got {link_masses}")
+        raise ValueError(
+            f"link_masses must be two positive finite numbers in kg, got {link_masses}"
+        )
     spec = mujoco.MjSpec.from_string(
-        resources.files("torch_pmil.envs").joinpath("assets", "double_pendulum.xml").read_text(encoding="utf-8")
+        resources.files("torch_pmil.envs")
+        .joinpath("assets", "double_pendulum.xml")
+        .read_text(encoding="utf-8")
     )
     for name, mass in zip(("link1", "link2"), masses, strict=True):
         inertia = mass * LINK_LENGTH**2 / 12
         spec.body(name).mass = mass
-        spec.body(name).inertia = [inertia, inertia, inertia / 100]  # about the rod's own axis: any, it never turns
+        spec.body(name).inertia = [
+            inertia,
+            inertia,
+            inertia / 100,
+        ]  # about the rod's own axis: any, it never turns
     return spec.compile()

@@ -17,11 +17,13 @@ DIFFERENCE_STEP = 1e-7  # rad
 
 
 class Equilibrium:
-    r"""Where everything is while the driven joints are held still by their rotors, and the torques which that takes.
+    r"""Where everything is while the driven joints are held still by their rotors, and the torques
+    which that takes.
 
-    At rest the generalised forces obey :math:`\tau(q) = g(q) - f(q)`, with gravity g and the pull f of cables and springs. Found by
-    Newton's method are the positions of the rotors and of the passive joints at which driven and passive joints need no torque
-    of their own; the rotors' part of :math:`\tau` then holds the robot. Friction and contacts have no part in it.
+    At rest the generalised forces obey :math:`\tau(q) = g(q) - f(q)`, with gravity g and the pull f
+    of cables and springs. Found by Newton's method are the positions of the rotors and of the
+    passive joints at which driven and passive joints need no torque of their own; the rotors' part
+    of :math:`\tau` then holds the robot. Friction and contacts have no part in it.
 
     Args:
         model: rotors and joints are hinges or slides, the cables fixed tendons.
@@ -37,11 +39,19 @@ class Equilibrium:
         array([[0. , 3. , 2.2]])
     """
 
-    def __init__(self, model: mujoco.MjModel, driven: Sequence[str], rotors: Sequence[str], passive: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        driven: Sequence[str],
+        rotors: Sequence[str],
+        passive: Sequence[str] = (),
+    ) -> None:
         self._model = copy.copy(model)
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._data = mujoco.MjData(self._model)
-        self._driven, self._rotors, self._passive = ([model.joint(name) for name in names] for names in (driven, rotors, passive))
+        self._driven, self._rotors, self._passive = (
+            [model.joint(name) for name in names] for names in (driven, rotors, passive)
+        )
         self.ratio = _ratio(model, _dofs(self._driven), _dofs(self._rotors))  # (F, F)
 
     def __call__(self, positions: Array) -> tuple[Array, Array]:
@@ -51,7 +61,8 @@ class Equilibrium:
             positions: of the driven joints, (N, F).
 
         Returns:
-            Positions of all joints as in ``MjData.qpos``, (N, nq), and torques of the rotors (N, F).
+            Positions of all joints as in ``MjData.qpos``, (N, nq), and torques of the rotors (N,
+            F).
 
         Raises:
             RuntimeError: no equilibrium was found.
@@ -60,7 +71,8 @@ class Equilibrium:
         return np.array(places), np.array(torques)
 
     def moving_torques(self, positions: Array, velocities: Array, accelerations: Array) -> Array:
-        """Torques of the rotors with which the robot moves as if its cables did not stretch from their equilibrium on.
+        """Torques of the rotors with which the robot moves as if its cables did not stretch from
+        their equilibrium on.
 
         Args:
             positions, velocities, accelerations: of the driven joints, (N, F).
@@ -73,9 +85,14 @@ class Equilibrium:
         """
         model, data, places = self._model, self._data, self(positions)[0]
         along = np.zeros((model.nv, len(self._driven)))  # how all move with the driven joints
-        along[_dofs(self._driven)], along[_dofs(self._rotors)] = np.eye(len(self._driven)), self.ratio
+        along[_dofs(self._driven)], along[_dofs(self._rotors)] = (
+            np.eye(len(self._driven)),
+            self.ratio,
+        )
         torques = np.empty_like(positions)
-        for row, (place, velocity, acceleration) in enumerate(zip(places, velocities, accelerations, strict=True)):
+        for row, (place, velocity, acceleration) in enumerate(
+            zip(places, velocities, accelerations, strict=True)
+        ):
             data.qpos[:], data.qvel[:], data.qacc[:] = place, along @ velocity, along @ acceleration
             mujoco.mj_inverse(model, data)
             torques[row] = np.linalg.solve(self.ratio.T, along.T @ data.qfrc_inverse)
@@ -94,9 +111,14 @@ class Equilibrium:
             unbalanced = data.qfrc_inverse[balanced]
             if np.abs(unbalanced).max() < TOLERANCE:
                 return data.qpos.copy(), data.qfrc_inverse[_dofs(self._rotors)]
-            mujoco.mjd_inverseFD(model, data, DIFFERENCE_STEP, False, stiffness, None, None, None, None, None, None)
+            mujoco.mjd_inverseFD(
+                model, data, DIFFERENCE_STEP, False, stiffness, None, None, None, None, None, None
+            )
             data.qpos[places] -= np.linalg.solve(stiffness[np.ix_(free, balanced)].T, unbalanced)
-        raise RuntimeError(f"no equilibrium at {positions.tolist()}: {np.abs(unbalanced).max():.2g} N·m stay unbalanced")
+        raise RuntimeError(
+            f"no equilibrium at {positions.tolist()}: {np.abs(unbalanced).max():.2g} N·m stay "
+            "unbalanced"
+        )
 
 
 def _dofs(joints: Sequence) -> list[int]:
@@ -107,7 +129,9 @@ def _ratio(model: mujoco.MjModel, driven: list[int], rotors: list[int]) -> Array
     """How far the rotors turn for each driven joint while no cable changes its length, (F, F)."""
     moments = np.zeros((model.ntendon, model.nv))
     for tendon in range(model.ntendon):
-        for wrap in range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon]):
+        for wrap in range(
+            model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon]
+        ):
             if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
                 moments[tendon, model.jnt_dofadr[model.wrap_objid[wrap]]] = model.wrap_prm[wrap]
     return np.linalg.lstsq(moments[:, rotors], -moments[:, driven])[0]

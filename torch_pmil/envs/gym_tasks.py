@@ -24,34 +24,49 @@ HANGING_MEAN, HANGING_STD = (math.pi, 0.0), (0.05, 0.1)  # rad, rad/s
 PENDULUM_REPEAT = 2  # steps of 0.05 s that a torque is held for
 
 
-def inverted_pendulum_env(num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None) -> AdaptedEnv:
+def inverted_pendulum_env(
+    num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None
+) -> AdaptedEnv:
     """gymnasium's InvertedPendulum-v5: a pole on a cart, at 25 Hz.
 
-    The state is [x, q, dx, dq] (m, rad, m/s, rad/s), q the angle of the pole from upright; all of it starts uniformly within ±0.1. The
-    action moves the cart, within ±3.
+    The state is [x, q, dx, dq] (m, rad, m/s, rad/s), q the angle of the pole from upright; all of
+    it starts uniformly within ±0.1. The action moves the cart, within ±3.
 
     Raises:
         ModuleNotFoundError: gymnasium is not installed.
     """
-    return AdaptedEnv(_make_cart, control_period=0.04, num_envs=num_envs, from_pixels=from_pixels, seed=seed)
+    return AdaptedEnv(
+        _make_cart, control_period=0.04, num_envs=num_envs, from_pixels=from_pixels, seed=seed
+    )
 
 
-def gym_pendulum_env(num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None) -> AdaptedEnv:
+def gym_pendulum_env(
+    num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None
+) -> AdaptedEnv:
     """gymnasium's Pendulum-v1 at 10 Hz, that starts hanging.
 
-    The state is [q, dq] (rad, rad/s), q the angle from upright, made of the cosine and sine that gymnasium shows. The action is the
-    torque, within ±2 N·m: too little to lift the pendulum at once. The start is normal: hanging, with standard deviations of
-    0.05 rad and 0.1 rad/s.
+    The state is [q, dq] (rad, rad/s), q the angle from upright, made of the cosine and sine that
+    gymnasium shows. The action is the torque, within ±2 N·m: too little to lift the pendulum at
+    once. The start is normal: hanging, with standard deviations of 0.05 rad and 0.1 rad/s.
 
     Raises:
         ModuleNotFoundError: gymnasium is not installed.
     """
     angle = CosSin(cos=0, sin=1, near=HANGING_MEAN[0])
-    return AdaptedEnv(_make_pendulum, control_period=0.1, num_envs=num_envs, angles=(angle,), from_pixels=from_pixels, seed=seed)
+    return AdaptedEnv(
+        _make_pendulum,
+        control_period=0.1,
+        num_envs=num_envs,
+        angles=(angle,),
+        from_pixels=from_pixels,
+        seed=seed,
+    )
 
 
 def cart_dynamics() -> partial[Array]:
-    """One control period of InvertedPendulum-v5 as a function of arrays: states (N, 4), actions (N, 1) to states (N, 4)."""
+    """One control period of InvertedPendulum-v5 as a function of arrays: states (N, 4), actions (N,
+    1) to states (N, 4).
+    """
     _check_gymnasium()
     return partial(_simulate_cart, gymnasium.make("InvertedPendulum-v5").unwrapped)
 
@@ -69,26 +84,39 @@ class HangingStart(Wrapper):
         """Start hanging."""
         _, info = self.env.reset(**kwargs)
         robot = self.env.unwrapped
-        robot.state = np.array(HANGING_MEAN) + np.array(HANGING_STD) * robot.np_random.normal(size=2)
+        robot.state = np.array(HANGING_MEAN) + np.array(HANGING_STD) * robot.np_random.normal(
+            size=2
+        )
         return robot._get_obs(), info
 
 
 def _check_gymnasium() -> None:
     if gymnasium is None:
-        raise ModuleNotFoundError("this task needs gymnasium, which is not installed: pip install 'torch_pmil[gym]'")
+        raise ModuleNotFoundError(
+            "this task needs gymnasium, which is not installed: pip install 'torch_pmil[gym]'"
+        )
 
 
 def _make_cart(from_pixels: bool = False) -> EnvBase:
     _check_gymnasium()
-    return GymEnv("InvertedPendulum-v5", from_pixels=from_pixels, pixels_only=False, reset_noise_scale=CART_START)
+    return GymEnv(
+        "InvertedPendulum-v5",
+        from_pixels=from_pixels,
+        pixels_only=False,
+        reset_noise_scale=CART_START,
+    )
 
 
 def _make_pendulum(from_pixels: bool = False) -> EnvBase:
     _check_gymnasium()
     if from_pixels:
         os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pygame draws without a window
-    robot = gymnasium.make("Pendulum-v1", render_mode="rgb_array" if from_pixels else None, disable_env_checker=True)
-    return GymWrapper(HangingStart(robot), frame_skip=PENDULUM_REPEAT, from_pixels=from_pixels, pixels_only=False)
+    robot = gymnasium.make(
+        "Pendulum-v1", render_mode="rgb_array" if from_pixels else None, disable_env_checker=True
+    )
+    return GymWrapper(
+        HangingStart(robot), frame_skip=PENDULUM_REPEAT, from_pixels=from_pixels, pixels_only=False
+    )
 
 
 def _simulate_cart(robot: gymnasium.Env, states: Array, actions: Array) -> Array:

@@ -15,10 +15,11 @@ from torch_pmil.envs.robot import Array
 
 
 class GymnasiumRobot(gymnasium.Env):
-    """A simulated robot: the same physics and, with the same seed, the same starts as its TorchRL environment.
+    """A simulated robot: the same physics and, with the same seed, the same starts as its TorchRL
+    environment.
 
-    Observations and actions are those of that environment, float64 in its units. The reward is zero, as imitation has none, and
-    an episode ends by its time limit alone.
+    Observations and actions are those of that environment, float64 in its units. The reward is
+    zero, as imitation has none, and an episode ends by its time limit alone.
 
     Args:
         name: in ``ROBOTS``.
@@ -42,7 +43,9 @@ class GymnasiumRobot(gymnasium.Env):
         self.render_mode = render_mode
         self._robot = ROBOTS[name][0](**settings)
         limits = self._robot.action_spec.space
-        self.observation_space = Box(-np.inf, np.inf, self._robot.observation_spec["observation"].shape, np.float64)
+        self.observation_space = Box(
+            -np.inf, np.inf, self._robot.observation_spec["observation"].shape, np.float64
+        )
         self.action_space = Box(limits.low.numpy(), limits.high.numpy(), dtype=np.float64)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Array, dict]:
@@ -60,7 +63,9 @@ class GymnasiumRobot(gymnasium.Env):
         return self._state.numpy().copy(), 0.0, False, False, {}
 
     def render(self) -> np.ndarray | None:
-        """A picture (height, width, 3), uint8, with render_mode "rgb_array". Raises RuntimeError without OpenGL."""
+        """A picture (height, width, 3), uint8, with render_mode "rgb_array". Raises RuntimeError
+        without OpenGL.
+        """
         return None if self.render_mode is None else self._robot.render(self._state)
 
     def close(self) -> None:

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def inverse_dynamics(model: mujoco.MjModel, positions: Array, velocities: Array, accelerations: Array) -> Array:
+def inverse_dynamics(
+    model: mujoco.MjModel, positions: Array, velocities: Array, accelerations: Array
+) -> Array:
     """Generalised forces (S, V) under which a model moves so, limits or not.
 
     Args:

@@ -1,4 +1,6 @@
-"""A MuJoCo robot as a TorchRL environment: float64, zero-order hold, seeded Gaussian starts. Knows no robot."""
+"""A MuJoCo robot as a TorchRL environment: float64, zero-order hold, seeded Gaussian starts. Knows
+no robot.
+"""
 
 from __future__ import annotations
 
@@ -26,39 +28,46 @@ MOMENTS = 5  # of a control period, at which inverse dynamics are averaged
 class MujocoRobotEnv(RobotEnv):
     """A torque-controlled MuJoCo robot, simulated in float64 by ``mujoco.rollout``.
 
-    One step holds the action for ``control_period`` seconds. The state vector interleaves position and velocity of
-    the observed joints, ``[q1, dq1, q2, dq2, ...]``, or has the positions first, ``[q1, q2, ..., dq1, dq2, ...]`` (rad, rad/s).
-    Torques beyond the limit are clipped by the physics. The reward is zero and an episode never ends by itself: imitation has neither.
+    One step holds the action for ``control_period`` seconds. The state vector interleaves position
+    and velocity of the observed joints, ``[q1, dq1, q2, dq2, ...]``, or has the positions first,
+    ``[q1, q2, ..., dq1, dq2, ...]`` (rad, rad/s). Torques beyond the limit are clipped by the
+    physics. The reward is zero and an episode never ends by itself: imitation has neither.
 
-    What the state vector does not say is hidden: at a reset it follows from the state (``_physics_from_state``), from then on from
-    the motion. A robot with sensors of its own adds to what is measured in ``_measure``.
+    What the state vector does not say is hidden: at a reset it follows from the state
+    (``_physics_from_state``), from then on from the motion. A robot with sensors of its own adds to
+    what is measured in ``_measure``.
 
-    Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all float64, and with
-    ``from_pixels`` also ``"pixels"`` (*batch, height, width, 3), uint8. ``reset`` draws x_0 ~ N(initial_mean,
-    diag(initial_std²)) from the generator of this environment, or starts at the ``"observation"`` it is given.
-    With ``targets`` each observation also shows what the robot is to do, ``"target"`` (*batch, K), float64.
-    Sensors may be noisy: with ``observation_std`` each ``"observation"`` is the true state plus noise from the same
-    generator, and ``"state"`` (*batch, D) is the true one, for measurements from outside.
-    ``state_dict`` holds the physics and the generator, so that a checkpoint resumes bit for bit.
+    Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all
+    float64, and with ``from_pixels`` also ``"pixels"`` (*batch, height, width, 3), uint8. ``reset``
+    draws x_0 ~ N(initial_mean, diag(initial_std²)) from the generator of this environment, or
+    starts at the ``"observation"`` it is given. With ``targets`` each observation also shows what
+    the robot is to do, ``"target"`` (*batch, K), float64. Sensors may be noisy: with
+    ``observation_std`` each ``"observation"`` is the true state plus noise from the same generator,
+    and ``"state"`` (*batch, D) is the true one, for measurements from outside. ``state_dict`` holds
+    the physics and the generator, so that a checkpoint resumes bit for bit.
 
     Args:
-        model: the robot, with one motor per torque, or as many models as there are robots, all of one structure; they are copied. Pictures
-            are taken by the camera ``"front"``.
+        model: the robot, with one motor per torque, or as many models as there are robots, all of
+            one structure; they are copied. Pictures are taken by the camera ``"front"``.
         joints: names of the D/2 observed hinge or slide joints, in the order of the state vector.
         initial_mean: mean of the start state, length D.
         initial_std: standard deviations of the start state, length D.
         positions_first: whether the state vector has all positions before all velocities.
-        observation_std: standard deviations of the sensors' noise, length D; None for exact sensors.
+        observation_std: standard deviations of the sensors' noise, length D; None for exact
+            sensors.
         torque_limit: largest absolute torque in N·m, one for all motors or one each.
         control_period: seconds between two actions; a whole number of simulation time steps.
-        targets: what each robot is to do, as where its ball hangs, (num_envs, K) or (K,) for one robot; None for nothing.
+        targets: what each robot is to do, as where its ball hangs, (num_envs, K) or (K,) for one
+            robot; None for nothing.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
-        from_pixels: whether to draw a picture at each step; needs OpenGL (headless: ``MUJOCO_GL=egl``).
+        from_pixels: whether to draw a picture at each step; needs OpenGL (headless:
+            ``MUJOCO_GL=egl``).
         pixel_size: height and width of a picture.
         seed: of the generator of starts and noise; None takes entropy from the system.
 
     Raises:
-        ValueError: a setting has the wrong shape or range; the message says what was expected and what came.
+        ValueError: a setting has the wrong shape or range; the message says what was expected and
+            what came.
         RuntimeError: pictures were asked for and OpenGL is not available.
     """
 
@@ -95,9 +104,16 @@ class MujocoRobotEnv(RobotEnv):
         dim = 2 * len(joints)
         self.initial_mean = _state_vector("initial_mean", initial_mean, dim)
         self.initial_std = _deviations("initial_std", initial_std, dim)
-        self.observation_std = None if observation_std is None else _deviations("observation_std", observation_std, dim)
+        self.observation_std = (
+            None
+            if observation_std is None
+            else _deviations("observation_std", observation_std, dim)
+        )
         self.targets = None if targets is None else _targets(targets, self.batch_size)
-        self.register_buffer("_physics", self._physics_from_state(self.initial_mean.expand(num_envs or 1, -1), self._models))
+        self.register_buffer(
+            "_physics",
+            self._physics_from_state(self.initial_mean.expand(num_envs or 1, -1), self._models),
+        )
         self._make_specs()
         if from_pixels:
             self._open_renderer()
@@ -117,10 +133,13 @@ class MujocoRobotEnv(RobotEnv):
             RuntimeError: a simulation diverged.
         """
         models = self._models[robot : robot + 1]
-        return self.state_of(self._integrate(self._physics_from_state(state, models), action, models)[0][:, -1])
+        return self.state_of(
+            self._integrate(self._physics_from_state(state, models), action, models)[0][:, -1]
+        )
 
     def substates(self, state: Tensor, action: Tensor, count: int, robot: int = 0) -> Tensor:
-        """States at ``count`` equal steps inside one control period; the environment itself stays where it is.
+        """States at ``count`` equal steps inside one control period; the environment itself stays
+        where it is.
 
         Args:
             state: state vector (D,); what it does not say is as after a reset.
@@ -138,29 +157,37 @@ class MujocoRobotEnv(RobotEnv):
         return self.state_of(self.replay(state, action[None], count, robot)[1:])
 
     def replay(self, start: Tensor, actions: Tensor, count: int, robot: int = 0) -> Tensor:
-        """Full simulation states along a rollout from a reset; the environment itself stays where it is.
+        """Full simulation states along a rollout from a reset; the environment itself stays where
+        it is.
 
-        They are those that the environment went through, what its state vector does not say included.
+        They are those that the environment went through, what its state vector does not say
+        included.
 
         Args:
             start: state vector (D,) of the reset.
             actions: torques (T, F) in N·m, each held for a control period and clipped to the limit.
-            count: states in each control period, a divisor of ``substeps``, the number of its simulation time steps.
+            count: states in each control period, a divisor of ``substeps``, the number of its
+                simulation time steps.
             robot: whose model it is.
 
         Returns:
-            Full simulation states (T · count + 1, P), float64, the first one that of the reset; ``state_of`` and ``draw`` take them.
+            Full simulation states (T · count + 1, P), float64, the first one that of the reset;
+            ``state_of`` and ``draw`` take them.
 
         Raises:
             ValueError: the period does not split into ``count`` steps.
             RuntimeError: the simulation diverged.
         """
         if count < 1 or self.substeps % count:
-            raise ValueError(f"count must divide the {self.substeps} time steps of a control period, got {count}")
+            raise ValueError(
+                f"count must divide the {self.substeps} time steps of a control period, got {count}"
+            )
         stride, models = self.substeps // count, self._models[robot : robot + 1]
         physics = [self._physics_from_state(start[None], models)]
         for action in actions:
-            physics.append(self._integrate(physics[-1][-1:], action[None], models)[0][0, stride - 1 :: stride])
+            physics.append(
+                self._integrate(physics[-1][-1:], action[None], models)[0][0, stride - 1 :: stride]
+            )
         return torch.cat(physics)
 
     def state_of(self, physics: Tensor) -> Tensor:
@@ -176,31 +203,45 @@ class MujocoRobotEnv(RobotEnv):
             >>> DoublePendulumEnv().motor_names
             ('tau1', 'tau2')
         """
-        return tuple(self.model.actuator(number).name or str(number) for number in range(self.model.nu))
+        return tuple(
+            self.model.actuator(number).name or str(number) for number in range(self.model.nu)
+        )
 
     def needed_torques(self, states: Tensor) -> Tensor | None:
-        """Torques that lead along a motion, limits or not, by inverse dynamics of a cubic spline through the positions.
+        """Torques that lead along a motion, limits or not, by inverse dynamics of a cubic spline
+        through the positions.
 
-        The samples must resolve the motion. Those of the double pendulum's swing-ups do, and their torques are met to 5 % of the limit
-        (rms); where a joint turns by a radian and more from sample to sample, as in a whip's motion, the spline and the torques are wrong.
+        The samples must resolve the motion. Those of the double pendulum's swing-ups do, and their
+        torques are met to 5 % of the limit (rms); where a joint turns by a radian and more from
+        sample to sample, as in a whip's motion, the spline and the torques are wrong.
 
         Args:
             states: x_0..x_T at the control rate, (T + 1, D), T >= 2.
 
         Returns:
-            Mean over each control period, (T, F), N·m. None where not every joint has its motor and is in the state: then it is not
-            the joints alone that say what the motors do.
+            Mean over each control period, (T, F), N·m. None where not every joint has its motor and
+            is in the state: then it is not the joints alone that say what the motors do.
         """
         times = self.control_period * np.arange(len(states))
         motion = CubicSpline(times, states[:, self._position_entries].numpy())
-        between = (times[:-1, None] + self.control_period * (np.arange(MOMENTS) + 0.5) / MOMENTS).ravel()
+        between = (
+            times[:-1, None] + self.control_period * (np.arange(MOMENTS) + 0.5) / MOMENTS
+        ).ravel()
         torques = self._inverse_dynamics(motion(between), motion(between, 1), motion(between, 2))
-        return None if torques is None else torch.from_numpy(torques.reshape(len(times) - 1, MOMENTS, -1).mean(1))
+        return (
+            None
+            if torques is None
+            else torch.from_numpy(torques.reshape(len(times) - 1, MOMENTS, -1).mean(1))
+        )
 
     def beyond_range(self, states: Tensor) -> Tensor:
-        """How far the joints would be beyond their stops in states (*batch, D): (*batch, J), 0 within, rad or m."""
+        """How far the joints would be beyond their stops in states (*batch, D): (*batch, J), 0
+        within, rad or m.
+        """
         joints = [self.model.joint(name) for name in self._joints]
-        stops = np.array([joint.range if joint.limited[0] else (-np.inf, np.inf) for joint in joints])
+        stops = np.array(
+            [joint.range if joint.limited[0] else (-np.inf, np.inf) for joint in joints]
+        )
         low, high = torch.from_numpy(stops).unbind(-1)
         positions = states[..., self._position_entries]
         return torch.maximum(positions - high, low - positions).clamp_min(0)
@@ -210,12 +251,18 @@ class MujocoRobotEnv(RobotEnv):
         """Entries of the state vector that are positions, in the order of the joints, (J,)."""
         return (self._state_columns <= self.model.nq).nonzero().flatten()
 
-    def _inverse_dynamics(self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray) -> np.ndarray | None:
-        """Torques (S, F) of joints (S, J) that move so; None where the motors do not move them directly."""
+    def _inverse_dynamics(
+        self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray
+    ) -> np.ndarray | None:
+        """Torques (S, F) of joints (S, J) that move so; None where the motors do not move them
+        directly.
+        """
         if not self.model.nu == self.model.nv == len(self._joints):
             return None
         dofs = [self.model.joint(name).dofadr[0] for name in self._joints]
-        in_model_order = (part[:, np.argsort(dofs)] for part in (positions, velocities, accelerations))
+        in_model_order = (
+            part[:, np.argsort(dofs)] for part in (positions, velocities, accelerations)
+        )
         return inverse_dynamics(self.model, *in_model_order)[:, dofs]
 
     def render(self, state: Tensor, robot: int = 0) -> np.ndarray:
@@ -233,10 +280,14 @@ class MujocoRobotEnv(RobotEnv):
             RuntimeError: OpenGL is not available.
         """
         state = _state_vector("state", state, self._state_columns.numel())
-        return self.draw(self._physics_from_state(state[None], self._models[robot : robot + 1])[0], robot)
+        return self.draw(
+            self._physics_from_state(state[None], self._models[robot : robot + 1])[0], robot
+        )
 
     def draw(self, physics: Tensor, robot: int = 0) -> np.ndarray:
-        """Draw a robot in a full simulation state (P,): a picture (height, width, 3), uint8. Raises RuntimeError without OpenGL."""
+        """Draw a robot in a full simulation state (P,): a picture (height, width, 3), uint8. Raises
+        RuntimeError without OpenGL.
+        """
         renderer = self._open_renderer()
         mujoco.mj_setState(self._models[robot], self._data, physics.numpy(), FULL_PHYSICS)
         mujoco.mj_forward(self._models[robot], self._data)
@@ -251,9 +302,13 @@ class MujocoRobotEnv(RobotEnv):
         super().close(**kwargs)
 
     def _physics_from_state(self, state: Tensor, models: Sequence[mujoco.MjModel]) -> Tensor:
-        """Full simulation state (N, P) at time 0 of robots, of N models or one, whose states are (N, D); other joints at rest."""
+        """Full simulation state (N, P) at time 0 of robots, of N models or one, whose states are
+        (N, D); other joints at rest.
+        """
         at_rest = {model: _at_rest(model) for model in set(models)}
-        physics = torch.stack([at_rest[model] for model in models]).expand(state.shape[0], -1).clone()
+        physics = (
+            torch.stack([at_rest[model] for model in models]).expand(state.shape[0], -1).clone()
+        )
         physics[:, self._state_columns] = state.to(torch.float64)
         return physics
 
@@ -277,15 +332,21 @@ class MujocoRobotEnv(RobotEnv):
         if mask is not None:
             physics = torch.where(mask.reshape(-1, 1), physics, self._physics)
         self._physics = physics
-        return self._measure(self._simulate(physics, torch.zeros(1, self.model.nu), 1, self._models)[1])
+        return self._measure(
+            self._simulate(physics, torch.zeros(1, self.model.nu), 1, self._models)[1]
+        )
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        physics, sensors = self._integrate(self._physics, self._check_torque(tensordict["action"]), self._models)
+        physics, sensors = self._integrate(
+            self._physics, self._check_torque(tensordict["action"]), self._models
+        )
         self._physics = physics[:, -1].clone()
         return self._without_reward(self._measure(sensors))
 
     def _measure(self, sensors: Tensor) -> TensorDictBase:
-        """What is observed now, also from the values (N, K, S) of the model's sensors at all times since the last measurement."""
+        """What is observed now, also from the values (N, K, S) of the model's sensors at all times
+        since the last measurement.
+        """
         state = self.state_of(self._physics).reshape(*self.batch_size, -1)
         measured = {"observation": state}
         if self.observation_std is not None:
@@ -294,18 +355,29 @@ class MujocoRobotEnv(RobotEnv):
         if self.targets is not None:
             measured["target"] = self.targets.clone()
         if self.from_pixels:
-            pixels = np.stack([self.draw(physics, robot) for robot, physics in enumerate(self._physics)])
-            measured["pixels"] = torch.from_numpy(pixels).reshape(*self.batch_size, *self.pixel_size, 3)
+            pixels = np.stack(
+                [self.draw(physics, robot) for robot, physics in enumerate(self._physics)]
+            )
+            measured["pixels"] = torch.from_numpy(pixels).reshape(
+                *self.batch_size, *self.pixel_size, 3
+            )
         return TensorDict(measured, batch_size=self.batch_size)
 
     def _draw_starts(self) -> Tensor:
-        noise = torch.randn(self._physics.shape[0], self.initial_mean.numel(), generator=self._generator, dtype=torch.float64)
+        noise = torch.randn(
+            self._physics.shape[0],
+            self.initial_mean.numel(),
+            generator=self._generator,
+            dtype=torch.float64,
+        )
         return self.initial_mean + self.initial_std * noise
 
     def _check_starts(self, state: Tensor) -> Tensor:
         expected = self.observation_spec["observation"].shape
         if state.shape != expected:
-            raise ValueError(f"start observation must have shape {tuple(expected)}, got {tuple(state.shape)}")
+            raise ValueError(
+                f"start observation must have shape {tuple(expected)}, got {tuple(state.shape)}"
+            )
         if not state.isfinite().all():
             raise ValueError(f"start observation must be finite, got {state.tolist()}")
         return state.reshape(self._physics.shape[0], -1).to(torch.float64)
@@ -316,19 +388,30 @@ class MujocoRobotEnv(RobotEnv):
             raise ValueError(f"action must be finite, got {action.tolist()}")
         return action.reshape(self._physics.shape[0], -1)
 
-    def _integrate(self, physics: Tensor, torque: Tensor, models: Sequence[mujoco.MjModel]) -> tuple[Tensor, Tensor]:
+    def _integrate(
+        self, physics: Tensor, torque: Tensor, models: Sequence[mujoco.MjModel]
+    ) -> tuple[Tensor, Tensor]:
         """A control period of robots, of N models or one, under the torques (N, F).
 
         Returns:
-            Full simulation states (N, substeps, P) after each time step, and sensor values (N, substeps + 1, S) at both ends of each.
+            Full simulation states (N, substeps, P) after each time step, and sensor values (N,
+            substeps + 1, S) at both ends of each.
         """
-        after, sensors = self._simulate(physics, torque, self.substeps + 1, models)  # MuJoCo senses before a step: one more for the end
+        after, sensors = self._simulate(
+            physics, torque, self.substeps + 1, models
+        )  # MuJoCo senses before a step: one more for the end
         self._check_physics(physics, after[:, -2])
         return after[:, :-1], sensors
 
-    def _simulate(self, physics: Tensor, torque: Tensor, steps: int, models: Sequence[mujoco.MjModel]) -> tuple[Tensor, Tensor]:
-        """Full simulation states (N, steps, P) after, and sensor values (N, steps, S) before each time step, the torques held."""
-        states, sensors = rollout.rollout(models, self._data, physics.numpy(), torque[:, None].numpy(), nstep=steps)
+    def _simulate(
+        self, physics: Tensor, torque: Tensor, steps: int, models: Sequence[mujoco.MjModel]
+    ) -> tuple[Tensor, Tensor]:
+        """Full simulation states (N, steps, P) after, and sensor values (N, steps, S) before each
+        time step, the torques held.
+        """
+        states, sensors = rollout.rollout(
+            models, self._data, physics.numpy(), torque[:, None].numpy(), nstep=steps
+        )
         return torch.from_numpy(states), torch.from_numpy(sensors)
 
     def _check_physics(self, before: Tensor, after: Tensor) -> None:
@@ -337,7 +420,9 @@ class MujocoRobotEnv(RobotEnv):
         failed = (late | ~after.isfinite().all(-1)).nonzero().flatten()
         if len(failed):
             step = round(before[failed[0], 0].item() / self.control_period) + 1
-            raise RuntimeError(f"simulation diverged in env {failed[0]} at step {step}: its state is not finite")
+            raise RuntimeError(
+                f"simulation diverged in env {failed[0]} at step {step}: its state is not finite"
+            )
 
     def _open_renderer(self) -> mujoco.Renderer:
         if self._renderer is None:
@@ -352,23 +437,33 @@ def open_renderer(model: mujoco.MjModel, pixel_size: tuple[int, int]) -> mujoco.
         return mujoco.Renderer(model, *pixel_size)
     except Exception as error:  # every OpenGL platform fails with a type of its own
         backend = os.environ.get("MUJOCO_GL", "not set")
-        raise RuntimeError(f"pictures need OpenGL, which failed with MUJOCO_GL {backend} ({error}); headless: MUJOCO_GL=egl") from error
+        raise RuntimeError(
+            f"pictures need OpenGL, which failed with MUJOCO_GL {backend} ({error}); headless: "
+            "MUJOCO_GL=egl"
+        ) from error
 
 
 def _substeps(control_period: float, timestep: float) -> int:
     substeps = round(control_period / timestep)
     if substeps < 1 or abs(substeps * timestep - control_period) > 1e-9:
-        raise ValueError(f"control_period must be a whole number of {timestep} s time steps, got {control_period} s")
+        raise ValueError(
+            f"control_period must be a whole number of {timestep} s time steps, got "
+            f"{control_period} s"
+        )
     return substeps
 
 
 def _limited_models(
-    models: mujoco.MjModel | Sequence[mujoco.MjModel], torque_limit: float | Sequence[float], count: int
+    models: mujoco.MjModel | Sequence[mujoco.MjModel],
+    torque_limit: float | Sequence[float],
+    count: int,
 ) -> tuple[mujoco.MjModel, ...]:
     """Limited copies, one for each of ``count`` robots; what is one model stays one."""
     models = [models] * count if isinstance(models, mujoco.MjModel) else list(models)
     if len(models) != count:
-        raise ValueError(f"model must be one or {count} models, one for each robot, got {len(models)}")
+        raise ValueError(
+            f"model must be one or {count} models, one for each robot, got {len(models)}"
+        )
     limited = {model: _limited_model(model, torque_limit) for model in set(models)}
     return tuple(limited[model] for model in models)
 
@@ -376,7 +471,10 @@ def _limited_models(
 def _limited_model(model: mujoco.MjModel, torque_limit: float | Sequence[float]) -> mujoco.MjModel:
     limit = np.asarray(torque_limit, dtype=np.float64)
     if limit.shape not in ((), (model.nu,)) or not (np.isfinite(limit) & (limit > 0)).all():
-        raise ValueError(f"torque_limit must be one or {model.nu} positive finite numbers in N·m, got {torque_limit}")
+        raise ValueError(
+            f"torque_limit must be one or {model.nu} positive finite numbers in N·m, got "
+            f"{torque_limit}"
+        )
     model = copy.copy(model)
     model.actuator_ctrllimited[:] = 1
     model.actuator_ctrlrange[:] = np.broadcast_to(limit, model.nu)[:, None] * [-1, 1]
@@ -394,16 +492,27 @@ def _at_rest(model: mujoco.MjModel) -> Tensor:
 
 
 def state_columns(model: mujoco.MjModel, joints: Sequence[str], positions_first: bool) -> Tensor:
-    """Columns of the joints' positions and velocities in MuJoCo's full state [time, qpos, qvel, ...]."""
+    """Columns of the joints' positions and velocities in MuJoCo's full state [time, qpos, qvel,
+    ...].
+    """
     observed = [model.joint(name) for name in joints]
-    columns = torch.tensor([[1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]] for joint in observed])
+    columns = torch.tensor(
+        [[1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]] for joint in observed]
+    )
     return (columns.T if positions_first else columns).flatten()
 
 
 def _targets(values: Tensor, batch: Sequence[int]) -> Tensor:
     targets = torch.as_tensor(values, dtype=torch.float64).clone()
-    if targets.shape[:-1] != tuple(batch) or targets.ndim != len(batch) + 1 or targets.shape[-1] < 1:
-        raise ValueError(f"targets must have shape ({', '.join(map(str, [*batch, 'entries']))}), got {tuple(targets.shape)}")
+    if (
+        targets.shape[:-1] != tuple(batch)
+        or targets.ndim != len(batch) + 1
+        or targets.shape[-1] < 1
+    ):
+        raise ValueError(
+            f"targets must have shape ({', '.join(map(str, [*batch, 'entries']))}), got "
+            f"{tuple(targets.shape)}"
+        )
     if not targets.isfinite().all():
         raise ValueError(f"targets must be finite, got {targets.tolist()}")
     return targets

@@ -10,11 +10,16 @@ try:
 except ModuleNotFoundError:  # an optional extra
     gymnasium = None
 
-ROBOTS = {"DoublePendulum-v0": (DoublePendulumEnv, 25), "BioRob-v0": (BioRobEnv, 18)}  # the environment, and the steps of an episode
+ROBOTS = {
+    "DoublePendulum-v0": (DoublePendulumEnv, 25),
+    "BioRob-v0": (BioRobEnv, 18),
+}  # the environment, and the steps of an episode
 
 
 def register_robots() -> None:
-    """Make each robot known to ``gymnasium.make`` under ``torch_pmil/NAME``, once, where gymnasium is installed."""
+    """Make each robot known to ``gymnasium.make`` under ``torch_pmil/NAME``, once, where gymnasium
+    is installed.
+    """
     if gymnasium is None:
         return
     for name, (_, steps) in ROBOTS.items():

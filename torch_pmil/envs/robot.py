@@ -16,7 +16,8 @@ Array = NDArray[np.floating]
 
 
 class RobotEnv(EnvBase):
-    """A robot in float64 with starts of its own seed, torques around zero, no reward, and episodes that do not end.
+    """A robot in float64 with starts of its own seed, torques around zero, no reward, and episodes
+    that do not end.
 
     Args:
         batch_size: of the robots.
@@ -25,7 +26,13 @@ class RobotEnv(EnvBase):
         seed: of the generator of starts and noise; None takes entropy from the system.
     """
 
-    def __init__(self, batch_size: tuple[int, ...], control_period: float, from_pixels: bool, seed: int | None) -> None:
+    def __init__(
+        self,
+        batch_size: tuple[int, ...],
+        control_period: float,
+        from_pixels: bool,
+        seed: int | None,
+    ) -> None:
         super().__init__(device="cpu", batch_size=batch_size)
         self.control_period, self.from_pixels = control_period, from_pixels
         self._generator = torch.Generator()
@@ -45,11 +52,15 @@ class RobotEnv(EnvBase):
         return tuple(str(number) for number in range(self.action_spec.shape[-1]))
 
     def needed_torques(self, states: Tensor) -> Tensor | None:
-        """Torques (T, F) of each control period on the way through states x_0..x_T, (T + 1, D); None where the model is not known."""
+        """Torques (T, F) of each control period on the way through states x_0..x_T, (T + 1, D);
+        None where the model is not known.
+        """
         return None
 
     def beyond_range(self, states: Tensor) -> Tensor | None:
-        """How far the joints would be beyond their stops in states (*batch, D): (*batch, J), 0 within; None where that is not known."""
+        """How far the joints would be beyond their stops in states (*batch, D): (*batch, J), 0
+        within; None where that is not known.
+        """
         return None
 
     def _set_seed(self, seed: int | None) -> None:
@@ -59,9 +70,13 @@ class RobotEnv(EnvBase):
             self._generator.manual_seed(seed)
 
     def _set_specs(self, dim: int, limit: Tensor, more: Mapping[str, TensorSpec]) -> None:
-        """Of a state vector (*batch, dim), actions within ±limit (*batch, F), and what else is observed."""
+        """Of a state vector (*batch, dim), actions within ±limit (*batch, F), and what else is
+        observed.
+        """
         batch = self.batch_size
-        self.observation_spec = Composite({"observation": Unbounded((*batch, dim), dtype=torch.float64), **more}, shape=batch)
+        self.observation_spec = Composite(
+            {"observation": Unbounded((*batch, dim), dtype=torch.float64), **more}, shape=batch
+        )
         self.action_spec = Bounded(-limit, limit, limit.shape, dtype=torch.float64)
         self.reward_spec = Unbounded((*batch, 1), dtype=torch.float64)
 

@@ -16,14 +16,17 @@ def states_of(rollout: TensorDictBase) -> Tensor:
 
 
 def rollout_of(states: Tensor) -> TensorDict:
-    """The rollouts (*batch, T) of which :func:`states_of` gives these states x_0..x_T, (*batch, T + 1, D); nothing else is known of them.
+    """The rollouts (*batch, T) of which :func:`states_of` gives these states x_0..x_T, (*batch, T +
+    1, D); nothing else is known of them.
 
     Example:
         >>> states_of(rollout_of(torch.zeros(7, 26, 4))).shape
         torch.Size([7, 26, 4])
     """
     batch = (*states.shape[:-2], states.shape[-2] - 1)
-    return TensorDict({"observation": states[..., :-1, :], "next": {"observation": states[..., 1:, :]}}, batch)
+    return TensorDict(
+        {"observation": states[..., :-1, :], "next": {"observation": states[..., 1:, :]}}, batch
+    )
 
 
 def without_sensor_noise(rollout: TensorDictBase) -> TensorDictBase:
@@ -36,7 +39,8 @@ def without_sensor_noise(rollout: TensorDictBase) -> TensorDictBase:
 
 
 def of_states(error: Callable[[Tensor], Tensor]) -> Callable[[TensorDictBase], Tensor]:
-    """An error of rollouts (*batch, T) that is a function of their states x_0..x_T, (*batch, T + 1, D) to (*batch).
+    """An error of rollouts (*batch, T) that is a function of their states x_0..x_T, (*batch, T + 1,
+    D) to (*batch).
 
     Example:
         >>> last = of_states(lambda states: states[..., -1, :].norm(dim=-1))

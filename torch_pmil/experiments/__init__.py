@@ -26,7 +26,10 @@ EXPERIMENTS = {
 
 
 def load_experiment(
-    name: str, demonstrations: Demonstrations | None = None, shape: str | None = None, robot: str | None = None
+    name: str,
+    demonstrations: Demonstrations | None = None,
+    shape: str | None = None,
+    robot: str | None = None,
 ) -> Experiment:
     """The experiment of that name.
 
@@ -36,7 +39,8 @@ def load_experiment(
         shape, robot: of handwriting, see :func:`handwriting`; None in all others.
 
     Raises:
-        ValueError: there is none; the message lists those there are. Or the demonstrations are not of that robot.
+        ValueError: there is none; the message lists those there are. Or the demonstrations are not
+            of that robot.
         ImportError: it needs another library.
 
     Example:
@@ -44,11 +48,16 @@ def load_experiment(
         25
     """
     if name not in EXPERIMENTS:
-        raise ValueError(f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}, got {name!r}")
+        raise ValueError(
+            f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}, got {name!r}"
+        )
     if name == "handwriting":
         return handwriting(demonstrations, shape, robot)
     if shape is not None or robot is not None:
-        raise ValueError(f"shape and robot are settings of experiment=handwriting, got shape={shape} and robot={robot} for {name}")
+        raise ValueError(
+            f"shape and robot are settings of experiment=handwriting, got shape={shape} and "
+            f"robot={robot} for {name}"
+        )
     return EXPERIMENTS[name](demonstrations)
 
 

@@ -12,7 +12,9 @@ from torch import Tensor
 
 
 class NotPositiveDefiniteError(ValueError):
-    """A matrix that must be positive definite has no Cholesky factor; ``element`` is its index in the batch."""
+    """A matrix that must be positive definite has no Cholesky factor; ``element`` is its index in
+    the batch.
+    """
 
     def __init__(self, message: str, element: tuple[int, ...] = ()) -> None:
         super().__init__(message)
@@ -28,13 +30,16 @@ def cholesky(matrix: Tensor, name: str) -> Tensor:
     """Lower Cholesky factor of (*batch, D, D), without jitter.
 
     Raises:
-        NotPositiveDefiniteError: says which matrix (``name``), which batch element, and its extreme eigenvalues.
+        NotPositiveDefiniteError: says which matrix (``name``), which batch element, and its extreme
+            eigenvalues.
     """
     try:
         return torch.linalg.cholesky(matrix)
     except torch.linalg.LinAlgError:
         element = tuple(torch.linalg.cholesky_ex(matrix).info.nonzero()[0].tolist())
-        raise NotPositiveDefiniteError(_describe_failure(matrix.detach()[element], element, name), element) from None
+        raise NotPositiveDefiniteError(
+            _describe_failure(matrix.detach()[element], element, name), element
+        ) from None
 
 
 def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> str:
@@ -42,12 +47,17 @@ def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> st
     if not failed.isfinite().all():
         return f"{name} must be positive definite, got a matrix that is not finite{where}"
     eigenvalues = torch.linalg.eigvalsh(failed)
-    return f"{name} must be positive definite, got eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}{where}"
+    return (
+        f"{name} must be positive definite, got eigenvalues from {eigenvalues[0]:.3g} to "
+        f"{eigenvalues[-1]:.3g}{where}"
+    )
 
 
 @lru_cache
 def _triangle(dim: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Where the lower triangle's entries stand in a flattened matrix, and where each entry of a symmetric one stands in the triangle."""
+    """Where the lower triangle's entries stand in a flattened matrix, and where each entry of a
+    symmetric one stands in the triangle.
+    """
     rows, columns = torch.tril_indices(dim, dim, device=device)
     position = torch.empty(dim, dim, dtype=torch.long, device=device)
     position[rows, columns] = position[columns, rows] = torch.arange(len(rows), device=device)
@@ -78,7 +88,8 @@ class Gaussian:
         expected = (*self.mean.shape, self.mean.shape[-1]) if self.mean.ndim else ()
         if self.mean.ndim == 0 or self.cov.shape != expected:
             raise ValueError(
-                f"cov must have shape (*batch, D, D) = {expected} for a mean of shape {tuple(self.mean.shape)}, got {tuple(self.cov.shape)}"
+                f"cov must have shape (*batch, D, D) = {expected} for a mean of shape "
+                f"{tuple(self.mean.shape)}, got {tuple(self.cov.shape)}"
             )
 
     @property
@@ -105,7 +116,9 @@ class Gaussian:
 
     @property
     def flat(self) -> Tensor:
-        """Mean and lower triangle of the covariance in one vector, (*batch, D + D(D+1)/2); see :meth:`from_flat`."""
+        """Mean and lower triangle of the covariance in one vector, (*batch, D + D(D+1)/2); see
+        :meth:`from_flat`.
+        """
         lower, _ = _triangle(self.dim, self.mean.device)
         return torch.cat([self.mean, self.cov.flatten(-2).index_select(-1, lower)], -1)
 
@@ -125,7 +138,9 @@ class Gaussian:
     def cotangent_from_flat(cls, vector: Tensor, dim: int) -> tuple[Tensor, Tensor]:
         """Cotangents of mean and covariance, the latter symmetric, from that of :attr:`flat`."""
         cotangent = cls.from_flat(vector, dim)
-        return cotangent.mean, (cotangent.cov + torch.diag_embed(cotangent.cov.diagonal(dim1=-2, dim2=-1))) / 2
+        return cotangent.mean, (
+            cotangent.cov + torch.diag_embed(cotangent.cov.diagonal(dim1=-2, dim2=-1))
+        ) / 2
 
     def __getitem__(self, index: Any) -> Gaussian:
         """Part of the batch; the variable's axes stay as they are."""
@@ -145,7 +160,9 @@ class Gaussian:
 
     def add_noise(self, variance: Tensor | float) -> Gaussian:
         """Belief over x plus independent noise of the given variance, a number or (*batch, D)."""
-        noise = torch.as_tensor(variance, dtype=self.mean.dtype, device=self.mean.device).expand(self.mean.shape)
+        noise = torch.as_tensor(variance, dtype=self.mean.dtype, device=self.mean.device).expand(
+            self.mean.shape
+        )
         return Gaussian(self.mean, self.cov + torch.diag_embed(noise))
 
     def sample(self, count: int, generator: torch.Generator | None = None) -> Tensor:
@@ -164,7 +181,9 @@ class Gaussian:
 
 
 def normal(shape: Sequence[int], like: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """Standard normal draws on the device of the generator, with the dtype and on the device of another tensor."""
+    """Standard normal draws on the device of the generator, with the dtype and on the device of
+    another tensor.
+    """
     device = like.device if generator is None else generator.device
     return torch.randn(*shape, dtype=like.dtype, device=device, generator=generator).to(like.device)
 
@@ -175,8 +194,11 @@ def joint(x: Gaussian, y: Gaussian, cross_cov: Tensor) -> Gaussian:
     return Gaussian(torch.cat([x.mean, y.mean], -1), torch.cat(rows, -2))
 
 
-def apply(function: type[torch.autograd.Function], *arguments: object) -> Tensor | tuple[Tensor, ...]:
-    """``function.apply``; where no graph is recorded its forward pass alone, which small tensors notice.
+def apply(
+    function: type[torch.autograd.Function], *arguments: object
+) -> Tensor | tuple[Tensor, ...]:
+    """``function.apply``; where no graph is recorded its forward pass alone, which small tensors
+    notice.
 
     The function must have a ``setup_context``, so that its ``forward`` takes no context.
     """

@@ -1,4 +1,6 @@
-r"""Gaussian integrals of one squared-exponential kernel, or of the product of two: what Eqs. 15 and 17 have in common."""
+r"""Gaussian integrals of one squared-exponential kernel, or of the product of two: what Eqs. 15 and
+17 have in common.
+"""
 
 from __future__ import annotations
 
@@ -17,22 +19,24 @@ from torch_pmil.gp.kernel_expansion import KernelExpansion
 class GaussianIntegrals:
     r"""The integrals of the E kernels and of their P = E(E+1)/2 products over N beliefs.
 
-    With :math:`\nu_i = x_i - \mu`, the precision P of the kernel (:math:`\Lambda_a^{-1}`, or of a product
-    :math:`\Lambda_a^{-1} + \Lambda_b^{-1}`) and :math:`B = (\Sigma + P^{-1})^{-1}`,
+    With :math:`\nu_i = x_i - \mu`, the precision P of the kernel (:math:`\Lambda_a^{-1}`, or of a
+    product :math:`\Lambda_a^{-1} + \Lambda_b^{-1}`) and :math:`B = (\Sigma + P^{-1})^{-1}`,
 
     .. math::
         \log q_i &= \log \alpha_a^2 - \tfrac12 \log |I + \Sigma P| - \tfrac12 \nu_i^\top B \nu_i \\
         \log Q_{ij} &= \log \alpha_a^2 \alpha_b^2 - \tfrac12 \log |I + \Sigma P| - \tfrac12 \nu_{ij}^\top B \nu_{ij}
             - \tfrac12 (x_i - x_j)^\top (\Lambda_a + \Lambda_b)^{-1} (x_i - x_j)
 
-    where :math:`\nu_{ij} = P^{-1} (\Lambda_a^{-1} \nu_i + \Lambda_b^{-1} \nu_j)` is where the product of the two kernels has its
-    centre; this is Eq. 17 with the squares completed. All outputs share the inputs, so that all quadratic forms are one matrix product.
+    where :math:`\nu_{ij} = P^{-1} (\Lambda_a^{-1} \nu_i + \Lambda_b^{-1} \nu_j)` is where the
+    product of the two kernels has its centre; this is Eq. 17 with the squares completed. All
+    outputs share the inputs, so that all quadratic forms are one matrix product.
 
     Args:
         nu1: nu, and a last row of ones, (N, D + 1, n).
         precision: B, (N, E + P, D, D).
         q: (N, E, n).
-        left, right: log Q_ij = left_i . right_j, (N, P, D + 2, n). ``left`` is [nu, 1, terms of i], ``right`` [.., terms of j, 1].
+        left, right: log Q_ij = left_i . right_j, (N, P, D + 2, n). ``left`` is [nu, 1, terms of i],
+            ``right`` [.., terms of j, 1].
     """
 
     nu1: Tensor
@@ -47,33 +51,52 @@ class GaussianIntegrals:
 
         Raises:
             ValueError: the belief is not over the inputs of ``f``.
-            NotPositiveDefiniteError: its covariance has a clearly negative eigenvalue, or is not finite.
+            NotPositiveDefiniteError: its covariance has a clearly negative eigenvalue, or is not
+                finite.
         """
         D, E, products = f.num_inputs, f.num_outputs, f.products
         if belief.dim != D:
             raise ValueError(f"belief must have the model's {D} inputs, got {belief.dim}")
         nu1, squares = centred(f, belief.mean)
-        B, half_log_det = apply(_RegularisedPrecision, belief.cov, products.precision, products.root)
+        B, half_log_det = apply(
+            _RegularisedPrecision, belief.cov, products.precision, products.root
+        )
         P = len(products.first)
-        forms = torch.addcmul(products.constant, products.factor, B.index_select(1, products.integrals))
+        forms = torch.addcmul(
+            products.constant, products.factor, B.index_select(1, products.integrals)
+        )
         own_forms, cross_forms = forms.split([E + 2 * P, P], 1)
-        constant = torch.nn.functional.linear(half_log_det, products.minus_log_det, products.log_factor)
-        log_q, i_terms, j_terms = torch.baddbmm(constant[:, :, None], own_forms.flatten(2), squares)[:, :, None].split([E, P, P], 1)
+        constant = torch.nn.functional.linear(
+            half_log_det, products.minus_log_det, products.log_factor
+        )
+        log_q, i_terms, j_terms = torch.baddbmm(
+            constant[:, :, None], own_forms.flatten(2), squares
+        )[:, :, None].split([E, P, P], 1)
         repeated = nu1[:, None].expand(-1, P, -1, -1)
         left = torch.cat([repeated, i_terms], 2)
-        right = torch.cat([(cross_forms.flatten(1, 2) @ nu1[:, :D]).unflatten(1, (P, D)), j_terms, repeated[:, :, D:]], 2)
+        right = torch.cat(
+            [
+                (cross_forms.flatten(1, 2) @ nu1[:, :D]).unflatten(1, (P, D)),
+                j_terms,
+                repeated[:, :, D:],
+            ],
+            2,
+        )
         return cls(nu1, B, log_q.exp().squeeze(2), left, right)
 
 
 def centred(f: KernelExpansion, mean: Tensor) -> tuple[Tensor, Tensor]:
-    """For means (N, D): nu and a last row of ones, (N, D + 1, n), and the outer products of nu with itself, (N, D * D, n)."""
+    """For means (N, D): nu and a last row of ones, (N, D + 1, n), and the outer products of nu with
+    itself, (N, D * D, n).
+    """
     nu1 = f.inputs_and_one - torch.nn.functional.pad(mean, (0, 1))[:, :, None]
     nu = nu1[:, :-1]
     return nu1, (nu[:, :, None] * nu[:, None]).flatten(1, 2)
 
 
 class _RegularisedPrecision(torch.autograd.Function):
-    r"""B = (Sigma + P^-1)^-1 and log|I + Sigma P| / 2 for each diagonal P, a row of ``precision`` (K, D); exact at Sigma = 0.
+    r"""B = (Sigma + P^-1)^-1 and log|I + Sigma P| / 2 for each diagonal P, a row of ``precision``
+    (K, D); exact at Sigma = 0.
 
     ``root`` holds the outer products of the roots of P, (K, D, D). With dB = -B (dSigma + dP^-1) B.
     """
@@ -83,7 +106,9 @@ class _RegularisedPrecision(torch.autograd.Function):
         scaled = root * cov[:, None]
         scaled.diagonal(dim1=-2, dim2=-1).add_(1)
         factor = cholesky(scaled, "I + Sigma P (last element: kernel, then pair of kernels)")
-        return torch.cholesky_inverse(factor) * root, factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        return torch.cholesky_inverse(factor) * root, factor.diagonal(dim1=-2, dim2=-1).log().sum(
+            -1
+        )
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: tuple[Tensor, ...]) -> None:

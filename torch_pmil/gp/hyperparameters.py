@@ -1,6 +1,8 @@
-"""Hyper-parameters of one Gaussian process by maximum marginal likelihood: PILCO's starts, penalties, L-BFGS.
+"""Hyper-parameters of one Gaussian process by maximum marginal likelihood: PILCO's starts,
+penalties, L-BFGS.
 
-All are logarithms, in one vector (D + 2,): of the D lengthscales, of the signal variance and of the noise variance.
+All are logarithms, in one vector (D + 2,): of the D lengthscales, of the signal variance and of the
+noise variance.
 """
 
 from __future__ import annotations
@@ -17,12 +19,23 @@ from torch_pmil.gp.lbfgs import MinimiseResult, NotFiniteError, minimise
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
 
 MAX_SIGNAL_TO_NOISE = 500.0  # PILCO's penalties: beyond this ratio of standard deviations, and
-MAX_LENGTHSCALE_RATIO = 100.0  # beyond this factor from the inputs' spread, the likelihood is bent down
+MAX_LENGTHSCALE_RATIO = (
+    100.0  # beyond this factor from the inputs' spread, the likelihood is bent down
+)
 PENALTY_POWER = 30
-NOISE_RATIOS = (0.1, 0.01)  # noise std over signal std at PILCO's start, and at a second one that explains less by noise
-FEW_DATA = 100  # fewer than these have several optima: there are starts of twice the lengthscales too
-CONSTANT = 1e-9  # a column whose std is less than this part of its size never changes but by rounding
-SMALL_GRADIENT = 1e-3  # nats for a factor e; with the next, searches of some hundred data end within 1e-5 nats of an optimum
+NOISE_RATIOS = (
+    0.1,
+    0.01,
+)  # noise std over signal std at PILCO's start, and at a second one that explains less by noise
+FEW_DATA = (
+    100  # fewer than these have several optima: there are starts of twice the lengthscales too
+)
+CONSTANT = (
+    1e-9  # a column whose std is less than this part of its size never changes but by rounding
+)
+# nats for a factor e; with the next, searches of some hundred data end within 1e-5 nats of an
+# optimum
+SMALL_GRADIENT = 1e-3
 SMALL_CHANGE = 1e-6  # nats an iteration
 
 
@@ -43,8 +56,11 @@ class Optimum:
     stop_reason: str
 
 
-def find_hyperparameters(inputs: Tensor, target: Tensor, starts: Sequence[Tensor], max_iterations: int) -> Optimum:
-    """Minimise the negative log marginal likelihood with its penalties by L-BFGS, and keep the best of several starts.
+def find_hyperparameters(
+    inputs: Tensor, target: Tensor, starts: Sequence[Tensor], max_iterations: int
+) -> Optimum:
+    """Minimise the negative log marginal likelihood with its penalties by L-BFGS, and keep the best
+    of several starts.
 
     A start at which the likelihood has no value is passed over.
 
@@ -55,7 +71,8 @@ def find_hyperparameters(inputs: Tensor, target: Tensor, starts: Sequence[Tensor
         max_iterations: of L-BFGS, for each start.
 
     Raises:
-        NotPositiveDefiniteError, NotFiniteError: the likelihood has no value at any start; the error is that of the first.
+        NotPositiveDefiniteError, NotFiniteError: the likelihood has no value at any start; the
+            error is that of the first.
 
     Example:
         >>> x = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
@@ -65,7 +82,9 @@ def find_hyperparameters(inputs: Tensor, target: Tensor, starts: Sequence[Tensor
     log_spread = _log_spread(inputs)
 
     def objective(log_parameters: Tensor) -> Tensor:
-        return negative_log_likelihood(inputs, target, log_parameters) + penalty(log_parameters, log_spread)
+        return negative_log_likelihood(inputs, target, log_parameters) + penalty(
+            log_parameters, log_spread
+        )
 
     runs: list[tuple[Tensor, MinimiseResult]] = []
     failures: list[ValueError] = []
@@ -82,32 +101,54 @@ def find_hyperparameters(inputs: Tensor, target: Tensor, starts: Sequence[Tensor
 
 
 def pilco_starts(inputs: Tensor, target: Tensor) -> list[Tensor]:
-    """Lengthscales std(input), signal std(target), noise one of ``NOISE_RATIOS`` times that; log parameters (D + 2,) each.
+    """Lengthscales std(input), signal std(target), noise one of ``NOISE_RATIOS`` times that; log
+    parameters (D + 2,) each.
 
     For few data the same again with twice the lengthscales.
     """
     log_signal, log_spread = 2 * _log_spread(target), _log_spread(inputs)
-    variances = [torch.stack([log_signal, log_signal + 2 * math.log(ratio)]) for ratio in NOISE_RATIOS]
+    variances = [
+        torch.stack([log_signal, log_signal + 2 * math.log(ratio)]) for ratio in NOISE_RATIOS
+    ]
     factors = (1.0, 2.0) if len(inputs) < FEW_DATA else (1.0,)
-    return [torch.cat([log_spread + math.log(factor), pair]) for factor in factors for pair in variances]
+    return [
+        torch.cat([log_spread + math.log(factor), pair]) for factor in factors for pair in variances
+    ]
 
 
 def penalty(log_parameters: Tensor, log_spread: Tensor) -> Tensor:
-    """Nats by which the likelihood is bent down, next to none inside PILCO's bounds; log parameters (..., D + 2)."""
-    log_lengthscales, log_signal, log_noise = log_parameters[..., :-2], log_parameters[..., -2], log_parameters[..., -1]
+    """Nats by which the likelihood is bent down, next to none inside PILCO's bounds; log parameters
+    (..., D + 2).
+    """
+    log_lengthscales, log_signal, log_noise = (
+        log_parameters[..., :-2],
+        log_parameters[..., -2],
+        log_parameters[..., -1],
+    )
     ratio = (log_signal - log_noise) / 2 / math.log(MAX_SIGNAL_TO_NOISE)
     length = (log_lengthscales - log_spread) / math.log(MAX_LENGTHSCALE_RATIO)
     return ratio**PENALTY_POWER + (length**PENALTY_POWER).sum(-1)
 
 
-def _search(objective: Callable[[Tensor], Tensor], start: Tensor, max_iterations: int) -> tuple[Tensor, MinimiseResult]:
+def _search(
+    objective: Callable[[Tensor], Tensor], start: Tensor, max_iterations: int
+) -> tuple[Tensor, MinimiseResult]:
     parameters = nn.Parameter(start.clone())
     survives = (NotPositiveDefiniteError,)
-    result = minimise([parameters], lambda: objective(parameters), max_iterations, survives, SMALL_GRADIENT, SMALL_CHANGE)
+    result = minimise(
+        [parameters],
+        lambda: objective(parameters),
+        max_iterations,
+        survives,
+        SMALL_GRADIENT,
+        SMALL_CHANGE,
+    )
     return parameters.detach(), result
 
 
 def _log_spread(values: Tensor) -> Tensor:
-    """Log standard deviations of columns (n, ...); where one never changes, log of its size, or 0 if that is zero."""
+    """Log standard deviations of columns (n, ...); where one never changes, log of its size, or 0
+    if that is zero.
+    """
     std, size = values.std(0), values.square().mean(0).sqrt()
     return torch.where(std > CONSTANT * size, std, torch.where(size > 0, size, 1.0)).log()

@@ -1,4 +1,6 @@
-"""Weighted sums of squared exponentials: what a Gaussian process's posterior mean and an RBF network have in common."""
+"""Weighted sums of squared exponentials: what a Gaussian process's posterior mean and an RBF
+network have in common.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,14 @@ class KernelExpansion:
 
     .. math:: k_a(x, x') = \alpha_a^2 \exp\left(-\tfrac12 (x - x')^\top \Lambda_a^{-1} (x - x')\right)
 
-    A GP posterior has :math:`\beta_a = K_a^{-1} (y_a - c_a)` and the inverse Gram matrix (which holds the noise); an RBF network has
-    its weights for :math:`\beta` and no Gram matrix: it is a GP without the variance term.
+    A GP posterior has :math:`\beta_a = K_a^{-1} (y_a - c_a)` and the inverse Gram matrix (which
+    holds the noise); an RBF network has its weights for :math:`\beta` and no Gram matrix: it is a
+    GP without the variance term.
 
     Args:
         inputs: (n, D).
-        weights: beta, (E, n); of a deterministic function also (N, E, n), its own for each of the N points or beliefs that it is asked at.
+        weights: beta, (E, n); of a deterministic function also (N, E, n), its own for each of the N
+            points or beliefs that it is asked at.
         lengthscales: square roots of the diagonal of Lambda_a, (E, D), in the units of the inputs.
         signal_variance: alpha_a^2, (E,), in the squared units of the outputs.
         gram_inverse: K_a^-1, (E, n, n), or None for a deterministic function.
@@ -83,7 +87,9 @@ class KernelExpansion:
 
     @cached_property
     def pair_weights(self) -> tuple[Tensor, Tensor]:
-        """Weights of the two outputs of each product, (P, 1, n) or (N, P, 1, n) each: Q_ij counts w_i z_j times."""
+        """Weights of the two outputs of each product, (P, 1, n) or (N, P, 1, n) each: Q_ij counts
+        w_i z_j times.
+        """
         w, z = self.weights[..., self.products.first, :], self.weights[..., self.products.second, :]
         if self.gram_inverse is not None:
             one = torch.ones_like(self.weights)  # of an output with itself: see self_weights
@@ -92,10 +98,14 @@ class KernelExpansion:
 
     @cached_property
     def self_weights(self) -> Tensor | None:
-        """beta_a beta_a' - K_a^-1, (E, n, n): how often Q counts in an output's own variance (Eq. 16); None without Gram matrix."""
+        """beta_a beta_a' - K_a^-1, (E, n, n): how often Q counts in an output's own variance (Eq.
+        16); None without Gram matrix.
+        """
         if self.gram_inverse is None:
             return None
-        return torch.baddbmm(self.gram_inverse, self.weights[:, :, None], self.weights[:, None, :], beta=-1)
+        return torch.baddbmm(
+            self.gram_inverse, self.weights[:, :, None], self.weights[:, None, :], beta=-1
+        )
 
     @cached_property
     def prior_cov(self) -> Tensor:
@@ -104,9 +114,13 @@ class KernelExpansion:
 
     @property
     def noise(self) -> Tensor:
-        """Noise variance of an observation, (E,). Raises ValueError for a deterministic function, which has none."""
+        """Noise variance of an observation, (E,). Raises ValueError for a deterministic function,
+        which has none.
+        """
         if self.noise_variance is None:
-            raise ValueError("noisy observations need a noise_variance, got None, a deterministic function")
+            raise ValueError(
+                "noisy observations need a noise_variance, got None, a deterministic function"
+            )
         return self.noise_variance
 
     @cached_property
@@ -131,7 +145,9 @@ class KernelExpansion:
         return total + self.offset, gradient
 
     def predict(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Posterior mean (Eq. 6) and variance (Eq. 7, without observation noise) at points x (*batch, D): both (*batch, E)."""
+        """Posterior mean (Eq. 6) and variance (Eq. 7, without observation noise) at points x
+        (*batch, D): both (*batch, E).
+        """
         k = self.kernel(x)
         mean = (k * self.weights).sum(-1) + self.offset
         if self.gram_inverse is None:
@@ -140,10 +156,11 @@ class KernelExpansion:
         return mean, self.signal_variance - explained
 
     def at_known(self, known: Tensor) -> KernelExpansion:
-        r"""A deterministic function of the first D - K inputs, the last K being known: N functions, for known inputs (N, K).
+        r"""A deterministic function of the first D - K inputs, the last K being known: N functions,
+        for known inputs (N, K).
 
-        Without variance they take no part in any integral: :math:`\beta_{ai} \exp(-\tfrac12 \sum_k (\eta_k - x_{ik})^2 / \Lambda_{ak})`
-        are weights.
+        Without variance they take no part in any integral: :math:`\beta_{ai} \exp(-\tfrac12 \sum_k
+        (\eta_k - x_{ik})^2 / \Lambda_{ak})` are weights.
 
         Example:
             >>> f = KernelExpansion(torch.zeros(1, 2), torch.ones(1, 1), torch.ones(1, 2), torch.ones(1))
@@ -152,21 +169,33 @@ class KernelExpansion:
                     [0.]])
         """
         D = self.num_inputs - known.shape[-1]
-        of_known = KernelExpansion(self.inputs[:, D:], self.weights, self.lengthscales[:, D:], torch.ones_like(self.signal_variance))
+        of_known = KernelExpansion(
+            self.inputs[:, D:],
+            self.weights,
+            self.lengthscales[:, D:],
+            torch.ones_like(self.signal_variance),
+        )
         weights = self.weights * of_known.kernel(known)
-        return replace(self, inputs=self.inputs[:, :D], weights=weights, lengthscales=self.lengthscales[:, :D])
+        return replace(
+            self, inputs=self.inputs[:, :D], weights=weights, lengthscales=self.lengthscales[:, :D]
+        )
 
     def repeated(self, times: int) -> KernelExpansion:
         """The same for N points or beliefs, and the same N again, so many times."""
-        return self if self.weights.ndim == 2 else replace(self, weights=self.weights.repeat(times, 1, 1))
+        return (
+            self
+            if self.weights.ndim == 2
+            else replace(self, weights=self.weights.repeat(times, 1, 1))
+        )
 
     @classmethod
     def from_exact_gp(cls, model: gpytorch.models.ExactGP) -> KernelExpansion:
         """The posterior of a GPyTorch model, differentiable in its hyper-parameters and data.
 
         Args:
-            model: an ``ExactGP`` with ``ScaleKernel(RBFKernel)`` (ARD or not), a zero or constant mean and a Gaussian
-                likelihood; a batch shape of (E,) makes E outputs, none makes one.
+            model: an ``ExactGP`` with ``ScaleKernel(RBFKernel)`` (ARD or not), a zero or constant
+                mean and a Gaussian likelihood; a batch shape of (E,) makes E outputs, none makes
+                one.
 
         Raises:
             TypeError: another kernel, mean or likelihood.
@@ -180,7 +209,11 @@ class KernelExpansion:
         lengthscales = model.covar_module.base_kernel.lengthscale.squeeze(-2)  # (*E, D)
         noise = model.likelihood.noise.squeeze(-1)
         signal = model.covar_module.outputscale
-        offset = model.mean_module.constant if isinstance(model.mean_module, ConstantMean) else torch.zeros_like(signal)
+        offset = (
+            model.mean_module.constant
+            if isinstance(model.mean_module, ConstantMean)
+            else torch.zeros_like(signal)
+        )
         outputs = targets.shape[:-1] or (1,)
         return cls.from_data(
             inputs,
@@ -199,29 +232,42 @@ class KernelExpansion:
         noise_variance: Tensor,
         offset: Tensor | float = 0.0,
     ) -> KernelExpansion:
-        r"""The posterior given data: :math:`\beta_a = K_a^{-1} (y_a - c_a)` and :math:`K_a^{-1}` from one Cholesky factor.
+        r"""The posterior given data: :math:`\beta_a = K_a^{-1} (y_a - c_a)` and :math:`K_a^{-1}`
+        from one Cholesky factor.
 
         Args:
-            inputs: (n, D), or (E, n, D) where the outputs have inputs of their own: the expansion then holds all E n of them.
+            inputs: (n, D), or (E, n, D) where the outputs have inputs of their own: the expansion
+                then holds all E n of them.
             targets: (E, n).
-            lengthscales, signal_variance, noise_variance, offset: as in the class, noise in squared units of the targets.
+            lengthscales, signal_variance, noise_variance, offset: as in the class, noise in squared
+                units of the targets.
 
         Raises:
             NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
         """
         scaled = (inputs - inputs.mean(-2, keepdim=True)) / lengthscales[:, None, :]
-        half_square, one = scaled.square().sum(-1, keepdim=True) / -2, torch.ones_like(scaled[..., :1])
+        half_square, one = (
+            scaled.square().sum(-1, keepdim=True) / -2,
+            torch.ones_like(scaled[..., :1]),
+        )
         left = torch.cat([scaled, half_square + signal_variance.log()[:, None, None], one], -1)
         gram = torch.exp(left @ torch.cat([scaled, one, half_square], -1).mT)
-        gram = gram.diagonal_scatter(gram.diagonal(dim1=1, dim2=2) + noise_variance[:, None], dim1=1, dim2=2)
+        gram = gram.diagonal_scatter(
+            gram.diagonal(dim1=1, dim2=2) + noise_variance[:, None], dim1=1, dim2=2
+        )
         factor = cholesky(gram, "Gram matrix of the outputs (element: output)")
         del gram
-        centred = targets - torch.as_tensor(offset, dtype=targets.dtype, device=targets.device).reshape(-1, 1)
+        centred = targets - torch.as_tensor(
+            offset, dtype=targets.dtype, device=targets.device
+        ).reshape(-1, 1)
         weights = torch.cholesky_solve(centred[..., None], factor)[..., 0]
         inverse = torch.cholesky_inverse(factor)
         if inputs.ndim == 3:
             own = torch.eye(len(inputs), dtype=inputs.dtype, device=inputs.device)
-            inputs, weights = inputs.flatten(0, 1), torch.einsum("ea,an->ean", own, weights).flatten(1)
+            inputs, weights = (
+                inputs.flatten(0, 1),
+                torch.einsum("ea,an->ean", own, weights).flatten(1),
+            )
             inverse = torch.einsum("ea,eb,anm->eanbm", own, own, inverse).flatten(3).flatten(1, 2)
         return cls(inputs, weights, lengthscales, signal_variance, inverse, noise_variance, offset)
 
@@ -233,7 +279,10 @@ def _check_model(model: gpytorch.models.ExactGP) -> None:
     if kernel.active_dims is not None or kernel.base_kernel.active_dims is not None:
         raise TypeError("covar_module must see all inputs, got a kernel with active_dims")
     if model.train_targets.ndim > 2:
-        raise ValueError(f"the model must have a batch of outputs (E,) or none, got {tuple(model.train_targets.shape[:-1])}")
+        raise ValueError(
+            "the model must have a batch of outputs (E,) or none, got "
+            f"{tuple(model.train_targets.shape[:-1])}"
+        )
     if not isinstance(mean, (ZeroMean, ConstantMean)):
         raise TypeError(f"mean_module must be ZeroMean or ConstantMean, got {type(mean).__name__}")
     if not isinstance(likelihood, gpytorch.likelihoods.GaussianLikelihood):

@@ -10,7 +10,8 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Products:
-    """Which kernels moment matching integrates: the E single ones, then the P = E(E+1)/2 products of two, of each output with itself first.
+    """Which kernels moment matching integrates: the E single ones, then the P = E(E+1)/2 products
+    of two, of each output with itself first.
 
     Args:
         first, second: the two outputs of each product, (P,).
@@ -18,10 +19,12 @@ class Products:
         precision: summed precisions, (E + P, D).
         root: outer products of the square roots of these, (E + P, D, D).
         shares: what the first and the second factor have of the sum, (2, P, D).
-        forms: quadratic forms of one belief: of x_i for the single kernels; of x_i, of x_j, and of both for the products. They are
-            ``constant + factor * B``, (E + 3P, D, D), with B of the integral ``integrals`` (E + 3P,).
+        forms: quadratic forms of one belief: of x_i for the single kernels; of x_i, of x_j, and of
+            both for the products. They are ``constant + factor * B``, (E + 3P, D, D), with B of the
+            integral ``integrals`` (E + 3P,).
         constant, factor, integrals: see above.
-        log_factor: log alpha^2 of each single kernel, then of the first and of the second factor of each product, (E + 2P,).
+        log_factor: log alpha^2 of each single kernel, then of the first and of the second factor of
+            each product, (E + 2P,).
         minus_log_det: where -log|I + Sigma P| / 2 counts among these, (E + 2P, E + P).
     """
 
@@ -60,11 +63,19 @@ class Products:
             precision=precisions,
             root=_outer(precisions.sqrt(), precisions.sqrt()),
             shares=shares,
-            constant=torch.cat([precision.new_zeros(E, D, D), distance / -2, distance / -2, distance]),
-            factor=torch.cat([precision.new_full((E, D, D), -0.5), own_terms / -2, -_outer(*shares)]),
+            constant=torch.cat(
+                [precision.new_zeros(E, D, D), distance / -2, distance / -2, distance]
+            ),
+            factor=torch.cat(
+                [precision.new_full((E, D, D), -0.5), own_terms / -2, -_outer(*shares)]
+            ),
             integrals=torch.cat([integrals, integrals[E:], integrals[E:]]),
-            log_factor=torch.cat([log_signal_variance, log_signal_variance[first], log_signal_variance[second]]),
-            minus_log_det=-torch.eye(E + 2 * P, E + P, dtype=precision.dtype, device=precision.device),
+            log_factor=torch.cat(
+                [log_signal_variance, log_signal_variance[first], log_signal_variance[second]]
+            ),
+            minus_log_det=-torch.eye(
+                E + 2 * P, E + P, dtype=precision.dtype, device=precision.device
+            ),
         )
 
 

@@ -19,7 +19,8 @@ class NotFiniteError(ValueError):
 class MinimiseResult:
     """What one run of L-BFGS did.
 
-    ``stop_reason`` is one of "iteration limit", "gradient is small", "no further progress", "numerical failure".
+    ``stop_reason`` is one of "iteration limit", "gradient is small", "no further progress",
+    "numerical failure".
     """
 
     initial_loss: float
@@ -38,10 +39,11 @@ def minimise(
     tolerance_grad: float = 1e-5,
     tolerance_change: float = 1e-10,
 ) -> MinimiseResult:
-    """Minimise with ``torch.optim.LBFGS`` and strong Wolfe; the parameters end at the best point that was seen.
+    """Minimise with ``torch.optim.LBFGS`` and strong Wolfe; the parameters end at the best point
+    that was seen.
 
-    A point where the objective raises one of the errors to survive, or is not finite in value or gradient, counts as a large
-    loss without gradient: the line search steps back from it.
+    A point where the objective raises one of the errors to survive, or is not finite in value or
+    gradient, counts as a large loss without gradient: the line search steps back from it.
 
     Args:
         parameters: changed in place.
@@ -49,10 +51,12 @@ def minimise(
         max_iterations: of L-BFGS; each takes one to a few evaluations.
         survives: errors of the objective that say no more than that it has no value at this point.
         tolerance_grad: largest gradient entry at which the search ends.
-        tolerance_change: change of the loss, and of every parameter, in an iteration below which the search ends.
+        tolerance_change: change of the loss, and of every parameter, in an iteration below which
+            the search ends.
 
     Raises:
-        NotFiniteError: at the starting point, where there is nothing to step back to; an error of ``survives`` likewise.
+        NotFiniteError: at the starting point, where there is nothing to step back to; an error of
+            ``survives`` likewise.
 
     Example:
         >>> x = nn.Parameter(torch.tensor([3.0, -1.0], dtype=torch.float64))
@@ -87,7 +91,12 @@ def minimise(
 class _Guard:
     """An L-BFGS closure that survives failed evaluations and keeps the best point."""
 
-    def __init__(self, parameters: list[nn.Parameter], objective: Callable[[], Tensor], survives: tuple[type[Exception], ...]) -> None:
+    def __init__(
+        self,
+        parameters: list[nn.Parameter],
+        objective: Callable[[], Tensor],
+        survives: tuple[type[Exception], ...],
+    ) -> None:
         self.parameters, self.objective = parameters, objective
         self.failed: tuple[type[Exception], ...] = (NotFiniteError, *survives)
         self.evaluations = self.failures = 0
@@ -106,18 +115,25 @@ class _Guard:
                 raise
             self.failures += 1
             self.last_failed = True
-            loss, gradients = torch.tensor(self._rejected_loss()), tuple(torch.zeros_like(p) for p in self.parameters)
+            loss, gradients = (
+                torch.tensor(self._rejected_loss()),
+                tuple(torch.zeros_like(p) for p in self.parameters),
+            )
         for parameter, gradient in zip(self.parameters, gradients, strict=True):
             parameter.grad = gradient.contiguous()
         return loss
 
     def _evaluate(self) -> tuple[Tensor, tuple[Tensor, ...]]:
         loss = self.objective()
-        gradients = torch.autograd.grad(loss, self.parameters, allow_unused=True, materialize_grads=True)
+        gradients = torch.autograd.grad(
+            loss, self.parameters, allow_unused=True, materialize_grads=True
+        )
         largest = max(g.abs().max().item() for g in gradients)
         value = loss.item()
         if not (abs(value) < LARGEST_LOSS and largest < float("inf")):
-            raise NotFiniteError(f"the objective must be finite with a finite gradient, got {value} and {largest}")
+            raise NotFiniteError(
+                f"the objective must be finite with a finite gradient, got {value} and {largest}"
+            )
         if self.evaluations == 1:
             self.initial_loss = value
         if value < self.best_loss:
@@ -127,7 +143,9 @@ class _Guard:
         return loss.detach(), gradients
 
     def _rejected_loss(self) -> float:
-        """Worse than all that counts, yet finite (inf would freeze the line search) and near enough for a fair step back."""
+        """Worse than all that counts, yet finite (inf would freeze the line search) and near enough
+        for a fair step back.
+        """
         return self.best_loss + 10 * (1 + abs(self.best_loss))
 
     def restore_best(self) -> None:

@@ -1,4 +1,5 @@
-"""Marginal likelihood of a Gaussian process with the kernel of Eq. 5, and its gradient in closed form.
+"""Marginal likelihood of a Gaussian process with the kernel of Eq. 5, and its gradient in closed
+form.
 
 ==================  ========================================================================
 paper symbol        name
@@ -22,23 +23,27 @@ from torch_pmil.gp.gaussian import cholesky
 
 
 def negative_log_likelihood(inputs: Tensor, target: Tensor, log_parameters: Tensor) -> Tensor:
-    r"""Negative log marginal likelihood of one output with zero prior mean (Rasmussen and Williams 2006, Eq. 2.30).
+    r"""Negative log marginal likelihood of one output with zero prior mean (Rasmussen and Williams
+    2006, Eq. 2.30).
 
     .. math:: -\log p(y | X) = \tfrac12 y^\top K^{-1} y + \tfrac12 \log |K| + \tfrac{n}{2} \log 2 \pi,
         \qquad K = K_f + \sigma_\epsilon^2 I
 
-    The gradient is a closed form of the same Cholesky factor. There is no second derivative, and none with respect to the data.
+    The gradient is a closed form of the same Cholesky factor. There is no second derivative, and
+    none with respect to the data.
 
     Args:
         inputs: (n, D).
         target: (n,).
-        log_parameters: logarithms of the D lengthscales, the signal variance and the noise variance, (D + 2,).
+        log_parameters: logarithms of the D lengthscales, the signal variance and the noise
+            variance, (D + 2,).
 
     Returns:
         Nats, a scalar.
 
     Raises:
-        NotPositiveDefiniteError: the Gram matrix has no Cholesky factor; nothing is added to its diagonal.
+        NotPositiveDefiniteError: the Gram matrix has no Cholesky factor; nothing is added to its
+            diagonal.
 
     Example:
         >>> x = torch.zeros(1, 1, dtype=torch.float64)
@@ -59,7 +64,11 @@ class _NegativeLogLikelihood(torch.autograd.Function):
         factor = cholesky(noisy, "Gram matrix")
         beta = torch.cholesky_solve(target[:, None], factor)[:, 0]
         ctx.save_for_backward(_gradient(z, gram, torch.cholesky_inverse(factor), beta, log_noise))
-        return target @ beta / 2 + factor.diagonal().log().sum() + len(target) / 2 * math.log(2 * math.pi)
+        return (
+            target @ beta / 2
+            + factor.diagonal().log().sum()
+            + len(target) / 2 * math.log(2 * math.pi)
+        )
 
     @staticmethod
     @once_differentiable
@@ -75,10 +84,12 @@ def _signal_gram(z: Tensor, log_signal: Tensor) -> Tensor:
 
 
 def _gradient(z: Tensor, gram: Tensor, inverse: Tensor, beta: Tensor, log_noise: Tensor) -> Tensor:
-    r"""dL/dtheta = tr((K^-1 - beta beta') dK/dtheta) / 2 (Rasmussen and Williams, Eq. 5.9) for all log parameters.
+    r"""dL/dtheta = tr((K^-1 - beta beta') dK/dtheta) / 2 (Rasmussen and Williams, Eq. 5.9) for all
+    log parameters.
 
     With W = (K^-1 - beta beta') ∘ K_f and its row sums r, that of a lengthscale is
-    sum_ij W_ij (z_id - z_jd)^2 / 2 = r' z_d^2 - z_d' W z_d, without an array of shape (n, n, D). Overwrites ``inverse``.
+    sum_ij W_ij (z_id - z_jd)^2 / 2 = r' z_d^2 - z_d' W z_d, without an array of shape (n, n, D).
+    Overwrites ``inverse``.
     """
     W = inverse.addr_(beta, beta, alpha=-1)
     noise = log_noise.exp() * W.trace() / 2

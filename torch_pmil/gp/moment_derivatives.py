@@ -1,13 +1,14 @@
 r"""Moment matching with all its derivatives by the belief, from the same sums over the data.
 
-For a Gaussian input a derivative by the covariance is half a second derivative by the mean (Price's theorem). Each integral
-(:class:`GaussianIntegrals`) is a sum of terms :math:`W e^{-\nu^\top B \nu / 2}`, so its derivatives by the mean are the moments of
-:math:`B \nu`:
+For a Gaussian input a derivative by the covariance is half a second derivative by the mean (Price's
+theorem). Each integral (:class:`GaussianIntegrals`) is a sum of terms :math:`W e^{-\nu^\top B \nu /
+2}`, so its derivatives by the mean are the moments of :math:`B \nu`:
 
 .. math::
     \nabla s = B \sum W \nu, \qquad \nabla^2 s = B \Big(\sum W \nu \nu^\top\Big) B - s B
 
-and the third, needed since :math:`\Sigma^{-1} \operatorname{cov}(x, f)` is itself the gradient of the mean.
+and the third, needed since :math:`\Sigma^{-1} \operatorname{cov}(x, f)` is itself the gradient of
+the mean.
 """
 
 from __future__ import annotations
@@ -31,15 +32,19 @@ KEPT_NUMBERS = 2**16  # of arrays as long as the data, before they are summed up
 
 
 class RecordedMoments:
-    """:func:`moment_match` of one expansion without a graph, which keeps what its derivatives at all those beliefs are made of.
+    """:func:`moment_match` of one expansion without a graph, which keeps what its derivatives at
+    all those beliefs are made of.
 
     Args:
         f: the expansion.
         observation_noise: as in :func:`moment_match`.
-        keep_products: whether to keep what :func:`moment_match` takes for ``products``: for gradients in the expansion itself.
+        keep_products: whether to keep what :func:`moment_match` takes for ``products``: for
+            gradients in the expansion itself.
     """
 
-    def __init__(self, f: KernelExpansion, observation_noise: bool = False, keep_products: bool = False) -> None:
+    def __init__(
+        self, f: KernelExpansion, observation_noise: bool = False, keep_products: bool = False
+    ) -> None:
         self.f, self.observation_noise, self.keep_products = f, observation_noise, keep_products
         self._kept: list[tuple[Tensor, Tensor]] = []
         self._sums: list[MomentSums] = []
@@ -50,7 +55,9 @@ class RecordedMoments:
         """Moments at N beliefs, the same number in all calls."""
         integrals = GaussianIntegrals.of(self.f, belief)
         if self.keep_products:
-            whole = products_for_gradient(integrals.left, integrals.right, *self.f.pair_weights, self.f.self_weights)
+            whole = products_for_gradient(
+                integrals.left, integrals.right, *self.f.pair_weights, self.f.self_weights
+            )
             self._kept.append(whole)
             thin = whole[0][:, :, :-1], whole[1][..., -1:]
         else:
@@ -81,7 +88,8 @@ class RecordedMoments:
 
 @dataclass(frozen=True)
 class ThinProducts:
-    """What moment matching of N beliefs gives on the way, besides the moments: arrays as long as the data.
+    """What moment matching of N beliefs gives on the way, besides the moments: arrays as long as
+    the data.
 
     Args:
         mean: of the beliefs, (N, D).
@@ -102,32 +110,46 @@ class ThinProducts:
         """sum_i w_i [nu_i, 1] Q_ij, (N, P, D + 1, n), and sum_j Q_ij z_j, (N, P, n, 1)."""
         w, z = f.pair_weights
         columns = z.mT.expand(len(integrals.nu1), -1, -1, -1)
-        return thin_products(integrals.left, integrals.right, w * integrals.left[:, :, :-1], columns, f.self_weights)
+        return thin_products(
+            integrals.left, integrals.right, w * integrals.left[:, :, :-1], columns, f.self_weights
+        )
 
     @classmethod
     def at(
-        cls, f: KernelExpansion, belief: Gaussian, integrals: GaussianIntegrals, thin: tuple[Tensor, Tensor], observation_noise: bool
+        cls,
+        f: KernelExpansion,
+        belief: Gaussian,
+        integrals: GaussianIntegrals,
+        thin: tuple[Tensor, Tensor],
+        observation_noise: bool,
     ) -> tuple[ThinProducts, Moments]:
-        """For N beliefs from what :meth:`needed` gives, with the moments as :func:`moment_match` gives them."""
+        """For N beliefs from what :meth:`needed` gives, with the moments as :func:`moment_match`
+        gives them.
+        """
         (w, z), nu1, (left_Q, Q_z) = f.pair_weights, integrals.nu1, thin
         beta_q = f.weights * integrals.q
         row_sums = w.squeeze(-2) * Q_z.squeeze(-1)
         single, second = beta_q @ nu1.mT, (w @ Q_z).flatten(1)
-        moments = combine(f, single[..., -1], first_slope(integrals.precision, single), second, observation_noise)
+        moments = combine(
+            f, single[..., -1], first_slope(integrals.precision, single), second, observation_noise
+        )
         return cls(belief.mean, integrals.precision, beta_q, left_Q * z, row_sums), moments
 
 
 @dataclass(frozen=True)
 class MomentSums:
-    """Sums over the data at N beliefs, from which the moments and their derivatives follow: a few kB a belief, whatever n.
+    """Sums over the data at N beliefs, from which the moments and their derivatives follow: a few
+    kB a belief, whatever n.
 
-    With W_ij the weighted Q_ij of a pair of outputs, w_i = beta_i q_i of a single one, and the terms of :class:`GaussianIntegrals`:
+    With W_ij the weighted Q_ij of a pair of outputs, w_i = beta_i q_i of a single one, and the
+    terms of :class:`GaussianIntegrals`:
 
     Args:
         precision: B, (N, E + P, D, D).
         single: sum_i w_i [nu_i, 1], (N, E, D + 1).
         pair: sum_ij W_ij [nu_i, 1] [nu_j, 1]', (N, P, D + 1, D + 1).
-        squares: (N, E + 2P, D, D), of each output sum_i w_i nu_i nu_i', then of each pair sum_ij W_ij nu_i nu_i', and with nu_j nu_j'.
+        squares: (N, E + 2P, D, D), of each output sum_i w_i nu_i nu_i', then of each pair sum_ij
+            W_ij nu_i nu_i', and with nu_j nu_j'.
         cubes: sum_i w_i nu_i nu_i nu_i, (N, E, D, D, D).
     """
 
@@ -147,7 +169,9 @@ class MomentSums:
             precision=products.precision,
             single=products.beta_q @ nu1.mT,
             pair=products.left @ nu1[:, None].mT,
-            squares=(torch.cat([products.beta_q, products.right, products.left[:, :, D]], 1) @ squares.mT).unflatten(2, (D, D)),
+            squares=(
+                torch.cat([products.beta_q, products.right, products.left[:, :, D]], 1) @ squares.mT
+            ).unflatten(2, (D, D)),
             cubes=(weighted_nu @ squares.mT).view(-1, E, D, D, D),
         )
 
@@ -155,7 +179,9 @@ class MomentSums:
 def _concatenated(parts: Sequence[Part]) -> Part:
     """Those of all beliefs, one after the other."""
     kind = type(parts[0])
-    return kind(*(torch.cat([getattr(part, field.name) for part in parts]) for field in fields(kind)))
+    return kind(
+        *(torch.cat([getattr(part, field.name) for part in parts]) for field in fields(kind))
+    )
 
 
 class LinearisedMoments:
@@ -179,8 +205,12 @@ class LinearisedMoments:
         both.diagonal(dim1=-2, dim2=-1).copy_(by_cov.diagonal(dim1=-2, dim2=-1))
         self.jacobian = Gaussian(by_mean, both).flat
 
-    def adjoint(self, d_mean: Tensor, d_cov: Tensor, d_inv_cov_cross_cov: Tensor) -> tuple[Tensor, Tensor]:
-        """Cotangents of the beliefs, (N, C, D) and (N, C, D, D), from C cotangents of each belief's moments; covariances are symmetric."""
+    def adjoint(
+        self, d_mean: Tensor, d_cov: Tensor, d_inv_cov_cross_cov: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Cotangents of the beliefs, (N, C, D) and (N, C, D, D), from C cotangents of each belief's
+        moments; covariances are symmetric.
+        """
         d_single = d_mean - 2 * (d_cov @ self.mean[:, None, :, None]).squeeze(-1)
         first, second = self.f.products.first, self.f.products.second
         d_second = d_cov[..., first, second] * torch.where(first == second, 1.0, 2.0)
@@ -189,13 +219,18 @@ class LinearisedMoments:
 
 
 def _derivatives(f: KernelExpansion, sums: MomentSums) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Value (N, E + P), gradient (.., D) and Hessian (.., D, D) by the mean of all integrals; third derivatives of the single ones."""
+    """Value (N, E + P), gradient (.., D) and Hessian (.., D, D) by the mean of all integrals; third
+    derivatives of the single ones.
+    """
     E, D, products = f.num_outputs, f.num_inputs, f.products
     B, (i_share, j_share) = sums.precision, products.shares
     own, of_i, of_j = sums.squares.split([E, len(products.first), len(products.first)], 1)
     first_pair = i_share * sums.pair[..., :D, D] + j_share * sums.pair[..., D, :D]
     mixed = i_share[:, :, None] * j_share[:, None] * sums.pair[..., :D, :D]
-    own_pair = i_share[:, :, None] * i_share[:, None] * of_i + j_share[:, :, None] * j_share[:, None] * of_j
+    own_pair = (
+        i_share[:, :, None] * i_share[:, None] * of_i
+        + j_share[:, :, None] * j_share[:, None] * of_j
+    )
     second_pair = own_pair + mixed + mixed.mT
     total = torch.cat([sums.single[..., -1], sums.pair[..., -1, -1]], 1)
     gradient = (B @ torch.cat([sums.single[..., :-1], first_pair], 1)[..., None]).squeeze(-1)

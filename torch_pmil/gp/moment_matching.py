@@ -1,4 +1,5 @@
-r"""Exact moments of squared-exponential expansions at a Gaussian input (Eqs. 14-18), for GPs and RBF networks alike.
+r"""Exact moments of squared-exponential expansions at a Gaussian input (Eqs. 14-18), for GPs and
+RBF networks alike.
 
 ==========================================  ===========================================
 paper                                       here
@@ -31,8 +32,8 @@ class Moments:
     Args:
         mean: (*batch, E), in the units of the outputs.
         cov: (*batch, E, E).
-        inv_cov_cross_cov: Sigma_x^-1 cov(x, f), (*batch, D, E): multiply by Sigma_x for the covariance itself, see
-            :meth:`cross_cov`. It stays finite where Sigma_x is singular.
+        inv_cov_cross_cov: Sigma_x^-1 cov(x, f), (*batch, D, E): multiply by Sigma_x for the
+            covariance itself, see :meth:`cross_cov`. It stays finite where Sigma_x is singular.
     """
 
     mean: Tensor  # (*batch, E)
@@ -48,7 +49,12 @@ class Moments:
         """With the batch shape in place of a single batch dimension."""
         if len(batch_shape) == 1:
             return self
-        return Moments(*(t.reshape(*batch_shape, *t.shape[1:]) for t in (self.mean, self.cov, self.inv_cov_cross_cov)))
+        return Moments(
+            *(
+                t.reshape(*batch_shape, *t.shape[1:])
+                for t in (self.mean, self.cov, self.inv_cov_cross_cov)
+            )
+        )
 
     def cross_cov(self, belief: Gaussian) -> Tensor:
         """cov(x, f), (*batch, D, E), for the ``belief`` over x that these moments were computed at."""
@@ -61,24 +67,29 @@ def moment_match(
     observation_noise: bool = False,
     products: tuple[Tensor, Tensor] | None = None,
 ) -> Moments:
-    r"""Mean, covariance and input-output covariance of a GP or an RBF network at an uncertain input (Eqs. 14-18).
+    r"""Mean, covariance and input-output covariance of a GP or an RBF network at an uncertain input
+    (Eqs. 14-18).
 
-    Exact, no sampling: the true distribution of f(x) is not Gaussian, its first two moments are these. Differentiable
-    in the belief, the data and the hyper-parameters (once).
+    Exact, no sampling: the true distribution of f(x) is not Gaussian, its first two moments are
+    these. Differentiable in the belief, the data and the hyper-parameters (once).
 
     Args:
-        model: a trained GPyTorch ``ExactGP`` (``ScaleKernel(RBFKernel)``, zero or constant mean, E outputs as its batch), or a
-            :class:`KernelExpansion`, which keeps its Cholesky factors' results between calls.
+        model: a trained GPyTorch ``ExactGP`` (``ScaleKernel(RBFKernel)``, zero or constant mean, E
+            outputs as its batch), or a :class:`KernelExpansion`, which keeps its Cholesky factors'
+            results between calls.
         belief: over the input, D entries, any batch shape; its covariance may be singular or zero.
-        observation_noise: add the likelihood's noise to the variances (Eq. 5), as for the distribution of an observation.
-        products: those that :class:`RecordedMoments` kept of the same model at the same beliefs, which saves nearly all of the work.
+        observation_noise: add the likelihood's noise to the variances (Eq. 5), as for the
+            distribution of an observation.
+        products: those that :class:`RecordedMoments` kept of the same model at the same beliefs,
+            which saves nearly all of the work.
 
     Returns:
         Moments in the units of the outputs.
 
     Raises:
         ValueError: the belief's entries are not the model's inputs.
-        NotPositiveDefiniteError: the covariance has a clearly negative eigenvalue, or is not finite.
+        NotPositiveDefiniteError: the covariance has a clearly negative eigenvalue, or is not
+            finite.
 
     Source: Deisenroth (2010), section 2.3.
 
@@ -91,8 +102,12 @@ def moment_match(
     beliefs = belief.flattened
     integrals = GaussianIntegrals.of(f, beliefs)
     sums = (f.weights * integrals.q) @ integrals.nu1.mT  # sum_i beta_i q_i [nu_i, 1], (N, E, D + 1)
-    second = ExponentialSum.apply(integrals.left, integrals.right, *f.pair_weights, f.self_weights, f.num_inputs, products)
-    return combine(f, sums[..., -1], first_slope(integrals.precision, sums), second, observation_noise).unflatten(belief.batch_shape)
+    second = ExponentialSum.apply(
+        integrals.left, integrals.right, *f.pair_weights, f.self_weights, f.num_inputs, products
+    )
+    return combine(
+        f, sums[..., -1], first_slope(integrals.precision, sums), second, observation_noise
+    ).unflatten(belief.batch_shape)
 
 
 def first_slope(precision: Tensor, sums: Tensor) -> Tensor:
@@ -105,7 +120,9 @@ def first_slope(precision: Tensor, sums: Tensor) -> Tensor:
     return (precision[:, : sums.shape[1]] @ sums[..., :-1, None]).squeeze(-1)
 
 
-def combine(f: KernelExpansion, mean: Tensor, slope: Tensor, second: Tensor, observation_noise: bool) -> Moments:
+def combine(
+    f: KernelExpansion, mean: Tensor, slope: Tensor, second: Tensor, observation_noise: bool
+) -> Moments:
     r"""Covariance (Eq. 16) and offsets, for N beliefs.
 
     Args:

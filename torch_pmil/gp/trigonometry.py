@@ -1,13 +1,15 @@
 r"""Closed-form moments of sines and cosines of a Gaussian.
 
-A sine is a cosine a quarter turn earlier, so one formula serves all: for phases :math:`\varphi \sim \mathcal N(m, V)`,
+A sine is a cosine a quarter turn earlier, so one formula serves all: for phases :math:`\varphi \sim
+\mathcal N(m, V)`,
 
 .. math::
     \mathbb E \cos\varphi_i &= e^{-V_{ii}/2} \cos m_i \\
     \operatorname{cov}(\cos\varphi_i, \cos\varphi_j) &= e^{-(V_{ii} + V_{jj})/2}
         \left[ (\cosh V_{ij} - 1) \cos m_i \cos m_j + \sinh V_{ij} \sin m_i \sin m_j \right]
 
-and by Stein's lemma :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cos\varphi_i)` is the mean derivative of the cosine by x.
+and by Stein's lemma :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cos\varphi_i)` is the mean
+derivative of the cosine by x.
 """
 
 from __future__ import annotations
@@ -31,10 +33,12 @@ def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, 
     Args:
         belief: over x, D entries; those that A combines in rad.
         plain: the matrix P, (K_p, D), of what is kept as it is.
-        angles: the matrix A, (K, D), of what becomes sin and cos (a row with a single 1 picks an entry).
+        angles: the matrix A, (K, D), of what becomes sin and cos (a row with a single 1 picks an
+            entry).
 
     Returns:
-        The belief of K_p + 2K entries, and :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cdot)`, (*batch, D, K_p + 2K).
+        The belief of K_p + 2K entries, and :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cdot)`,
+        (*batch, D, K_p + 2K).
 
     Source: Deisenroth (2010), appendix A.
 
@@ -48,10 +52,13 @@ def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """:func:`augment` for many beliefs: everything linear in x by one matrix, the last entries then through the cosine."""
+    """:func:`augment` for many beliefs: everything linear in x by one matrix, the last entries then
+    through the cosine.
+    """
 
     rows: Tensor  # P, A and A again, (K_p + 2K, D)
-    turns: Tensor  # turns the first copy of the angles to phases of which the cosine is their sine, (K_p + 2K,)
+    # turns the first copy of the angles to phases of which the cosine is their sine, (K_p + 2K,)
+    turns: Tensor
     kept: int  # K_p
 
     @classmethod
@@ -73,14 +80,18 @@ class Augmentation:
 
     def linear(self, belief_mean: Tensor, belief_cov: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and covariance of [Px, phases]."""
-        return torch.nn.functional.linear(belief_mean, self.rows, self.turns), self.rows @ belief_cov @ self.rows.mT
+        return torch.nn.functional.linear(
+            belief_mean, self.rows, self.turns
+        ), self.rows @ belief_cov @ self.rows.mT
 
 
 class _Augment(torch.autograd.Function):
     """:class:`Augmentation` of a mean (*batch, D) and a covariance (*batch, D, D)."""
 
     @staticmethod
-    def forward(mean: Tensor, cov: Tensor, augmentation: Augmentation) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(
+        mean: Tensor, cov: Tensor, augmentation: Augmentation
+    ) -> tuple[Tensor, Tensor, Tensor]:
         kept, (mean, cov) = augmentation.kept, augmentation.linear(mean, cov)
         cosine, cosine_cov, slope = _Cosines.forward(mean[..., kept:], cov[..., kept:, kept:])
         gain = _gain(slope, kept)
@@ -95,15 +106,25 @@ class _Augment(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor) -> tuple[Tensor, Tensor, None]:
+    def backward(
+        ctx: Any, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
+    ) -> tuple[Tensor, Tensor, None]:
         mean, cov = ctx.saved_tensors
-        return *augment_adjoint(ctx.augmentation, mean, cov, d_mean, symmetric(d_cov), d_slope), None
+        return *augment_adjoint(
+            ctx.augmentation, mean, cov, d_mean, symmetric(d_cov), d_slope
+        ), None
 
 
 def augment_adjoint(
-    augmentation: Augmentation, mean: Tensor, cov: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
+    augmentation: Augmentation,
+    mean: Tensor,
+    cov: Tensor,
+    d_mean: Tensor,
+    d_cov: Tensor,
+    d_slope: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Cotangents of the mean and of the covariance from those of what :class:`Augmentation` gives; ``d_cov`` is symmetric.
+    """Cotangents of the mean and of the covariance from those of what :class:`Augmentation` gives;
+    ``d_cov`` is symmetric.
 
     The cotangents may have more batch dimensions than the belief, which broadcasts.
     """
@@ -114,7 +135,9 @@ def augment_adjoint(
     scaled = d_cov * gain
     scaled[..., kept:, kept:] = 0  # that block is not linear, see below
     d_gain = 2 * (scaled * linear_cov).sum(-1) + (d_slope * rows.mT).sum(-2)
-    d_phase, d_phase_cov = cosines_adjoint(phase, phase_cov, d_mean[..., kept:], d_cov[..., kept:, kept:], d_gain[..., kept:])
+    d_phase, d_phase_cov = cosines_adjoint(
+        phase, phase_cov, d_mean[..., kept:], d_cov[..., kept:, kept:], d_gain[..., kept:]
+    )
     d_linear_cov = gain.mT * scaled
     d_linear_cov[..., kept:, kept:] = d_phase_cov
     return torch.cat([d_mean[..., :kept], d_phase], -1) @ rows, rows.mT @ d_linear_cov @ rows
@@ -133,7 +156,8 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
         u_max: torque limits (F,), in the unit of the action.
 
     Returns:
-        The belief over the action, and the diagonal of :math:`\Sigma_v^{-1} \operatorname{cov}(v, u)`, (*batch, F).
+        The belief over the action, and the diagonal of :math:`\Sigma_v^{-1} \operatorname{cov}(v,
+        u)`, (*batch, F).
 
     Example:
         >>> v = Gaussian(torch.tensor([torch.pi / 2]), torch.zeros(1, 1))
@@ -144,13 +168,25 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
     return Gaussian(u_max * mean, u_max[:, None] * cov * u_max), u_max * slope
 
 
-def squash_adjoint(belief: Gaussian, u_max: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor) -> tuple[Tensor, Tensor]:
-    """Cotangents of the mean and of the covariance of ``belief`` from those of what :func:`squash` gives; ``d_cov`` is symmetric."""
-    return cosines_adjoint(belief.mean - QUARTER_TURN, belief.cov, u_max * d_mean, u_max[:, None] * d_cov * u_max, u_max * d_slope)
+def squash_adjoint(
+    belief: Gaussian, u_max: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Cotangents of the mean and of the covariance of ``belief`` from those of what :func:`squash`
+    gives; ``d_cov`` is symmetric.
+    """
+    return cosines_adjoint(
+        belief.mean - QUARTER_TURN,
+        belief.cov,
+        u_max * d_mean,
+        u_max[:, None] * d_cov * u_max,
+        u_max * d_slope,
+    )
 
 
 class _Cosines(torch.autograd.Function):
-    r"""Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases, and the mean slope -E sin (*batch, K)."""
+    r"""Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases, and the
+    mean slope -E sin (*batch, K).
+    """
 
     @staticmethod
     def forward(m: Tensor, V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -169,20 +205,29 @@ class _Cosines(torch.autograd.Function):
         return cosines_adjoint(m, V, d_mean, symmetric(d_cov), d_slope)
 
 
-def cosines_adjoint(m: Tensor, V: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor) -> tuple[Tensor, Tensor]:
-    """Cotangents of phases' mean and covariance from those of their cosines' mean, covariance (symmetric) and mean slope."""
+def cosines_adjoint(
+    m: Tensor, V: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Cotangents of phases' mean and covariance from those of their cosines' mean, covariance
+    (symmetric) and mean slope.
+    """
     decay, even, odd = _coefficients(V)
     cos, sin = m.cos(), m.sin()
     cos_cos, sin_sin, level = _square(cos), _square(sin), even + _square(decay)
-    by_cos, by_sin = ((d_cov * part * values[..., None, :]).sum(-1) for part, values in ((even, cos), (odd, sin)))
+    by_cos, by_sin = (
+        (d_cov * part * values[..., None, :]).sum(-1) for part, values in ((even, cos), (odd, sin))
+    )
     d_m = 2 * (cos * by_sin - sin * by_cos) - decay * (d_mean * sin + d_slope * cos)
-    d_variance = (d_cov * (even * cos_cos + odd * sin_sin)).sum(-1) + decay * (d_mean * cos - d_slope * sin) / 2
+    d_variance = (d_cov * (even * cos_cos + odd * sin_sin)).sum(-1) + decay * (
+        d_mean * cos - d_slope * sin
+    ) / 2
     return d_m, d_cov * (odd * cos_cos + level * sin_sin) - torch.diag_embed(d_variance)
 
 
 def _coefficients(V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    r""":math:`e^{-V_{ii}/2}`, and what multiplies the products of cosines and of sines: :math:`\cosh V_{ij} - 1` and
-    :math:`\sinh V_{ij}`, each times :math:`e^{-(V_{ii} + V_{jj})/2}`. No exponential overflows, however large the variance.
+    r""":math:`e^{-V_{ii}/2}`, and what multiplies the products of cosines and of sines:
+    :math:`\cosh V_{ij} - 1` and :math:`\sinh V_{ij}`, each times :math:`e^{-(V_{ii} + V_{jj})/2}`.
+    No exponential overflows, however large the variance.
     """
     exponent, size = V.diagonal(dim1=-2, dim2=-1)[..., None] / -2, V.abs()
     growth = torch.exp(size + exponent + exponent.mT) * torch.expm1(-2 * size)

@@ -1,4 +1,6 @@
-r"""How sure a model is of its next state, against how right it is: one-step predictions beside transitions that were executed."""
+r"""How sure a model is of its next state, against how right it is: one-step predictions beside
+transitions that were executed.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +16,22 @@ from torch_pmil.model.experience import gp_data
 
 
 @torch.no_grad()
-def standardised_residuals(dynamics: GPDynamics, space: StateSpace, states: Tensor, actions: Tensor) -> Tensor:
-    r"""Errors of the one-step prediction at every executed transition, in predicted standard deviations.
+def standardised_residuals(
+    dynamics: GPDynamics, space: StateSpace, states: Tensor, actions: Tensor
+) -> Tensor:
+    r"""Errors of the one-step prediction at every executed transition, in predicted standard
+    deviations.
 
     .. math:: z_{t+1} = \frac{x_{t+1} - \mu(x_t, u_t)}{\sqrt{\sigma^2(x_t, u_t) + \sigma_\varepsilon^2}}
 
-    Of a model that is as sure as it is right these are standard normal (Eqs. 6 and 7, with the noise of Eq. 2).
+    Of a model that is as sure as it is right these are standard normal (Eqs. 6 and 7, with the
+    noise of Eq. 2).
 
     Args:
         dynamics: the forward model.
         space: of the same robot.
-        states: rollouts x_0..x_T, (*batch, T + 1, D), best of such that the model has not learned from.
+        states: rollouts x_0..x_T, (*batch, T + 1, D), best of such that the model has not learned
+            from.
         actions: u_0..u_{T-1}, (*batch, T, F).
 
     Returns:
@@ -41,13 +48,16 @@ def standardised_residuals(dynamics: GPDynamics, space: StateSpace, states: Tens
         >>> standardised_residuals(dynamics, space, torch.zeros(4, 3, 1).double(), torch.zeros(4, 2, 1).double()).shape
         torch.Size([4, 2, 1])
     """
-    inputs, targets = gp_data(states[..., :-1, :], actions, states[..., 1:, :], space, dynamics.targets)
+    inputs, targets = gp_data(
+        states[..., :-1, :], actions, states[..., 1:, :], space, dynamics.targets
+    )
     mean, variance = dynamics.expansion.predict(inputs)
     return (targets - mean) / (variance + dynamics.expansion.noise).sqrt()
 
 
 def observed_coverage(residuals: Tensor, probabilities: Tensor) -> Tensor:
-    r"""Fraction of standardised residuals inside the central interval that should hold them with a given probability.
+    r"""Fraction of standardised residuals inside the central interval that should hold them with a
+    given probability.
 
     .. math:: \widehat{\Pr}\big[ |z| \le \Phi^{-1}(\tfrac{1 + p}{2}) \big]
 
@@ -96,5 +106,7 @@ def two_sigma_coverage_by_entry(predicted: Gaussian, executed: Tensor) -> Tensor
 
 
 def within_two_sigma(predicted: Gaussian, executed: Tensor) -> Tensor:
-    """Which executed entries at t = 1..T are inside, 1 or 0, (N, T, D); see :func:`two_sigma_coverage`."""
+    """Which executed entries at t = 1..T are inside, 1 or 0, (N, T, D); see
+    :func:`two_sigma_coverage`.
+    """
     return ((executed[:, 1:] - predicted.mean).abs() <= 2 * predicted.std).double()

@@ -1,4 +1,6 @@
-"""The robot's forward model: one exact GP for each entry of the state (Eqs. 2-7), learned with GPyTorch."""
+"""The robot's forward model: one exact GP for each entry of the state (Eqs. 2-7), learned with
+GPyTorch.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,17 @@ class _BatchGP(gpytorch.models.ExactGP):
     def __init__(self, inputs: Tensor, targets: Tensor) -> None:
         batch = targets.shape[:-1]
         log = {"transform": torch.exp, "inv_transform": torch.log}
-        likelihood = gpytorch.likelihoods.GaussianLikelihood(batch_shape=batch, noise_constraint=Positive(**log))
+        likelihood = gpytorch.likelihoods.GaussianLikelihood(
+            batch_shape=batch, noise_constraint=Positive(**log)
+        )
         super().__init__(inputs, targets, likelihood)
         self.mean_module = gpytorch.means.ZeroMean(batch_shape=batch)
-        rbf = gpytorch.kernels.RBFKernel(ard_num_dims=inputs.shape[-1], batch_shape=batch, lengthscale_constraint=Positive(**log))
-        self.covar_module = gpytorch.kernels.ScaleKernel(rbf, batch_shape=batch, outputscale_constraint=Positive(**log))
+        rbf = gpytorch.kernels.RBFKernel(
+            ard_num_dims=inputs.shape[-1], batch_shape=batch, lengthscale_constraint=Positive(**log)
+        )
+        self.covar_module = gpytorch.kernels.ScaleKernel(
+            rbf, batch_shape=batch, outputscale_constraint=Positive(**log)
+        )
 
     def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
@@ -59,13 +67,15 @@ class FitResult:
 class GPDynamics(nn.Module):
     r"""GP model of :math:`x_{t+1}` given features of the state and the action (Eqs. 2-7).
 
-    Hyper-parameters are in physical units: lengthscales in those of the inputs, signal and noise variance in the squared
-    units of the targets. They are the ``lengthscale``, ``outputscale`` and ``noise`` of the GPyTorch model ``gp``.
+    Hyper-parameters are in physical units: lengthscales in those of the inputs, signal and noise
+    variance in the squared units of the targets. They are the ``lengthscale``, ``outputscale`` and
+    ``noise`` of the GPyTorch model ``gp``.
 
     Args:
         num_inputs: D' + F, features and actions.
         num_outputs: D, entries of the state.
-        targets: "difference" learns x_{t+1} - x_t (the prior then means "stays where it is"), "successor" x_{t+1} (Eq. 2).
+        targets: "difference" learns x_{t+1} - x_t (the prior then means "stays where it is"),
+            "successor" x_{t+1} (Eq. 2).
 
     Example:
         >>> X = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
@@ -85,18 +95,26 @@ class GPDynamics(nn.Module):
         if targets not in ("difference", "successor"):
             raise ValueError(f'targets must be "difference" or "successor", got {targets!r}')
         self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, targets
-        self.gp = _BatchGP(torch.zeros(num_outputs, 1, num_inputs), torch.zeros(num_outputs, 1)).double()
+        self.gp = _BatchGP(
+            torch.zeros(num_outputs, 1, num_inputs), torch.zeros(num_outputs, 1)
+        ).double()
         self.register_buffer("train_inputs", torch.zeros(0, num_inputs, dtype=torch.float64))
         self.register_buffer("train_targets", torch.zeros(0, num_outputs, dtype=torch.float64))
-        self.register_buffer("searched_size", torch.tensor(0))  # number of data at the last fit from all starts
+        self.register_buffer(
+            "searched_size", torch.tensor(0)
+        )  # number of data at the last fit from all starts
         self._expansion: KernelExpansion | None = None
 
     @property
     def expansion(self) -> KernelExpansion:
-        """The posterior with its cached K^-1 and beta; constant, without a graph. Raises RuntimeError before any data."""
+        """The posterior with its cached K^-1 and beta; constant, without a graph. Raises
+        RuntimeError before any data.
+        """
         if self._expansion is None:
             if len(self.train_inputs) == 0:
-                raise RuntimeError("the dynamics model has no data yet: call fit(inputs, targets) first")
+                raise RuntimeError(
+                    "the dynamics model has no data yet: call fit(inputs, targets) first"
+                )
             with torch.no_grad():
                 self._expansion = KernelExpansion.from_exact_gp(self.gp)
         return self._expansion
@@ -110,19 +128,27 @@ class GPDynamics(nn.Module):
         self._check_data(inputs, targets)
         if not self._continued_by(inputs, targets):
             self.searched_size.zero_()
-        self.train_inputs, self.train_targets = (data.detach().to(torch.float64, copy=True) for data in (inputs, targets))
-        self.gp.set_train_data(self.train_inputs.expand(self.num_outputs, -1, -1), self.train_targets.mT.contiguous(), strict=False)
+        self.train_inputs, self.train_targets = (
+            data.detach().to(torch.float64, copy=True) for data in (inputs, targets)
+        )
+        self.gp.set_train_data(
+            self.train_inputs.expand(self.num_outputs, -1, -1),
+            self.train_targets.mT.contiguous(),
+            strict=False,
+        )
         self._expansion = None
 
     def fit(self, inputs: Tensor, targets: Tensor, max_iterations: int = 100) -> FitResult:
-        """Maximise the marginal likelihood of the data, each output by an L-BFGS of its own, and keep the best of several starts.
+        """Maximise the marginal likelihood of the data, each output by an L-BFGS of its own, and
+        keep the best of several starts.
 
-        Starts are the last optimum and PILCO's: lengthscales std(input), signal std(target), noise a tenth or a hundredth of
-        it, and where data are few the same with twice the lengthscales. PILCO's penalties keep the signal-to-noise ratio below
-        about 500 and the lengthscales within a factor 100 of std(input). Few data have several optima, and one of them may
-        explain all motion as noise. Later, when many data have come rollout by rollout, the other starts hardly ever lead
-        further than the last optimum: it is the only one while the data begin with those of the last fit from all starts, and
-        are less than ``RENEWAL`` times as many.
+        Starts are the last optimum and PILCO's: lengthscales std(input), signal std(target), noise
+        a tenth or a hundredth of it, and where data are few the same with twice the lengthscales.
+        PILCO's penalties keep the signal-to-noise ratio below about 500 and the lengthscales within
+        a factor 100 of std(input). Few data have several optima, and one of them may explain all
+        motion as noise. Later, when many data have come rollout by rollout, the other starts hardly
+        ever lead further than the last optimum: it is the only one while the data begin with those
+        of the last fit from all starts, and are less than ``RENEWAL`` times as many.
 
         Args:
             inputs: features and actions (n, D' + F).
@@ -131,28 +157,38 @@ class GPDynamics(nn.Module):
 
         Raises:
             ValueError: shapes do not fit, or an entry is not finite, or fewer than two data.
-            NotPositiveDefiniteError, NotFiniteError: the likelihood of an output has no value at any start.
+            NotPositiveDefiniteError, NotFiniteError: the likelihood of an output has no value at
+                any start.
         """
         start_time = time.perf_counter()
         fitted = len(self.train_inputs) > 0
         self.set_data(inputs, targets)
         renewed = len(inputs) >= RENEWAL * self.searched_size.item()
-        optima = [self._find(output, fitted, renewed, max_iterations) for output in range(self.num_outputs)]
+        optima = [
+            self._find(output, fitted, renewed, max_iterations)
+            for output in range(self.num_outputs)
+        ]
         self._set_log_parameters(torch.stack([optimum.log_parameters for optimum in optima]))
         if renewed:
             self.searched_size.fill_(len(inputs))
         return FitResult(
-            negative_log_likelihood=torch.tensor([optimum.negative_log_likelihood for optimum in optima], dtype=torch.float64),
+            negative_log_likelihood=torch.tensor(
+                [optimum.negative_log_likelihood for optimum in optima], dtype=torch.float64
+            ),
             evaluations=sum(optimum.evaluations for optimum in optima),
             seconds=time.perf_counter() - start_time,
             stop_reason=tuple(optimum.stop_reason for optimum in optima),
         )
 
     def _find(self, output: int, fitted: bool, renewed: bool, max_iterations: int) -> Optimum:
-        """Hyper-parameters of one output: from the last ones alone where those do, else from PILCO's starts too."""
+        """Hyper-parameters of one output: from the last ones alone where those do, else from
+        PILCO's starts too.
+        """
         target, last = self.train_targets[:, output].contiguous(), self._log_parameters()[output]
         if not renewed:
-            with contextlib.suppress(NotPositiveDefiniteError, NotFiniteError):  # new data may contradict the last model
+            with contextlib.suppress(
+                NotPositiveDefiniteError, NotFiniteError
+            ):  # new data may contradict the last model
                 return find_hyperparameters(self.train_inputs, target, [last], max_iterations)
         starts = ([last] if fitted else []) + pilco_starts(self.train_inputs, target)
         return find_hyperparameters(self.train_inputs, target, starts, max_iterations)
@@ -160,10 +196,14 @@ class GPDynamics(nn.Module):
     def _continued_by(self, inputs: Tensor, targets: Tensor) -> bool:
         """Whether new data begin with the present ones."""
         n = len(self.train_inputs)
-        return torch.equal(inputs[:n], self.train_inputs) and torch.equal(targets[:n], self.train_targets)
+        return torch.equal(inputs[:n], self.train_inputs) and torch.equal(
+            targets[:n], self.train_targets
+        )
 
     def _raw_parameters(self) -> list[Tensor]:
-        """Logarithms of lengthscales, signal and noise variances, (E, D), (E, 1) and (E, 1); they share the model's memory."""
+        """Logarithms of lengthscales, signal and noise variances, (E, D), (E, 1) and (E, 1); they
+        share the model's memory.
+        """
         kernel, noise = self.gp.covar_module, self.gp.likelihood.noise_covar
         raw = kernel.base_kernel.raw_lengthscale, kernel.raw_outputscale, noise.raw_noise
         return [parameter.detach().view(self.num_outputs, -1) for parameter in raw]
@@ -173,27 +213,35 @@ class GPDynamics(nn.Module):
         return torch.cat(self._raw_parameters(), -1)
 
     def _set_log_parameters(self, values: Tensor) -> None:
-        for parameter, value in zip(self._raw_parameters(), values.split([self.num_inputs, 1, 1], -1), strict=True):
+        for parameter, value in zip(
+            self._raw_parameters(), values.split([self.num_inputs, 1, 1], -1), strict=True
+        ):
             parameter.copy_(value)
 
     def _check_data(self, inputs: Tensor, targets: Tensor) -> None:
         n = len(inputs)
         if inputs.shape != (n, self.num_inputs) or targets.shape != (n, self.num_outputs) or n < 2:
             raise ValueError(
-                f"expected inputs (n, {self.num_inputs}) and targets (n, {self.num_outputs}) with n >= 2, "
-                f"got {tuple(inputs.shape)} and {tuple(targets.shape)}"
+                f"expected inputs (n, {self.num_inputs}) and targets (n, {self.num_outputs}) with "
+                f"n >= 2, got {tuple(inputs.shape)} and {tuple(targets.shape)}"
             )
         for name, values in (("inputs", inputs), ("targets", targets)):
             if not values.isfinite().all():
                 row, column = (~values.isfinite()).nonzero()[0].tolist()
-                raise ValueError(f"{name} must be finite, got {values[row, column]} in row {row}, column {column}")
+                raise ValueError(
+                    f"{name} must be finite, got {values[row, column]} in row {row}, column "
+                    f"{column}"
+                )
 
     def _apply(self, function: Callable[[Tensor], Tensor], recurse: bool = True) -> GPDynamics:
         self._expansion = None  # on the former device
         return super()._apply(function, recurse)
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
-        inputs, targets = state_dict.get(prefix + "train_inputs"), state_dict.get(prefix + "train_targets")
+        inputs, targets = (
+            state_dict.get(prefix + "train_inputs"),
+            state_dict.get(prefix + "train_targets"),
+        )
         if inputs is not None and targets is not None and len(inputs):
             self.set_data(inputs, targets)
         super()._load_from_state_dict(state_dict, prefix, *args)

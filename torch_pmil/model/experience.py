@@ -1,4 +1,6 @@
-"""What the robot has lived through: transitions in a TorchRL replay buffer, and the GP's training data made of them."""
+"""What the robot has lived through: transitions in a TorchRL replay buffer, and the GP's training
+data made of them.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,8 @@ class Experience:
         return len(self.buffer)
 
     def extend(self, transitions: TensorDictBase) -> None:
-        """Add transitions with the keys observation, action and (next, observation), any batch shape.
+        """Add transitions with the keys observation, action and (next, observation), any batch
+        shape.
 
         Raises:
             ValueError: an entry is not finite, or the buffer is full.
@@ -46,14 +49,22 @@ class Experience:
         flat = transitions.select(*KEYS).detach().reshape(-1)
         for key in KEYS:
             if not flat[key].isfinite().all():
-                raise ValueError(f"transitions must be finite, got {key} = {flat[key][~flat[key].isfinite()][0].item()}")
+                raise ValueError(
+                    f"transitions must be finite, got {key} = "
+                    f"{flat[key][~flat[key].isfinite()][0].item()}"
+                )
         if len(self) + len(flat) > self.capacity:
-            raise ValueError(f"experience holds at most {self.capacity} transitions, got {len(self) + len(flat)}")
+            raise ValueError(
+                f"experience holds at most {self.capacity} transitions, got {len(self) + len(flat)}"
+            )
         self.buffer.extend(TensorDict(flat.to_dict(), batch_size=flat.batch_size))
 
     def state_dict(self) -> dict[str, object]:
         """All transitions, for a checkpoint."""
-        return {"count": len(self), "transitions": self.transitions.select(*KEYS).to_dict() if len(self) else {}}
+        return {
+            "count": len(self),
+            "transitions": self.transitions.select(*KEYS).to_dict() if len(self) else {},
+        }
 
     def load_state_dict(self, state_dict: Mapping[str, object]) -> None:
         """Hold the transitions of a checkpoint and no others."""
@@ -66,24 +77,32 @@ class Experience:
         """All transitions, (n,), in the order in which they came."""
         return self.buffer[:]
 
-    def training_data(self, space: StateSpace, targets: Targets, limits: Tensor) -> tuple[Tensor, Tensor]:
-        """GP inputs [features of x_t, u_t] (n, D' + F) and targets (n, D): differences or successors.
+    def training_data(
+        self, space: StateSpace, targets: Targets, limits: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """GP inputs [features of x_t, u_t] (n, D' + F) and targets (n, D): differences or
+        successors.
 
         Args:
             space: of the robot.
             targets: "difference" or "successor".
-            limits: largest absolute value of each entry of the state (D,), infinite for none. Transitions from beyond
-                are left out: how a robot tumbles on, far from the task, says nothing of it, and one stationary
-                kernel cannot explain both.
+            limits: largest absolute value of each entry of the state (D,), infinite for none.
+                Transitions from beyond are left out: how a robot tumbles on, far from the task,
+                says nothing of it, and one stationary kernel cannot explain both.
         """
         transitions = self.transitions
         states, successors = transitions["observation"], transitions["next", "observation"]
         inside = (states.abs() <= limits).all(-1)
-        return gp_data(states[inside], transitions["action"][inside], successors[inside], space, targets)
+        return gp_data(
+            states[inside], transitions["action"][inside], successors[inside], space, targets
+        )
 
 
-def gp_data(states: Tensor, actions: Tensor, successors: Tensor, space: StateSpace, targets: Targets) -> tuple[Tensor, Tensor]:
-    """Inputs of the model, [features of x_t, u_t] (*batch, D' + F), and its targets (*batch, D) of transitions.
+def gp_data(
+    states: Tensor, actions: Tensor, successors: Tensor, space: StateSpace, targets: Targets
+) -> tuple[Tensor, Tensor]:
+    """Inputs of the model, [features of x_t, u_t] (*batch, D' + F), and its targets (*batch, D) of
+    transitions.
 
     Args:
         states, successors: x_t and x_{t+1}, (*batch, D).

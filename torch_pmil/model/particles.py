@@ -1,4 +1,6 @@
-r"""The trajectory distribution p(x_1), ..., p(x_T) from particles: Monte Carlo, where :mod:`torch_pmil.model.rollout` matches moments."""
+r"""The trajectory distribution p(x_1), ..., p(x_T) from particles: Monte Carlo, where
+:mod:`torch_pmil.model.rollout` matches moments.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +26,13 @@ def sample_trajectories(
     generator: torch.Generator,
     observation_noise: bool = True,
 ) -> Tensor:
-    r"""Monte Carlo twin of :func:`predict_trajectory`: particles, each drawn from the model's posterior at every step.
+    r"""Monte Carlo twin of :func:`predict_trajectory`: particles, each drawn from the model's
+    posterior at every step.
 
     .. math:: x_{t+1} = \mu(x_t, \pi(x_t)) + \sigma(x_t, \pi(x_t)) \, \epsilon_t, \qquad \epsilon_t \sim \mathcal N(0, I)
 
-    Given the draws, the states are differentiable in the policy. A longer horizon begins with the draws of a shorter one.
+    Given the draws, the states are differentiable in the policy. A longer horizon begins with the
+    draws of a shorter one.
 
     Args:
         initial: p(x_0), any batch shape.
@@ -56,12 +60,14 @@ def sample_trajectories(
 
 @dataclass(frozen=True)
 class ParticlePrediction:
-    r"""Predicts as :func:`predict_trajectory` does, but by Gaussians that are fitted to particles at each step.
+    r"""Predicts as :func:`predict_trajectory` does, but by Gaussians that are fitted to particles
+    at each step.
 
-    Moment matching takes every marginal as Gaussian before the next step; particles keep their shape until the end, at the price of
-    an error of Monte Carlo, in proportion to :math:`1 / \sqrt{\text{count}}`. All predictions use the same random numbers, as PEGASUS
-    does: the loss of a search is then a smooth function of the policy, and the losses of different searches and policies can be
-    compared. There is no state: a resumed run predicts as one that was not stopped.
+    Moment matching takes every marginal as Gaussian before the next step; particles keep their
+    shape until the end, at the price of an error of Monte Carlo, in proportion to :math:`1 /
+    \sqrt{\text{count}}`. All predictions use the same random numbers, as PEGASUS does: the loss of
+    a search is then a smooth function of the policy, and the losses of different searches and
+    policies can be compared. There is no state: a resumed run predicts as one that was not stopped.
 
     Args:
         count: number of particles; an evaluation with gradient costs in proportion.
@@ -70,7 +76,8 @@ class ParticlePrediction:
     Raises:
         ValueError: fewer than two particles.
 
-    Source: A. Y. Ng and M. Jordan (2000), PEGASUS: A policy search method for large MDPs and POMDPs, UAI.
+    Source: A. Y. Ng and M. Jordan (2000), PEGASUS: A policy search method for large MDPs and
+    POMDPs, UAI.
 
     Example:
         >>> from torch_pmil import RBFPolicy, joint_match
@@ -89,14 +96,24 @@ class ParticlePrediction:
         if self.count < 2:
             raise ValueError(f"count must be at least 2, got {self.count}")
 
-    def __call__(self, initial: Gaussian, policy: Policy, dynamics: GPDynamics, space: StateSpace, horizon: int) -> Gaussian:
-        """The predicted marginals p(x_1), ..., p(x_T), mean (*batch, T, D), observation noise included.
+    def __call__(
+        self,
+        initial: Gaussian,
+        policy: Policy,
+        dynamics: GPDynamics,
+        space: StateSpace,
+        horizon: int,
+    ) -> Gaussian:
+        """The predicted marginals p(x_1), ..., p(x_T), mean (*batch, T, D), observation noise
+        included.
 
         Raises:
             PredictionError: names the time step and the state that is not finite.
         """
         generator = torch.Generator().manual_seed(self.seed)
-        trajectory = _fitted(sample_trajectories(initial, policy, dynamics, space, horizon, self.count, generator))
+        trajectory = _fitted(
+            sample_trajectories(initial, policy, dynamics, space, horizon, self.count, generator)
+        )
         check_finite(trajectory, space)
         return trajectory
 

@@ -1,8 +1,10 @@
 r"""Recurrences :math:`x_{t+1} = F(x_t, \theta)` that are differentiated at all times at once.
 
-The states are computed one after the other without a graph. Then, all of them being known, the Jacobians of all steps are one batch; only
-the products of these small matrices go back step by step, and the gradient in the parameters is one batch again. The work is that of
-backpropagation through time, in a few large operations instead of many small ones. A predicted trajectory is one, and its gradient Eq. 22.
+The states are computed one after the other without a graph. Then, all of them being known, the
+Jacobians of all steps are one batch; only the products of these small matrices go back step by
+step, and the gradient in the parameters is one batch again. The work is that of backpropagation
+through time, in a few large operations instead of many small ones. A predicted trajectory is one,
+and its gradient Eq. 22.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ from torch.autograd.function import once_differentiable
 
 
 class Step(Protocol):
-    """One step of a recurrence, for states (*batch, S); at all times at once they are (T, *batch, S)."""
+    """One step of a recurrence, for states (*batch, S); at all times at once they are (T, *batch,
+    S).
+    """
 
     def advance(self, state: Tensor) -> Tensor:
         """The next state; no graph is recorded."""
@@ -24,12 +28,16 @@ class Step(Protocol):
     def jacobian(self, states: Tensor) -> Tensor:
         """d x_{t+1} / d x_t, (T, *batch, S, S), at all the states that ``advance`` was given."""
 
-    def parameter_gradients(self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor) -> Sequence[Tensor]:
+    def parameter_gradients(
+        self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor
+    ) -> Sequence[Tensor]:
         """Gradients in the parameters, from the gradients (T, *batch, S) in all the next states."""
 
 
 def unroll(step: Step, initial: Tensor, parameters: tuple[Tensor, ...], horizon: int) -> Tensor:
-    """States at t = 1..horizon, (T, *batch, S), differentiable (once) in the initial state (*batch, S) and the parameters."""
+    """States at t = 1..horizon, (T, *batch, S), differentiable (once) in the initial state (*batch,
+    S) and the parameters.
+    """
     return _Unrolled.apply(step, horizon, initial, *parameters)
 
 
@@ -55,7 +63,9 @@ class _Unrolled(torch.autograd.Function):
         d_initial = _row_times(adjoints[-1], jacobian[0]) if ctx.needs_input_grad[2] else None
         d_parameters: Sequence[Tensor | None] = [None] * len(parameters)
         if any(ctx.needs_input_grad[3:]):
-            d_parameters = ctx.step.parameter_gradients(states, parameters, torch.stack(adjoints[::-1]))
+            d_parameters = ctx.step.parameter_gradients(
+                states, parameters, torch.stack(adjoints[::-1])
+            )
         return None, None, d_initial, *d_parameters
 
 

@@ -26,12 +26,18 @@ class PredictionError(RuntimeError):
 
 
 def predict_step(
-    state: Gaussian, controller: Controller, dynamics: GPDynamics, space: StateSpace, observation_noise: bool = True
+    state: Gaussian,
+    controller: Controller,
+    dynamics: GPDynamics,
+    space: StateSpace,
+    observation_noise: bool = True,
 ) -> Gaussian:
     r"""p(x_t) -> p(x_{t+1}) by exact moment matching of the policy and of the model.
 
-    1. the features of the state (sin and cos of its angles); 2. the policy's action and its covariance with them; 3. the GP's
-    moments at the joint of features and action; 4. for differences, :math:`\Sigma_{t+1} = \Sigma_t + S + C + C^\top`.
+    1. the features of the state (sin and cos of its angles); 2. the policy's action and its
+       covariance with them; 3. the GP's
+    moments at the joint of features and action; 4. for differences, :math:`\Sigma_{t+1} = \Sigma_t
+    + S + C + C^\top`.
 
     Args:
         state: belief over the state, D entries.
@@ -43,7 +49,11 @@ def predict_step(
         Belief over the next state.
     """
     return _propagate(
-        state, controller.on_belief, lambda inputs: moment_match(dynamics.expansion, inputs, observation_noise), dynamics.targets, space
+        state,
+        controller.on_belief,
+        lambda inputs: moment_match(dynamics.expansion, inputs, observation_noise),
+        dynamics.targets,
+        space,
     )
 
 
@@ -61,8 +71,11 @@ def _propagate(
     return successor_belief(state, torch.cat([slope, slope @ policy_slope], -1), moments, targets)
 
 
-def successor_belief(state: Gaussian, input_slope: Tensor, moments: Moments, targets: Targets) -> Gaussian:
-    r"""p(x_{t+1}) from p(x_t) and the model's moments: for differences, :math:`\Sigma_{t+1} = \Sigma_t + S + C + C^\top`.
+def successor_belief(
+    state: Gaussian, input_slope: Tensor, moments: Moments, targets: Targets
+) -> Gaussian:
+    r"""p(x_{t+1}) from p(x_t) and the model's moments: for differences, :math:`\Sigma_{t+1} =
+    \Sigma_t + S + C + C^\top`.
 
     Args:
         state: p(x_t), D entries.
@@ -73,7 +86,9 @@ def successor_belief(state: Gaussian, input_slope: Tensor, moments: Moments, tar
     if targets == "successor":
         return Gaussian(moments.mean, symmetric(moments.cov))
     C = state.cov @ (input_slope @ moments.inv_cov_cross_cov)
-    return Gaussian(state.mean + moments.mean, symmetric(torch.add(state.cov + moments.cov, C, alpha=2)))
+    return Gaussian(
+        state.mean + moments.mean, symmetric(torch.add(state.cov + moments.cov, C, alpha=2))
+    )
 
 
 def predict_trajectory(
@@ -96,13 +111,16 @@ def predict_trajectory(
         A Gaussian of mean (*batch, T, D); differentiable in the policy.
 
     Raises:
-        PredictionError: names the time step and the matrix that has no Cholesky factor, or the state that is not finite.
+        PredictionError: names the time step and the matrix that has no Cholesky factor, or the
+            state that is not finite.
     """
     controller = policy.controller
     step = _MomentStep(controller, dynamics, space, observation_noise, horizon)
     start = Gaussian(initial.mean, symmetric(initial.cov)).flattened.flat
     states = unroll(step, start, controller.parameters, horizon)
-    trajectory = Gaussian.from_flat(states.movedim(0, -2).reshape(*initial.batch_shape, horizon, -1), initial.dim)
+    trajectory = Gaussian.from_flat(
+        states.movedim(0, -2).reshape(*initial.batch_shape, horizon, -1), initial.dim
+    )
     check_finite(trajectory, space)
     return trajectory
 
@@ -110,8 +128,20 @@ def predict_trajectory(
 class _MomentStep:
     """:func:`predict_step` as a step of a recurrence of flat beliefs."""
 
-    def __init__(self, controller: Controller, dynamics: GPDynamics, space: StateSpace, observation_noise: bool, horizon: int) -> None:
-        self.controller, self.space, self.targets, self.horizon = controller, space, dynamics.targets, horizon
+    def __init__(
+        self,
+        controller: Controller,
+        dynamics: GPDynamics,
+        space: StateSpace,
+        observation_noise: bool,
+        horizon: int,
+    ) -> None:
+        self.controller, self.space, self.targets, self.horizon = (
+            controller,
+            space,
+            dynamics.targets,
+            horizon,
+        )
         self.network, self.model = (
             RecordedMoments(controller.network, keep_products=True),
             RecordedMoments(dynamics.expansion, observation_noise),
@@ -121,9 +151,17 @@ class _MomentStep:
     def advance(self, state: Tensor) -> Tensor:
         self.taken += 1
         try:
-            following = _propagate(Gaussian.from_flat(state, self.space.dim), self._act, self.model, self.targets, self.space)
+            following = _propagate(
+                Gaussian.from_flat(state, self.space.dim),
+                self._act,
+                self.model,
+                self.targets,
+                self.space,
+            )
         except NotPositiveDefiniteError as error:
-            raise PredictionError(f"prediction of step {self.taken} of {self.horizon} failed: {error}", self.taken) from error
+            raise PredictionError(
+                f"prediction of step {self.taken} of {self.horizon} failed: {error}", self.taken
+            ) from error
         return following.flat
 
     def _act(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
@@ -137,32 +175,53 @@ class _MomentStep:
         d_state = self._linearised(states).state_adjoint(d_mean, d_cov)
         return Gaussian.flat_cotangent(*d_state).view(*states.shape, size)
 
-    def parameter_gradients(self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor) -> Sequence[Tensor]:
+    def parameter_gradients(
+        self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor
+    ) -> Sequence[Tensor]:
         step = self._linearised(states)
-        d_mean, d_cov = Gaussian.cotangent_from_flat(adjoints.flatten(0, 1)[:, None], self.space.dim)
+        d_mean, d_cov = Gaussian.cotangent_from_flat(
+            adjoints.flatten(0, 1)[:, None], self.space.dim
+        )
         d_network = [cotangent.squeeze(1) for cotangent in step.network_adjoint(d_mean, d_cov)]
         leaves = [parameter.detach().requires_grad_() for parameter in parameters]
         with torch.enable_grad():
             network = self.controller.with_parameters(*leaves).network.repeated(len(states))
             moments = moment_match(network, step.features, products=self.network.products)
-        return torch.autograd.grad((moments.mean, moments.cov, moments.inv_cov_cross_cov), leaves, d_network)
+        return torch.autograd.grad(
+            (moments.mean, moments.cov, moments.inv_cov_cross_cov), leaves, d_network
+        )
 
     def _linearised(self, states: Tensor) -> LinearisedStep:
         state = Gaussian.from_flat(states.flatten(0, -2), self.space.dim)
         differences = self.targets == "difference"
-        return LinearisedStep(state, self.network.linearised, self.controller.u_max, self.model.linearised, differences, self.space)
+        return LinearisedStep(
+            state,
+            self.network.linearised,
+            self.controller.u_max,
+            self.model.linearised,
+            differences,
+            self.space,
+        )
 
 
 def check_finite(trajectory: Gaussian, space: StateSpace) -> None:
-    """Raise PredictionError for the first step, and the entry of the state, at which marginals (*batch, T, D) are not finite."""
+    """Raise PredictionError for the first step, and the entry of the state, at which marginals
+    (*batch, T, D) are not finite.
+    """
     finite = trajectory.mean.isfinite() & trajectory.cov.isfinite().all(-1)
     if not finite.all():
         step, output = (~finite).reshape(-1, *finite.shape[-2:]).any(0).nonzero()[0].tolist()
         horizon = finite.shape[-2]
-        raise PredictionError(f"prediction of step {step + 1} of {horizon} failed: {space.names[output]} is not finite", step + 1)
+        raise PredictionError(
+            f"prediction of step {step + 1} of {horizon} failed: {space.names[output]} is not "
+            "finite",
+            step + 1,
+        )
 
 
-def predict_mean_trajectory(initial: Tensor, policy: Policy, dynamics: GPDynamics, space: StateSpace, horizon: int) -> Tensor:
+def predict_mean_trajectory(
+    initial: Tensor, policy: Policy, dynamics: GPDynamics, space: StateSpace, horizon: int
+) -> Tensor:
     """The model's mean alone, step by step, as if nothing were uncertain: O(n) a step.
 
     Args:
@@ -173,7 +232,12 @@ def predict_mean_trajectory(initial: Tensor, policy: Policy, dynamics: GPDynamic
         States at t = 1..T, (*batch, T, D).
     """
     controller = policy.controller
-    states = unroll(_MeanStep(controller, dynamics, space), initial.reshape(-1, space.dim), controller.parameters, horizon)
+    states = unroll(
+        _MeanStep(controller, dynamics, space),
+        initial.reshape(-1, space.dim),
+        controller.parameters,
+        horizon,
+    )
     return states.movedim(0, -2).reshape(*initial.shape[:-1], horizon, space.dim)
 
 
@@ -181,13 +245,20 @@ class _MeanStep:
     """The model's mean as a step of a recurrence."""
 
     def __init__(self, controller: Controller, dynamics: GPDynamics, space: StateSpace) -> None:
-        self.controller, self.expansion, self.targets, self.space = controller, dynamics.expansion, dynamics.targets, space
+        self.controller, self.expansion, self.targets, self.space = (
+            controller,
+            dynamics.expansion,
+            dynamics.targets,
+            space,
+        )
 
     def advance(self, state: Tensor) -> Tensor:
         return self._follow(state, self.controller)
 
     def jacobian(self, states: Tensor) -> Tensor:
-        features, slope = self.space.belief(Gaussian(states, torch.diag_embed(torch.zeros_like(states))))
+        features, slope = self.space.belief(
+            Gaussian(states, torch.diag_embed(torch.zeros_like(states)))
+        )
         raw, raw_slope = self.controller.network.mean_and_gradient(features.mean)
         action_slope = (self.controller.u_max * raw.cos())[..., None] * raw_slope
         inputs = torch.cat([features.mean, self.controller.u_max * raw.sin()], -1)
@@ -197,7 +268,9 @@ class _MeanStep:
             jacobian.diagonal(dim1=-2, dim2=-1).add_(1)
         return jacobian
 
-    def parameter_gradients(self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor) -> Sequence[Tensor]:
+    def parameter_gradients(
+        self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor
+    ) -> Sequence[Tensor]:
         leaves = [parameter.detach().requires_grad_() for parameter in parameters]
         with torch.enable_grad():
             following = self._follow(states, self.controller.with_parameters(*leaves))

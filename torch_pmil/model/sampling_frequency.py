@@ -1,4 +1,5 @@
-r"""At which rate to sample a robot, so that a model of it learns most: cross-validated likelihood over frequencies (Eq. 30, Figure 9).
+r"""At which rate to sample a robot, so that a model of it learns most: cross-validated likelihood
+over frequencies (Eq. 30, Figure 9).
 
 =========================  ==================================================================
 paper symbol               name
@@ -68,7 +69,8 @@ class FrequencyScore:
     Args:
         frequency: f_s, Hz.
         transitions: number of them, n.
-        log_likelihood: of each fold and output, nats for each transition, (k, D); a density in the units of the state.
+        log_likelihood: of each fold and output, nats for each transition, (k, D); a density in the
+            units of the state.
         spread: standard deviation of the state's increments, in its units, (D,).
     """
 
@@ -79,15 +81,18 @@ class FrequencyScore:
 
     @property
     def raw(self) -> Interval:
-        """How sharply the next state is predicted, in its units. The shorter the step the less can happen in it: it rises with frequency.
+        """How sharply the next state is predicted, in its units. The shorter the step the less can
+        happen in it: it rises with frequency.
 
-        Of nats for each transition and output, over the folds, which share training data: take the interval as a guide.
+        Of nats for each transition and output, over the folds, which share training data: take the
+        interval as a guide.
         """
         return Interval.of(self.log_likelihood.mean(1))
 
     @property
     def standardised(self) -> Interval:
-        """How much of what changes is predicted: increments in units of their spread, so that frequencies can be compared.
+        """How much of what changes is predicted: increments in units of their spread, so that
+        frequencies can be compared.
 
         As the raw one; a model that knows nothing but mean and spread has about -1.42.
         """
@@ -104,8 +109,9 @@ def score_frequencies(
 ) -> list[FrequencyScore]:
     """Cross-validated log-likelihood of the GP forward model at each sampling frequency (Eq. 30).
 
-    At each frequency the recordings are cut into transitions, the action being the mean over the interval; the model is that of
-    ``GPDynamics``, which learns differences. Two questions have two answers, ``FrequencyScore.raw`` and ``FrequencyScore.standardised``.
+    At each frequency the recordings are cut into transitions, the action being the mean over the
+    interval; the model is that of ``GPDynamics``, which learns differences. Two questions have two
+    answers, ``FrequencyScore.raw`` and ``FrequencyScore.standardised``.
 
     Args:
         recordings: of the robot; no transition leads from one to another.
@@ -119,8 +125,9 @@ def score_frequencies(
         One for each frequency, in their order.
 
     Raises:
-        ValueError: shapes do not fit, a number is not finite, a frequency does not divide the recordings' rate or leaves fewer
-            than two transitions a fold, an entry of the state never changes, or a fold cannot be fitted.
+        ValueError: shapes do not fit, a number is not finite, a frequency does not divide the
+            recordings' rate or leaves fewer than two transitions a fold, an entry of the state
+            never changes, or a fold cannot be fitted.
 
     Example:
         >>> from torch_pmil.control.state_space import joint_match
@@ -135,10 +142,16 @@ def score_frequencies(
     for frequency in frequencies:
         inputs, targets = _transitions(recordings, _steps(frequency, time_step), space)
         if len(inputs) < 2 * folds:
-            raise ValueError(f"{frequency:g} Hz must leave at least {2 * folds} transitions for {folds} folds, got {len(inputs)}")
+            raise ValueError(
+                f"{frequency:g} Hz must leave at least {2 * folds} transitions for {folds} folds, "
+                f"got {len(inputs)}"
+            )
         spread = targets.std(0)
         if not (spread > 0).all():
-            raise ValueError(f"every entry of the state must change, got none at {frequency:g} Hz in {space.names[int(spread.argmin())]}")
+            raise ValueError(
+                f"every entry of the state must change, got none at {frequency:g} Hz in "
+                f"{space.names[int(spread.argmin())]}"
+            )
         try:
             values = held_out_log_likelihood(inputs, targets, folds, max_iterations)
         except (NotPositiveDefiniteError, NotFiniteError) as error:
@@ -147,17 +160,20 @@ def score_frequencies(
     return scores
 
 
-def held_out_log_likelihood(inputs: Tensor, targets: Tensor, folds: int = 5, max_iterations: int = 100) -> Tensor:
+def held_out_log_likelihood(
+    inputs: Tensor, targets: Tensor, folds: int = 5, max_iterations: int = 100
+) -> Tensor:
     r"""Joint predictive log-density of each fold, from a GP that is fitted to the others (Eq. 30).
 
     .. math:: \log p(y_i | X, y_{-i}) = -\tfrac12 \log |\Sigma_i| - \tfrac{D}{2} \log 2 \pi
         - \tfrac12 (y_i - \mu_i)^\top \Sigma_i^{-1} (y_i - \mu_i) = \log p(y | X) - \log p(y_{-i} | X)
 
-    The right-hand side, with hyper-parameters of the training folds, has the whole predictive covariance :math:`\Sigma_i` in it, noise
-    included: a model whose errors go together is not rewarded for each of them.
+    The right-hand side, with hyper-parameters of the training folds, has the whole predictive
+    covariance :math:`\Sigma_i` in it, noise included: a model whose errors go together is not
+    rewarded for each of them.
 
-    Folds are contiguous. Neighbours in time are nearly equal, the more so the higher the frequency: with folds at random the
-    model would be asked of what it had seen a moment before and after.
+    Folds are contiguous. Neighbours in time are nearly equal, the more so the higher the frequency:
+    with folds at random the model would be asked of what it had seen a moment before and after.
 
     Args:
         inputs: in the order in which they came, (n, D').
@@ -179,7 +195,15 @@ def held_out_log_likelihood(inputs: Tensor, targets: Tensor, folds: int = 5, max
     inputs, targets = inputs.double(), targets.double()
     rows = torch.arange(len(inputs)).tensor_split(folds)
     return torch.stack(
-        [torch.stack([_held_out(inputs, target, held, max_iterations) for target in targets.mT.contiguous()]) for held in rows]
+        [
+            torch.stack(
+                [
+                    _held_out(inputs, target, held, max_iterations)
+                    for target in targets.mT.contiguous()
+                ]
+            )
+            for held in rows
+        ]
     )
 
 
@@ -189,12 +213,18 @@ def _held_out(inputs: Tensor, target: Tensor, held: Tensor, max_iterations: int)
     training[held] = False
     known, seen = inputs[training], target[training]
     with torch.enable_grad():
-        parameters = find_hyperparameters(known, seen, pilco_starts(known, seen), max_iterations).log_parameters
-    of_all, of_known = (negative_log_likelihood(x, y, parameters) for x, y in ((inputs, target), (known, seen)))
+        parameters = find_hyperparameters(
+            known, seen, pilco_starts(known, seen), max_iterations
+        ).log_parameters
+    of_all, of_known = (
+        negative_log_likelihood(x, y, parameters) for x, y in ((inputs, target), (known, seen))
+    )
     return (of_known - of_all) / len(held)
 
 
-def _transitions(recordings: Sequence[Recording], steps: int, space: StateSpace) -> tuple[Tensor, Tensor]:
+def _transitions(
+    recordings: Sequence[Recording], steps: int, space: StateSpace
+) -> tuple[Tensor, Tensor]:
     """Inputs (n, D' + F) and differences (n, D) of what is sampled every so many time steps."""
     inputs, targets = [], []
     for states, actions in recordings:
@@ -210,7 +240,10 @@ def _steps(frequency: float, time_step: float) -> int:
         raise ValueError(f"frequencies must be positive and finite, in Hz, got {frequency}")
     steps = 1 / (frequency * time_step)
     if round(steps) < 1 or abs(steps - round(steps)) > 1e-6 * steps:
-        raise ValueError(f"the interval of {frequency:g} Hz must be a whole number of time steps of {time_step:g} s, got {steps:g}")
+        raise ValueError(
+            f"the interval of {frequency:g} Hz must be a whole number of time steps of "
+            f"{time_step:g} s, got {steps:g}"
+        )
     return round(steps)
 
 
@@ -221,10 +254,14 @@ def _check_recordings(recordings: Sequence[Recording], space: StateSpace, time_s
         raise ValueError(f"time_step must be positive and finite, in s, got {time_step}")
     for number, (states, actions) in enumerate(recordings):
         first = recordings[0].actions
-        if states.shape != (len(actions) + 1, space.dim) or actions.ndim != 2 or actions.shape[1] != first.shape[-1]:
+        if (
+            states.shape != (len(actions) + 1, space.dim)
+            or actions.ndim != 2
+            or actions.shape[1] != first.shape[-1]
+        ):
             raise ValueError(
-                f"recording {number} must have states (T + 1, {space.dim}) and actions (T, {first.shape[-1]}), "
-                f"got {tuple(states.shape)} and {tuple(actions.shape)}"
+                f"recording {number} must have states (T + 1, {space.dim}) and actions (T, "
+                f"{first.shape[-1]}), got {tuple(states.shape)} and {tuple(actions.shape)}"
             )
         if not (states.isfinite().all() and actions.isfinite().all()):
             raise ValueError(f"recording {number} must be finite")

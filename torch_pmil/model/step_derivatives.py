@@ -1,4 +1,6 @@
-"""The adjoint of one step of the prediction: how a change of the next belief follows from one of this belief, read backwards."""
+"""The adjoint of one step of the prediction: how a change of the next belief follows from one of
+this belief, read backwards.
+"""
 
 from __future__ import annotations
 
@@ -26,26 +28,64 @@ class LinearisedStep:
     """
 
     def __init__(
-        self, state: Gaussian, network: LinearisedMoments, u_max: Tensor, model: LinearisedMoments, differences: bool, space: StateSpace
+        self,
+        state: Gaussian,
+        network: LinearisedMoments,
+        u_max: Tensor,
+        model: LinearisedMoments,
+        differences: bool,
+        space: StateSpace,
     ) -> None:
-        self.network, self.model, self.u_max, self.differences, self.augmentation = network, model, u_max, differences, space.augmentation
+        self.network, self.model, self.u_max, self.differences, self.augmentation = (
+            network,
+            model,
+            u_max,
+            differences,
+            space.augmentation,
+        )
         self.features, slope = space.belief(state)
         raw = network.moments
         _, gain = squash(raw.gaussian, u_max)
         action_slope = raw.inv_cov_cross_cov * gain[:, None, :]
-        one = [tensor[:, None] for tensor in (state.mean, state.cov, slope, self.features.cov, action_slope, gain, raw.inv_cov_cross_cov)]
-        self.mean, self.cov, self.slope, self.features_cov, self.action_slope, self.gain, self.raw_slope = one
+        one = [
+            tensor[:, None]
+            for tensor in (
+                state.mean,
+                state.cov,
+                slope,
+                self.features.cov,
+                action_slope,
+                gain,
+                raw.inv_cov_cross_cov,
+            )
+        ]
+        (
+            self.mean,
+            self.cov,
+            self.slope,
+            self.features_cov,
+            self.action_slope,
+            self.gain,
+            self.raw_slope,
+        ) = one
         self.raw = Gaussian(raw.mean[:, None], raw.cov[:, None])
         self.input_slope = torch.cat([self.slope, self.slope @ self.action_slope], -1)
         self.model_slope = model.moments.inv_cov_cross_cov[:, None]
 
     def state_adjoint(self, d_mean: Tensor, d_cov: Tensor) -> tuple[Tensor, Tensor]:
-        """Cotangents of the state, (N, C, D) and (N, C, D, D), from C cotangents of the next state; covariances are symmetric."""
+        """Cotangents of the state, (N, C, D) and (N, C, D, D), from C cotangents of the next state;
+        covariances are symmetric.
+        """
         d_raw, d_features, d_state = self._back_to_policy(d_mean, d_cov)
         by_mean, by_cov = self.network.adjoint(*d_raw)
         d_features_mean, d_features_cov, d_slope = d_features
         d_state_mean, d_state_cov = augment_adjoint(
-            self.augmentation, self.mean, self.cov, d_features_mean + by_mean, d_features_cov + by_cov, d_slope
+            self.augmentation,
+            self.mean,
+            self.cov,
+            d_features_mean + by_mean,
+            d_features_cov + by_cov,
+            d_slope,
         )
         if not self.differences:
             return d_state_mean, d_state_cov
@@ -55,8 +95,12 @@ class LinearisedStep:
         """Cotangents of the policy's moments before squashing, from those of the next state."""
         return self._back_to_policy(d_mean, d_cov)[0]
 
-    def _back_to_policy(self, d_mean: Tensor, d_cov: Tensor) -> tuple[Cotangents, Cotangents, Tensor]:
-        """Cotangents of the policy's moments, those of the features and their slope, and that of the state's covariance itself."""
+    def _back_to_policy(
+        self, d_mean: Tensor, d_cov: Tensor
+    ) -> tuple[Cotangents, Cotangents, Tensor]:
+        """Cotangents of the policy's moments, those of the features and their slope, and that of
+        the state's covariance itself.
+        """
         d_input_slope, d_model_slope, d_state_cov = self._of_cross_covariance(d_cov)
         by_mean, by_cov = self.model.adjoint(d_mean, d_cov, d_model_slope)
         D = self.features_cov.shape[-1]
@@ -66,11 +110,17 @@ class LinearisedStep:
         d_features_cov = by_cov[..., :D, :D] + symmetric(d_cross @ self.action_slope.mT)
         d_gain = (d_action_slope * self.raw_slope).sum(-2)
         d_raw = squash_adjoint(self.raw, self.u_max, by_mean[..., D:], by_cov[..., D:, D:], d_gain)
-        d_features = by_mean[..., :D], d_features_cov, d_slope + d_slope_of_action @ self.action_slope.mT
+        d_features = (
+            by_mean[..., :D],
+            d_features_cov,
+            d_slope + d_slope_of_action @ self.action_slope.mT,
+        )
         return (*d_raw, d_action_slope * self.gain[..., None, :]), d_features, d_state_cov
 
     def _of_cross_covariance(self, d_cov: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Through Sigma + S + C + C' with C = Sigma input_slope model_slope; nothing but S where the model predicts the next state."""
+        """Through Sigma + S + C + C' with C = Sigma input_slope model_slope; nothing but S where
+        the model predicts the next state.
+        """
         if not self.differences:
             zero = d_cov.new_zeros(())
             return (

@@ -1,4 +1,6 @@
-"""Figures of the results. The only part of the package that imports matplotlib; it draws numbers and knows no experiment."""
+"""Figures of the results. The only part of the package that imports matplotlib; it draws numbers
+and knows no experiment.
+"""
 
 from matplotlib.figure import Figure
 
@@ -23,7 +25,11 @@ from torch_pmil.plotting.success import (
     plot_success_over_mass,
     plot_success_over_settings,
 )
-from torch_pmil.plotting.trajectories import plot_demonstrations, plot_distributions, plot_prediction
+from torch_pmil.plotting.trajectories import (
+    plot_demonstrations,
+    plot_distributions,
+    plot_prediction,
+)
 from torch_pmil.plotting.variants import plot_variants
 
 __all__ = [

@@ -14,21 +14,28 @@ Timed = tuple[Tensor, Tensor]  # times (T_n,) and values (T_n, M)
 
 
 def plot_before_after(
-    names: Sequence[str], units: Sequence[str], before: Sequence[Timed], after: Sequence[Timed], title: str = "after", markers: bool = False
+    names: Sequence[str],
+    units: Sequence[str],
+    before: Sequence[Timed],
+    after: Sequence[Timed],
+    title: str = "after",
+    markers: bool = False,
 ) -> Figure:
-    """All trajectories over time, what they were on the left and what became of them on the right, one row an entry.
+    """All trajectories over time, what they were on the left and what became of them on the right,
+    one row an entry.
 
     Args:
         names: of the M entries.
         units: of those entries.
         before: times (T_n,), in s, and values (T_n, M) of each trajectory.
-        after: the same, at times of their own. An entry that is only in one of them, as a velocity that was derived, is told by a value
-            (T_n, M' <= M) of the other: the first M' entries.
+        after: the same, at times of their own. An entry that is only in one of them, as a velocity
+            that was derived, is told by a value (T_n, M' <= M) of the other: the first M' entries.
         title: what was done, above the right column.
         markers: whether each sample is marked.
 
     Raises:
-        ValueError: there is no trajectory, or one has more entries than there are names, or as many values as no times.
+        ValueError: there is no trajectory, or one has more entries than there are names, or as many
+            values as no times.
 
     Example:
         >>> import torch
@@ -38,10 +45,16 @@ def plot_before_after(
         ['x (m)', '']
     """
     for number, (times, values) in enumerate([*before, *after]):
-        if values.ndim != 2 or len(times) != len(values) or values.shape[1] > len(names) or len(names) != len(units):
+        if (
+            values.ndim != 2
+            or len(times) != len(values)
+            or values.shape[1] > len(names)
+            or len(names) != len(units)
+        ):
             raise ValueError(
-                f"trajectory {number} must have times (T,) and values (T, M) with M of at most {len(names)} names with {len(units)} units, "
-                f"got {tuple(times.shape)} and {tuple(values.shape)}"
+                f"trajectory {number} must have times (T,) and values (T, M) with M of at most "
+                f"{len(names)} names with {len(units)} units, got {tuple(times.shape)} and "
+                f"{tuple(values.shape)}"
             )
     if not (before and after):
         raise ValueError("there must be a trajectory before and one after")
@@ -62,6 +75,22 @@ def _draw(panel: Axes, trajectories: Sequence[Timed], entry: int, markers: bool)
     style(panel)
     shown = [(times, values[:, entry]) for times, values in trajectories if entry < values.shape[1]]
     for times, values in shown:
-        panel.plot(times, values, color=BLUE, linewidth=1.0, alpha=0.8, marker="." if markers else None, markersize=3)
+        panel.plot(
+            times,
+            values,
+            color=BLUE,
+            linewidth=1.0,
+            alpha=0.8,
+            marker="." if markers else None,
+            markersize=3,
+        )
     if not shown:
-        panel.text(0.5, 0.5, "not recorded", transform=panel.transAxes, ha="center", va="center", color="0.4")
+        panel.text(
+            0.5,
+            0.5,
+            "not recorded",
+            transform=panel.transAxes,
+            ha="center",
+            va="center",
+            color="0.4",
+        )

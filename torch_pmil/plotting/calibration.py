@@ -19,11 +19,13 @@ INTERVALS = 50  # that the reliability diagram's lines are drawn through
 
 
 def plot_calibration(names: Sequence[str], time_step: float, residuals: Tensor) -> Figure:
-    """Whether errors are as large as a model says: how many lie in its intervals, and their size over time.
+    """Whether errors are as large as a model says: how many lie in its intervals, and their size
+    over time.
 
-    On the left the reliability diagram: the fraction of errors inside the central interval that should hold them with a given probability.
-    Below the diagonal the model is too sure of itself, above it not sure enough. On the right the root mean square of the errors
-    in predicted standard deviations, over the rollouts at each time: 1 where the model is as right as it says.
+    On the left the reliability diagram: the fraction of errors inside the central interval that
+    should hold them with a given probability. Below the diagonal the model is too sure of itself,
+    above it not sure enough. On the right the root mean square of the errors in predicted standard
+    deviations, over the rollouts at each time: 1 where the model is as right as it says.
 
     Args:
         names: of the D entries of the state.
@@ -40,7 +42,10 @@ def plot_calibration(names: Sequence[str], time_step: float, residuals: Tensor) 
         ['errors inside (%)', 'rms error (predicted std)']
     """
     if residuals.ndim != 3 or residuals.shape[-1] != len(names) or not residuals.numel():
-        raise ValueError(f"residuals must be (N, T, {len(names)}) for {', '.join(names)}, got {tuple(residuals.shape)}")
+        raise ValueError(
+            f"residuals must be (N, T, {len(names)}) for {', '.join(names)}, got "
+            f"{tuple(residuals.shape)}"
+        )
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
     coverage, course = figure.subplots(1, 2, width_ratios=(1, 1.3))
     _draw_diagonal(coverage)
@@ -51,21 +56,36 @@ def plot_calibration(names: Sequence[str], time_step: float, residuals: Tensor) 
     time = time_step * np.arange(1, len(sizes) + 1)
     for entry, (name, (colour, marker)) in enumerate(zip(names, cycle(SERIES), strict=False)):
         look = {"color": colour, "marker": marker, "markersize": 4, "linewidth": 1.4}
-        coverage.plot(100 * probabilities.numpy(), observed[:, entry], label=name, markevery=10, **look)
+        coverage.plot(
+            100 * probabilities.numpy(), observed[:, entry], label=name, markevery=10, **look
+        )
         course.plot(time, sizes[:, entry], **look)
     course.set(xlabel="time (s)", ylabel="rms error (predicted std)")
     course.set_yscale("symlog", linthresh=2) if sizes.max() > 10 else course.set_ylim(bottom=0)
     for panel in (coverage, course):
         style(panel)
-    figure.legend(*coverage.get_legend_handles_labels(), loc="outside upper center", ncols=8, frameon=False)
+    figure.legend(
+        *coverage.get_legend_handles_labels(), loc="outside upper center", ncols=8, frameon=False
+    )
     return figure
 
 
 def _draw_diagonal(panel: Axes) -> None:
     panel.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, linestyle="--")
-    told: dict[str, Any] = {"transform": panel.transAxes, "color": DARK, "fontsize": "small", "alpha": 0.7}
+    told: dict[str, Any] = {
+        "transform": panel.transAxes,
+        "color": DARK,
+        "fontsize": "small",
+        "alpha": 0.7,
+    }
     panel.text(0.03, 0.96, "not sure enough", va="top", **told)
     panel.text(0.97, 0.04, "too sure", ha="right", **told)
-    panel.set(xlabel="probability of the interval (%)", ylabel="errors inside (%)", xlim=(0, 100), ylim=(0, 100), aspect="equal")
+    panel.set(
+        xlabel="probability of the interval (%)",
+        ylabel="errors inside (%)",
+        xlim=(0, 100),
+        ylim=(0, 100),
+        aspect="equal",
+    )
     panel.set_xticks([0, 25, 50, 75, 100])
     panel.set_yticks([0, 25, 50, 75, 100])

@@ -11,8 +11,11 @@ from matplotlib.figure import Figure
 from torch_pmil.plotting.style import BLUE, VERMILLION, draw_range, style
 
 
-def plot_errors_over_data(seconds: Sequence[float], panels: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
-    """Errors of several models over the experience that they were fitted to, mean and range over runs.
+def plot_errors_over_data(
+    seconds: Sequence[float], panels: Mapping[str, Mapping[str, np.ndarray]]
+) -> Figure:
+    """Errors of several models over the experience that they were fitted to, mean and range over
+    runs.
 
     Args:
         seconds: of experience, (K,).
@@ -29,12 +32,21 @@ def plot_errors_over_data(seconds: Sequence[float], panels: Mapping[str, Mapping
     figure = Figure(figsize=(0.8 + 3.2 * len(panels), 3.0), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for panel, (label, models) in zip(axes, panels.items(), strict=True):
-        for (name, errors), (colour, marker) in zip(models.items(), cycle(((VERMILLION, "s"), (BLUE, "o"))), strict=False):
+        for (name, errors), (colour, marker) in zip(
+            models.items(), cycle(((VERMILLION, "s"), (BLUE, "o"))), strict=False
+        ):
             if errors.shape[1:] != (len(seconds),):
-                raise ValueError(f"errors of {name} must be (runs, {len(seconds)}), got {errors.shape}")
+                raise ValueError(
+                    f"errors of {name} must be (runs, {len(seconds)}), got {errors.shape}"
+                )
             draw_range(panel, seconds, errors, colour, marker, name)
         panel.set(xlabel="experience (s)", ylabel=label, ylim=(0, None))
         panel.set_xticks(seconds, [f"{second:g}" for second in seconds])
         style(panel)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(models), frameon=False)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=len(models),
+        frameon=False,
+    )
     return figure

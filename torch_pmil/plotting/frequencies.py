@@ -12,12 +12,16 @@ from torch_pmil.plotting.style import BLUE, style
 TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)  # Hz
 
 
-def plot_frequencies(frequencies: Sequence[float], scores: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Figure:
-    """Predictive log-likelihood over the sampling frequency, with its interval, one panel a form (Figure 9).
+def plot_frequencies(
+    frequencies: Sequence[float], scores: Mapping[str, tuple[Sequence[float], Sequence[float]]]
+) -> Figure:
+    """Predictive log-likelihood over the sampling frequency, with its interval, one panel a form
+    (Figure 9).
 
     Args:
         frequencies: in Hz, F of them.
-        scores: by the title of a panel: means and half widths of their intervals, F each, in nats for each transition and output.
+        scores: by the title of a panel: means and half widths of their intervals, F each, in nats
+            for each transition and output.
 
     Raises:
         ValueError: there are not as many scores as frequencies.
@@ -29,11 +33,23 @@ def plot_frequencies(frequencies: Sequence[float], scores: Mapping[str, tuple[Se
     """
     for title, (means, half_widths) in scores.items():
         if not len(means) == len(half_widths) == len(frequencies):
-            raise ValueError(f"{title} must have {len(frequencies)} means and half widths, got {len(means)} and {len(half_widths)}")
+            raise ValueError(
+                f"{title} must have {len(frequencies)} means and half widths, got {len(means)} and "
+                f"{len(half_widths)}"
+            )
     figure = Figure(figsize=(0.8 + 3.6 * len(scores), 3.0), layout="constrained")
     for index, (title, (means, half_widths)) in enumerate(scores.items()):
         panel = figure.add_subplot(1, len(scores), index + 1)
-        panel.errorbar(frequencies, means, half_widths, color=BLUE, marker="o", markersize=4, linewidth=1.2, capsize=3)
+        panel.errorbar(
+            frequencies,
+            means,
+            half_widths,
+            color=BLUE,
+            marker="o",
+            markersize=4,
+            linewidth=1.2,
+            capsize=3,
+        )
         panel.set(title=title, xscale="log", xlabel="sampling frequency (Hz)")
         ticks = [tick for tick in TICKS if min(frequencies) <= tick <= max(frequencies)]
         panel.set_xticks(ticks, [f"{tick}" for tick in ticks])

@@ -14,7 +14,9 @@ BINS = 120
 INPUT, OUTPUT = "state and action $\\tilde{x}_t$", "next state $x_{t+1}$"
 
 
-def plot_gp(inputs: Tensor, targets: Tensor, grid: Tensor, posterior: Gaussian, test_input: float) -> Figure:
+def plot_gp(
+    inputs: Tensor, targets: Tensor, grid: Tensor, posterior: Gaussian, test_input: float
+) -> Figure:
     """A GP with its data and its uncertainty, and a test input where there are none (Figure 2).
 
     Args:
@@ -33,19 +35,33 @@ def plot_gp(inputs: Tensor, targets: Tensor, grid: Tensor, posterior: Gaussian, 
         ['mean', '± 2 std', 'data', 'test input']
     """
     if inputs.shape != targets.shape:
-        raise ValueError(f"inputs and targets must be (n,) each, got {tuple(inputs.shape)} and {tuple(targets.shape)}")
+        raise ValueError(
+            f"inputs and targets must be (n,) each, got {tuple(inputs.shape)} and "
+            f"{tuple(targets.shape)}"
+        )
     figure = Figure(figsize=(6.0, 3.4), layout="constrained")
     panel = figure.subplots()
     _draw_posterior(panel, grid, posterior)
-    panel.plot(inputs.numpy(), targets.numpy(), color=DARK, linestyle="", marker="x", markersize=6, label="data")
+    panel.plot(
+        inputs.numpy(),
+        targets.numpy(),
+        color=DARK,
+        linestyle="",
+        marker="x",
+        markersize=6,
+        label="data",
+    )
     panel.axvline(test_input, color=VERMILLION, linewidth=1.6, label="test input")
     panel.set(xlabel=INPUT, ylabel=OUTPUT)
     figure.legend(loc="outside upper center", ncols=4, frameon=False)
     return figure
 
 
-def plot_moment_matching(grid: Tensor, posterior: Gaussian, belief: Gaussian, samples: Tensor, matched: Gaussian) -> Figure:
-    """A Gaussian input through a GP: its exact distribution, as a histogram, and the Gaussian of the same moments (Figure 4).
+def plot_moment_matching(
+    grid: Tensor, posterior: Gaussian, belief: Gaussian, samples: Tensor, matched: Gaussian
+) -> Figure:
+    """A Gaussian input through a GP: its exact distribution, as a histogram, and the Gaussian of
+    the same moments (Figure 4).
 
     Args:
         grid: inputs where the posterior is drawn, (K,).
@@ -67,20 +83,34 @@ def plot_moment_matching(grid: Tensor, posterior: Gaussian, belief: Gaussian, sa
     """
     if not (belief.mean.shape == matched.mean.shape == (1,) and samples.ndim == 1):
         raise ValueError(
-            f"belief and matched must be of one entry and samples (S,), "
-            f"got {tuple(belief.mean.shape)}, {tuple(matched.mean.shape)} and {tuple(samples.shape)}"
+            "belief and matched must be of one entry and samples (S,), got "
+            f"{tuple(belief.mean.shape)}, {tuple(matched.mean.shape)} and {tuple(samples.shape)}"
         )
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
-    panels = figure.subplots(2, 2, sharex="col", sharey="row", width_ratios=(2, 1), height_ratios=(2, 1))
+    panels = figure.subplots(
+        2, 2, sharex="col", sharey="row", width_ratios=(2, 1), height_ratios=(2, 1)
+    )
     (function, output), (source, empty) = panels
     empty.set_axis_off()
     _draw_posterior(function, grid, posterior)
     mean, reach = matched.mean.item(), 3 * matched.std.item()
     heights = np.linspace(mean - reach, mean + reach, 400)
-    output.hist(samples.numpy(), BINS, density=True, orientation="horizontal", color=VERMILLION, alpha=0.35, label="exact, by sampling")
-    output.plot(_density(matched, heights), heights, color=BLUE, linewidth=1.8, label="moment matching")
+    output.hist(
+        samples.numpy(),
+        BINS,
+        density=True,
+        orientation="horizontal",
+        color=VERMILLION,
+        alpha=0.35,
+        label="exact, by sampling",
+    )
+    output.plot(
+        _density(matched, heights), heights, color=BLUE, linewidth=1.8, label="moment matching"
+    )
     points = grid.numpy()
-    source.fill_between(points, _density(belief, points), color=DARK, alpha=0.3, linewidth=0, label="input")
+    source.fill_between(
+        points, _density(belief, points), color=DARK, alpha=0.3, linewidth=0, label="input"
+    )
     output.tick_params(labelbottom=True)
     output.set(xlabel="density")
     output.set_xlim(left=0)
@@ -97,11 +127,20 @@ def _draw_posterior(panel: Axes, grid: Tensor, posterior: Gaussian) -> None:
     """Mean and band of a GP over its input."""
     if posterior.mean.shape != (len(grid), 1):
         raise ValueError(
-            f"posterior must have a mean of shape {(len(grid), 1)}, a row for a point of the grid, got {tuple(posterior.mean.shape)}"
+            f"posterior must have a mean of shape {(len(grid), 1)}, a row for a point of the grid, "
+            f"got {tuple(posterior.mean.shape)}"
         )
     points, mean, std = grid.numpy(), posterior.mean[:, 0].numpy(), posterior.std[:, 0].numpy()
     panel.plot(points, mean, color=GREY, linewidth=1.4, label="mean")
-    panel.fill_between(points, mean - BAND * std, mean + BAND * std, color=GREY, alpha=0.25, linewidth=0, label=f"± {BAND} std")
+    panel.fill_between(
+        points,
+        mean - BAND * std,
+        mean + BAND * std,
+        color=GREY,
+        alpha=0.25,
+        linewidth=0,
+        label=f"± {BAND} std",
+    )
     panel.set_xlim(points[0], points[-1])
     style(panel)
 

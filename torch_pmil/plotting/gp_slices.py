@@ -26,11 +26,13 @@ def plot_gp_slices(
     output_units: Sequence[str],
     over: Sequence[int] | None = None,
 ) -> Figure:
-    """Each output of a model over one of its inputs, the others held at a point: a row for each output, a column for each input.
+    """Each output of a model over one of its inputs, the others held at a point: a row for each
+    output, a column for each input.
 
-    Drawn are the mean and two standard deviations of the next observation, the noise included, and the data as partial residuals: each
-    as far above the mean as the model leaves it, at its own place on the axis. Their opacity is the correlation that the model sees
-    between them and the slice: faint data have other inputs that are far from the point.
+    Drawn are the mean and two standard deviations of the next observation, the noise included, and
+    the data as partial residuals: each as far above the mean as the model leaves it, at its own
+    place on the axis. Their opacity is the correlation that the model sees between them and the
+    slice: faint data have other inputs that are far from the point.
 
     Args:
         dynamics: fitted to data.
@@ -54,8 +56,12 @@ def plot_gp_slices(
     """
     over = range(dynamics.num_inputs) if over is None else over
     _check(dynamics, point, input_names, output_names, output_units, over)
-    figure = Figure(figsize=(1.0 + 2.3 * len(over), 0.8 + 1.7 * dynamics.num_outputs), layout="constrained")
-    panels = figure.subplots(dynamics.num_outputs, len(over), sharex="col", sharey="row", squeeze=False)
+    figure = Figure(
+        figsize=(1.0 + 2.3 * len(over), 0.8 + 1.7 * dynamics.num_outputs), layout="constrained"
+    )
+    panels = figure.subplots(
+        dynamics.num_outputs, len(over), sharex="col", sharey="row", squeeze=False
+    )
     what = "change of" if dynamics.targets == "difference" else "next"
     for column, entry in zip(panels.T, over, strict=True):
         column[-1].set_xlabel(input_names[entry])
@@ -76,9 +82,20 @@ def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, ou
     mean, variance = dynamics.expansion.predict(_along(point, entry, grid))
     x, centre = grid.numpy(), mean[:, output].numpy()
     reach = BAND * (variance + dynamics.expansion.noise)[:, output].sqrt().numpy()
-    panel.fill_between(x, centre - reach, centre + reach, color=GREY, alpha=0.25, linewidth=0, label=f"± {BAND} std", zorder=1)
+    panel.fill_between(
+        x,
+        centre - reach,
+        centre + reach,
+        color=GREY,
+        alpha=0.25,
+        linewidth=0,
+        label=f"± {BAND} std",
+        zorder=1,
+    )
     panel.plot(x, centre, color=DARK, linewidth=1.4, label="mean", zorder=3)
-    panel.axvline(point[entry].item(), color=VERMILLION, linewidth=0.8, linestyle=":", label="point")
+    panel.axvline(
+        point[entry].item(), color=VERMILLION, linewidth=0.8, linestyle=":", label="point"
+    )
     panel.margins(x=0)
     _draw_data(panel, dynamics, point, entry, output)
 
@@ -90,8 +107,16 @@ def _draw_data(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, out
     distance = ((inputs - point) / model.lengthscales[output])[:, others]
     nearness = distance.square().sum(-1).div(-2).exp()
     residuals = targets - model.mean(inputs) + model.mean(_along(point, entry, inputs[:, entry]))
-    look: dict[str, Any] = {"alpha": nearness.numpy(), "s": 9, "color": VERMILLION, "linewidth": 0, "zorder": 4}
-    panel.scatter(inputs[:, entry], residuals[:, output], label="data, fainter if far from the slice", **look)
+    look: dict[str, Any] = {
+        "alpha": nearness.numpy(),
+        "s": 9,
+        "color": VERMILLION,
+        "linewidth": 0,
+        "zorder": 4,
+    }
+    panel.scatter(
+        inputs[:, entry], residuals[:, output], label="data, fainter if far from the slice", **look
+    )
 
 
 def _along(point: Tensor, entry: int, values: Tensor) -> Tensor:
@@ -117,10 +142,15 @@ def _check(
     over: Sequence[int],
 ) -> None:
     inputs, outputs = dynamics.num_inputs, dynamics.num_outputs
-    if point.shape != (inputs,) or len(input_names) != inputs or not len(output_names) == len(output_units) == outputs:
+    if (
+        point.shape != (inputs,)
+        or len(input_names) != inputs
+        or not len(output_names) == len(output_units) == outputs
+    ):
         raise ValueError(
-            f"point and input_names must have {inputs} entries, output_names and output_units {outputs}, "
-            f"got {tuple(point.shape)}, {len(input_names)}, {len(output_names)} and {len(output_units)}"
+            f"point and input_names must have {inputs} entries, output_names and output_units "
+            f"{outputs}, got {tuple(point.shape)}, {len(input_names)}, {len(output_names)} and "
+            f"{len(output_units)}"
         )
     if not over or not set(over) <= set(range(inputs)):
         raise ValueError(f"over must be inputs from 0 to {inputs - 1}, got {list(over)}")

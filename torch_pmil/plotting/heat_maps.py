@@ -31,20 +31,24 @@ def plot_heat_map(
     value: str,
     picture: np.ndarray | None = None,
 ) -> Figure:
-    """A value at each target of a regular grid, as a filled cell, and where the target was reached (Figure 11).
+    """A value at each target of a regular grid, as a filled cell, and where the target was reached
+    (Figure 11).
 
     Several maps, of several methods, are side by side with one colour scale, which begins at 0.
 
     Args:
         x, y: coordinates of the grid, evenly spaced and increasing, (C,) and (R,).
-        maps: by the title of a panel: the values (R, C), not negative, and whether the target was reached, (R, C), bool.
+        maps: by the title of a panel: the values (R, C), not negative, and whether the target was
+            reached, (R, C), bool.
         training_targets: white discs, their convex hull outlined, (S, 2).
         labels: of the two axes, with their units.
         value: what is shown, with its unit: the label of the colour bar.
-        picture: of the set-up, on the left, (height, width, 3), uint8; the panels are then lettered (a), (b), ...
+        picture: of the set-up, on the left, (height, width, 3), uint8; the panels are then lettered
+            (a), (b), ...
 
     Raises:
-        ValueError: the grid is not evenly spaced, or values, successes or targets have another shape or range.
+        ValueError: the grid is not evenly spaced, or values, successes or targets have another
+            shape or range.
 
     Example:
         >>> near = np.array([[0.1, 0.3], [0.2, 0.4]])
@@ -54,18 +58,35 @@ def plot_heat_map(
         >>> figure.axes[0].get_title(loc="left")
         'ours'
     """
-    x, y, training_targets = np.asarray(x, dtype=float), np.asarray(y, dtype=float), np.asarray(training_targets, dtype=float)
+    x, y, training_targets = (
+        np.asarray(x, dtype=float),
+        np.asarray(y, dtype=float),
+        np.asarray(training_targets, dtype=float),
+    )
     _check(x, y, maps, training_targets)
     columns = len(maps) + (picture is not None)
-    aspects = [_width(y) / _width(x)] + ([] if picture is None else [0.85 * picture.shape[0] / picture.shape[1]])
-    figure = Figure(figsize=(PANEL_WIDTH * columns + 1.4, PANEL_WIDTH * max(aspects) + 1.0), layout="compressed")
+    aspects = [_width(y) / _width(x)] + (
+        [] if picture is None else [0.85 * picture.shape[0] / picture.shape[1]]
+    )
+    figure = Figure(
+        figsize=(PANEL_WIDTH * columns + 1.4, PANEL_WIDTH * max(aspects) + 1.0), layout="compressed"
+    )
     panels = list(figure.subplots(1, columns, squeeze=False)[0])
     letters = _letters() if picture is not None else iter(lambda: "", None)
     if picture is not None:
         _draw_picture(panels.pop(0), picture, next(letters))
     scale = Normalize(0.0, max(values.max() for values, _ in maps.values()))
     for panel, (title, (values, reached)) in zip(panels, maps.items(), strict=True):
-        panel.pcolormesh(x, y, values, cmap=COLOURS, norm=scale, shading="nearest", edgecolors="face", linewidth=0.1)
+        panel.pcolormesh(
+            x,
+            y,
+            values,
+            cmap=COLOURS,
+            norm=scale,
+            shading="nearest",
+            edgecolors="face",
+            linewidth=0.1,
+        )
         _draw_training_targets(panel, training_targets)
         _draw_successes(panel, x, y, reached)
         panel.set(xlabel=labels[0], aspect="equal")
@@ -73,8 +94,12 @@ def plot_heat_map(
     panels[0].set_ylabel(labels[1])
     for panel in panels[1:]:
         panel.tick_params(labelleft=False, left=False)
-    figure.colorbar(ScalarMappable(scale, COLOURS), ax=panels, label=fill(value, LABEL_WIDTH), shrink=0.9)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    figure.colorbar(
+        ScalarMappable(scale, COLOURS), ax=panels, label=fill(value, LABEL_WIDTH), shrink=0.9
+    )
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
+    )
     return figure
 
 
@@ -88,7 +113,12 @@ def _draw_successes(panel: Axes, x: np.ndarray, y: np.ndarray, reached: np.ndarr
     across, up = np.meshgrid(x, y)
     kinds = (("o", 4.5, reached, "reached"), ("X", 6.5, ~reached, "missed"))
     for marker, size, chosen, label in kinds:
-        style: dict[str, Any] = {"markersize": size, "markerfacecolor": DARK, "markeredgecolor": "white", "markeredgewidth": 0.8}
+        style: dict[str, Any] = {
+            "markersize": size,
+            "markerfacecolor": DARK,
+            "markeredgecolor": "white",
+            "markeredgewidth": 0.8,
+        }
         panel.plot(across[chosen], up[chosen], marker, label=label, zorder=4, **style)
 
 
@@ -97,12 +127,19 @@ def _draw_training_targets(panel: Axes, targets: np.ndarray) -> None:
     corners = _hull(targets)
     panel.plot(*corners, color=DARK, linewidth=3.0, zorder=2)
     panel.plot(*corners, color="white", linewidth=1.4, zorder=2)
-    style: dict[str, Any] = {"markersize": 12, "markerfacecolor": "white", "markeredgecolor": DARK, "markeredgewidth": 1.0}
+    style: dict[str, Any] = {
+        "markersize": 12,
+        "markerfacecolor": "white",
+        "markeredgecolor": DARK,
+        "markeredgewidth": 1.0,
+    }
     panel.plot(*targets.T, "o", label="training target", zorder=3, **style)
 
 
 def _hull(points: np.ndarray) -> np.ndarray:
-    """Corners of the convex hull of points (S, 2), the first one again at the end, (2, K); both ends where all are on one line."""
+    """Corners of the convex hull of points (S, 2), the first one again at the end, (2, K); both
+    ends where all are on one line.
+    """
     if np.linalg.matrix_rank(points - points[0]) < 2:
         return points[np.lexsort(points.T)][[0, -1]].T
     corners = ConvexHull(points).vertices
@@ -120,20 +157,37 @@ def _letters() -> Iterator[str]:
     return (f"({chr(code)})" for code in count(ord("a")))
 
 
-def _check(x: np.ndarray, y: np.ndarray, maps: Mapping[str, tuple[np.ndarray, np.ndarray]], training_targets: np.ndarray) -> None:
+def _check(
+    x: np.ndarray,
+    y: np.ndarray,
+    maps: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    training_targets: np.ndarray,
+) -> None:
     for name, places in (("x", x), ("y", y)):
         steps = np.diff(places)
-        if places.ndim != 1 or not len(steps) or not (steps > 0).all() or not np.allclose(steps, steps[0]):
-            raise ValueError(f"{name} must be at least two increasing, evenly spaced coordinates, got {places.tolist()}")
+        if (
+            places.ndim != 1
+            or not len(steps)
+            or not (steps > 0).all()
+            or not np.allclose(steps, steps[0])
+        ):
+            raise ValueError(
+                f"{name} must be at least two increasing, evenly spaced coordinates, got "
+                f"{places.tolist()}"
+            )
     if not maps:
         raise ValueError("maps must hold at least one map, got none")
     shape = (len(y), len(x))
     for title, (values, reached) in maps.items():
         if values.shape != shape or reached.shape != shape or reached.dtype != bool:
             raise ValueError(
-                f"values and successes of {title} must be numbers and bools {shape}, got {values.shape} and {reached.dtype} {reached.shape}"
+                f"values and successes of {title} must be numbers and bools {shape}, got "
+                f"{values.shape} and {reached.dtype} {reached.shape}"
             )
         if not (np.isfinite(values) & (values >= 0)).all():
-            raise ValueError(f"values of {title} must be finite and not negative, got {values[~(np.isfinite(values) & (values >= 0))][0]}")
+            raise ValueError(
+                f"values of {title} must be finite and not negative, got "
+                f"{values[~(np.isfinite(values) & (values >= 0))][0]}"
+            )
     if training_targets.ndim != 2 or training_targets.shape[1] != 2 or not len(training_targets):
         raise ValueError(f"training_targets must be (S, 2), got {training_targets.shape}")

@@ -14,11 +14,14 @@ from torch_pmil.plotting.style import BLUE, COLOURS, HATCHES, VERMILLION, style
 from torch_pmil.search.kl import gaussian_kl_terms
 
 
-def plot_kl_per_step(names: Sequence[str], time_step: float, expert: Gaussian, predicted: Gaussian) -> Figure:
-    """The KL divergence of each time step, stacked by what it comes from; the stacks' heights sum to the KL of the trajectory (Eq. 20).
+def plot_kl_per_step(
+    names: Sequence[str], time_step: float, expert: Gaussian, predicted: Gaussian
+) -> Figure:
+    """The KL divergence of each time step, stacked by what it comes from; the stacks' heights sum
+    to the KL of the trajectory (Eq. 20).
 
-    Above: means that differ, and covariances that differ. Below: the entries of the match space, each given those before it
-    (:func:`~torch_pmil.search.kl.gaussian_kl_terms`).
+    Above: means that differ, and covariances that differ. Below: the entries of the match space,
+    each given those before it (:func:`~torch_pmil.search.kl.gaussian_kl_terms`).
 
     Args:
         names: of the M entries of the match space.
@@ -37,7 +40,11 @@ def plot_kl_per_step(names: Sequence[str], time_step: float, expert: Gaussian, p
         >>> figure.axes[0].get_title(loc="left")
         'KL of the trajectory: 5.0 nats'
     """
-    if expert.mean.ndim != 2 or predicted.mean.shape != expert.mean.shape or expert.dim != len(names):
+    if (
+        expert.mean.ndim != 2
+        or predicted.mean.shape != expert.mean.shape
+        or expert.dim != len(names)
+    ):
         raise ValueError(
             f"expert and predicted must be (T, {len(names)}) for {len(names)} names, "
             f"got {tuple(expert.mean.shape)} and {tuple(predicted.mean.shape)}"
@@ -47,14 +54,29 @@ def plot_kl_per_step(names: Sequence[str], time_step: float, expert: Gaussian, p
     time = time_step * np.arange(1, len(mean) + 1)
     figure = Figure(figsize=(6.0, 4.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
-    _draw_stack(upper, time, {"means differ": mean.sum(1), "spreads differ": spread.sum(1)}, (VERMILLION, BLUE))
-    _draw_stack(lower, time, dict(zip(names, (mean + spread).T, strict=True)), COLOURS, "given those below")
-    upper.set_title(f"KL of the trajectory: {(mean + spread).sum():.1f} nats", loc="left", fontsize="medium")
+    _draw_stack(
+        upper,
+        time,
+        {"means differ": mean.sum(1), "spreads differ": spread.sum(1)},
+        (VERMILLION, BLUE),
+    )
+    _draw_stack(
+        lower, time, dict(zip(names, (mean + spread).T, strict=True)), COLOURS, "given those below"
+    )
+    upper.set_title(
+        f"KL of the trajectory: {(mean + spread).sum():.1f} nats", loc="left", fontsize="medium"
+    )
     lower.set_xlabel("time (s)")
     return figure
 
 
-def _draw_stack(panel: Axes, time: np.ndarray, parts: Mapping[str, np.ndarray], colours: Sequence[str], heading: str = "") -> None:
+def _draw_stack(
+    panel: Axes,
+    time: np.ndarray,
+    parts: Mapping[str, np.ndarray],
+    colours: Sequence[str],
+    heading: str = "",
+) -> None:
     """Bars at every multiple of the first time, one part on the other."""
     style(panel)
     below, width = np.zeros_like(time), 0.85 * time[0]
@@ -68,4 +90,11 @@ def _draw_stack(panel: Axes, time: np.ndarray, parts: Mapping[str, np.ndarray], 
         panel.bar(time, heights, width, bottom=below, label=name, **look)
         below = below + heights
     panel.set(ylabel="KL (nats)", xlim=(time[0] / 2, time[-1] + time[0] / 2))
-    panel.legend(loc="upper left", bbox_to_anchor=(1, 1), title=heading, alignment="left", frameon=False, reverse=True)
+    panel.legend(
+        loc="upper left",
+        bbox_to_anchor=(1, 1),
+        title=heading,
+        alignment="left",
+        frameon=False,
+        reverse=True,
+    )

@@ -16,7 +16,9 @@ from torch import Tensor
 
 from torch_pmil.plotting.style import BLUE, DARK, GREY, ORANGE, style
 
-LATE_IS_DARK = ListedColormap(mpl.colormaps["viridis_r"](np.linspace(0.12, 1, 256)))  # without the faintest yellow
+LATE_IS_DARK = ListedColormap(
+    mpl.colormaps["viridis_r"](np.linspace(0.12, 1, 256))
+)  # without the faintest yellow
 ROOM = 1.15  # half the side of a picture of the pendulum, in lengths of the stretched pendulum
 TRAIL = 25  # frames of the tip's past that an animation shows
 
@@ -25,7 +27,8 @@ def plot_poses(positions: Tensor, time_step: float) -> Figure:
     """The poses of a double pendulum during one rollout, coloured by time (Figure 5).
 
     Args:
-        positions: link ends [x1, y1, x2, y2] in m, (T + 1, 4), from t = 0; the base is at the origin.
+        positions: link ends [x1, y1, x2, y2] in m, (T + 1, 4), from t = 0; the base is at the
+            origin.
         time_step: seconds between two poses.
 
     Raises:
@@ -41,10 +44,16 @@ def plot_poses(positions: Tensor, time_step: float) -> Figure:
     colours = ScalarMappable(Normalize(0, time_step * (len(joints) - 1)), LATE_IS_DARK)
     figure = Figure(figsize=(5.4, 4.6), layout="constrained")
     panel = figure.subplots()
-    for pose, colour in zip(joints, map(tuple, colours.to_rgba(time_step * np.arange(len(joints)))), strict=True):
-        panel.plot(*pose.T, color=colour, linewidth=2.2, solid_capstyle="round", marker="o", markersize=3.5)
+    for pose, colour in zip(
+        joints, map(tuple, colours.to_rgba(time_step * np.arange(len(joints)))), strict=True
+    ):
+        panel.plot(
+            *pose.T, color=colour, linewidth=2.2, solid_capstyle="round", marker="o", markersize=3.5
+        )
     panel.plot(0, 0, color=DARK, marker="o", markersize=8)
-    panel.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    panel.set(
+        xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="x (m)", ylabel="y (m)"
+    )
     style(panel)
     figure.colorbar(colours, ax=panel, label="time (s)")
     return figure
@@ -54,7 +63,8 @@ def pendulum_frames(positions: Tensor, time_step: float, size: int = 480) -> Ite
     """Pictures of a moving double pendulum, drawn without OpenGL.
 
     Args:
-        positions: link ends [x1, y1, x2, y2] in m, (N, 4), one row a picture; the base is at the origin.
+        positions: link ends [x1, y1, x2, y2] in m, (N, 4), one row a picture; the base is at the
+            origin.
         time_step: seconds between two pictures, for the clock in the corner.
         size: height and width of a picture.
 
@@ -73,9 +83,16 @@ def pendulum_frames(positions: Tensor, time_step: float, size: int = 480) -> Ite
     joints = _joints(positions)
     canvas, panel = _stage(size, _reach(joints))
     trail = panel.plot([], [], color=ORANGE, linewidth=0.9, alpha=0.5)[0]
-    links = [panel.plot([], [], color=colour, linewidth=2.4, solid_capstyle="round")[0] for colour in (BLUE, ORANGE)]
-    hubs = panel.plot([], [], color=DARK, linestyle="", marker="o", markersize=2.2, markeredgewidth=0)[0]
-    clock = panel.text(0.04, 0.95, "", transform=panel.transAxes, fontsize=3.2, color=GREY, va="top")
+    links = [
+        panel.plot([], [], color=colour, linewidth=2.4, solid_capstyle="round")[0]
+        for colour in (BLUE, ORANGE)
+    ]
+    hubs = panel.plot(
+        [], [], color=DARK, linestyle="", marker="o", markersize=2.2, markeredgewidth=0
+    )[0]
+    clock = panel.text(
+        0.04, 0.95, "", transform=panel.transAxes, fontsize=3.2, color=GREY, va="top"
+    )
     for number, pose in enumerate(joints):
         trail.set_data(*joints[max(0, number - TRAIL) : number + 1, 2].T)
         for link, ends in zip(links, (pose[:2], pose[1:]), strict=True):
@@ -102,11 +119,14 @@ def _reach(joints: np.ndarray) -> float:
 def _stage(size: int, reach: float) -> tuple[FigureCanvasAgg, Axes]:
     """A canvas of size x size pixels with the circle that the tip can reach.
 
-    The figure is one inch wide, so that line widths, in points, are seventy-seconds of the picture whatever its size.
+    The figure is one inch wide, so that line widths, in points, are seventy-seconds of the picture
+    whatever its size.
     """
     figure = Figure(figsize=(1, 1), dpi=size, facecolor="#F4F7FA")
     canvas = FigureCanvasAgg(figure)
     panel = figure.add_axes((0, 0, 1, 1), xlim=(-reach, reach), ylim=(-reach, reach))
     panel.set_axis_off()
-    panel.add_patch(Circle((0, 0), reach / ROOM, facecolor="white", edgecolor="#D5DCE3", linewidth=0.2))
+    panel.add_patch(
+        Circle((0, 0), reach / ROOM, facecolor="white", edgecolor="#D5DCE3", linewidth=0.2)
+    )
     return canvas, panel

@@ -25,7 +25,10 @@ def plot_photo_series(rows: Mapping[str, Sequence[np.ndarray]], times: Sequence[
     """
     for name, pictures in rows.items():
         if len(pictures) != len(times):
-            raise ValueError(f"{name} must have a picture for each of the {len(times)} times, got {len(pictures)}")
+            raise ValueError(
+                f"{name} must have a picture for each of the {len(times)} times, got "
+                f"{len(pictures)}"
+            )
     figure = Figure(figsize=(2.0 * len(times) + 0.3, 2.0 * len(rows) + 0.3), layout="compressed")
     panels = figure.subplots(len(rows), len(times), squeeze=False)
     for line, (name, pictures) in zip(panels, rows.items(), strict=True):

@@ -43,22 +43,29 @@ class Plane:
 
 @torch.no_grad()
 def plot_policy(
-    policy: StatePolicy, planes: Sequence[Plane], states: Tensor, titles: Sequence[str], successor: Successor | None = None
+    policy: StatePolicy,
+    planes: Sequence[Plane],
+    states: Tensor,
+    titles: Sequence[str],
+    successor: Successor | None = None,
 ) -> Figure:
-    """A policy's torque in planes of the state space, as colour, and where the robot goes from there, as arrows.
+    """A policy's torque in planes of the state space, as colour, and where the robot goes from
+    there, as arrows.
 
-    A row for each plane, a column for each state at which the entries that do not vary are held; this state is marked.
+    A row for each plane, a column for each state at which the entries that do not vary are held;
+    this state is marked.
 
     Args:
         policy: of a robot without targets (see :meth:`RBFPolicy.for_target` for one with them).
         planes: what varies.
         states: K of them, such as a motion's at some times, (K, D).
         titles: of the K columns.
-        successor: states (N, D) under this policy a control period later, (N, D): a model's, or a simulator's. An arrow shows the
-            change in the plane, all of one panel to one scale.
+        successor: states (N, D) under this policy a control period later, (N, D): a model's, or a
+            simulator's. An arrow shows the change in the plane, all of one panel to one scale.
 
     Raises:
-        ValueError: states and titles do not fit each other or the policy, or a plane is none of the robot.
+        ValueError: states and titles do not fit each other or the policy, or a plane is none of the
+            robot.
 
     Example:
         >>> from torch_pmil.control.rbf_policy import RBFPolicy
@@ -71,7 +78,9 @@ def plot_policy(
         ('q (rad)', 'dq (rad/s)')
     """
     _check(policy, planes, states, titles)
-    figure = Figure(figsize=(1.8 + 2.6 * len(states), 0.6 + 2.4 * len(planes)), layout="constrained")
+    figure = Figure(
+        figsize=(1.8 + 2.6 * len(states), 0.6 + 2.4 * len(planes)), layout="constrained"
+    )
     rows = figure.subplots(len(planes), len(states), sharex="row", sharey="row", squeeze=False)
     for row, plane in zip(rows, planes, strict=True):
         limit = policy.policy.u_max[plane.torque].item()
@@ -80,10 +89,20 @@ def plot_policy(
             _draw_torque(panel, policy, plane, state, scale)
             if successor is not None:
                 _draw_flow(panel, successor, plane, state)
-            panel.plot(state[plane.x], state[plane.y], "o", markersize=7, color="white", markeredgecolor=DARK, zorder=4)
+            panel.plot(
+                state[plane.x],
+                state[plane.y],
+                "o",
+                markersize=7,
+                color="white",
+                markeredgecolor=DARK,
+                zorder=4,
+            )
             panel.set_xlabel(_label(policy, plane.x))
         row[0].set_ylabel(_label(policy, plane.y))
-        figure.colorbar(ScalarMappable(scale, COLOURS), ax=list(row), label=f"torque {plane.torque + 1} (N·m)")
+        figure.colorbar(
+            ScalarMappable(scale, COLOURS), ax=list(row), label=f"torque {plane.torque + 1} (N·m)"
+        )
     for panel, title in zip(rows[0], titles, strict=True):
         panel.set_title(title, fontsize="medium")
     return figure
@@ -93,35 +112,66 @@ def _label(policy: StatePolicy, entry: int) -> str:
     return f"{policy.space.names[entry]} ({policy.space.units[entry]})"
 
 
-def _draw_torque(panel: Axes, policy: StatePolicy, plane: Plane, state: Tensor, scale: Normalize) -> None:
+def _draw_torque(
+    panel: Axes, policy: StatePolicy, plane: Plane, state: Tensor, scale: Normalize
+) -> None:
     x, y, states = _grid(plane, state, CELLS)
-    panel.pcolormesh(x, y, policy(states)[..., plane.torque].numpy(), cmap=COLOURS, norm=scale, shading="nearest", rasterized=True)
+    panel.pcolormesh(
+        x,
+        y,
+        policy(states)[..., plane.torque].numpy(),
+        cmap=COLOURS,
+        norm=scale,
+        shading="nearest",
+        rasterized=True,
+    )
     panel.set(xlim=plane.span[0], ylim=plane.span[1])
 
 
 def _draw_flow(panel: Axes, successor: Successor, plane: Plane, state: Tensor) -> None:
     """Arrows of the change in a control period, the longest as long as the arrows are apart."""
     x, y, states = _grid(plane, state, ARROWS)
-    change = (successor(states.flatten(0, 1)).view_as(states) - states)[..., [plane.x, plane.y]].numpy()
+    change = (successor(states.flatten(0, 1)).view_as(states) - states)[
+        ..., [plane.x, plane.y]
+    ].numpy()
     widths = np.ptp(np.asarray(plane.span), axis=1)
     right, up = (change / widths).transpose(2, 0, 1)
     longest = np.hypot(right, up).max() or 1.0
-    look: dict[str, Any] = {"angles": "uv", "scale_units": "width", "scale": ARROWS * longest, "pivot": "mid", "color": DARK, "alpha": 0.85}
+    look: dict[str, Any] = {
+        "angles": "uv",
+        "scale_units": "width",
+        "scale": ARROWS * longest,
+        "pivot": "mid",
+        "color": DARK,
+        "alpha": 0.85,
+    }
     panel.quiver(x, y, right, up, width=0.007, headwidth=4, **look)
 
 
 def _grid(plane: Plane, state: Tensor, count: int) -> tuple[np.ndarray, np.ndarray, Tensor]:
-    """Middles of count x count equal cells of the plane, and the states there, (count, count, D), y first."""
-    x, y = (low + (high - low) * (torch.arange(count, dtype=torch.float64) + 0.5) / count for low, high in plane.span)
+    """Middles of count x count equal cells of the plane, and the states there, (count, count, D), y
+    first.
+    """
+    x, y = (
+        low + (high - low) * (torch.arange(count, dtype=torch.float64) + 0.5) / count
+        for low, high in plane.span
+    )
     states = state.repeat(count, count, 1)
     states[..., plane.x], states[..., plane.y] = x[None], y[:, None]
     return x.numpy(), y.numpy(), states
 
 
-def _check(policy: StatePolicy, planes: Sequence[Plane], states: Tensor, titles: Sequence[str]) -> None:
+def _check(
+    policy: StatePolicy, planes: Sequence[Plane], states: Tensor, titles: Sequence[str]
+) -> None:
     D, F = policy.space.dim, len(policy.policy.u_max)
     if states.ndim != 2 or states.shape[1] != D or len(states) != len(titles) or not len(states):
-        raise ValueError(f"states must be (K, {D}) with K titles, got {tuple(states.shape)} and {len(titles)} titles")
+        raise ValueError(
+            f"states must be (K, {D}) with K titles, got {tuple(states.shape)} and {len(titles)} "
+            "titles"
+        )
     for plane in planes:
         if not (plane.x in range(D) and plane.y in range(D) and plane.torque in range(F)):
-            raise ValueError(f"planes must be of entries below {D} and torques below {F}, got {plane}")
+            raise ValueError(
+                f"planes must be of entries below {D} and torques below {F}, got {plane}"
+            )

@@ -24,9 +24,14 @@ WIDTH, LINE = 10, 8  # characters in an inch of the legend, and those that a lin
 
 
 def plot_recordings(
-    labels: Sequence[str], times: Sequence[Tensor], values: Sequence[Tensor], names: Sequence[str], units: Sequence[str] = ()
+    labels: Sequence[str],
+    times: Sequence[Tensor],
+    values: Sequence[Tensor],
+    names: Sequence[str],
+    units: Sequence[str] = (),
 ) -> Figure:
-    """Each entry of all demonstrations over the time since its start, and the path of each pair of entries x..., y... in their plane.
+    """Each entry of all demonstrations over the time since its start, and the path of each pair of
+    entries x..., y... in their plane.
 
     Args:
         labels: of the N demonstrations.
@@ -45,9 +50,16 @@ def plot_recordings(
         >>> [panel.get_ylabel() for panel in figure.axes]
         ['x (m)', 'y (m)', 'y (m)']
     """
-    texts = [f"{name} ({unit})" for name, unit in zip(names, units, strict=True)] if units else list(names)
+    texts = (
+        [f"{name} ({unit})" for name, unit in zip(names, units, strict=True)]
+        if units
+        else list(names)
+    )
     if not len(labels) == len(times) == len(values) or values[0].shape[1] != len(texts):
-        raise ValueError(f"{len(labels)} labels and {len(names)} names must be those of {len(values)} trajectories of {values[0].shape[1]}")
+        raise ValueError(
+            f"{len(labels)} labels and {len(names)} names must be those of {len(values)} "
+            f"trajectories of {values[0].shape[1]}"
+        )
     figure, panels, planes = _layout(texts, _pairs(names))
     looks = _looks(len(labels))
     for label, time, value, look in zip(labels, times, values, looks, strict=True):
@@ -59,30 +71,51 @@ def plot_recordings(
         handles, told = panels[0].get_legend_handles_labels()
         rows = math.ceil(sum(len(label) + LINE for label in told) / (WIDTH * figure.get_figwidth()))
         ncols = math.ceil(len(told) / rows)
-        figure.legend(handles, told, title="demonstration", loc="outside upper center", ncols=ncols, frameon=False)
+        figure.legend(
+            handles,
+            told,
+            title="demonstration",
+            loc="outside upper center",
+            ncols=ncols,
+            frameon=False,
+        )
     return figure
 
 
 def _pairs(names: Sequence[str]) -> list[tuple[int, int]]:
     """Columns of entries x and y, x1 and y1, and so on."""
-    return [(column, names.index(f"y{name[1:]}")) for column, name in enumerate(names) if name[:1] == "x" and f"y{name[1:]}" in names]
+    return [
+        (column, names.index(f"y{name[1:]}"))
+        for column, name in enumerate(names)
+        if name[:1] == "x" and f"y{name[1:]}" in names
+    ]
 
 
 def _looks(count: int) -> list[dict[str, Any]]:
     """Colours and dashes that are told apart, or one thin colour for all."""
     if count > TOLD_APART:
         return count * [{"color": GREY, "alpha": 0.4}]
-    return [{"color": COLOURS[number % len(COLOURS)], "linestyle": DASHES[number // len(COLOURS)]} for number in range(count)]
+    return [
+        {"color": COLOURS[number % len(COLOURS)], "linestyle": DASHES[number // len(COLOURS)]}
+        for number in range(count)
+    ]
 
 
-def _layout(texts: Sequence[str], pairs: Sequence[tuple[int, int]]) -> tuple[Figure, list[Axes], list[Axes]]:
+def _layout(
+    texts: Sequence[str], pairs: Sequence[tuple[int, int]]
+) -> tuple[Figure, list[Axes], list[Axes]]:
     """Panels over time on the left, planes on the right."""
     rows = max(min(len(texts), 2), round(len(texts) ** 0.5))
     columns = -(-len(texts) // rows)
     height = 0.9 + 2.0 * rows
     side = (height - 0.9) / len(pairs) if pairs else 0.0
-    figure = Figure(figsize=(0.6 + 3.4 * columns + 1.15 * side, height), layout=ConstrainedLayoutEngine(w_pad=0.08))
-    grid = figure.add_gridspec(1, 1 + bool(pairs), width_ratios=[3.4 * columns, 1.15 * side] if pairs else None)
+    figure = Figure(
+        figsize=(0.6 + 3.4 * columns + 1.15 * side, height),
+        layout=ConstrainedLayoutEngine(w_pad=0.08),
+    )
+    grid = figure.add_gridspec(
+        1, 1 + bool(pairs), width_ratios=[3.4 * columns, 1.15 * side] if pairs else None
+    )
     times = grid[0].subgridspec(rows, columns)
     panels = [figure.add_subplot(times[number]) for number in range(len(texts))]
     right = grid[-1].subgridspec(max(1, len(pairs)), 1)
@@ -99,7 +132,10 @@ def _layout(texts: Sequence[str], pairs: Sequence[tuple[int, int]]) -> tuple[Fig
         style(plane)
         plane.set(xlabel=texts[x], ylabel=texts[y], aspect="equal", adjustable="datalim")
         plane.locator_params(axis="x", nbins=TICKS)
-        keys = [Line2D([], [], color=DARK, marker=marker, markersize=5, linestyle="none", label=end) for end, (_, marker) in ENDS.items()]
+        keys = [
+            Line2D([], [], color=DARK, marker=marker, markersize=5, linestyle="none", label=end)
+            for end, (_, marker) in ENDS.items()
+        ]
         plane.legend(handles=keys, loc="best", fontsize="small", frameon=False, handletextpad=0.1)
     figure.align_ylabels(panels)
     return figure, panels, planes

@@ -17,13 +17,14 @@ from torch_pmil.plotting.style import BAND, BLUE, DARK, VERMILLION, style
 
 
 def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figure:
-    """Human strokes, the prediction for the learned policy, and what the robot wrote, one panel for each.
+    """Human strokes, the prediction for the learned policy, and what the robot wrote, one panel for
+    each.
 
     The prediction is an ellipse of two standard deviations at each step.
 
     Args:
-        panels: by title, of strokes of people (N, T + 1, 2), marginals of the tip at t = 1..T, mean (T, 2), and strokes of the robot
-            (B, T + 1, 2), all in m, x to the right and y up.
+        panels: by title, of strokes of people (N, T + 1, 2), marginals of the tip at t = 1..T, mean
+            (T, 2), and strokes of the robot (B, T + 1, 2), all in m, x to the right and y up.
 
     Example:
         >>> import torch
@@ -39,8 +40,13 @@ def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figur
         panel = figure.add_subplot(rows, columns, index + 1)
         _draw(panel, shown, predicted, written)
         panel.set_title(title)
-        panel.set(xlabel="x (m)" if index + columns >= len(panels) else "", ylabel="y (m)" if index % columns == 0 else "")
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+        panel.set(
+            xlabel="x (m)" if index + columns >= len(panels) else "",
+            ylabel="y (m)" if index % columns == 0 else "",
+        )
+    figure.legend(
+        *panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
+    )
     return figure
 
 
@@ -66,7 +72,13 @@ def _draw(panel: Axes, shown: Tensor, predicted: Gaussian, written: Tensor) -> N
         (written, DARK, (0, (4, 2)), 0.8, "robot"),
     )
     for paths, colour, line, width, label in strokes:
-        drawn = panel.plot(*paths.detach().numpy().transpose(2, 1, 0), color=colour, linestyle=line, linewidth=width, alpha=0.8)
+        drawn = panel.plot(
+            *paths.detach().numpy().transpose(2, 1, 0),
+            color=colour,
+            linestyle=line,
+            linewidth=width,
+            alpha=0.8,
+        )
         drawn[0].set_label(label)
     panel.set_aspect("equal", adjustable="datalim")
     for axis in (panel.xaxis, panel.yaxis):

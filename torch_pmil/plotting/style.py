@@ -52,7 +52,9 @@ def style(panel: Axes) -> None:
 
 
 def panels_of(count: int, xlabel: str) -> tuple[Figure, list[Axes]]:
-    """A nearly square grid of ``count`` panels with one time axis; the lowest in each column is labelled."""
+    """A nearly square grid of ``count`` panels with one time axis; the lowest in each column is
+    labelled.
+    """
     columns = math.ceil(math.sqrt(count))
     rows = math.ceil(count / columns)
     figure = Figure(figsize=(1.2 + 3.4 * columns, 0.8 + 2.2 * rows), layout="constrained")
@@ -74,17 +76,44 @@ def band_of(belief: Gaussian, entry: int) -> tuple[np.ndarray, np.ndarray, np.nd
     return mean - BAND * std, mean, mean + BAND * std
 
 
-def draw_band(panel: Axes, time: np.ndarray, band: tuple[np.ndarray, np.ndarray, np.ndarray], colour: str, label: str) -> None:
+def draw_band(
+    panel: Axes,
+    time: np.ndarray,
+    band: tuple[np.ndarray, np.ndarray, np.ndarray],
+    colour: str,
+    label: str,
+) -> None:
     lower, mean, upper = band
-    panel.fill_between(time, lower, upper, facecolor=(colour, 0.25), edgecolor=(colour, 0.8), linewidth=0.8, label=label)
+    panel.fill_between(
+        time,
+        lower,
+        upper,
+        facecolor=(colour, 0.25),
+        edgecolor=(colour, 0.8),
+        linewidth=0.8,
+        label=label,
+    )
     panel.plot(time, mean, color=colour, linewidth=1.4)
 
 
-def draw_range(panel: Axes, x: Sequence[float], values: np.ndarray, colour: str, marker: str, label: str, size: int = 1) -> None:
+def draw_range(
+    panel: Axes,
+    x: Sequence[float],
+    values: np.ndarray,
+    colour: str,
+    marker: str,
+    label: str,
+    size: int = 1,
+) -> None:
     """Mean of values (runs, K), with the range over the runs as error bars."""
     mean = values.mean(0)
     bars = np.stack([mean - values.min(0), values.max(0) - mean])
-    weight: dict[str, Any] = {"markersize": 1 + 3 * size, "linewidth": 1.6 * size, "elinewidth": 0.8 * size, "capsize": 2 * size}
+    weight: dict[str, Any] = {
+        "markersize": 1 + 3 * size,
+        "linewidth": 1.6 * size,
+        "elinewidth": 0.8 * size,
+        "capsize": 2 * size,
+    }
     drawn = panel.errorbar(x, mean, bars, color=colour, marker=marker, label=label, **weight)
     for artist in drawn.get_children():
         artist.set_clip_on(False)

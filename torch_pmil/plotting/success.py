@@ -15,15 +15,19 @@ from torch_pmil.plotting.style import BLUE, DARK, GREY, SERIES, VERMILLION, draw
 
 
 def plot_learning_curve(
-    experience_s: Sequence[float], success_rate: Sequence[float], loss: Sequence[float], label: str = "predicted KL (nats)"
+    experience_s: Sequence[float],
+    success_rate: Sequence[float],
+    loss: Sequence[float],
+    label: str = "predicted KL (nats)",
 ) -> Figure:
     """Success rate (Figure 7) and loss after each trial, over the robot's experience.
 
     Args:
         experience_s: seconds of motion the robot had learned from, (N,).
-        success_rate: fractions from 0 to 1, (N,); drawn in percent, with the paper's 95 % as a dotted line.
-        loss: of each trial, such as the predicted KL over the trajectory, (N,), on a logarithmic axis; a value that is NaN, or not
-            positive, is left out.
+        success_rate: fractions from 0 to 1, (N,); drawn in percent, with the paper's 95 % as a
+            dotted line.
+        loss: of each trial, such as the predicted KL over the trajectory, (N,), on a logarithmic
+            axis; a value that is NaN, or not positive, is left out.
         label: names the loss, with its unit.
 
     Raises:
@@ -36,7 +40,11 @@ def plot_learning_curve(
     """
     if not len(experience_s) == len(success_rate) == len(loss):
         lengths = len(experience_s), len(success_rate), len(loss)
-        raise ValueError("experience_s, success_rate and loss must be equally long, got {}, {}, {}".format(*lengths))
+        raise ValueError(
+            "experience_s, success_rate and loss must be equally long, got {}, {}, {}".format(
+                *lengths
+            )
+        )
     percent = 100 * np.asarray(success_rate, dtype=float)
     if not ((percent >= 0) & (percent <= 100)).all():
         raise ValueError(f"success_rate must be between 0 and 1, got {list(success_rate)}")
@@ -45,7 +53,14 @@ def plot_learning_curve(
     upper, lower = figure.subplots(2, 1, sharex=True)
     _success_axis(upper)
     upper.plot(experience_s, percent, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3)
-    lower.plot(experience_s, np.where(losses > 0, losses, np.nan), color=VERMILLION, marker="s", markersize=4, zorder=3)
+    lower.plot(
+        experience_s,
+        np.where(losses > 0, losses, np.nan),
+        color=VERMILLION,
+        marker="s",
+        markersize=4,
+        zorder=3,
+    )
     lower.set(yscale="log", xlabel="experience (s)", ylabel=label)
     lower.set_xlim(left=0)
     _plain_numbers(lower)
@@ -58,15 +73,21 @@ def _plain_numbers(panel: Axes) -> None:
     """On a logarithmic axis, also between its decades where it has fewer than two of them."""
     low, high = panel.get_ylim()
     panel.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    panel.yaxis.set_minor_formatter(StrMethodFormatter("{x:g}") if high < 10 * low else NullFormatter())
+    panel.yaxis.set_minor_formatter(
+        StrMethodFormatter("{x:g}") if high < 10 * low else NullFormatter()
+    )
 
 
-def plot_success_over_experience(experience_s: np.ndarray, rates: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Figure:
-    """Mean success rate over runs with its 95 % interval, and each run's own as a thin line (Figure 7).
+def plot_success_over_experience(
+    experience_s: np.ndarray, rates: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> Figure:
+    """Mean success rate over runs with its 95 % interval, and each run's own as a thin line (Figure
+    7).
 
     Args:
         experience_s: seconds of motion the robot had learned from, (K,).
-        rates: fractions from 0 to 1, (runs, K); drawn in percent, with the paper's 95 % as a dotted line.
+        rates: fractions from 0 to 1, (runs, K); drawn in percent, with the paper's 95 % as a dotted
+            line.
         lower: end of the interval of the mean, a fraction, (K,).
         upper: the other end.
 
@@ -80,31 +101,48 @@ def plot_success_over_experience(experience_s: np.ndarray, rates: np.ndarray, lo
     """
     if not experience_s.shape == lower.shape == upper.shape == rates.shape[1:]:
         raise ValueError(
-            f"experience_s, lower and upper must be (K,) for rates (runs, K), got {experience_s.shape}, {lower.shape}, {upper.shape} "
-            f"for {rates.shape}"
+            "experience_s, lower and upper must be (K,) for rates (runs, K), got "
+            f"{experience_s.shape}, {lower.shape}, {upper.shape} for {rates.shape}"
         )
     figure = Figure(figsize=(6.0, 3.6), layout="constrained")
     panel = figure.subplots()
     _success_axis(panel)
-    runs = panel.plot(experience_s, 100 * rates.T, color=GREY, linewidth=0.7, alpha=0.5, clip_on=False)
+    runs = panel.plot(
+        experience_s, 100 * rates.T, color=GREY, linewidth=0.7, alpha=0.5, clip_on=False
+    )
     runs[0].set_label("single runs")
     band: dict[str, Any] = {"facecolor": (BLUE, 0.2), "edgecolor": (BLUE, 0.6), "linewidth": 0.8}
-    panel.fill_between(experience_s, 100 * lower, 100 * upper, label="95 % interval of the mean", **band)
+    panel.fill_between(
+        experience_s, 100 * lower, 100 * upper, label="95 % interval of the mean", **band
+    )
     mean = 100 * rates.mean(0)
-    panel.plot(experience_s, mean, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3, label=f"mean of {len(rates)} runs")
+    panel.plot(
+        experience_s,
+        mean,
+        color=BLUE,
+        marker="o",
+        markersize=4,
+        clip_on=False,
+        zorder=3,
+        label=f"mean of {len(rates)} runs",
+    )
     panel.set(xlabel="experience (s)")
     panel.set_xlim(left=0)
     style(panel)
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    figure.legend(
+        *panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
+    )
     return figure
 
 
 def plot_success_of_methods(curves: Mapping[str, Sequence[np.ndarray]]) -> Figure:
-    """Mean success rate of several methods, each with its 95 % interval, over the robot's experience (Figure 7).
+    """Mean success rate of several methods, each with its 95 % interval, over the robot's
+    experience (Figure 7).
 
     Args:
-        curves: of each method, by its name: seconds of motion that the robot had learned from, (K,), and for these the mean over runs and
-            the ends of its interval, fractions from 0 to 1, (K,) each; drawn in percent, with the paper's 95 % as a dotted line.
+        curves: of each method, by its name: seconds of motion that the robot had learned from,
+            (K,), and for these the mean over runs and the ends of its interval, fractions from 0 to
+            1, (K,) each; drawn in percent, with the paper's 95 % as a dotted line.
 
     Raises:
         ValueError: the lengths of a method's curves differ.
@@ -121,10 +159,28 @@ def plot_success_of_methods(curves: Mapping[str, Sequence[np.ndarray]]) -> Figur
     for (name, curve), (colour, marker) in zip(curves.items(), cycle(SERIES), strict=False):
         lengths = [len(values) for values in curve]
         if len(set(lengths)) > 1:
-            raise ValueError(f"experience, mean and interval of {name} must be equally long, got {lengths}")
+            raise ValueError(
+                f"experience, mean and interval of {name} must be equally long, got {lengths}"
+            )
         experience_s, mean, lower, upper = curve
-        panel.fill_between(experience_s, 100 * lower, 100 * upper, facecolor=(colour, 0.15), edgecolor=(colour, 0.5), linewidth=0.6)
-        panel.plot(experience_s, 100 * mean, color=colour, marker=marker, markersize=4, clip_on=False, zorder=3, label=name)
+        panel.fill_between(
+            experience_s,
+            100 * lower,
+            100 * upper,
+            facecolor=(colour, 0.15),
+            edgecolor=(colour, 0.5),
+            linewidth=0.6,
+        )
+        panel.plot(
+            experience_s,
+            100 * mean,
+            color=colour,
+            marker=marker,
+            markersize=4,
+            clip_on=False,
+            zorder=3,
+            label=name,
+        )
     panel.set(xlabel="experience (s)")
     panel.set_xlim(left=0)
     style(panel)
@@ -133,13 +189,19 @@ def plot_success_of_methods(curves: Mapping[str, Sequence[np.ndarray]]) -> Figur
 
 
 def plot_success_over_mass(
-    masses: Sequence[float], rates: Mapping[str, np.ndarray], torques: np.ndarray, limit: float, demonstrated: float
+    masses: Sequence[float],
+    rates: Mapping[str, np.ndarray],
+    torques: np.ndarray,
+    limit: float,
+    demonstrated: float,
 ) -> Figure:
-    """Success rate of some methods over the mass of the second link, and the peak torque of exact tracking (Section 5.1.2).
+    """Success rate of some methods over the mass of the second link, and the peak torque of exact
+    tracking (Section 5.1.2).
 
     Args:
         masses: kg, (K,).
-        rates: of each method, fractions from 0 to 1, (runs, K); drawn in percent, their mean with the range over the runs.
+        rates: of each method, fractions from 0 to 1, (runs, K); drawn in percent, their mean with
+            the range over the runs.
         torques: largest absolute torque that each demonstration needs, N·m, (N, K).
         limit: of the motors, N·m.
         demonstrated: mass of the demonstrator, kg.
@@ -154,11 +216,16 @@ def plot_success_over_mass(
     """
     if any(values.shape[1:] != (len(masses),) for values in (*rates.values(), torques)):
         shapes = {name: values.shape for name, values in {**rates, "torques": torques}.items()}
-        raise ValueError(f"rates and torques must be (runs, {len(masses)}) for {len(masses)} masses, got {shapes}")
+        raise ValueError(
+            f"rates and torques must be (runs, {len(masses)}) for {len(masses)} masses, got "
+            f"{shapes}"
+        )
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     _success_axis(upper)
-    for index, ((name, values), (colour, marker)) in enumerate(zip(rates.items(), cycle(SERIES), strict=False)):
+    for index, ((name, values), (colour, marker)) in enumerate(
+        zip(rates.items(), cycle(SERIES), strict=False)
+    ):
         size = len(rates) - index  # those below, drawn larger, are seen also where all agree
         draw_range(upper, masses, 100 * values, colour, marker, name, size)
     draw_range(lower, masses, torques, GREY, "o", "exact tracking")
@@ -172,12 +239,16 @@ def plot_success_over_mass(
     return figure
 
 
-def plot_success_over_settings(panels: Mapping[str, tuple[Sequence[float], np.ndarray]], plain: Sequence[float]) -> Figure:
-    """Success rate over one setting in each panel, beside those settings that are the same in all panels.
+def plot_success_over_settings(
+    panels: Mapping[str, tuple[Sequence[float], np.ndarray]], plain: Sequence[float]
+) -> Figure:
+    """Success rate over one setting in each panel, beside those settings that are the same in all
+    panels.
 
     Args:
-        panels: by what is varied, with its unit: its K levels, and the success rates, fractions from 0 to 1, (runs, K), of which the
-            mean is drawn in percent with the range over the runs.
+        panels: by what is varied, with its unit: its K levels, and the success rates, fractions
+            from 0 to 1, (runs, K), of which the mean is drawn in percent with the range over the
+            runs.
         plain: level in each panel that the other panels have.
 
     Raises:
@@ -192,22 +263,31 @@ def plot_success_over_settings(panels: Mapping[str, tuple[Sequence[float], np.nd
     axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for panel, (label, (levels, rates)), usual in zip(axes, panels.items(), plain, strict=True):
         if rates.shape[1:] != (len(levels),):
-            raise ValueError(f"rates over {label} must be (runs, {len(levels)}) for {len(levels)} levels, got {rates.shape}")
+            raise ValueError(
+                f"rates over {label} must be (runs, {len(levels)}) for {len(levels)} levels, got "
+                f"{rates.shape}"
+            )
         _success_axis(panel)
         line = panel.axvline(usual, color=GREY, linewidth=0.8, linestyle="--")
-        draw_range(panel, levels, 100 * rates, BLUE, "o", f"mean of {len(rates)} runs, and their range")
+        draw_range(
+            panel, levels, 100 * rates, BLUE, "o", f"mean of {len(rates)} runs, and their range"
+        )
         panel.set_xticks(levels, [f"{level:g}" for level in levels])
         panel.set(xlabel=label)
         panel.label_outer()
         style(panel)
     line.set_label("as in the other panels")
-    figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
+    figure.legend(
+        *axes[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False
+    )
     return figure
 
 
 def _success_axis(panel: Axes) -> None:
     """An axis of success rates, with the paper's 95 %."""
     panel.axhline(95, color=GREY, linewidth=0.8, linestyle=":")
-    panel.text(1.01, 95, "95 %", transform=panel.get_yaxis_transform(), fontsize=8, color=GREY, va="center")
+    panel.text(
+        1.01, 95, "95 %", transform=panel.get_yaxis_transform(), fontsize=8, color=GREY, va="center"
+    )
     panel.set(ylim=(0, 100), ylabel="success rate (%)")
     panel.set_yticks([0, 25, 50, 75, 100])

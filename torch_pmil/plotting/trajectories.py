@@ -9,19 +9,35 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.plotting.style import BAND, BLUE, DARK, GREY, VERMILLION, band_of, draw_band, panels_of
+from torch_pmil.plotting.style import (
+    BAND,
+    BLUE,
+    DARK,
+    GREY,
+    VERMILLION,
+    band_of,
+    draw_band,
+    panels_of,
+)
 
-OVERSHOOT = 0.75  # how far a prediction may stretch a panel, in heights of the demonstrated and executed motion
+# how far a prediction may stretch a panel, in heights of the demonstrated and executed motion
+OVERSHOOT = 0.75
 SHOWN = 20  # particles that are drawn one by one
 
 
 def plot_distributions(
-    names: Sequence[str], units: Sequence[str], time_step: float, expert: Gaussian, predicted: Gaussian, executed: Tensor
+    names: Sequence[str],
+    units: Sequence[str],
+    time_step: float,
+    expert: Gaussian,
+    predicted: Gaussian,
+    executed: Tensor,
 ) -> Figure:
-    """Demonstrated and predicted trajectory distribution with executed rollouts, one panel an entry (Figure 6).
+    """Demonstrated and predicted trajectory distribution with executed rollouts, one panel an entry
+    (Figure 6).
 
-    Bands are two standard deviations on either side of the mean. A predicted band that goes far beyond the
-    demonstrated and executed motion leaves the panel, so that the motion stays readable.
+    Bands are two standard deviations on either side of the mean. A predicted band that goes far
+    beyond the demonstrated and executed motion leaves the panel, so that the motion stays readable.
 
     Args:
         names: of the M entries of the match space.
@@ -42,10 +58,14 @@ def plot_distributions(
         ['q (rad)', 'dq (rad/s)']
     """
     shape = expert.mean.shape
-    if not (len(names) == len(units) == shape[-1] and predicted.mean.shape == shape == executed.shape[1:]):
+    if not (
+        len(names) == len(units) == shape[-1]
+        and predicted.mean.shape == shape == executed.shape[1:]
+    ):
         raise ValueError(
-            f"predicted and executed must be (T, M) and (B, T, M) for an expert {tuple(shape)} and {len(names)} names with "
-            f"{len(units)} units, got {tuple(predicted.mean.shape)} and {tuple(executed.shape)}"
+            f"predicted and executed must be (T, M) and (B, T, M) for an expert {tuple(shape)} and "
+            f"{len(names)} names with {len(units)} units, got {tuple(predicted.mean.shape)} and "
+            f"{tuple(executed.shape)}"
         )
     time = time_step * np.arange(1, shape[0] + 1)
     figure, panels = panels_of(len(names), "time (s)")
@@ -54,17 +74,30 @@ def plot_distributions(
         demonstrated, prediction = band_of(expert, entry), band_of(predicted, entry)
         draw_band(panel, time, demonstrated, BLUE, f"demonstrated ± {BAND} std")
         draw_band(panel, time, prediction, VERMILLION, f"predicted ± {BAND} std")
-        lines = panel.plot(time, rollouts.T, color=DARK, linewidth=0.7, linestyle=(0, (4, 2)), alpha=0.8)
+        lines = panel.plot(
+            time, rollouts.T, color=DARK, linewidth=0.7, linestyle=(0, (4, 2)), alpha=0.8
+        )
         if lines:
             lines[0].set_label("executed")
-        panel.set_ylim(*_limits(np.concatenate([*demonstrated, *rollouts]), np.concatenate(prediction)))
+        panel.set_ylim(
+            *_limits(np.concatenate([*demonstrated, *rollouts]), np.concatenate(prediction))
+        )
         panel.set_ylabel(f"{names[entry]} ({units[entry]})")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
+    )
     return figure
 
 
-def plot_demonstrations(names: Sequence[str], units: Sequence[str], time_step: float, demonstrated: Tensor, expert: Gaussian) -> Figure:
-    """Demonstrations and the Gaussian trajectory distribution that is estimated from them, one panel an entry (Figure 3).
+def plot_demonstrations(
+    names: Sequence[str],
+    units: Sequence[str],
+    time_step: float,
+    demonstrated: Tensor,
+    expert: Gaussian,
+) -> Figure:
+    """Demonstrations and the Gaussian trajectory distribution that is estimated from them, one
+    panel an entry (Figure 3).
 
     Args:
         names: of the M entries of the match space.
@@ -85,29 +118,46 @@ def plot_demonstrations(names: Sequence[str], units: Sequence[str], time_step: f
     steps, entries = expert.mean.shape
     if demonstrated.shape[1:] != (steps + 1, entries) or not len(names) == len(units) == entries:
         raise ValueError(
-            f"demonstrated must be (N, {steps + 1}, {entries}) for an expert {(steps, entries)}, with a name and a unit for each entry, "
-            f"got {tuple(demonstrated.shape)}, {len(names)} names and {len(units)} units"
+            f"demonstrated must be (N, {steps + 1}, {entries}) for an expert {(steps, entries)}, "
+            f"with a name and a unit for each entry, got {tuple(demonstrated.shape)}, {len(names)} "
+            f"names and {len(units)} units"
         )
     time = time_step * np.arange(steps + 1)
     figure, panels = panels_of(entries, "time (s)")
     for entry, panel in enumerate(panels):
         draw_band(panel, time[1:], band_of(expert, entry), VERMILLION, f"estimated ± {BAND} std")
-        lines = panel.plot(time, demonstrated[..., entry].numpy().T, color=BLUE, linewidth=1.0, linestyle=(0, (4, 2)))
+        lines = panel.plot(
+            time,
+            demonstrated[..., entry].numpy().T,
+            color=BLUE,
+            linewidth=1.0,
+            linestyle=(0, (4, 2)),
+        )
         lines[0].set_label("demonstrations")
         panel.set_ylabel(f"{names[entry]} ({units[entry]})")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False
+    )
     return figure
 
 
-def plot_prediction(names: Sequence[str], units: Sequence[str], time_step: float, predicted: Gaussian, particles: Tensor) -> Figure:
-    """A predicted trajectory distribution beside particles of the same policy and model, one panel an entry.
+def plot_prediction(
+    names: Sequence[str],
+    units: Sequence[str],
+    time_step: float,
+    predicted: Gaussian,
+    particles: Tensor,
+) -> Figure:
+    """A predicted trajectory distribution beside particles of the same policy and model, one panel
+    an entry.
 
     Args:
         names: of the D entries.
         units: of those entries.
         time_step: seconds between two samples; the first one shown is t = 1.
         predicted: marginals at t = 1..T by moment matching, mean (T, D) and cov (T, D, D).
-        particles: as :func:`~torch_pmil.model.particles.sample_trajectories` draws them, (N, T, D); the first 20 are lines.
+        particles: as :func:`~torch_pmil.model.particles.sample_trajectories` draws them, (N, T, D);
+            the first 20 are lines.
 
     Raises:
         ValueError: shapes do not fit each other.
@@ -120,28 +170,43 @@ def plot_prediction(names: Sequence[str], units: Sequence[str], time_step: float
         ['moment matching ± 2 std', 'particles: mean ± 2 std', 'some particles']
     """
     shape = predicted.mean.shape
-    if not (len(names) == len(units) == shape[-1] and particles.shape[1:] == shape and len(particles) > 1):
+    if not (
+        len(names) == len(units) == shape[-1]
+        and particles.shape[1:] == shape
+        and len(particles) > 1
+    ):
         raise ValueError(
-            f"particles must be (N, {', '.join(map(str, shape))}) with N of at least 2 for a prediction {tuple(shape)}, with a name and a "
-            f"unit for each entry, got {tuple(particles.shape)}, {len(names)} names and {len(units)} units"
+            f"particles must be (N, {', '.join(map(str, shape))}) with N of at least 2 for a "
+            f"prediction {tuple(shape)}, with a name and a unit for each entry, got "
+            f"{tuple(particles.shape)}, {len(names)} names and {len(units)} units"
         )
     time = time_step * np.arange(1, shape[0] + 1)
     figure, panels = panels_of(len(names), "time (s)")
     for entry, panel in enumerate(panels):
         drawn = particles[..., entry].detach().numpy()
         mean, reach = drawn.mean(0), BAND * drawn.std(0, ddof=1)
-        draw_band(panel, time, band_of(predicted, entry), VERMILLION, f"moment matching ± {BAND} std")
+        draw_band(
+            panel, time, band_of(predicted, entry), VERMILLION, f"moment matching ± {BAND} std"
+        )
         for edge in (mean - reach, mean, mean + reach):
-            line = panel.plot(time, edge, color=DARK, linewidth=1.0, linestyle=(0, (4, 2)), zorder=3)
+            line = panel.plot(
+                time, edge, color=DARK, linewidth=1.0, linestyle=(0, (4, 2)), zorder=3
+            )
         line[0].set_label(f"particles: mean ± {BAND} std")
-        panel.plot(time, drawn[:SHOWN].T, color=GREY, linewidth=0.4, alpha=0.6)[0].set_label("some particles")
+        panel.plot(time, drawn[:SHOWN].T, color=GREY, linewidth=0.4, alpha=0.6)[0].set_label(
+            "some particles"
+        )
         panel.set_ylabel(f"{names[entry]} ({units[entry]})")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
+    )
     return figure
 
 
 def _limits(shown: np.ndarray, prediction: np.ndarray) -> tuple[float, float]:
-    """Ends of an axis on which all of ``shown`` is seen, and the prediction as far as OVERSHOOT allows."""
+    """Ends of an axis on which all of ``shown`` is seen, and the prediction as far as OVERSHOOT
+    allows.
+    """
     low, high = shown.min(), shown.max()
     overshoot, margin = OVERSHOOT * (high - low), 0.05 * (high - low)
     lowest = np.clip(prediction.min(), low - overshoot, low)

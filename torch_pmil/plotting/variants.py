@@ -16,12 +16,14 @@ SPREAD = 0.5  # of the runs of a variant, in rows
 
 
 def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.ndarray) -> Figure:
-    """Success rate of variants of a method, and the experience that each needed: a row each, the best on top, a point for each run.
+    """Success rate of variants of a method, and the experience that each needed: a row each, the
+    best on top, a point for each run.
 
     Args:
         labels: of V variants.
         rates: fractions from 0 to 1, (V, runs); drawn in percent, with their mean as a bar.
-        first_success_s: seconds of experience before the first success, (V, runs); infinite where there was none, drawn as "never".
+        first_success_s: seconds of experience before the first success, (V, runs); infinite where
+            there was none, drawn as "never".
 
     Raises:
         ValueError: the shapes do not fit each other.
@@ -33,15 +35,23 @@ def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.
     """
     if rates.shape[:1] != (len(labels),) or first_success_s.shape != rates.shape:
         raise ValueError(
-            f"rates and first_success_s must be ({len(labels)}, runs) for {len(labels)} labels, got {rates.shape}, {first_success_s.shape}"
+            f"rates and first_success_s must be ({len(labels)}, runs) for {len(labels)} labels, "
+            f"got {rates.shape}, {first_success_s.shape}"
         )
     order = np.lexsort((first_success_s.mean(1), -rates.mean(1)))
     rates, seconds, rows = 100 * rates[order], first_success_s[order], np.arange(len(labels))
-    figure = Figure(figsize=(7.6, 1.0 + 0.36 * len(labels)), layout=ConstrainedLayoutEngine(wspace=0.05))
+    figure = Figure(
+        figsize=(7.6, 1.0 + 0.36 * len(labels)), layout=ConstrainedLayoutEngine(wspace=0.05)
+    )
     left, right = figure.subplots(1, 2, sharey=True)
     left.barh(rows, rates.mean(1), height=0.72, color=BLUE, alpha=0.25, label="mean")
     _draw_runs(left, rates, "o", BLUE, "a run")
-    left.set(xlabel="success rate (%)", xlim=(0, 100), yticks=rows, yticklabels=[labels[index] for index in order])
+    left.set(
+        xlabel="success rate (%)",
+        xlim=(0, 100),
+        yticks=rows,
+        yticklabels=[labels[index] for index in order],
+    )
     succeeded = np.isfinite(seconds)
     longest = max(seconds[succeeded], default=1.0)
     _draw_runs(right, np.where(succeeded, seconds, np.nan), "o", BLUE, None)
@@ -62,13 +72,30 @@ def _draw_never(panel: Axes, succeeded: np.ndarray, longest: float) -> None:
     never = 1.15 * longest
     _draw_runs(panel, np.where(succeeded, np.nan, never), "x", VERMILLION, "a run without success")
     panel.axvline(1.07 * longest, color=DARK, linewidth=0.6, linestyle=":")
-    seconds = [tick for tick in MaxNLocator(4, steps=[1, 5, 10]).tick_values(0, longest) if tick <= longest]
-    panel.set(xlim=(0, 1.22 * longest), xticks=[*seconds, never], xticklabels=[*(f"{tick:g}" for tick in seconds), "never"])
+    seconds = [
+        tick for tick in MaxNLocator(4, steps=[1, 5, 10]).tick_values(0, longest) if tick <= longest
+    ]
+    panel.set(
+        xlim=(0, 1.22 * longest),
+        xticks=[*seconds, never],
+        xticklabels=[*(f"{tick:g}" for tick in seconds), "never"],
+    )
 
 
-def _draw_runs(panel: Axes, values: np.ndarray, marker: str, colour: str, label: str | None) -> None:
+def _draw_runs(
+    panel: Axes, values: np.ndarray, marker: str, colour: str, label: str | None
+) -> None:
     """Points at values (V, runs), the runs of a row one below the other."""
     count, runs = values.shape
     offsets = SPREAD * ((np.arange(runs) + 0.5) / runs - 0.5)
     rows = np.arange(count)[:, None] + offsets
-    panel.plot(values.ravel(), rows.ravel(), marker, color=colour, markersize=4, clip_on=False, zorder=3, label=label)
+    panel.plot(
+        values.ravel(),
+        rows.ravel(),
+        marker,
+        color=colour,
+        markersize=4,
+        clip_on=False,
+        zorder=3,
+        label=label,
+    )

@@ -19,16 +19,25 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.files import replacing
 
-MP4 = ["-f", "mp4", "-movflags", "+faststart"]  # whatever the file is called; the index comes first, so that a browser plays at once
-# a GIF counts in hundredths of a second; the last picture stays; colours are those of this video, not mixed from dots, which flicker
+MP4 = [
+    "-f",
+    "mp4",
+    "-movflags",
+    "+faststart",
+]  # whatever the file is called; the index comes first, so that a browser plays at once
+# a GIF counts in hundredths of a second; the last picture stays; colours are those of this video,
+# not mixed from dots, which flicker
 GIF = "fps=25,tpad=stop_mode=clone:stop_duration=1,split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none"
 
 
-def render_rollout(env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_per_step: int = 5) -> Iterator[np.ndarray]:
-    """Pictures of a rollout, ``frames_per_step`` in each control period, the first one at the start.
+def render_rollout(
+    env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_per_step: int = 5
+) -> Iterator[np.ndarray]:
+    """Pictures of a rollout, ``frames_per_step`` in each control period, the first one at the
+    start.
 
-    The control period of 0.1 s is too coarse for the eye; five pictures in it make 50 Hz. The motion is simulated
-    anew from the start, and the environment itself stays where it is.
+    The control period of 0.1 s is too coarse for the eye; five pictures in it make 50 Hz. The
+    motion is simulated anew from the start, and the environment itself stays where it is.
 
     Args:
         env: the robot; its ``pixel_size`` is that of the pictures.
@@ -52,8 +61,11 @@ def render_rollout(env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_p
     return map(env.draw, env.replay(start, actions, frames_per_step))
 
 
-def dense_states(env: MujocoRobotEnv, start: Tensor, actions: Tensor, states_per_step: int = 5) -> Tensor:
-    """States of a rollout within its control periods too: (T · states_per_step + 1, D), the first one the start.
+def dense_states(
+    env: MujocoRobotEnv, start: Tensor, actions: Tensor, states_per_step: int = 5
+) -> Tensor:
+    """States of a rollout within its control periods too: (T · states_per_step + 1, D), the first
+    one the start.
 
     Args:
         env: the robot; it stays where it is.
@@ -75,8 +87,11 @@ def dense_states(env: MujocoRobotEnv, start: Tensor, actions: Tensor, states_per
 
 
 @torch.no_grad()
-def film_rollout(env: AdaptedEnv, policy: RBFPolicy, space: StateSpace, steps: int) -> Iterator[np.ndarray]:
-    """Pictures of a policy's rollout from a fresh start, as the environment itself shows them: one a step.
+def film_rollout(
+    env: AdaptedEnv, policy: RBFPolicy, space: StateSpace, steps: int
+) -> Iterator[np.ndarray]:
+    """Pictures of a policy's rollout from a fresh start, as the environment itself shows them: one
+    a step.
 
     Args:
         env: one robot, made with ``from_pixels=True``.
@@ -87,17 +102,23 @@ def film_rollout(env: AdaptedEnv, policy: RBFPolicy, space: StateSpace, steps: i
     Returns:
         ``steps`` + 1 pictures (height, width, 3), uint8, the first one of the start.
     """
-    rollout = env.rollout(steps, StatePolicy(policy, space, env.control_period).as_tensordict_module())
-    return (picture.numpy() for picture in itertools.chain(rollout["pixels"][:1], rollout["next", "pixels"]))
+    rollout = env.rollout(
+        steps, StatePolicy(policy, space, env.control_period).as_tensordict_module()
+    )
+    return (
+        picture.numpy()
+        for picture in itertools.chain(rollout["pixels"][:1], rollout["next", "pixels"])
+    )
 
 
 def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> None:
-    """Write pictures as an H.264 video that every player shows (MP4, yuv420p), wholly or not at all.
+    """Write pictures as an H.264 video that every player shows (MP4, yuv420p), wholly or not at
+    all.
 
     Args:
         path: of the file; one that is there is replaced.
-        frames: pictures (height, width, 3), uint8, all of one size. An odd height or width, which the format cannot
-            hold, grows by repeating the last row or column.
+        frames: pictures (height, width, 3), uint8, all of one size. An odd height or width, which
+            the format cannot hold, grows by repeating the last row or column.
         fps: pictures per second.
 
     Raises:
@@ -122,9 +143,11 @@ def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> N
 
 
 def write_gif(path: Path | str, video: Path | str) -> None:
-    """Write a video as a GIF that begins anew for ever, wholly or not at all: for pages that show no videos.
+    """Write a video as a GIF that begins anew for ever, wholly or not at all: for pages that show
+    no videos.
 
-    It is as large and as fast as the video, at 25 pictures per second, and rests on the last one for a second.
+    It is as large and as fast as the video, at 25 pictures per second, and rests on the last one
+    for a second.
 
     Args:
         path: of the file; one that is there is replaced.
@@ -148,7 +171,9 @@ def write_gif(path: Path | str, video: Path | str) -> None:
         command = [*ffmpeg, "-i", str(video), "-filter_complex", GIF, "-f", "gif", str(temporary)]
         encoded = subprocess.run(command, capture_output=True, text=True, check=False)
         if encoded.returncode:
-            raise OSError(f"ffmpeg made no GIF of {video}: {encoded.stderr.strip().splitlines()[-1]}")
+            raise OSError(
+                f"ffmpeg made no GIF of {video}: {encoded.stderr.strip().splitlines()[-1]}"
+            )
 
 
 def _encode(path: Path, frames: Iterable[np.ndarray], shape: tuple[int, ...], fps: float) -> None:
@@ -158,15 +183,27 @@ def _encode(path: Path, frames: Iterable[np.ndarray], shape: tuple[int, ...], fp
     size = shape[1] + shape[1] % 2, shape[0] + shape[0] % 2
     count = 0
     encoder = imageio_ffmpeg.write_frames(
-        path, size, fps=fps, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error", output_params=MP4
+        path,
+        size,
+        fps=fps,
+        codec="libx264",
+        quality=8,
+        macro_block_size=2,
+        ffmpeg_log_level="error",
+        output_params=MP4,
     )
     with closing(encoder):
         encoder.send(None)
         for frame in frames:
             if frame.shape != shape or frame.dtype != np.uint8:
-                raise ValueError(f"frame {count} must be uint8 of shape {shape}, got {frame.dtype} of shape {frame.shape}")
+                raise ValueError(
+                    f"frame {count} must be uint8 of shape {shape}, got {frame.dtype} of shape "
+                    f"{frame.shape}"
+                )
             encoder.send(np.pad(frame, margin, mode="edge"))
             count += 1
-    written, _ = imageio_ffmpeg.count_frames_and_secs(path)  # ffmpeg's exit status is not shown to us
+    written, _ = imageio_ffmpeg.count_frames_and_secs(
+        path
+    )  # ffmpeg's exit status is not shown to us
     if written != count:
         raise OSError(f"ffmpeg wrote {written} of {count} frames to {path}")

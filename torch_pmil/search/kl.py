@@ -1,4 +1,6 @@
-"""Kullback-Leibler divergence of Gaussians, and of factorised trajectory distributions (Eqs. 19-24)."""
+"""Kullback-Leibler divergence of Gaussians, and of factorised trajectory distributions (Eqs.
+19-24).
+"""
 
 from __future__ import annotations
 
@@ -15,12 +17,14 @@ def _log_det(factor: Tensor) -> Tensor:
 
 
 def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
-    r"""Kullback-Leibler divergence KL(p‖q) of two Gaussians (Eq. 8 in closed form: Eq. 19, sign of the log term corrected).
+    r"""Kullback-Leibler divergence KL(p‖q) of two Gaussians (Eq. 8 in closed form: Eq. 19, sign of
+    the log term corrected).
 
     .. math:: \tfrac12 \left[ \operatorname{tr}(\Sigma_q^{-1}\Sigma_p) + \delta^\top \Sigma_q^{-1} \delta - D
               + \log\tfrac{|\Sigma_q|}{|\Sigma_p|} \right], \qquad \delta = \mu_p - \mu_q
 
-    Its gradients are Eqs. 23 and 24 (the latter with the inner term :math:`\Sigma_p`, as it must be).
+    Its gradients are Eqs. 23 and 24 (the latter with the inner term :math:`\Sigma_p`, as it must
+    be).
 
     Args:
         p, q: beliefs over D entries; batches broadcast. Both covariances positive definite.
@@ -64,14 +68,15 @@ class KLTerms(NamedTuple):
 def gaussian_kl_terms(p: Gaussian, q: Gaussian) -> KLTerms:
     r"""The terms of :func:`gaussian_kl`: their sum is the KL(p‖q), exactly (Eq. 19).
 
-    By the chain rule a KL is the sum, over the entries in their order, of the expected KL of each entry given those before it,
-    :math:`\mathrm{E}_p\,\mathrm{KL}(p(z_j \mid z_{<j}) \,\|\, q(z_j \mid z_{<j}))`. With Cholesky factors L,
-    :math:`m = L_q^{-1} (\mu_p - \mu_q)` and :math:`M = L_q^{-1} L_p` these are
+    By the chain rule a KL is the sum, over the entries in their order, of the expected KL of each
+    entry given those before it, :math:`\mathrm{E}_p\,\mathrm{KL}(p(z_j \mid z_{<j}) \,\|\, q(z_j
+    \mid z_{<j}))`. With Cholesky factors L, :math:`m = L_q^{-1} (\mu_p - \mu_q)` and :math:`M =
+    L_q^{-1} L_p` these are
 
     .. math:: \tfrac12 m_j^2 \quad\text{and}\quad \tfrac12 \Big[ \sum_{k \le j} M_{jk}^2 - 1 - \log M_{jj}^2 \Big].
 
-    The sums of either over the entries do not depend on their order. How dependent entries share them does: what two of them show
-    alike counts with the first.
+    The sums of either over the entries do not depend on their order. How dependent entries share
+    them does: what two of them show alike counts with the first.
 
     Args:
         p, q: as in :func:`gaussian_kl`.
@@ -89,11 +94,14 @@ def gaussian_kl_terms(p: Gaussian, q: Gaussian) -> KLTerms:
     """
     _, _, white = _whitened(p, q)
     M, m = white[..., :-1], white[..., -1]
-    return KLTerms(m.square() / 2, (M.square().sum(-1) - 1) / 2 - M.diagonal(dim1=-2, dim2=-1).log())
+    return KLTerms(
+        m.square() / 2, (M.square().sum(-1) - 1) / 2 - M.diagonal(dim1=-2, dim2=-1).log()
+    )
 
 
 def trajectory_kl(expert: Gaussian, predicted: Gaussian) -> Tensor:
-    r"""KL of two trajectory distributions that factorise over time (Eq. 20): the sum of their marginals' KLs.
+    r"""KL of two trajectory distributions that factorise over time (Eq. 20): the sum of their
+    marginals' KLs.
 
     Args:
         expert, predicted: marginals at t = 1..T, mean (*batch, T, M), in the match space.
@@ -110,7 +118,8 @@ def trajectory_kl(expert: Gaussian, predicted: Gaussian) -> Tensor:
 
 
 def mean_kl(expert: Gaussian, mean: Tensor) -> Tensor:
-    r"""KL of each marginal when the prediction is a mean alone, given the expert's covariance (Eq. 19 with equal covariances).
+    r"""KL of each marginal when the prediction is a mean alone, given the expert's covariance (Eq.
+    19 with equal covariances).
 
     .. math:: \tfrac12 \delta^\top (\Sigma^{\mathrm{exp}})^{-1} \delta
 

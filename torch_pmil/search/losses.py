@@ -1,4 +1,6 @@
-"""What a policy is searched for: the KL between demonstrated and predicted trajectories (Eq. 20), or PILCO's cost (Eq. 28)."""
+"""What a policy is searched for: the KL between demonstrated and predicted trajectories (Eq. 20),
+or PILCO's cost (Eq. 28).
+"""
 
 from __future__ import annotations
 
@@ -16,17 +18,19 @@ from torch_pmil.search.trajectory_loss import Prediction, Reduction, TrajectoryL
 
 
 class TrajectoryKLLoss(TrajectoryLoss):
-    r""":math:`J_{\mathrm{IL}} = \sum_t \mathrm{KL}(p(x_t^{\exp}) \,\|\, p(x_t^\pi))` (Eq. 20), in nats.
+    r""":math:`J_{\mathrm{IL}} = \sum_t \mathrm{KL}(p(x_t^{\exp}) \,\|\, p(x_t^\pi))` (Eq. 20), in
+    nats.
 
-    Reads start beliefs or, as :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes ``"loss_kl"``. Keys and masks are
-    those of :class:`TrajectoryLoss`.
+    Reads start beliefs or, as :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes
+    ``"loss_kl"``. Keys and masks are those of :class:`TrajectoryLoss`.
 
     Args:
         actor_network: the policy, whose parameters are learned.
         dynamics: the forward model, constant here.
         space: the robot's state space.
         expert: demonstrated marginals at t = 1..T in the match space, observation noise included.
-        noise_std: observation noise added to the prediction too, in the units of the match space: one number, or one for each entry, (M,).
+        noise_std: observation noise added to the prediction too, in the units of the match space:
+            one number, or one for each entry, (M,).
         reduction, prediction: as in :class:`TrajectoryLoss`.
 
     Raises:
@@ -60,9 +64,15 @@ class TrajectoryKLLoss(TrajectoryLoss):
     ) -> None:
         super().__init__(actor_network, dynamics, space, reduction, prediction)
         if expert.dim != space.match.dim:
-            raise ValueError(f"expert must have the {space.match.dim} entries {space.match.names}, got {expert.dim}")
+            raise ValueError(
+                f"expert must have the {space.match.dim} entries {space.match.names}, got "
+                f"{expert.dim}"
+            )
         if torch.as_tensor(noise_std).shape not in ((), (expert.dim,)):
-            raise ValueError(f"noise_std must be a number or one for each of {space.match.names}, got {noise_std}")
+            raise ValueError(
+                f"noise_std must be a number or one for each of {space.match.names}, got "
+                f"{noise_std}"
+            )
         self.noise_std = noise_std
         self.register_buffer("expert_mean", expert.mean)
         self.register_buffer("expert_cov", expert.cov)
@@ -86,16 +96,18 @@ class TrajectoryKLLoss(TrajectoryLoss):
 
 
 class ExpectedSaturatingCost(TrajectoryLoss):
-    r"""PILCO's cost of not being at a target (Eq. 28), its expectation summed over the horizon: between 0 and T, without unit.
+    r"""PILCO's cost of not being at a target (Eq. 28), its expectation summed over the horizon:
+    between 0 and T, without unit.
 
     .. math:: \sum_t \mathbb E\left[1 - \exp\left(-\frac{d(z_t)^2}{2\sigma^2}\right)\right], \qquad
               d(z)^2 = (z - z_{\mathrm{target}})^\top W (z - z_{\mathrm{target}})
 
-    The observation z is in the match space, where its predicted moments are exact; the expectation is that of a Gaussian
-    of these moments, in closed form, without observation noise. Eq. 28 itself has :math:`\sigma` = 2 and W = I.
+    The observation z is in the match space, where its predicted moments are exact; the expectation
+    is that of a Gaussian of these moments, in closed form, without observation noise. Eq. 28 itself
+    has :math:`\sigma` = 2 and W = I.
 
-    Reads start beliefs or, as :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes ``"loss_cost"``. Keys and masks are
-    those of :class:`TrajectoryLoss`.
+    Reads start beliefs or, as :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes
+    ``"loss_cost"``. Keys and masks are those of :class:`TrajectoryLoss`.
 
     Args:
         actor_network: the policy, whose parameters are learned.
@@ -104,11 +116,13 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         target: where to be, (M,), in the match space.
         width: distance :math:`\sigma` beyond which the cost saturates, in the unit of d.
         horizon: T, number of steps after the start.
-        weight: W, (M, M), symmetric and positive semi-definite; the identity by default. Zeros ignore an entry.
+        weight: W, (M, M), symmetric and positive semi-definite; the identity by default. Zeros
+            ignore an entry.
         reduction, prediction: as in :class:`TrajectoryLoss`.
 
     Raises:
-        ValueError: shapes do not fit the match space, a number is not positive, W is indefinite, or the reduction is unknown.
+        ValueError: shapes do not fit the match space, a number is not positive, W is indefinite, or
+            the reduction is unknown.
 
     Example:
         >>> from tensordict import TensorDict
@@ -140,9 +154,14 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         super().__init__(actor_network, dynamics, space, reduction, prediction)
         M = space.match.dim
         if target.shape != (M,):
-            raise ValueError(f"target must have shape ({M},), the entries {space.match.names}, got {tuple(target.shape)}")
+            raise ValueError(
+                f"target must have shape ({M},), the entries {space.match.names}, got "
+                f"{tuple(target.shape)}"
+            )
         if not width > 0 or horizon < 1:
-            raise ValueError(f"width must be positive and horizon at least 1, got {width} and {horizon}")
+            raise ValueError(
+                f"width must be positive and horizon at least 1, got {width} and {horizon}"
+            )
         weight = torch.eye(M) if weight is None else weight
         if weight.shape != (M, M):
             raise ValueError(f"weight must have shape ({M}, {M}), got {tuple(weight.shape)}")
@@ -156,15 +175,19 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         return self._horizon
 
     def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """What the spread of each predicted marginal would cost around the target, (*batch, horizon). Raises PredictionError.
+        """What the spread of each predicted marginal would cost around the target, (*batch,
+        horizon). Raises PredictionError.
 
-        The cost itself would not do: it is high far from the target, however sure the prediction is.
+        The cost itself would not do: it is high far from the target, however sure the prediction
+        is.
         """
         observed = self.predict(initial, horizon)
         return self._score(Gaussian(self.target.expand_as(observed.mean), observed.cov))
 
     def _costs(self, observed: Gaussian) -> Tensor:
-        return expected_saturating_cost(Gaussian(observed.mean - self.target, observed.cov).affine(self.to_widths))
+        return expected_saturating_cost(
+            Gaussian(observed.mean - self.target, observed.cov).affine(self.to_widths)
+        )
 
     def _mean_costs(self, observed: Tensor) -> Tensor:
         return saturating_cost((observed - self.target) @ self.to_widths.mT)
@@ -174,5 +197,7 @@ def _root(weight: Tensor) -> Tensor:
     """R with R'R = W, of a W that may be singular."""
     values, vectors = torch.linalg.eigh(weight)
     if not torch.allclose(weight, weight.mT) or values[0] < -1e-12 * values[-1]:
-        raise ValueError(f"weight must be symmetric and positive semi-definite, got {weight.tolist()}")
+        raise ValueError(
+            f"weight must be symmetric and positive semi-definite, got {weight.tolist()}"
+        )
     return values.clamp(min=0).sqrt()[:, None] * vectors.mT

@@ -15,16 +15,19 @@ from torch_pmil.search.trajectory_loss import Prediction, Reduction
 
 
 class MultiTargetKLLoss(TrajectoryKLLoss):
-    r""":math:`J_{\mathrm{MT}} = \frac1S \sum_{i=1}^S \mathrm{KL}(p(\tau_i^{\exp}) \,\|\, p(\tau^\pi | \eta_i))` (Eq. 31), in nats.
+    r""":math:`J_{\mathrm{MT}} = \frac1S \sum_{i=1}^S \mathrm{KL}(p(\tau_i^{\exp}) \,\|\, p(\tau^\pi
+    | \eta_i))` (Eq. 31), in nats.
 
-    The policy :math:`\pi(x, \eta)` has one set of parameters; its last K inputs are the target. From each start belief it is predicted
-    for all S targets, in one batch. :meth:`rollout_loss` takes such beliefs, (\*batch, S, t, D). Keys, masks and what is written are
-    those of :class:`TrajectoryKLLoss`.
+    The policy :math:`\pi(x, \eta)` has one set of parameters; its last K inputs are the target.
+    From each start belief it is predicted for all S targets, in one batch. :meth:`rollout_loss`
+    takes such beliefs, (\*batch, S, t, D). Keys, masks and what is written are those of
+    :class:`TrajectoryKLLoss`.
 
     Args:
         actor_network: the policy, whose parameters are learned.
         dynamics, space, noise_std, reduction, prediction: as in :class:`TrajectoryKLLoss`.
-        expert: demonstrated marginals of each target at t = 1..T, mean (S, T, M), observation noise included.
+        expert: demonstrated marginals of each target at t = 1..T, mean (S, T, M), observation noise
+            included.
         targets: :math:`\eta_i`, (S, K).
 
     Raises:
@@ -54,11 +57,20 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
     ) -> None:
         super().__init__(actor_network, dynamics, space, expert, noise_std, reduction, prediction)
         if targets.ndim != 2 or expert.batch_shape[:-1] != targets.shape[:1]:
-            got = f"targets {tuple(targets.shape)} and an expert of batch shape {tuple(expert.batch_shape)}"
-            raise ValueError(f"targets must have shape (S, K) and the expert's marginals batch shape (S, T), got {got}")
+            got = (
+                f"targets {tuple(targets.shape)} and an expert of batch shape "
+                f"{tuple(expert.batch_shape)}"
+            )
+            raise ValueError(
+                "targets must have shape (S, K) and the expert's marginals batch shape (S, T), "
+                f"got {got}"
+            )
         features, inputs = space.feature_names, len(actor_network.scale)
         if inputs != len(features) + targets.shape[1]:
-            raise ValueError(f"the policy must see {', '.join(features)} and a target of {targets.shape[1]}, got one of {inputs} inputs")
+            raise ValueError(
+                f"the policy must see {', '.join(features)} and a target of {targets.shape[1]}, "
+                f"got one of {inputs} inputs"
+            )
         self.register_buffer("targets", targets.double())
 
     def begin(self, initial: Gaussian) -> tuple[Gaussian, PolicyAtTargets]:
@@ -74,7 +86,9 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         return torch.cat([features, self.targets[:, None].expand(*features.shape[:-1], -1)], -1)
 
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """KL of each predicted marginal up to a horizon, the mean over the targets, (*batch, horizon). Raises PredictionError."""
+        """KL of each predicted marginal up to a horizon, the mean over the targets, (*batch,
+        horizon). Raises PredictionError.
+        """
         return super().per_step(initial, horizon).mean(-2)
 
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
@@ -82,5 +96,7 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         return super().mean_per_step(initial, horizon).mean(-2)
 
     def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """The largest KL of all targets, (*batch, horizon): a search goes on where it may rely on all of them. Raises PredictionError."""
+        """The largest KL of all targets, (*batch, horizon): a search goes on where it may rely on
+        all of them. Raises PredictionError.
+        """
         return super().per_step(initial, horizon).amax(-2)

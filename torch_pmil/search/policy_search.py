@@ -1,4 +1,6 @@
-"""Search for the policy of least predicted loss (Eqs. 1 and 22), over a horizon that grows as far as the prediction can be trusted."""
+"""Search for the policy of least predicted loss (Eqs. 1 and 22), over a horizon that grows as far
+as the prediction can be trusted.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +29,20 @@ class SearchSettings:
 
     Args:
         mean_iterations: of L-BFGS on the mean alone, for each horizon; 0 begins with the loss.
-        stage_iterations: on the loss, for each horizon; as many again while its last steps are not trusted and each time lowers the loss
-            by a tenth.
+        stage_iterations: on the loss, for each horizon; as many again while its last steps are not
+            trusted and each time lowers the loss by a tenth.
         final_iterations: on the loss, at the last horizon.
         first_horizon: least number of steps of the first horizon.
         horizon_step: steps by which the horizon grows.
-        trusted: mean doubt of the last steps (:meth:`TrajectoryLoss.doubt`) above which the prediction is not followed further. For the KL
-            it is in nats a step, about 3 in four dimensions.
-        leaps: whether the horizon leaps to where the prediction ceases to be trusted: right for the KL, which is trusted where it matches.
-            A motion that is predicted well may be no good for another loss; then the horizon grows step by step, and from the first one
-            on for a random policy.
-        restarts: searches from random policies, one after the other, while none has brought enough (:class:`PolicySearchStepper`).
+        trusted: mean doubt of the last steps (:meth:`TrajectoryLoss.doubt`) above which the
+            prediction is not followed further. For the KL it is in nats a step, about 3 in four
+            dimensions.
+        leaps: whether the horizon leaps to where the prediction ceases to be trusted: right for the
+            KL, which is trusted where it matches. A motion that is predicted well may be no good
+            for another loss; then the horizon grows step by step, and from the first one on for a
+            random policy.
+        restarts: searches from random policies, one after the other, while none has brought enough
+            (:class:`PolicySearchStepper`).
     """
 
     mean_iterations: int = 60
@@ -54,8 +59,9 @@ class SearchSettings:
 class SearchResult:
     """What a policy search did.
 
-    ``kl`` is the loss (KL or cost) over the whole horizon T, ``per_step`` its summands; ``horizon`` is the last one that was searched,
-    ``matched`` whether all its steps are trusted; ``stop_reason`` says why the last run of L-BFGS ended.
+    ``kl`` is the loss (KL or cost) over the whole horizon T, ``per_step`` its summands; ``horizon``
+    is the last one that was searched, ``matched`` whether all its steps are trusted;
+    ``stop_reason`` says why the last run of L-BFGS ended.
     """
 
     kl: float
@@ -80,13 +86,15 @@ def search_policy(
     report: Callable[[str, float], None] = lambda stage, kl: None,
     random: bool = False,
 ) -> SearchResult:
-    """Minimise a loss, as Eq. 20 or 28, over its policy, following the prediction only as far as it can be trusted.
+    """Minimise a loss, as Eq. 20 or 28, over its policy, following the prediction only as far as it
+    can be trusted.
 
-    The far, unpredictable part of a trajectory would pull the policy away from the near part that is right already.
-    So the horizon starts where the present policy stops matching, and grows; at each horizon the mean alone is
-    searched first (a policy that only widens the prediction is no optimum there), then the loss. It stops growing
-    where the loss falls no more and the doubt of the last steps is still more than ``settings.trusted`` each. A policy whose every
-    step is trusted already is searched on the loss of the whole horizon alone.
+    The far, unpredictable part of a trajectory would pull the policy away from the near part that
+    is right already. So the horizon starts where the present policy stops matching, and grows; at
+    each horizon the mean alone is searched first (a policy that only widens the prediction is no
+    optimum there), then the loss. It stops growing where the loss falls no more and the doubt of
+    the last steps is still more than ``settings.trusted`` each. A policy whose every step is
+    trusted already is searched on the loss of the whole horizon alone.
 
     Args:
         loss: objective with the policy (changed in place) and the model.
@@ -101,7 +109,11 @@ def search_policy(
     search = _Search(loss, initial, settings, report)
     doubt = _evaluate(loss.doubt, initial, loss.horizon)
     from_first = random and not settings.leaps
-    horizon = min(settings.first_horizon, loss.horizon) if from_first else _first_unmatched(doubt, settings)
+    horizon = (
+        min(settings.first_horizon, loss.horizon)
+        if from_first
+        else _first_unmatched(doubt, settings)
+    )
     growing = from_first or bool((doubt > settings.trusted).any())
     while growing:
         begun = search.stage(horizon)
@@ -118,43 +130,71 @@ def search_policy(
 class _Search:
     """The runs of L-BFGS of one policy search."""
 
-    def __init__(self, loss: TrajectoryLoss, initial: Gaussian, settings: SearchSettings, report: Callable[[str, float], None]) -> None:
+    def __init__(
+        self,
+        loss: TrajectoryLoss,
+        initial: Gaussian,
+        settings: SearchSettings,
+        report: Callable[[str, float], None],
+    ) -> None:
         self.loss, self.initial, self.settings, self.report = loss, initial, settings, report
         self.parameters = list(loss.actor_network.parameters())
         self.runs: list[MinimiseResult] = []
         self.start = time.perf_counter()
 
-    def run(self, name: str, per_step: Callable[[Gaussian, int], Tensor], horizon: int, iterations: int) -> None:
+    def run(
+        self, name: str, per_step: Callable[[Gaussian, int], Tensor], horizon: int, iterations: int
+    ) -> None:
         """Minimise the sum of the steps up to a horizon."""
         failures = (PredictionError, NotPositiveDefiniteError)
         conditioned = ConditionedLoss(self.loss)
-        self.runs.append(minimise(conditioned.variables, lambda: conditioned.total(per_step, self.initial, horizon), iterations, failures))
+        self.runs.append(
+            minimise(
+                conditioned.variables,
+                lambda: conditioned.total(per_step, self.initial, horizon),
+                iterations,
+                failures,
+            )
+        )
         conditioned.write()
         self.report(f"{name} {horizon}/{self.loss.horizon}", self.runs[-1].loss)
 
     def stage(self, horizon: int) -> bool:
-        """Search the mean, then the loss. Where one cannot begin, the policy is what it was before, and the answer False."""
+        """Search the mean, then the loss. Where one cannot begin, the policy is what it was before,
+        and the answer False.
+        """
         before = [parameter.detach().clone() for parameter in self.parameters]
         try:
             if self.settings.mean_iterations:
                 self.run("mean", self.loss.mean_per_step, horizon, self.settings.mean_iterations)
             self.run(self.loss.label, self.loss.per_step, horizon, self.settings.stage_iterations)
             while self._worth_more(horizon):
-                self.run(self.loss.label, self.loss.per_step, horizon, self.settings.stage_iterations)
+                self.run(
+                    self.loss.label, self.loss.per_step, horizon, self.settings.stage_iterations
+                )
         except (PredictionError, NotFiniteError):
             restore(self.parameters, before)
             return False
         return True
 
     def _worth_more(self, horizon: int) -> bool:
-        """Whether the last steps are not trusted yet, and the last run might have come further with more iterations."""
+        """Whether the last steps are not trusted yet, and the last run might have come further with
+        more iterations.
+        """
         last = self.runs[-1]
-        unfinished = last.stop_reason == "iteration limit" and last.loss < WORTHWHILE * last.initial_loss
-        return unfinished and not _trusted(_evaluate(self.loss.doubt, self.initial, horizon), horizon, self.settings)
+        unfinished = (
+            last.stop_reason == "iteration limit" and last.loss < WORTHWHILE * last.initial_loss
+        )
+        return unfinished and not _trusted(
+            _evaluate(self.loss.doubt, self.initial, horizon), horizon, self.settings
+        )
 
     def result(self, horizon: int) -> SearchResult:
         """What the policy has come to."""
-        per_step, doubt = (_evaluate(of, self.initial, self.loss.horizon) for of in (self.loss.per_step, self.loss.doubt))
+        per_step, doubt = (
+            _evaluate(of, self.initial, self.loss.horizon)
+            for of in (self.loss.per_step, self.loss.doubt)
+        )
         return SearchResult(
             kl=per_step.sum().item(),
             per_step=per_step,
@@ -168,11 +208,19 @@ class _Search:
 
 
 @torch.no_grad()
-def renew_policy(loss: TrajectoryLoss, initial: Gaussian, new: RBFPolicy, settings: SearchSettings, generator: torch.Generator) -> None:
-    """Give the policy of ``loss`` the new policy's centres and widths, and weights that act as it did where it is trusted.
+def renew_policy(
+    loss: TrajectoryLoss,
+    initial: Gaussian,
+    new: RBFPolicy,
+    settings: SearchSettings,
+    generator: torch.Generator,
+) -> None:
+    """Give the policy of ``loss`` the new policy's centres and widths, and weights that act as it
+    did where it is trusted.
 
-    Searches on early, poor models may drive widths and centres to extremes from which no later search returns. A new network
-    that was fitted to the old one's actions keeps what was learned, and can be searched well.
+    Searches on early, poor models may drive widths and centres to extremes from which no later
+    search returns. A new network that was fitted to the old one's actions keeps what was learned,
+    and can be searched well.
 
     Args:
         loss: objective with the policy (changed in place) and the newest model.
@@ -193,8 +241,12 @@ def renew_policy(loss: TrajectoryLoss, initial: Gaussian, new: RBFPolicy, settin
 
 
 @torch.no_grad()
-def _evaluate(of_steps: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int) -> Tensor:
-    """Cost or doubt of each step, (horizon,); infinite from the step on at which the prediction fails."""
+def _evaluate(
+    of_steps: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
+) -> Tensor:
+    """Cost or doubt of each step, (horizon,); infinite from the step on at which the prediction
+    fails.
+    """
     try:
         return of_steps(initial, horizon)
     except PredictionError as error:
@@ -211,4 +263,6 @@ def _first_unmatched(doubt: Tensor, settings: SearchSettings) -> int:
 
 
 def _trusted(doubt: Tensor, horizon: int, settings: SearchSettings) -> bool:
-    return doubt[max(horizon - settings.horizon_step, 0) : horizon].mean().item() <= settings.trusted
+    return (
+        doubt[max(horizon - settings.horizon_step, 0) : horizon].mean().item() <= settings.trusted
+    )

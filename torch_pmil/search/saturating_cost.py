@@ -1,6 +1,7 @@
 r"""The saturating cost of a point and its closed-form expectation over a Gaussian (Eq. 28).
 
-Both count the distance from the target in widths: :math:`r = R(x - x_{\text{target}})` with :math:`R^\top R = W / \sigma^2`.
+Both count the distance from the target in widths: :math:`r = R(x - x_{\text{target}})` with
+:math:`R^\top R = W / \sigma^2`.
 """
 
 from __future__ import annotations
@@ -28,15 +29,18 @@ def saturating_cost(residual: Tensor) -> Tensor:
 
 
 def expected_saturating_cost(residual: Gaussian) -> Tensor:
-    r"""Expectation of :func:`saturating_cost` when the residual is Gaussian, :math:`r \sim \mathcal N(m, S)`.
+    r"""Expectation of :func:`saturating_cost` when the residual is Gaussian, :math:`r \sim \mathcal
+    N(m, S)`.
 
     .. math:: 1 - |I + S|^{-1/2} \exp\left(-\tfrac12 m^\top (I + S)^{-1} m\right)
 
-    No jitter is needed: the eigenvalues of I + S are at least 1, whether or not S is singular. At S = 0 this is the cost of
-    the mean, and with growing S it goes to 1. A singular S must not exceed about 1e15, where rounding swallows the I.
+    No jitter is needed: the eigenvalues of I + S are at least 1, whether or not S is singular. At S
+    = 0 this is the cost of the mean, and with growing S it goes to 1. A singular S must not exceed
+    about 1e15, where rounding swallows the I.
 
     Args:
-        residual: belief over the distances from the target in widths, mean (*batch, K). A belief over x gives it by ``x.affine``.
+        residual: belief over the distances from the target in widths, mean (*batch, K). A belief
+            over x gives it by ``x.affine``.
 
     Returns:
         (*batch), between 0 and 1, without unit.
@@ -50,7 +54,10 @@ def expected_saturating_cost(residual: Gaussian) -> Tensor:
         >>> expected_saturating_cost(Gaussian(torch.zeros(1), torch.tensor([[3.0]])))
         tensor(0.5000)
     """
-    L = cholesky(residual.cov + torch.eye(residual.dim).to(residual.cov), "identity plus covariance of the residual")
+    L = cholesky(
+        residual.cov + torch.eye(residual.dim).to(residual.cov),
+        "identity plus covariance of the residual",
+    )
     white = torch.linalg.solve_triangular(L, residual.mean[..., None], upper=False)
     half_log_det = L.diagonal(dim1=-2, dim2=-1).log().sum(-1)
     return 1 - torch.exp(-white.square().sum((-2, -1)) / 2 - half_log_det)

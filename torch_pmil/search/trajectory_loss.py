@@ -1,4 +1,6 @@
-"""What the objectives of a policy search share: a TorchRL loss that predicts a trajectory and sums the costs of its steps (Eq. 21)."""
+"""What the objectives of a policy search share: a TorchRL loss that predicts a trajectory and sums
+the costs of its steps (Eq. 21).
+"""
 
 from __future__ import annotations
 
@@ -25,25 +27,30 @@ Prediction = Callable[[Gaussian, Policy, GPDynamics, StateSpace, int], Gaussian]
 
 
 class TrajectoryLoss(LossModule):
-    r"""What the losses of this package share: a cost of each step of a predicted trajectory, summed over the steps.
+    r"""What the losses of this package share: a cost of each step of a predicted trajectory, summed
+    over the steps.
 
-    Called, it predicts: it reads the start beliefs p(x_0) at ``("observation", "mean")``, (\*batch, D), and
-    ``("observation", "var")``, (\*batch, D, D). :meth:`rollout_loss` (``trainer.compute_loss(batch, "rollout_loss")``) reads beliefs
-    that are predicted already, as a rollout through an imagined environment leaves them. Both write ``out_keys``.
+    Called, it predicts: it reads the start beliefs p(x_0) at ``("observation", "mean")``, (\*batch,
+    D), and ``("observation", "var")``, (\*batch, D, D). :meth:`rollout_loss`
+    (``trainer.compute_loss(batch, "rollout_loss")``) reads beliefs that are predicted already, as a
+    rollout through an imagined environment leaves them. Both write ``out_keys``.
 
-    ``set_keys(mean=..., var=...)`` sets other keys. ``loss_mask_key`` is TorchRL's: the entry, (\*batch) or (\*batch, T), that is
-    False where a belief or a step does not count; by default ``("collector", "mask")`` and ``"shifted_valid"`` are looked for.
-    What does not count may hold anything. Beliefs of another dtype are computed in that of the policy.
+    ``set_keys(mean=..., var=...)`` sets other keys. ``loss_mask_key`` is TorchRL's: the entry,
+    (\*batch) or (\*batch, T), that is False where a belief or a step does not count; by default
+    ``("collector", "mask")`` and ``"shifted_valid"`` are looked for. What does not count may hold
+    anything. Beliefs of another dtype are computed in that of the policy.
 
-    The policy is trained, the model constant: ``parameters()`` gives the policy's alone, while ``state_dict()`` holds all.
+    The policy is trained, the model constant: ``parameters()`` gives the policy's alone, while
+    ``state_dict()`` holds all.
 
     Args:
         actor_network: the policy, whose parameters are learned.
         dynamics: the forward model.
         space: the robot's state space.
-        reduction: "mean", over trajectories, of the sum over their steps; "sum" over both; "none" gives all steps, (\*batch, T),
-            with 0 where they do not count.
-        prediction: how p(x_1..T) is predicted: exact moment matching, or :class:`ParticlePrediction`.
+        reduction: "mean", over trajectories, of the sum over their steps; "sum" over both; "none"
+            gives all steps, (\*batch, T), with 0 where they do not count.
+        prediction: how p(x_1..T) is predicted: exact moment matching, or
+            :class:`ParticlePrediction`.
 
     Raises:
         ValueError: the reduction is none of these.
@@ -63,7 +70,12 @@ class TrajectoryLoss(LossModule):
     tensor_keys: _AcceptedKeys
 
     def __init__(
-        self, actor_network: RBFPolicy, dynamics: GPDynamics, space: StateSpace, reduction: Reduction, prediction: Prediction
+        self,
+        actor_network: RBFPolicy,
+        dynamics: GPDynamics,
+        space: StateSpace,
+        reduction: Reduction,
+        prediction: Prediction,
     ) -> None:
         super().__init__()
         if reduction not in ("none", "mean", "sum"):
@@ -103,33 +115,45 @@ class TrajectoryLoss(LossModule):
         return [unravel_key(("next", key)) for key in self.in_keys]
 
     def predict(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
-        """Predicted observations at t = 1..horizon: mean (*batch, horizon, M). Raises PredictionError."""
+        """Predicted observations at t = 1..horizon: mean (*batch, horizon, M). Raises
+        PredictionError.
+        """
         return self._observe(self.predict_states(initial, horizon))
 
     def predict_states(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
         """Predicted states at t = 1..horizon: mean (*batch, horizon, D). Raises PredictionError."""
-        return self.prediction(*self.begin(initial), self.dynamics, self.space, horizon or self.horizon)
+        return self.prediction(
+            *self.begin(initial), self.dynamics, self.space, horizon or self.horizon
+        )
 
     def begin(self, initial: Gaussian) -> tuple[Gaussian, Policy]:
         """Where the trajectories begin that are predicted for p(x_0), and what acts there."""
         return initial, self.actor_network
 
     def policy_inputs(self, states: Tensor) -> Tensor:
-        """What the policy sees of states, a batch of the trajectories' shape before the last dimension."""
+        """What the policy sees of states, a batch of the trajectories' shape before the last
+        dimension.
+        """
         return self.space.features(states)
 
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """Cost of each predicted marginal up to a horizon, (*batch, horizon). Raises PredictionError."""
+        """Cost of each predicted marginal up to a horizon, (*batch, horizon). Raises
+        PredictionError.
+        """
         return self._score(self.predict(initial, horizon))
 
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """The same for the model's mean alone: cheap, and no local optimum of wide predictions."""
         start, policy = self.begin(initial)
-        states = predict_mean_trajectory(start.mean, policy, self.dynamics, self.space, horizon or self.horizon)
+        states = predict_mean_trajectory(
+            start.mean, policy, self.dynamics, self.space, horizon or self.horizon
+        )
         return self._mean_costs(self.space.match(states))
 
     def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """How little a search should rely on each predicted marginal, (*batch, horizon); the cost itself. Raises PredictionError."""
+        """How little a search should rely on each predicted marginal, (*batch, horizon); the cost
+        itself. Raises PredictionError.
+        """
         return self.per_step(initial, horizon)
 
     @dispatch
@@ -147,7 +171,8 @@ class TrajectoryLoss(LossModule):
 
     @dispatch(source="rollout_keys")
     def rollout_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Loss of beliefs over the state that are predicted already, (*batch, t, D) with t up to T; gradients flow into them.
+        """Loss of beliefs over the state that are predicted already, (*batch, t, D) with t up to T;
+        gradients flow into them.
 
         Raises:
             KeyError: a belief is missing.
@@ -156,18 +181,30 @@ class TrajectoryLoss(LossModule):
         """
         states = self._belief(tensordict, self.rollout_keys)
         if not states.batch_shape or states.batch_shape[-1] > self.horizon:
-            raise ValueError(f"a trajectory must have shape (*batch, t, D) with t up to {self.horizon}, got {tuple(states.mean.shape)}")
+            raise ValueError(
+                f"a trajectory must have shape (*batch, t, D) with t up to {self.horizon}, got "
+                f"{tuple(states.mean.shape)}"
+            )
         counted = self._counted(tensordict, states.batch_shape)
         return self._reduced(self._score(self._observe(_where(counted, states))), counted)
 
-    def named_parameters(self, prefix: str = "", recurse: bool = True) -> Iterator[tuple[str, nn.Parameter]]:
+    def named_parameters(
+        self, prefix: str = "", recurse: bool = True
+    ) -> Iterator[tuple[str, nn.Parameter]]:
         """The policy's."""
         constant = set(self.dynamics.parameters())
-        return ((name, parameter) for name, parameter in super().named_parameters(prefix, recurse) if parameter not in constant)
+        return (
+            (name, parameter)
+            for name, parameter in super().named_parameters(prefix, recurse)
+            if parameter not in constant
+        )
 
     def reset_parameters_recursive(self) -> None:
         """An RBF policy begins at the demonstrations, not at numbers that it could draw by itself."""
-        raise NotImplementedError("the policy cannot reset itself: load a new one with actor_network.load_state_dict(new.state_dict())")
+        raise NotImplementedError(
+            "the policy cannot reset itself: load a new one with "
+            "actor_network.load_state_dict(new.state_dict())"
+        )
 
     def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
         """The loss has no value estimator."""
@@ -180,16 +217,26 @@ class TrajectoryLoss(LossModule):
             return self._costs(observed)
         except NotPositiveDefiniteError as error:
             step = error.element[-1] + 1
-            raise PredictionError(f"comparison of step {step} of {observed.batch_shape[-1]} failed: {error}", step) from error
+            raise PredictionError(
+                f"comparison of step {step} of {observed.batch_shape[-1]} failed: {error}", step
+            ) from error
 
     def _belief(self, tensordict: TensorDictBase, keys: list[NestedKey]) -> Gaussian:
         present = tensordict.keys(include_nested=True)
         for key in keys:
             if key not in present:
-                raise KeyError(f"{type(self).__name__} reads {key!r}, got a tensordict with {sorted(present, key=str)}")
-        belief = Gaussian(*(tensordict.get(key).to(self.actor_network.centres.dtype) for key in keys))
+                raise KeyError(
+                    f"{type(self).__name__} reads {key!r}, got a tensordict with "
+                    f"{sorted(present, key=str)}"
+                )
+        belief = Gaussian(
+            *(tensordict.get(key).to(self.actor_network.centres.dtype) for key in keys)
+        )
         if belief.dim != self.space.dim:
-            raise ValueError(f"{keys[0]!r} must hold the {self.space.dim} entries {self.space.names}, got {belief.dim}")
+            raise ValueError(
+                f"{keys[0]!r} must hold the {self.space.dim} entries {self.space.names}, got "
+                f"{belief.dim}"
+            )
         return belief
 
     def _counted(self, tensordict: TensorDictBase, shape: tuple[int, ...]) -> Tensor:
@@ -209,4 +256,7 @@ class TrajectoryLoss(LossModule):
 def _where(counted: Tensor, belief: Gaussian) -> Gaussian:
     """A standard belief in place of those that do not count, lest they raise an error."""
     standard = torch.eye(belief.dim).to(belief.cov)
-    return Gaussian(torch.where(counted[..., None], belief.mean, 0.0), torch.where(counted[..., None, None], belief.cov, standard))
+    return Gaussian(
+        torch.where(counted[..., None], belief.mean, 0.0),
+        torch.where(counted[..., None, None], belief.cov, standard),
+    )

@@ -1,4 +1,6 @@
-"""The RBF policy as a TensorDict module: the counterpart of TorchRL's ``RBFController`` with its keys."""
+"""The RBF policy as a TensorDict module: the counterpart of TorchRL's ``RBFController`` with its
+keys.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +22,20 @@ from torch_pmil.torchrl_interop.keys import (
 
 
 class BeliefPolicy(TensorDictModuleBase):
-    r"""An :class:`RBFPolicy` on beliefs (Eqs. 25-27), exact moments included, and on plain observations where there is no belief.
+    r"""An :class:`RBFPolicy` on beliefs (Eqs. 25-27), exact moments included, and on plain
+    observations where there is no belief.
 
-    From ``("observation", "mean")`` (*batch, D) and ``("observation", "var")`` (*batch, D, D) it writes ``("action", "mean")``
-    (*batch, F), ``("action", "var")`` (*batch, F, F) and ``("action", "cross_covariance")``, which is
-    :math:`\Sigma_x^{-1} \operatorname{cov}(x, u)` (*batch, D, F). From a plain ``"observation"`` it writes a plain ``"action"``. So
-    the same module acts in an imagined and in the real environment.
+    From ``("observation", "mean")`` (*batch, D) and ``("observation", "var")`` (*batch, D, D) it
+    writes ``("action", "mean")`` (*batch, F), ``("action", "var")`` (*batch, F, F) and ``("action",
+    "cross_covariance")``, which is :math:`\Sigma_x^{-1} \operatorname{cov}(x, u)` (*batch, D, F).
+    From a plain ``"observation"`` it writes a plain ``"action"``. So the same module acts in an
+    imagined and in the real environment.
 
     Args:
         policy: its inputs are the features of the state.
-        space: what the policy sees of the state; the state itself if None. With angles, the module also writes
-            ``("action", "feature_cross_covariance")``, :math:`\Sigma_f^{-1} \operatorname{cov}(f, u)` (*batch, D', F) for features f.
+        space: what the policy sees of the state; the state itself if None. With angles, the module
+            also writes ``("action", "feature_cross_covariance")``, :math:`\Sigma_f^{-1}
+            \operatorname{cov}(f, u)` (*batch, D', F) for features f.
 
     Raises:
         ValueError: the policy's inputs are not the features of the space.
@@ -51,7 +56,9 @@ class BeliefPolicy(TensorDictModuleBase):
         inputs = policy.centres.shape[-1]
         self.policy, self.space = policy, raw_space(inputs) if space is None else space
         if len(self.space.feature_names) != inputs:
-            raise ValueError(f"the policy must have the inputs {self.space.feature_names}, got {inputs} inputs")
+            raise ValueError(
+                f"the policy must have the inputs {self.space.feature_names}, got {inputs} inputs"
+            )
         self.in_keys = list(STATE_BELIEF)
         self.out_keys = [*ACTION_BELIEF, *([FEATURE_CROSS_COVARIANCE] if self.space.angles else [])]
 

@@ -14,27 +14,41 @@ from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.model_based import ModelBasedEnvBase
 
-from torch_pmil.torchrl_interop.keys import ACTION, ACTION_BELIEF, NEXT_OBSERVATION, OBSERVATION, STATE_BELIEF, lookup, lookup_belief
+from torch_pmil.torchrl_interop.keys import (
+    ACTION,
+    ACTION_BELIEF,
+    NEXT_OBSERVATION,
+    OBSERVATION,
+    STATE_BELIEF,
+    lookup,
+    lookup_belief,
+)
 
 
 class ImaginedEnv(ModelBasedEnvBase):
-    r"""Rollouts of beliefs under a world model, for any number of actions and any batch, in float64, with gradients.
+    r"""Rollouts of beliefs under a world model, for any number of actions and any batch, in
+    float64, with gradients.
 
-    A step reads ``("observation", "mean" | "var")`` and ``("action", "mean" | "var" | "cross_covariance")``, and gives the next
-    belief. An action of which only the ``mean`` is told, as a random policy does, is certain.
-    The reward is zero (the cost is a loss of the rollout), and an episode never ends by itself.
+    A step reads ``("observation", "mean" | "var")`` and ``("action", "mean" | "var" |
+    "cross_covariance")``, and gives the next belief. An action of which only the ``mean`` is told,
+    as a random policy does, is certain. The reward is zero (the cost is a loss of the rollout), and
+    an episode never ends by itself.
 
-    ``reset`` starts at the belief (or the certain ``"observation"``) that it is given; where there is none, at a certain
-    observation drawn from the base environment's specification.
+    ``reset`` starts at the belief (or the certain ``"observation"``) that it is given; where there
+    is none, at a certain observation drawn from the base environment's specification.
 
     Args:
-        world_model_module: reads the keys above and writes the mean and the ``var`` of the next observation.
-        base_env: the real environment; its ``"observation"`` (*batch, D) and action (*batch, F) say the dimensions.
-        batch_size: of the rollouts; that of the base environment if None, but at least (1,). With () any batch is taken.
+        world_model_module: reads the keys above and writes the mean and the ``var`` of the next
+            observation.
+        base_env: the real environment; its ``"observation"`` (*batch, D) and action (*batch, F) say
+            the dimensions.
+        batch_size: of the rollouts; that of the base environment if None, but at least (1,). With
+            () any batch is taken.
         next_observation_key: under which the world model writes ``"mean"`` and ``"var"``.
 
     Raises:
-        ValueError: the base environment has no single action of real numbers, or no vector ``"observation"``.
+        ValueError: the base environment has no single action of real numbers, or no vector
+            ``"observation"``.
 
     Example:
         >>> from torch_pmil.envs import DoublePendulumEnv
@@ -56,7 +70,12 @@ class ImaginedEnv(ModelBasedEnvBase):
         observation, action = _observation_spec(base_env), _action_spec(base_env)
         if batch_size is None:
             batch_size = base_env.batch_size or (1,)
-        super().__init__(world_model_module, device=base_env.device, batch_size=torch.Size(batch_size), allow_done_after_reset=True)
+        super().__init__(
+            world_model_module,
+            device=base_env.device,
+            batch_size=torch.Size(batch_size),
+            allow_done_after_reset=True,
+        )
         self.next_observation_key = next_observation_key
         self.dim = observation.shape[-1]
         self._start_spec = observation.expand(*self.batch_size, self.dim)
@@ -65,9 +84,13 @@ class ImaginedEnv(ModelBasedEnvBase):
     def _make_specs(self, action: TensorSpec) -> None:
         batch, D, F = self.batch_size, self.dim, action.shape[-1]
         real = {"dtype": torch.float64, "device": self.device}
-        belief = Composite(mean=Unbounded((*batch, D), **real), var=Unbounded((*batch, D, D), **real), shape=batch)
+        belief = Composite(
+            mean=Unbounded((*batch, D), **real), var=Unbounded((*batch, D, D), **real), shape=batch
+        )
         self.observation_spec = Composite(observation=belief, shape=batch)
-        self.action_spec = Composite(action=Composite(mean=action.expand(*batch, F), shape=batch), shape=batch)
+        self.action_spec = Composite(
+            action=Composite(mean=action.expand(*batch, F), shape=batch), shape=batch
+        )
         self.reward_spec = Unbounded((*batch, 1), **real)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
@@ -80,12 +103,17 @@ class ImaginedEnv(ModelBasedEnvBase):
         return self._start(given.batch_size, certain, certain.new_zeros(*certain.shape, self.dim))
 
     def _start(self, batch: torch.Size, mean: Tensor, var: Tensor) -> TensorDictBase:
-        observation = {"mean": mean.expand(*batch, self.dim), "var": var.expand(*batch, self.dim, self.dim)}
+        observation = {
+            "mean": mean.expand(*batch, self.dim),
+            "var": var.expand(*batch, self.dim, self.dim),
+        }
         return TensorDict({"observation": observation}, batch_size=batch, device=self.device)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         batch = tensordict.batch_size
-        following = self.world_model(_with_whole_action(tensordict, self.dim)).get(self.next_observation_key)
+        following = self.world_model(_with_whole_action(tensordict, self.dim)).get(
+            self.next_observation_key
+        )
         result = {
             "observation": following.select("mean", "var"),
             "reward": torch.zeros(*batch, 1, dtype=torch.float64, device=self.device),
@@ -98,7 +126,9 @@ class ImaginedEnv(ModelBasedEnvBase):
 
 
 def _with_whole_action(tensordict: TensorDictBase, dim: int) -> TensorDictBase:
-    """A copy in which the action has its ``var`` and ``cross_covariance``: zero where they are missing."""
+    """A copy in which the action has its ``var`` and ``cross_covariance``: zero where they are
+    missing.
+    """
     whole = tensordict.clone(recurse=False)
     mean, action = whole.get(ACTION_BELIEF[0]), whole.get(ACTION)
     for key, rows in (("var", mean.shape[-1]), ("cross_covariance", dim)):
@@ -111,13 +141,21 @@ def _observation_spec(base_env: EnvBase) -> TensorSpec:
     """One robot's observation (D,)."""
     spec = base_env.observation_spec_unbatched.get(OBSERVATION, None)
     if spec is None or len(spec.shape) != 1:
-        raise ValueError(f'base_env must have a vector "observation", got {base_env.observation_spec_unbatched}')
+        raise ValueError(
+            f'base_env must have a vector "observation", got {base_env.observation_spec_unbatched}'
+        )
     return spec
 
 
 def _action_spec(base_env: EnvBase) -> TensorSpec:
     """One robot's action (F,), in float64."""
     spec = base_env.action_spec_unbatched
-    if not isinstance(spec, (Bounded, Unbounded)) or not spec.dtype.is_floating_point or len(spec.shape) != 1:
-        raise ValueError(f"base_env must have one action that is a vector of real numbers, got {spec}")
+    if (
+        not isinstance(spec, (Bounded, Unbounded))
+        or not spec.dtype.is_floating_point
+        or len(spec.shape) != 1
+    ):
+        raise ValueError(
+            f"base_env must have one action that is a vector of real numbers, got {spec}"
+        )
     return spec.to(torch.float64)

@@ -11,10 +11,21 @@ from torch import Tensor
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 
-OBSERVATION, ACTION, NEXT_OBSERVATION = "observation", "action", ("next", "observation")  # without belief
+OBSERVATION, ACTION, NEXT_OBSERVATION = (
+    "observation",
+    "action",
+    ("next", "observation"),
+)  # without belief
 STATE_BELIEF = [("observation", "mean"), ("observation", "var")]
-ACTION_BELIEF = [("action", "mean"), ("action", "var"), ("action", "cross_covariance")]  # the last: Sigma_x^-1 cov(x, u)
-FEATURE_CROSS_COVARIANCE = ("action", "feature_cross_covariance")  # Sigma_f^-1 cov(f, u), of features f that are not the state
+ACTION_BELIEF = [
+    ("action", "mean"),
+    ("action", "var"),
+    ("action", "cross_covariance"),
+]  # the last: Sigma_x^-1 cov(x, u)
+FEATURE_CROSS_COVARIANCE = (
+    "action",
+    "feature_cross_covariance",
+)  # Sigma_f^-1 cov(f, u), of features f that are not the state
 NEXT_BELIEF = [("next", "observation", "mean"), ("next", "observation", "var")]
 
 
@@ -44,12 +55,19 @@ def lookup(tensordict: TensorDictBase, key: NestedKey, shape: tuple[int, ...]) -
     if not isinstance(value, Tensor):
         return None
     if value.shape[value.ndim - len(shape) :] != shape:
-        raise ValueError(f"{key} must have shape (*batch, {', '.join(map(str, shape))}), got {tuple(value.shape)}")
+        raise ValueError(
+            f"{key} must have shape (*batch, {', '.join(map(str, shape))}), got "
+            f"{tuple(value.shape)}"
+        )
     return value.double()
 
 
-def lookup_belief(tensordict: TensorDictBase, keys: Sequence[NestedKey], dim: int) -> Gaussian | None:
-    """The belief under two keys, ``mean`` and ``var``, certain where it has no ``var``; None where it has no ``mean``."""
+def lookup_belief(
+    tensordict: TensorDictBase, keys: Sequence[NestedKey], dim: int
+) -> Gaussian | None:
+    """The belief under two keys, ``mean`` and ``var``, certain where it has no ``var``; None where
+    it has no ``mean``.
+    """
     mean_key, var_key = keys
     mean, var = lookup(tensordict, mean_key, (dim,)), lookup(tensordict, var_key, (dim, dim))
     if mean is None:

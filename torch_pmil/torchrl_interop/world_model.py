@@ -1,4 +1,6 @@
-"""The counterpart of TorchRL's ``GPWorldModel``: same constructor, keys and ``fit``, on :class:`GPDynamics`."""
+"""The counterpart of TorchRL's ``GPWorldModel``: same constructor, keys and ``fit``, on
+:class:`GPDynamics`.
+"""
 
 from __future__ import annotations
 
@@ -30,20 +32,23 @@ from torch_pmil.torchrl_interop.keys import (
 
 
 class GPWorldModel(TensorDictModuleBase):
-    r"""Exact GPs of x_{t+1} - x_t given the state and the action (Eqs. 2-7), and exact moment matching of beliefs (Eqs. 13-18).
+    r"""Exact GPs of x_{t+1} - x_t given the state and the action (Eqs. 2-7), and exact moment
+    matching of beliefs (Eqs. 13-18).
 
-    :meth:`forward` reads a belief over state and action and writes that over the next state, the model's noise included
-    (Eq. 5). What has no ``var`` or no ``cross_covariance`` is certain. Where there is no belief but a plain ``"observation"``
-    (*batch, D) and ``"action"`` (*batch, F), it writes the mean of ``("next", "observation")``. Both are differentiable in what
-    they read, and all is computed in float64.
+    :meth:`forward` reads a belief over state and action and writes that over the next state, the
+    model's noise included (Eq. 5). What has no ``var`` or no ``cross_covariance`` is certain. Where
+    there is no belief but a plain ``"observation"`` (*batch, D) and ``"action"`` (*batch, F), it
+    writes the mean of ``("next", "observation")``. Both are differentiable in what they read, and
+    all is computed in float64.
 
     Args:
         obs_dim: D, entries of the state.
         action_dim: F, entries of the action.
-        in_keys: of the action's mean (*batch, F), its covariance (*batch, F, F), :math:`\Sigma_x^{-1} \operatorname{cov}(x, u)`
-            (*batch, D, F), the state's mean (*batch, D) and its covariance (*batch, D, D), in this order; a sixth,
-            :math:`\Sigma_f^{-1} \operatorname{cov}(f, u)` (*batch, D', F) for features f of the state, may be missing in the data:
-            cov(f, u) then is that of x and u jointly Gaussian.
+        in_keys: of the action's mean (*batch, F), its covariance (*batch, F, F),
+            :math:`\Sigma_x^{-1} \operatorname{cov}(x, u)` (*batch, D, F), the state's mean (*batch,
+            D) and its covariance (*batch, D, D), in this order; a sixth, :math:`\Sigma_f^{-1}
+            \operatorname{cov}(f, u)` (*batch, D', F) for features f of the state, may be missing in
+            the data: cov(f, u) then is that of x and u jointly Gaussian.
         out_keys: of the next state's mean (*batch, D) and covariance (*batch, D, D).
         space: what the model sees of the state; the state itself if None.
 
@@ -74,28 +79,51 @@ class GPWorldModel(TensorDictModuleBase):
         super().__init__()
         self.space = raw_space(obs_dim) if space is None else space
         if self.space.dim != obs_dim:
-            raise ValueError(f"space must have obs_dim = {obs_dim} entries, got the {self.space.dim} of {self.space.names}")
-        self.obs_dim, self.action_dim, self.num_features = obs_dim, action_dim, len(self.space.feature_names)
-        default = [*ACTION_BELIEF, *STATE_BELIEF, *([FEATURE_CROSS_COVARIANCE] if self.space.angles else [])]
+            raise ValueError(
+                f"space must have obs_dim = {obs_dim} entries, got the {self.space.dim} of "
+                f"{self.space.names}"
+            )
+        self.obs_dim, self.action_dim, self.num_features = (
+            obs_dim,
+            action_dim,
+            len(self.space.feature_names),
+        )
+        default = [
+            *ACTION_BELIEF,
+            *STATE_BELIEF,
+            *([FEATURE_CROSS_COVARIANCE] if self.space.angles else []),
+        ]
         self.in_keys = list(default if in_keys is None else in_keys)
         self.out_keys = list(NEXT_BELIEF if out_keys is None else out_keys)
         if len(self.in_keys) not in (5, 6) or len(self.out_keys) != 2:
-            raise ValueError(f"expected five or six in_keys and two out_keys, got {len(self.in_keys)} and {len(self.out_keys)}")
+            raise ValueError(
+                f"expected five or six in_keys and two out_keys, got {len(self.in_keys)} and "
+                f"{len(self.out_keys)}"
+            )
         self.dynamics = GPDynamics(self.num_features + action_dim, obs_dim)
 
     def fit(self, dataset: TensorDictBase) -> FitResult:
         """Learn from transitions by maximum marginal likelihood.
 
         Args:
-            dataset: with ``"observation"`` (*batch, D), ``"action"`` (*batch, F) and ``("next", "observation")`` (*batch, D).
+            dataset: with ``"observation"`` (*batch, D), ``"action"`` (*batch, F) and ``("next",
+                "observation")`` (*batch, D).
 
         Raises:
             KeyError: a key is missing.
             ValueError: shapes do not fit, or an entry is not finite, or fewer than two transitions.
         """
-        entries = (OBSERVATION, self.obs_dim), (ACTION, self.action_dim), (NEXT_OBSERVATION, self.obs_dim)
-        states, actions, successors = (_required(dataset, *entry).detach().flatten(0, -2) for entry in entries)
-        return self.dynamics.fit(torch.cat([self.space.features(states), actions], -1), successors - states)
+        entries = (
+            (OBSERVATION, self.obs_dim),
+            (ACTION, self.action_dim),
+            (NEXT_OBSERVATION, self.obs_dim),
+        )
+        states, actions, successors = (
+            _required(dataset, *entry).detach().flatten(0, -2) for entry in entries
+        )
+        return self.dynamics.fit(
+            torch.cat([self.space.features(states), actions], -1), successors - states
+        )
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next state, or its belief, into ``tensordict`` and return it.
@@ -104,7 +132,8 @@ class GPWorldModel(TensorDictModuleBase):
             RuntimeError: the model has no data.
             KeyError: the action or the observation is missing.
             ValueError: an entry has another shape.
-            NotPositiveDefiniteError: a covariance has a clearly negative eigenvalue, or is not finite.
+            NotPositiveDefiniteError: a covariance has a clearly negative eigenvalue, or is not
+                finite.
         """
         state = lookup_belief(tensordict, self.in_keys[3:5], self.obs_dim)
         if state is None:
@@ -113,21 +142,32 @@ class GPWorldModel(TensorDictModuleBase):
         return tensordict.set(self.out_keys[0], successor.mean).set(self.out_keys[1], successor.cov)
 
     def _successor(self, tensordict: TensorDictBase) -> Tensor:
-        state, action = _required(tensordict, OBSERVATION, self.obs_dim), _required(tensordict, ACTION, self.action_dim)
-        return state + self.dynamics.expansion.mean(torch.cat([self.space.features(state), action], -1))
+        state, action = (
+            _required(tensordict, OBSERVATION, self.obs_dim),
+            _required(tensordict, ACTION, self.action_dim),
+        )
+        return state + self.dynamics.expansion.mean(
+            torch.cat([self.space.features(state), action], -1)
+        )
 
     def _successor_belief(self, state: Gaussian, tensordict: TensorDictBase) -> Gaussian:
         action = lookup_belief(tensordict, self.in_keys[:2], self.action_dim)
         if action is None:
-            raise KeyError(f"expected the action under {self.in_keys[0]}, got the keys {_keys(tensordict)}")
+            raise KeyError(
+                f"expected the action under {self.in_keys[0]}, got the keys {_keys(tensordict)}"
+            )
         slope = lookup(tensordict, self.in_keys[2], (self.obs_dim, self.action_dim))
         slope = state.cov.new_zeros(*state.mean.shape, self.action_dim) if slope is None else slope
         features, feature_slope = self.space.belief(state)
         cross_cov = self._feature_cross_cov(features, tensordict)
         if cross_cov is None:
             cross_cov = feature_slope.mT @ state.cov @ slope
-        moments = moment_match(self.dynamics.expansion, joint(features, action, cross_cov), observation_noise=True)
-        return successor_belief(state, torch.cat([feature_slope, slope], -1), moments, self.dynamics.targets)
+        moments = moment_match(
+            self.dynamics.expansion, joint(features, action, cross_cov), observation_noise=True
+        )
+        return successor_belief(
+            state, torch.cat([feature_slope, slope], -1), moments, self.dynamics.targets
+        )
 
     def _feature_cross_cov(self, features: Gaussian, tensordict: TensorDictBase) -> Tensor | None:
         """cov(f, u), (*batch, D', F), where the policy says it."""

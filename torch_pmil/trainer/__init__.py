@@ -1,1 +1,3 @@
-"""Algorithm 1 on TorchRL: the trainer, its steppers, its collector of rollouts, and its checkpoints."""
+"""Algorithm 1 on TorchRL: the trainer, its steppers, its collector of rollouts, and its
+checkpoints.
+"""

@@ -1,4 +1,6 @@
-"""Checkpoints of a learning run: one archive after every rollout, whole or not there, and checked before it is read."""
+"""Checkpoints of a learning run: one archive after every rollout, whole or not there, and checked
+before it is read.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:
 
 
 def newest_undamaged(rotation: CheckpointRotation) -> Path | None:
-    """The newest checkpoint of which every byte can be read, with a warning for each newer one; None if there is none at all.
+    """The newest checkpoint of which every byte can be read, with a warning for each newer one;
+    None if there is none at all.
 
     Raises:
         CheckpointError: there are checkpoints, and all are damaged.
@@ -54,7 +57,11 @@ def newest_undamaged(rotation: CheckpointRotation) -> Path | None:
         problem = damage(path)
         if problem is None:
             return path
-        warnings.warn(f"checkpoint {path} is damaged ({problem}): the one before it is taken", RuntimeWarning, stacklevel=2)
+        warnings.warn(
+            f"checkpoint {path} is damaged ({problem}): the one before it is taken",
+            RuntimeWarning,
+            stacklevel=2,
+        )
     if paths:
         raise CheckpointError(f"all checkpoints in {rotation.directory} are damaged")
     return None

@@ -33,7 +33,9 @@ class RobotActor(torch.nn.Module):
 
     @torch.no_grad()
     def forward(self, observation: Tensor, target: Tensor | None = None) -> Tensor:
-        """Torques (*batch, F), N·m, for states (*batch, D), and what the robots are to do, (*batch, K), if the policy is of targets."""
+        """Torques (*batch, F), N·m, for states (*batch, D), and what the robots are to do, (*batch,
+        K), if the policy is of targets.
+        """
         if self.exploring:
             return self.motion(observation)
         features = self.space.features(observation)
@@ -41,10 +43,12 @@ class RobotActor(torch.nn.Module):
 
 
 class RolloutCollector(Collector):
-    """TorchRL's collector of one rollout of each robot a batch, without end; the first is all rollouts of the first motion in a row.
+    """TorchRL's collector of one rollout of each robot a batch, without end; the first is all
+    rollouts of the first motion in a row.
 
-    Its state holds the batch that it handed out last: with a loaded state it begins with that one. A checkpoint that is written as
-    soon as the robot has moved thus holds the motion, and a resumed loop learns from it as the first one did.
+    Its state holds the batch that it handed out last: with a loaded state it begins with that one.
+    A checkpoint that is written as soon as the robot has moved thus holds the motion, and a resumed
+    loop learns from it as the first one did.
 
     Args:
         env: the robot.
@@ -57,9 +61,22 @@ class RolloutCollector(Collector):
     _latest: TensorDictBase | None = None
     _repeated = False
 
-    def __init__(self, env: EnvBase, policy: TensorDictModule, actor: RobotActor, first_motion: FirstMotion, horizon: int) -> None:
+    def __init__(
+        self,
+        env: EnvBase,
+        policy: TensorDictModule,
+        actor: RobotActor,
+        first_motion: FirstMotion,
+        horizon: int,
+    ) -> None:
         settings = {"reset_at_each_iter": True, "auto_register_policy_transforms": False}
-        super().__init__(env, policy, frames_per_batch=horizon * env.batch_size.numel(), total_frames=-1, **settings)
+        super().__init__(
+            env,
+            policy,
+            frames_per_batch=horizon * env.batch_size.numel(),
+            total_frames=-1,
+            **settings,
+        )
         self._executed, self._actor, self._first_motion = policy, actor, first_motion
 
     def rollout(self) -> TensorDictBase:
@@ -81,8 +98,14 @@ class RolloutCollector(Collector):
             yield self._latest
 
     def state_dict(self) -> dict[str, object]:
-        """TorchRL's, which leaves out what a plain environment remembers, with that and the latest batch."""
-        latest = None if self._latest is None else {"entries": self._latest.to_dict(), "shape": list(self._latest.shape)}
+        """TorchRL's, which leaves out what a plain environment remembers, with that and the latest
+        batch.
+        """
+        latest = (
+            None
+            if self._latest is None
+            else {"entries": self._latest.to_dict(), "shape": list(self._latest.shape)}
+        )
         return {**super().state_dict(), "env_state_dict": self.env.state_dict(), "latest": latest}
 
     def load_state_dict(self, state_dict: Mapping[str, Any], **kwargs: Any) -> None:

@@ -13,13 +13,15 @@ from torch_pmil.gp.lbfgs import minimise
 
 
 class LBFGSStepper(OptimizationStepper):
-    """A run of L-BFGS with strong Wolfe on each batch, in place of one gradient step; needs no optimizer in the trainer.
+    """A run of L-BFGS with strong Wolfe on each batch, in place of one gradient step; needs no
+    optimizer in the trainer.
 
-    The objective is the sum of the loss's entries ``loss_*`` on that batch, which must be one function of the parameters: a loss whose
-    entries hide parameters from each other (an actor and a critic) is searched one entry at a time. A loss that draws random
-    numbers draws the same ones throughout a step. Points where it is not finite are stepped back from, and the
-    parameters end at the best point that was seen. Curvature is learned anew on each batch. A trainer's ``clip_norm`` has no
-    meaning here.
+    The objective is the sum of the loss's entries ``loss_*`` on that batch, which must be one
+    function of the parameters: a loss whose entries hide parameters from each other (an actor and a
+    critic) is searched one entry at a time. A loss that draws random numbers draws the same ones
+    throughout a step. Points where it is not finite are stepped back from, and the parameters end
+    at the best point that was seen. Curvature is learned anew on each batch. A trainer's
+    ``clip_norm`` has no meaning here.
 
     Args:
         max_iterations: of L-BFGS in a step; each takes one to a few evaluations.
@@ -27,7 +29,8 @@ class LBFGSStepper(OptimizationStepper):
         survives: errors of the loss that say no more than that it has no value at these parameters.
 
     Raises:
-        NotFiniteError: at the parameters that a step begins with; an error of ``survives`` likewise.
+        NotFiniteError: at the parameters that a step begins with; an error of ``survives``
+            likewise.
         ValueError: the loss has no entry to minimise, or no trainable parameter.
 
     Example:
@@ -35,17 +38,30 @@ class LBFGSStepper(OptimizationStepper):
     """
 
     def __init__(
-        self, max_iterations: int = 20, loss_components: Sequence[str] | None = None, survives: tuple[type[Exception], ...] = ()
+        self,
+        max_iterations: int = 20,
+        loss_components: Sequence[str] | None = None,
+        survives: tuple[type[Exception], ...] = (),
     ) -> None:
         if max_iterations < 1:
             raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
-        self.max_iterations, self.loss_components, self.survives = max_iterations, loss_components, survives
+        self.max_iterations, self.loss_components, self.survives = (
+            max_iterations,
+            loss_components,
+            survives,
+        )
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
-        """Minimise on ``sub_batch``; gives the entries at the end, with the numbers of iterations and evaluations."""
-        parameters = [parameter for parameter in trainer.loss_module.parameters() if parameter.requires_grad]
+        """Minimise on ``sub_batch``; gives the entries at the end, with the numbers of iterations
+        and evaluations.
+        """
+        parameters = [
+            parameter for parameter in trainer.loss_module.parameters() if parameter.requires_grad
+        ]
         if not parameters:
-            raise ValueError(f"{type(trainer.loss_module).__name__} must have trainable parameters, got none")
+            raise ValueError(
+                f"{type(trainer.loss_module).__name__} must have trainable parameters, got none"
+            )
         random_state = torch.get_rng_state()
 
         def objective() -> Tensor:
@@ -56,7 +72,10 @@ class LBFGSStepper(OptimizationStepper):
         torch.set_rng_state(random_state)
         with torch.no_grad():
             losses = trainer.compute_loss(sub_batch)
-        counts = {"lbfgs_iterations": float(result.iterations), "lbfgs_evaluations": float(result.evaluations)}
+        counts = {
+            "lbfgs_iterations": float(result.iterations),
+            "lbfgs_evaluations": float(result.evaluations),
+        }
         return TensorDict({**losses.detach().to_dict(), **counts})
 
     def _total(self, losses: TensorDictBase) -> Tensor:
@@ -64,5 +83,7 @@ class LBFGSStepper(OptimizationStepper):
         chosen = self.loss_components or sorted(key for key in keys if key.startswith("loss"))
         missing = [key for key in chosen if key not in keys]
         if missing or not chosen:
-            raise ValueError(f"the loss must have {missing or 'entries loss_*'}, got {sorted(keys)}")
+            raise ValueError(
+                f"the loss must have {missing or 'entries loss_*'}, got {sorted(keys)}"
+            )
         return sum(losses[key] for key in chosen)

@@ -13,7 +13,12 @@ from torchrl.trainers import OptimizationStepper, Trainer
 
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.search.policy_search import SearchResult, SearchSettings, renew_policy, search_policy
+from torch_pmil.search.policy_search import (
+    SearchResult,
+    SearchSettings,
+    renew_policy,
+    search_policy,
+)
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 PROGRESS = 0.8  # of the least loss so far: what a search should come to
@@ -22,9 +27,10 @@ PROGRESS = 0.8  # of the least loss so far: what a search should come to
 class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
-    A search starts from the policy that the last one left. Where it neither matches the whole horizon nor brings the loss well below the
-    least so far, another starts from what it found, renewed (:func:`renew_policy`), and where that brings no more, others start from
-    random policies if the settings say so. The best one is kept.
+    A search starts from the policy that the last one left. Where it neither matches the whole
+    horizon nor brings the loss well below the least so far, another starts from what it found,
+    renewed (:func:`renew_policy`), and where that brings no more, others start from random policies
+    if the settings say so. The best one is kept.
 
     Args:
         settings: budget and horizon of a search.
@@ -42,21 +48,41 @@ class PolicySearchStepper(OptimizationStepper):
         generator: torch.Generator,
         report: Callable[[str, float], None],
     ) -> None:
-        self.settings, self.make_policy, self.generator, self.report = settings, make_policy, generator, report
+        self.settings, self.make_policy, self.generator, self.report = (
+            settings,
+            make_policy,
+            generator,
+            report,
+        )
         self.renewed = False
         self._least = math.inf
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
-        """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in place."""
+        """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in
+        place.
+        """
         loss = trainer.loss_module
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
-        self.result = search_policy(loss, initial, self.settings, self.report, random=self._least == math.inf)
+        self.result = search_policy(
+            loss, initial, self.settings, self.report, random=self._least == math.inf
+        )
         self.renewed = not self._enough()
         if self.renewed:
-            self._search_also(loss, initial, lambda: renew_policy(loss, initial, self.make_policy(), self.settings, self.generator))
+            self._search_also(
+                loss,
+                initial,
+                lambda: renew_policy(
+                    loss, initial, self.make_policy(), self.settings, self.generator
+                ),
+            )
         for _ in range(self.settings.restarts):
             if not self._enough():
-                self._search_also(loss, initial, lambda: loss.actor_network.load_state_dict(self.make_policy().state_dict()), random=True)
+                self._search_also(
+                    loss,
+                    initial,
+                    lambda: loss.actor_network.load_state_dict(self.make_policy().state_dict()),
+                    random=True,
+                )
         self._least = min(self._least, self.result.kl)
         return TensorDict({loss.out_keys[0]: torch.tensor(self.result.kl, dtype=torch.float64)})
 
@@ -71,7 +97,13 @@ class PolicySearchStepper(OptimizationStepper):
     def _enough(self) -> bool:
         return self.result.complete or self.result.kl < PROGRESS * self._least
 
-    def _search_also(self, loss: TrajectoryLoss, initial: Gaussian, begin: Callable[[], object], random: bool = False) -> None:
+    def _search_also(
+        self,
+        loss: TrajectoryLoss,
+        initial: Gaussian,
+        begin: Callable[[], object],
+        random: bool = False,
+    ) -> None:
         found = copy.deepcopy(loss.actor_network.state_dict())
         begin()
         second = search_policy(loss, initial, self.settings, self.report, random=random)

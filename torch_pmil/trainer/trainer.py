@@ -1,4 +1,5 @@
-"""Algorithm 1: fit the model, search the policy on it, run it on the robot, again; as a TorchRL trainer.
+"""Algorithm 1: fit the model, search the policy on it, run it on the robot, again; as a TorchRL
+trainer.
 
 :class:`PMILTrainer` is the loop; its optimisation step is in ``search_stepper.py``.
 """
@@ -38,16 +39,19 @@ NUMERALS = {2: "two", 3: "three", 4: "four"}
 class PMILTrainer(Trainer):
     """Probabilistic model-based imitation learning (Algorithm 1).
 
-    The first batch is the robot's first motion. After each batch the model is fitted to all experience, the policy is searched on it
-    and measured from fresh starts (which decides nothing, and is no experience); the next batch is that policy's rollout on the
-    robot. Training ends when the own rollouts of some trials in a row succeeded, or at the limit of trials.
+    The first batch is the robot's first motion. After each batch the model is fitted to all
+    experience, the policy is searched on it and measured from fresh starts (which decides nothing,
+    and is no experience); the next batch is that policy's rollout on the robot. Training ends when
+    the own rollouts of some trials in a row succeeded, or at the limit of trials.
     :meth:`best_policy` then chooses among the policies that ran.
 
-    With a ``checkpoint_rotation`` everything is written down as soon as the robot has moved, before anything is learned from that.
-    :meth:`resume` goes on from there, and ends with the very same parameters.
+    With a ``checkpoint_rotation`` everything is written down as soon as the robot has moved, before
+    anything is learned from that. :meth:`resume` goes on from there, and ends with the very same
+    parameters.
 
     Args:
-        env: the robot, one of it; or, for a policy of targets, one for each target, which says it under ``"target"``.
+        env: the robot, one of it; or, for a policy of targets, one for each target, which says it
+            under ``"target"``.
         evaluation_env: a batch of robots for the measurement.
         loss_module: the objective with policy and model.
         initial: p(x_0).
@@ -98,8 +102,12 @@ class PMILTrainer(Trainer):
         if confirmations < 1:
             raise ValueError(f"confirmations must be at least 1, got {confirmations}")
         horizon = loss_module.horizon
-        frames = env.batch_size.numel() * (first_motion.rollouts * first_motion.steps + trials * horizon)
-        actor = RobotActor(loss_module.actor_network, loss_module.space, first_motion.motion(generator))
+        frames = env.batch_size.numel() * (
+            first_motion.rollouts * first_motion.steps + trials * horizon
+        )
+        actor = RobotActor(
+            loss_module.actor_network, loss_module.space, first_motion.motion(generator)
+        )
         in_keys = [key for key in ("observation", "target") if key in env.observation_spec]
         self.robot_policy = TensorDictModule(actor, in_keys=in_keys, out_keys=["action"])
         super().__init__(
@@ -108,14 +116,26 @@ class PMILTrainer(Trainer):
             frame_skip=1,
             optim_steps_per_batch=1,
             loss_module=loss_module,
-            optimization_stepper=PolicySearchStepper(search, lambda: make_policy(policy_generator), generator, self._report),
+            optimization_stepper=PolicySearchStepper(
+                search, lambda: make_policy(policy_generator), generator, self._report
+            ),
             progress_bar=progress_bar,
             logger=logger,
             log_interval=0,
             checkpoint=new_checkpoint(),
         )
-        self.actor, self.evaluation_env, self.initial, self.limits = actor, evaluation_env, initial, limits
-        self.error, self.tolerance, self.confirmations, self.on_trial = error, tolerance, confirmations, on_trial
+        self.actor, self.evaluation_env, self.initial, self.limits = (
+            actor,
+            evaluation_env,
+            initial,
+            limits,
+        )
+        self.error, self.tolerance, self.confirmations, self.on_trial = (
+            error,
+            tolerance,
+            confirmations,
+            on_trial,
+        )
         self.control_period = env.control_period
         self.experience = Experience(capacity=frames)
         self.trials: list[Trial] = []
@@ -137,7 +157,8 @@ class PMILTrainer(Trainer):
         return time.perf_counter() - self._begun
 
     def resume(self) -> Path | None:
-        """Go on from the newest undamaged checkpoint, with a warning for a damaged one; None if there is none.
+        """Go on from the newest undamaged checkpoint, with a warning for a damaged one; None if
+        there is none.
 
         Raises:
             CheckpointError: all checkpoints are damaged, or the newest is of another kind of run.
@@ -146,7 +167,9 @@ class PMILTrainer(Trainer):
         if path is not None:
             saved = Checkpoint.manifest(path)["components"]
             new = self._sync_checkpoint_components().components.keys() - saved.keys()
-            self.load_from_file(path, strict="ignore" if new == {"logger"} else "error")  # a logger may begin at any time
+            self.load_from_file(
+                path, strict="ignore" if new == {"logger"} else "error"
+            )  # a logger may begin at any time
         return path
 
     def train(self) -> None:
@@ -167,9 +190,11 @@ class PMILTrainer(Trainer):
         self._fit = dynamics.fit(*data)
 
     def best_policy(self) -> Candidate:
-        """The policy of least predicted loss under a model of all experience, among those whose own rollout did best.
+        """The policy of least predicted loss under a model of all experience, among those whose own
+        rollout did best.
 
-        A success does best; where there is none, the least error. The policy of the loss then holds its parameters.
+        A success does best; where there is none, the least error. The policy of the loss then holds
+        its parameters.
         """
         self.fit_dynamics()
         least = min(candidate.own_error for candidate in self.candidates)
@@ -186,7 +211,9 @@ class PMILTrainer(Trainer):
         except PredictionError:
             return float("inf")
 
-    def _register_state(self, policy_generator: torch.Generator, generator: torch.Generator) -> None:
+    def _register_state(
+        self, policy_generator: torch.Generator, generator: torch.Generator
+    ) -> None:
         """All that a checkpoint holds besides TorchRL's own parts."""
         self.register_module("evaluation_env", self.evaluation_env)
         self.register_module("policy_generator", GeneratorState(policy_generator))
@@ -195,7 +222,9 @@ class PMILTrainer(Trainer):
         self.register_module("progress", _Progress(self))
 
     def _register_hooks(self) -> None:
-        """What TorchRL's loop calls: a checkpoint before anything is learned, Algorithm 1, and what is logged of it."""
+        """What TorchRL's loop calls: a checkpoint before anything is learned, Algorithm 1, and what
+        is logged of it.
+        """
         self.register_op("setup", self._show_progress)
         self.register_op("batch_process", self._save)
         self.register_op("batch_process", self._learn_from_rollout)
@@ -208,7 +237,11 @@ class PMILTrainer(Trainer):
     def _save(self, batch: TensorDictBase) -> TensorDictBase:
         """Write a checkpoint: the collector's part holds ``batch``, the others are from before it."""
         if self.rotation is not None:
-            self.rotation.save(self._sync_checkpoint_components(), step=self.collected_frames, metadata=self.metadata)
+            self.rotation.save(
+                self._sync_checkpoint_components(),
+                step=self.collected_frames,
+                metadata=self.metadata,
+            )
         return batch
 
     def _show_progress(self) -> None:
@@ -229,7 +262,10 @@ class PMILTrainer(Trainer):
         self.on_trial(trial)
         last = self.trials[-self.confirmations :]
         if len(last) == self.confirmations and all(t.own_success for t in last):
-            self.request_stop(f"the own rollouts of {NUMERALS.get(len(last), len(last))} trials in a row succeeded")
+            self.request_stop(
+                f"the own rollouts of {NUMERALS.get(len(last), len(last))} trials in a row "
+                "succeeded"
+            )
         return batch
 
     def _start_belief(self, batch: TensorDictBase) -> TensorDictBase:
@@ -240,7 +276,9 @@ class PMILTrainer(Trainer):
         if self._stop_training or self.collected_frames >= self.total_frames:
             return None
         self.actor.exploring = False
-        errors = self.error(self.evaluation_env.rollout(self.loss_module.horizon, self.robot_policy))
+        errors = self.error(
+            self.evaluation_env.rollout(self.loss_module.horizon, self.robot_policy)
+        )
         search = self.optimization_stepper.result
         self._pending = Trial(
             trial=len(self.trials) + 1,
@@ -257,14 +295,20 @@ class PMILTrainer(Trainer):
             evaluations=search.evaluations,
             stop_reason=search.stop_reason,
         )
-        shown = {key: getattr(self._pending, key) for key in ("trial", "experience_s", "kl", "success_rate")}
+        shown = {
+            key: getattr(self._pending, key)
+            for key in ("trial", "experience_s", "kl", "success_rate")
+        }
         return {**shown, "log_pbar": True}
 
     def _log_search(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
         """What else the logger gets of a search."""
         if self._pending is None:
             return None
-        return {key: getattr(self._pending, key) for key in ("horizon", "renewed", "gp_seconds", "search_seconds", "evaluations")}
+        return {
+            key: getattr(self._pending, key)
+            for key in ("horizon", "renewed", "gp_seconds", "search_seconds", "evaluations")
+        }
 
     def _log_own_rollout(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
         if not self.trials:
@@ -273,7 +317,9 @@ class PMILTrainer(Trainer):
 
     def _report(self, stage: str, loss: float) -> None:
         if self.progress_bar:
-            self._pbar.set_postfix_str(f"search: {stage} = {loss:.1f} {self.loss_module.unit}".rstrip())
+            self._pbar.set_postfix_str(
+                f"search: {stage} = {loss:.1f} {self.loss_module.unit}".rstrip()
+            )
 
 
 class _Progress:

@@ -17,7 +17,8 @@ class Measurement:
         experience_s: seconds of experience that was learned from.
         success_rate: of ``n_eval`` rollouts from fresh starts; they are no experience.
         n_eval: their number.
-        own_error: error of the trial's own rollout (m in the double pendulum), which becomes experience; the largest of all targets.
+        own_error: error of the trial's own rollout (m in the double pendulum), which becomes
+            experience; the largest of all targets.
         own_success: whether that is a success.
     """
 
@@ -31,7 +32,8 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Trial(Measurement):
-    """One turn of Algorithm 1: a search, its policy's rollout on the robot, and a measurement that decides nothing.
+    """One turn of Algorithm 1: a search, its policy's rollout on the robot, and a measurement that
+    decides nothing.
 
     Args:
         kl: predicted loss over the whole horizon: the KL in nats, or another objective's cost.

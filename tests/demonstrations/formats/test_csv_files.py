@@ -1,4 +1,6 @@
-"""CSV: a folder is the same as a file, columns are chosen and named, errors name file, row and column."""
+"""CSV: a folder is the same as a file, columns are chosen and named, errors name file, row and
+column.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,10 @@ import torch
 from tests.helpers.refusal import refused
 from torch_pmil.demonstrations import load_demonstrations, load_recordings
 
-SAMPLES = {"demo_9": [(0.0, 1.0, -1.0), (0.1, 2.0, -2.0)], "demo_10": [(0.0, 3.0, -3.0), (0.15, 4.0, -4.0), (0.2, 5.0, -5.0)]}
+SAMPLES = {
+    "demo_9": [(0.0, 1.0, -1.0), (0.1, 2.0, -2.0)],
+    "demo_10": [(0.0, 3.0, -3.0), (0.15, 4.0, -4.0), (0.2, 5.0, -5.0)],
+}
 
 
 @pytest.fixture
@@ -30,10 +35,14 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "walks.csv"
 
 
-def test_folder_holds_what_one_file_would_in_the_order_of_the_numbers_in_names(folder: Path, file: Path) -> None:
+def test_folder_holds_what_one_file_would_in_the_order_of_the_numbers_in_names(
+    folder: Path, file: Path
+) -> None:
     apart, together = load_recordings(folder), load_recordings(file)
     assert (
-        (apart.labels, apart.names, apart.format) == (together.labels, together.names, "CSV") == (("demo_9", "demo_10"), ("x", "y"), "CSV")
+        (apart.labels, apart.names, apart.format)
+        == (together.labels, together.names, "CSV")
+        == (("demo_9", "demo_10"), ("x", "y"), "CSV")
     )
     for part in ("times", "values"):
         assert all(map(torch.equal, getattr(apart, part), getattr(together, part)))
@@ -42,9 +51,15 @@ def test_folder_holds_what_one_file_would_in_the_order_of_the_numbers_in_names(f
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("time,x,z\n0,1,2", "demo_10.csv: row 1 must be time,x,y as in the files before it, got time,x,z"),
+        (
+            "time,x,z\n0,1,2",
+            "demo_10.csv: row 1 must be time,x,y as in the files before it, got time,x,z",
+        ),
         ("x,y\n1,2", "demo_10.csv: row 1 must be time,NAME,..., got x,y"),
-        ("time,x,y\n0,1,2\n0.1,1,far", "demo_10.csv: row 3, column y must be a finite number, got 'far'"),
+        (
+            "time,x,y\n0,1,2\n0.1,1,far",
+            "demo_10.csv: row 3, column y must be a finite number, got 'far'",
+        ),
         ("time,x,y\n0,1,2\n0,1,2", "demo_10.csv: row 3, time must increase, got 0 s after 0 s"),
         ("time,x,y\n0,1", "demo_10.csv: row 2 must have 3 columns, got 2"),
         ("", "demo_10.csv: row 1 must be time,NAME,..., got "),
@@ -76,12 +91,16 @@ def test_column_that_is_not_asked_for_may_hold_anything(file: Path) -> None:
         ({"time_step": 0.1}, "time_step must be left out: the file has times of its own"),
     ],
 )
-def test_option_that_does_not_fit_is_one_line(file: Path, options: dict[str, object], message: str) -> None:
+def test_option_that_does_not_fit_is_one_line(
+    file: Path, options: dict[str, object], message: str
+) -> None:
     assert refused(load_recordings, file, **options) == f"{file}: {message}"
 
 
 def test_folder_of_one_length_and_step_loads_as_demonstrations(folder: Path) -> None:
-    assert "demonstration demo_10 must have 2 samples like demonstration demo_9, got 3" in refused(load_demonstrations, folder)
+    assert "demonstration demo_10 must have 2 samples like demonstration demo_9, got 3" in refused(
+        load_demonstrations, folder
+    )
     (folder / "demo_10.csv").write_text("time,x,y\n5.0,3,-3\n5.1,4,-4")
     shown = load_demonstrations(folder, 0.1, names=("a", "b"))
     assert shown.names == ("a", "b")
@@ -94,13 +113,21 @@ def test_entries_of_an_npz_are_chosen_and_renamed(folder: Path, tmp_path: Path) 
     shown.save(tmp_path / "walks.npz")
     chosen = load_demonstrations(tmp_path / "walks.npz", keys=["y"], names=["height"])
     assert chosen.names == ("height",) and torch.equal(chosen.positions, shown.positions[..., 1:])
-    assert refused(load_demonstrations, tmp_path / "walks.npz", keys=["z"]).endswith("keys must be some of x, y, got z")
+    assert refused(load_demonstrations, tmp_path / "walks.npz", keys=["z"]).endswith(
+        "keys must be some of x, y, got z"
+    )
     recordings = load_recordings(tmp_path / "walks.npz", keys=["y"])
-    assert torch.equal(torch.stack(recordings.values), shown.positions[..., 1:]) and recordings.format == "NPZ"
+    assert (
+        torch.equal(torch.stack(recordings.values), shown.positions[..., 1:])
+        and recordings.format == "NPZ"
+    )
 
 
 def test_folder_of_no_format_is_refused(tmp_path: Path) -> None:
-    message = "a folder of demonstrations must hold one of meta/info.json, data/metadata.json, metadata.json, *.csv, *.mat"
+    message = (
+        "a folder of demonstrations must hold one of meta/info.json, data/metadata.json, "
+        "metadata.json, *.csv, *.mat"
+    )
     assert refused(load_recordings, tmp_path) == f"{tmp_path}: {message}"
 
 

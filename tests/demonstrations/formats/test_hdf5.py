@@ -1,4 +1,6 @@
-"""HDF5: what Minari wrote comes back without actions; robomimic's structure; errors name demonstration and key."""
+"""HDF5: what Minari wrote comes back without actions; robomimic's structure; errors name
+demonstration and key.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def walk(length: int, width: int, seed: int) -> np.ndarray:
 
 @pytest.fixture
 def robomimic(tmp_path: Path) -> Path:
-    """Written as robomimic's ``scripts/dataset_states_to_obs.py`` (0.3.0) writes: twelve demonstrations, so that order matters."""
+    """Written as robomimic's ``scripts/dataset_states_to_obs.py`` (0.3.0) writes: twelve
+    demonstrations, so that order matters.
+    """
     path = tmp_path / "low_dim.hdf5"
     with h5py.File(path, "w") as file:
         data = file.create_group("data")
@@ -34,36 +38,71 @@ def robomimic(tmp_path: Path) -> Path:
             demo.create_dataset("rewards", data=np.zeros(length))
             demo.create_dataset("dones", data=np.zeros(length))
             for group in ("obs", "next_obs"):
-                demo.create_dataset(f"{group}/robot0_eef_pos", data=walk(length, 3, number), compression="gzip")
-                demo.create_dataset(f"{group}/robot0_gripper", data=np.arange(length), compression="gzip")
-                demo.create_dataset(f"{group}/agentview_image", data=np.zeros((length, 8, 8, 3), np.uint8), compression="gzip")
+                demo.create_dataset(
+                    f"{group}/robot0_eef_pos", data=walk(length, 3, number), compression="gzip"
+                )
+                demo.create_dataset(
+                    f"{group}/robot0_gripper", data=np.arange(length), compression="gzip"
+                )
+                demo.create_dataset(
+                    f"{group}/agentview_image",
+                    data=np.zeros((length, 8, 8, 3), np.uint8),
+                    compression="gzip",
+                )
             demo.attrs["num_samples"] = length
         data.attrs["total"] = 12
-        data.attrs["env_args"] = json.dumps({"env_name": "Lift", "type": 1, "env_kwargs": {"control_freq": 20}})
+        data.attrs["env_args"] = json.dumps(
+            {"env_name": "Lift", "type": 1, "env_kwargs": {"control_freq": 20}}
+        )
     return path
 
 
-def test_chosen_observations_of_robomimic_come_in_order_at_its_control_frequency(robomimic: Path) -> None:
+def test_chosen_observations_of_robomimic_come_in_order_at_its_control_frequency(
+    robomimic: Path,
+) -> None:
     recordings = load_recordings(robomimic, keys=["robot0_gripper", "robot0_eef_pos"])
-    assert recordings.names == ("robot0_gripper", "robot0_eef_pos_0", "robot0_eef_pos_1", "robot0_eef_pos_2")
-    assert recordings.labels == tuple(f"demo_{number}" for number in range(12)) and recordings.format == "robomimic"
+    assert recordings.names == (
+        "robot0_gripper",
+        "robot0_eef_pos_0",
+        "robot0_eef_pos_1",
+        "robot0_eef_pos_2",
+    )
+    assert (
+        recordings.labels == tuple(f"demo_{number}" for number in range(12))
+        and recordings.format == "robomimic"
+    )
     for number, (times, values) in enumerate(zip(recordings.times, recordings.values, strict=True)):
         length = 4 + number
-        assert np.array_equal(values[:, 1:], walk(length, 3, number)) and values[:, 0].tolist() == list(range(length))
+        assert np.array_equal(values[:, 1:], walk(length, 3, number)) and values[
+            :, 0
+        ].tolist() == list(range(length))
         torch.testing.assert_close(times, torch.arange(length, dtype=torch.float64) / 20)
 
 
 def test_single_entries_are_chosen_by_number_and_time_step_by_hand(robomimic: Path) -> None:
-    recordings = load_recordings(robomimic, keys=["robot0_eef_pos_2", "robot0_eef_pos_0"], names=["z", "x"], time_step=0.5)
-    assert np.array_equal(recordings.values[3], walk(7, 3, 3)[:, [2, 0]]) and recordings.names == ("z", "x")
+    recordings = load_recordings(
+        robomimic, keys=["robot0_eef_pos_2", "robot0_eef_pos_0"], names=["z", "x"], time_step=0.5
+    )
+    assert np.array_equal(recordings.values[3], walk(7, 3, 3)[:, [2, 0]]) and recordings.names == (
+        "z",
+        "x",
+    )
     assert recordings.durations[0] == 1.5
 
 
 def test_keys_of_robomimic_must_be_chosen_among_observed_numbers(robomimic: Path) -> None:
-    numbers = "robot0_eef_pos (robot0_eef_pos_0, robot0_eef_pos_1, robot0_eef_pos_2), robot0_gripper"
-    assert refused(load_recordings, robomimic) == f"{robomimic}: keys must say what to read: some of {numbers}"
+    numbers = (
+        "robot0_eef_pos (robot0_eef_pos_0, robot0_eef_pos_1, robot0_eef_pos_2), robot0_gripper"
+    )
+    assert (
+        refused(load_recordings, robomimic)
+        == f"{robomimic}: keys must say what to read: some of {numbers}"
+    )
     for hidden in ("actions", "agentview_image", "../actions"):
-        assert refused(load_recordings, robomimic, keys=[hidden]) == f"{robomimic}: keys must be some of {numbers}, got {hidden}"
+        assert (
+            refused(load_recordings, robomimic, keys=[hidden])
+            == f"{robomimic}: keys must be some of {numbers}, got {hidden}"
+        )
 
 
 def test_damaged_structure_names_demonstration_and_key(robomimic: Path) -> None:
@@ -71,7 +110,10 @@ def test_damaged_structure_names_demonstration_and_key(robomimic: Path) -> None:
         del file["data/demo_3/obs/robot0_gripper"]
         file["data/demo_3/obs/robot0_gripper"] = np.arange(5)
     message = "demo_3, robot0_gripper must have 7 samples like robot0_eef_pos, got 5"
-    assert refused(load_recordings, robomimic, keys=["robot0_gripper", "robot0_eef_pos"]) == f"{robomimic}: {message}"
+    assert (
+        refused(load_recordings, robomimic, keys=["robot0_gripper", "robot0_eef_pos"])
+        == f"{robomimic}: {message}"
+    )
     with h5py.File(robomimic, "a") as file:
         del file["data/demo_3/obs/robot0_gripper"]
     message = "demo_3 must hold robot0_gripper in the shape of the first demonstration"
@@ -90,7 +132,10 @@ def test_demonstration_without_samples_is_refused(robomimic: Path) -> None:
     with h5py.File(robomimic, "a") as file:
         del file["data/demo_1/obs/robot0_eef_pos"]
         file["data/demo_1/obs/robot0_eef_pos"] = np.zeros((0, 3))
-    message = "demonstration demo_1 must hold 3 entries at each of at least one time, got (0, 3) at 0 times"
+    message = (
+        "demonstration demo_1 must hold 3 entries at each of at least one time, got (0, 3) at 0 "
+        "times"
+    )
     assert refused(load_recordings, robomimic, keys=["robot0_eef_pos"]) == f"{robomimic}: {message}"
 
 
@@ -98,7 +143,10 @@ def test_other_hdf5_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "other.h5"
     with h5py.File(path, "w") as file:
         file["weights"] = np.zeros(3)
-    message = "an HDF5 file must hold groups data/demo_N (robomimic) or episode_N (Minari), found ['weights']"
+    message = (
+        "an HDF5 file must hold groups data/demo_N (robomimic) or episode_N (Minari), found "
+        "['weights']"
+    )
     assert refused(load_recordings, path) == f"{path}: {message}"
 
 
@@ -106,22 +154,33 @@ def test_other_hdf5_is_refused(tmp_path: Path) -> None:
 def test_truncated_hdf5_is_refused(robomimic: Path, part: float) -> None:
     content = robomimic.read_bytes()
     robomimic.write_bytes(content[: int(part * len(content))])
-    assert refused(load_recordings, robomimic, keys=["robot0_gripper"]).startswith(f"{robomimic}: not a readable HDF5 file (")
+    assert refused(load_recordings, robomimic, keys=["robot0_gripper"]).startswith(
+        f"{robomimic}: not a readable HDF5 file ("
+    )
 
 
 @pytest.fixture
 def minari(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Three episodes of a reach, written by Minari's storage; the observations are a dictionary."""
-    written = pytest.importorskip("minari.dataset.minari_storage", reason="needs minari to write what is read")
+    written = pytest.importorskip(
+        "minari.dataset.minari_storage", reason="needs minari to write what is read"
+    )
     from_buffer = pytest.importorskip("minari.data_collector.episode_buffer").EpisodeBuffer
     spaces = pytest.importorskip("gymnasium").spaces
-    space = spaces.Dict({"hand": spaces.Box(-10, 10, (2,)), "goal": spaces.Dict({"at": spaces.Box(-10, 10, (1,))})})
+    space = spaces.Dict(
+        {"hand": spaces.Box(-10, 10, (2,)), "goal": spaces.Dict({"at": spaces.Box(-10, 10, (1,))})}
+    )
     (tmp_path / "reach-v0").mkdir()
-    storage = written.MinariStorage.new(tmp_path / "reach-v0" / "data", space, spaces.Box(-9, 9, (1,)))
+    storage = written.MinariStorage.new(
+        tmp_path / "reach-v0" / "data", space, spaces.Box(-9, 9, (1,))
+    )
     storage.update_episodes(
         from_buffer(
             id=number,
-            observations={"hand": walk(length, 2, number), "goal": {"at": np.full((length, 1), number)}},
+            observations={
+                "hand": walk(length, 2, number),
+                "goal": {"at": np.full((length, 1), number)},
+            },
             actions=np.full((length - 1, 1), 9.0),
             rewards=[0.0] * (length - 1),
             terminations=[False] * (length - 1),
@@ -139,9 +198,13 @@ def test_observations_that_minari_wrote_come_back(minari: Path) -> None:
     for number, (length, values) in enumerate(zip(LENGTHS, recordings.values, strict=True)):
         np.testing.assert_allclose(values[:, :2], walk(length, 2, number), rtol=1e-6)
         assert values[:, 2].tolist() == [number] * length
-    again = load_recordings(minari / "data" / "main_data.hdf5", keys=["hand", "goal/at"], time_step=0.05)
+    again = load_recordings(
+        minari / "data" / "main_data.hdf5", keys=["hand", "goal/at"], time_step=0.05
+    )
     assert all(map(torch.equal, recordings.values, again.values))
-    assert load_recordings(minari / "data", keys=["hand"], time_step=0.05).labels == recordings.labels
+    assert (
+        load_recordings(minari / "data", keys=["hand"], time_step=0.05).labels == recordings.labels
+    )
 
 
 def test_minari_has_no_times_and_its_keys_are_chosen(minari: Path) -> None:
@@ -157,13 +220,20 @@ def test_only_observation_of_minari_is_read_without_asking(minari: Path) -> None
             del file[f"episode_{number}/observations"]
             file[f"episode_{number}/observations"] = walk(4, 2, number)
     shown = load_demonstrations(minari, 0.1)
-    assert shown.names == ("observations_0", "observations_1") and shown.time_step == pytest.approx(0.1)
+    assert shown.names == ("observations_0", "observations_1") and shown.time_step == pytest.approx(
+        0.1
+    )
     assert np.array_equal(shown.positions[2], walk(4, 2, 2))
 
 
 def test_minari_of_another_storage_is_refused(minari: Path) -> None:
     metadata = minari / "data" / "metadata.json"
     metadata.write_text(metadata.read_text().replace('"hdf5"', '"arrow"'))
-    assert refused(load_recordings, minari) == f"{minari}: data_format of a Minari data set must be hdf5, got arrow"
+    assert (
+        refused(load_recordings, minari)
+        == f"{minari}: data_format of a Minari data set must be hdf5, got arrow"
+    )
     metadata.write_text("{")
-    assert refused(load_recordings, minari).startswith(f"{minari}: not a readable Minari data set (")
+    assert refused(load_recordings, minari).startswith(
+        f"{minari}: not a readable Minari data set ("
+    )

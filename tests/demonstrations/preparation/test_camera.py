@@ -1,4 +1,6 @@
-"""Pixels to metres: exact for a pinhole camera from anywhere, and refused where markers do not determine the plane."""
+"""Pixels to metres: exact for a pinhole camera from anywhere, and refused where markers do not
+determine the plane.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,12 @@ from torch import Tensor
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError
 from torch_pmil.demonstrations.preparation.camera import plane_coordinates
 
-SHEET = torch.tensor([[0.0, 0.0], [0.3, 0.0], [0.3, 0.2], [0.0, 0.2], [0.1, 0.15]], dtype=torch.float64)  # m
-CAMERA = torch.tensor([[900.0, 250.0, 400.0], [80.0, -880.0, 900.0], [0.3, 0.2, 1.0]], dtype=torch.float64)  # a tilted one
+SHEET = torch.tensor(
+    [[0.0, 0.0], [0.3, 0.0], [0.3, 0.2], [0.0, 0.2], [0.1, 0.15]], dtype=torch.float64
+)  # m
+CAMERA = torch.tensor(
+    [[900.0, 250.0, 400.0], [80.0, -880.0, 900.0], [0.3, 0.2, 1.0]], dtype=torch.float64
+)  # a tilted one
 
 
 def seen(places: Tensor) -> Tensor:
@@ -33,7 +39,8 @@ def test_more_markers_average_their_errors() -> None:
     clicked = seen(many) + torch.randn(40, 2, generator=draws, dtype=torch.float64)
     track = torch.rand(50, 2, generator=draws, dtype=torch.float64) * 0.3
     few, all_of_them = (
-        (plane_coordinates(seen(track), clicked[which], many[which]) - track).square().mean().sqrt() for which in (corners, slice(None))
+        (plane_coordinates(seen(track), clicked[which], many[which]) - track).square().mean().sqrt()
+        for which in (corners, slice(None))
     )
     assert all_of_them < 0.5 * few
     assert all_of_them < 1e-3  # m: a pixel is about a millimetre
@@ -48,7 +55,12 @@ def test_more_markers_average_their_errors() -> None:
             torch.rand(3, 2),
             r"markers and places must be \(K, 2\) with K >= 4, got \(3, 2\) and \(3, 2\)",
         ),
-        (torch.rand(5, 3), torch.rand(4, 2), torch.rand(4, 2), r"pixels must be \(\*batch, 2\), got \(5, 3\)"),
+        (
+            torch.rand(5, 3),
+            torch.rand(4, 2),
+            torch.rand(4, 2),
+            r"pixels must be \(\*batch, 2\), got \(5, 3\)",
+        ),
         (
             torch.rand(5, 2),
             torch.arange(8.0).reshape(4, 2),
@@ -58,6 +70,8 @@ def test_more_markers_average_their_errors() -> None:
         (torch.rand(5, 2), torch.ones(4, 2), SHEET[:4], "markers must determine the plane"),
     ],
 )
-def test_what_determines_no_plane_is_refused(pixels: Tensor, markers: Tensor, places: Tensor, message: str) -> None:
+def test_what_determines_no_plane_is_refused(
+    pixels: Tensor, markers: Tensor, places: Tensor, message: str
+) -> None:
     with pytest.raises(AlignmentError, match=message):
         plane_coordinates(pixels, markers, places)

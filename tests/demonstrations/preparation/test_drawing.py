@@ -1,4 +1,6 @@
-"""Drawn strokes: what a page sends is checked and becomes demonstrations that do not depend on how it was sampled."""
+"""Drawn strokes: what a page sends is checked and becomes demonstrations that do not depend on how
+it was sampled.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,13 @@ from scipy.interpolate import PchipInterpolator
 from torch import Tensor
 
 from torch_pmil.demonstrations import Demonstrations, load_demonstrations, load_recordings
-from torch_pmil.demonstrations.preparation.drawing import SIDE, DrawingError, drawn_demonstrations, read_strokes, save_drawing
+from torch_pmil.demonstrations.preparation.drawing import (
+    SIDE,
+    DrawingError,
+    drawn_demonstrations,
+    read_strokes,
+    save_drawing,
+)
 
 Samples = list[list[float]]
 PIXEL = SIDE / 500  # m
@@ -36,7 +44,9 @@ def stroke(
     turn: float = 0,
     jitter: int | None = None,
 ) -> Samples:
-    """The wave at a pace of its own, from rest to rest, turned about the middle of the square by an angle in rad."""
+    """The wave at a pace of its own, from rest to rest, turned about the middle of the square by an
+    angle in rad.
+    """
     draws = np.random.default_rng(jitter)
     times = np.arange(0, sum(rests) + duration, 1 / rate)
     if jitter is not None:
@@ -48,7 +58,10 @@ def stroke(
 
 
 def strokes(**settings: object) -> list[Samples]:
-    return [stroke(pace, duration, **settings) for pace, duration in zip(PACES, (1.1, 1.3, 1.2, 1.0, 1.4), strict=True)]
+    return [
+        stroke(pace, duration, **settings)
+        for pace, duration in zip(PACES, (1.1, 1.3, 1.2, 1.0, 1.4), strict=True)
+    ]
 
 
 def demonstrations(samples: list[Samples], time_step: float = 0.1) -> Demonstrations:
@@ -57,7 +70,9 @@ def demonstrations(samples: list[Samples], time_step: float = 0.1) -> Demonstrat
 
 def off_the_path(positions: Tensor) -> float:
     """Largest distance of positions in m from the wave."""
-    path = SIDE * np.stack([wave(np.linspace(0, 1, 5001))[:, 0], 1 - wave(np.linspace(0, 1, 5001))[:, 1]], -1)
+    path = SIDE * np.stack(
+        [wave(np.linspace(0, 1, 5001))[:, 0], 1 - wave(np.linspace(0, 1, 5001))[:, 1]], -1
+    )
     return torch.cdist(positions.reshape(-1, 2), torch.from_numpy(path)).amin(1).amax().item()
 
 
@@ -65,7 +80,9 @@ def test_corners_of_the_square_are_metres_with_y_up() -> None:
     across = [[10 * k, k / 40, k / 40] for k in range(41)]
     recorded = read_strokes(json.dumps([across, across]))
     assert recorded.names == ("x", "y") and recorded.labels == ("1", "2")
-    torch.testing.assert_close(recorded.values[0][[0, -1]], torch.tensor([[0, SIDE], [SIDE, 0]], dtype=torch.float64))
+    torch.testing.assert_close(
+        recorded.values[0][[0, -1]], torch.tensor([[0, SIDE], [SIDE, 0]], dtype=torch.float64)
+    )
     assert recorded.times[0][[0, -1]].tolist() == [0, 0.4]
 
 
@@ -78,9 +95,13 @@ def test_demonstrations_begin_and_end_where_strokes_do_and_stay_on_them() -> Non
 
 def test_timing_of_their_own_is_taken_away() -> None:
     recorded = read_strokes(json.dumps(strokes()))
-    evenly = [values[np.linspace(0, len(values) - 1, 13).round().astype(int)] for values in recorded.values]
+    evenly = [
+        values[np.linspace(0, len(values) - 1, 13).round().astype(int)]
+        for values in recorded.values
+    ]
     spread, spread_left = (
-        torch.stack(list(each)).std(0).square().mean().sqrt() for each in (evenly, drawn_demonstrations(recorded).positions)
+        torch.stack(list(each)).std(0).square().mean().sqrt()
+        for each in (evenly, drawn_demonstrations(recorded).positions)
     )
     assert spread_left < 0.25 * spread
 
@@ -92,31 +113,54 @@ def test_mean_duration_is_kept_to_a_whole_number_of_time_steps() -> None:
         assert abs(demonstrations(strokes(), step).duration - moving) <= step / 2
 
 
-@pytest.mark.parametrize("settings", [{"rate": 60}, {"rate": 1000}, {"rate": 125, "jitter": 3}], ids=["slow", "fast", "uneven"])
+@pytest.mark.parametrize(
+    "settings",
+    [{"rate": 60}, {"rate": 1000}, {"rate": 125, "jitter": 3}],
+    ids=["slow", "fast", "uneven"],
+)
 def test_rate_of_samples_does_not_matter(settings: dict[str, float]) -> None:
-    torch.testing.assert_close(demonstrations(strokes(**settings)).positions, demonstrations(strokes()).positions, rtol=0, atol=CLOSE)
+    torch.testing.assert_close(
+        demonstrations(strokes(**settings)).positions,
+        demonstrations(strokes()).positions,
+        rtol=0,
+        atol=CLOSE,
+    )
 
 
 def test_steps_from_pixel_to_pixel_do_not_matter() -> None:
-    samples = [[[time, round(500 * right) / 500, round(500 * down) / 500] for time, right, down in each] for each in strokes(rate=1000)]
-    torch.testing.assert_close(demonstrations(samples).positions, demonstrations(strokes()).positions, rtol=0, atol=CLOSE)
+    samples = [
+        [[time, round(500 * right) / 500, round(500 * down) / 500] for time, right, down in each]
+        for each in strokes(rate=1000)
+    ]
+    torch.testing.assert_close(
+        demonstrations(samples).positions, demonstrations(strokes()).positions, rtol=0, atol=CLOSE
+    )
 
 
 def test_rests_at_the_ends_are_dropped() -> None:
     rested = demonstrations(strokes(rests=(0.7, 0.4)))
-    torch.testing.assert_close(rested.positions, demonstrations(strokes()).positions, rtol=0, atol=CLOSE)
+    torch.testing.assert_close(
+        rested.positions, demonstrations(strokes()).positions, rtol=0, atol=CLOSE
+    )
 
 
 def test_trembling_by_a_pixel_is_rest() -> None:
-    draws, trembling = np.random.default_rng(0), [np.array(each) for each in strokes(rests=(0.7, 0.4))]
+    draws, trembling = (
+        np.random.default_rng(0),
+        [np.array(each) for each in strokes(rests=(0.7, 0.4))],
+    )
     for samples in trembling:
         samples[:, 1:] += draws.choice([-0.5, 0.5], size=(len(samples), 2)) / 500
     drawn = demonstrations([samples.tolist() for samples in trembling])
-    torch.testing.assert_close(drawn.positions, demonstrations(strokes()).positions, rtol=0, atol=CLOSE)
+    torch.testing.assert_close(
+        drawn.positions, demonstrations(strokes()).positions, rtol=0, atol=CLOSE
+    )
 
 
 def test_rest_on_the_way_without_samples_is_bridged_without_overshoot() -> None:
-    """A page hears nothing of a pen that rests; the first of two quick samples before it gives a spline a slope to overshoot with."""
+    """A page hears nothing of a pen that rests; the first of two quick samples before it gives a
+    spline a slope to overshoot with.
+    """
     halfway = [[8 * k, 0.1 + 0.01 * k, 0.5] for k in range(41)]
     resting = [*halfway, [halfway[-1][0] + 0.1, 0.505, 0.5]]
     rest = [[time + 800, right + 0.005, down] for time, right, down in halfway[1:]]
@@ -128,7 +172,9 @@ def test_rest_on_the_way_without_samples_is_bridged_without_overshoot() -> None:
 @pytest.mark.parametrize("turn", [math.pi / 7, math.pi / 2, 2.5])
 def test_turned_page_gives_turned_demonstrations(turn: float) -> None:
     straight, turned = demonstrations(strokes()), demonstrations(strokes(turn=turn))
-    axes = torch.tensor([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]], dtype=torch.float64)
+    axes = torch.tensor(
+        [[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]], dtype=torch.float64
+    )
     expected = (straight.positions - SIDE / 2) @ axes.mT + SIDE / 2
     torch.testing.assert_close(turned.positions, expected, rtol=0, atol=PIXEL)
 
@@ -137,7 +183,9 @@ def test_straight_line_is_timed_by_its_length_not_by_trembling_across() -> None:
     draws, lines = np.random.default_rng(0), []
     for pace in PACES:
         samples = np.array(stroke(pace))
-        across = PchipInterpolator(np.linspace(0, 1, 9), draws.normal(size=9))(np.linspace(0, 1, len(samples)))
+        across = PchipInterpolator(np.linspace(0, 1, 9), draws.normal(size=9))(
+            np.linspace(0, 1, len(samples))
+        )
         samples[:, 2] = 0.5 + 0.004 * across
         lines.append(samples.tolist())
     drawn = demonstrations(lines)
@@ -177,18 +225,59 @@ def changed(at: int, value: object) -> str:
         ('{"strokes": []}', "the strokes must be a list of 2 to 20, got {'strokes': []}"),
         (json.dumps(strokes()[:1]), "the strokes must be a list of 2 to 20, got 1"),
         (json.dumps(5 * strokes()), "the strokes must be a list of 2 to 20, got 25"),
-        (json.dumps([strokes()[0], "drawn"]), "stroke 2 must be a list of at least 10 samples, got 'drawn'"),
-        (json.dumps([strokes()[0], strokes()[1][:9]]), "stroke 2 must be a list of at least 10 samples, got 9"),
-        (changed(4, [1, 2]), "stroke 2, sample 5 must be three finite numbers [time, right, down], got [1.0, 2.0]"),
-        (changed(4, [36, "0.5", 0.5]), "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, '0.5', 0.5]"),
-        (changed(4, [36, None, 0.5]), "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, None, 0.5]"),
-        (changed(4, [36, True, 0.5]), "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, True, 0.5]"),
-        (changed(4, [36, math.nan, 0.5]), "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, nan, 0.5]"),
-        (changed(4, [36, 10**400, 0.5]), "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, inf, 0.5]"),
-        (changed(4, [4321.5, 0.2, 0.5]), "stroke 2, sample 5 must be later than the one before, got 4321.5 after 4345.5 ms"),
-        (changed(4, [4350, 0.2, -0.5]), "stroke 2, sample 5 must be inside of the square, [0, 1], got [0.2, -0.5]"),
-        (json.dumps([strokes()[0], stroke(PACES[0], 0.2)]), "stroke 2 must last 0.3 to 20 s, got 0.192 s"),
-        (json.dumps([strokes()[0], stroke(PACES[0], 30, 20)]), "stroke 2 must last 0.3 to 20 s, got 29.9 s"),
+        (
+            json.dumps([strokes()[0], "drawn"]),
+            "stroke 2 must be a list of at least 10 samples, got 'drawn'",
+        ),
+        (
+            json.dumps([strokes()[0], strokes()[1][:9]]),
+            "stroke 2 must be a list of at least 10 samples, got 9",
+        ),
+        (
+            changed(4, [1, 2]),
+            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [1.0, 2.0]",
+        ),
+        (
+            changed(4, [36, "0.5", 0.5]),
+            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, "
+            "'0.5', 0.5]",
+        ),
+        (
+            changed(4, [36, None, 0.5]),
+            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, "
+            "None, 0.5]",
+        ),
+        (
+            changed(4, [36, True, 0.5]),
+            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, "
+            "True, 0.5]",
+        ),
+        (
+            changed(4, [36, math.nan, 0.5]),
+            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, "
+            "nan, 0.5]",
+        ),
+        (
+            changed(4, [36, 10**400, 0.5]),
+            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, "
+            "inf, 0.5]",
+        ),
+        (
+            changed(4, [4321.5, 0.2, 0.5]),
+            "stroke 2, sample 5 must be later than the one before, got 4321.5 after 4345.5 ms",
+        ),
+        (
+            changed(4, [4350, 0.2, -0.5]),
+            "stroke 2, sample 5 must be inside of the square, [0, 1], got [0.2, -0.5]",
+        ),
+        (
+            json.dumps([strokes()[0], stroke(PACES[0], 0.2)]),
+            "stroke 2 must last 0.3 to 20 s, got 0.192 s",
+        ),
+        (
+            json.dumps([strokes()[0], stroke(PACES[0], 30, 20)]),
+            "stroke 2 must last 0.3 to 20 s, got 29.9 s",
+        ),
         (
             json.dumps([strokes()[0], [[10 * k, 0.5 + k / 4000, 0.5] for k in range(99)]]),
             "stroke 2 must reach over 0.05 of the square's side",
@@ -198,12 +287,18 @@ def changed(at: int, value: object) -> str:
 def test_what_is_no_drawing_is_refused_in_one_line(text: str | bytes, message: str) -> None:
     with pytest.raises(DrawingError) as error:
         read_strokes(text)
-    assert str(error.value).startswith(message) and "\n" not in str(error.value) and len(str(error.value)) < 200
+    assert (
+        str(error.value).startswith(message)
+        and "\n" not in str(error.value)
+        and len(str(error.value)) < 200
+    )
 
 
 def test_flick_after_a_rest_and_unfit_time_step_are_refused() -> None:
     with pytest.raises(DrawingError, match=r"stroke 2 must move for 0.3 s at least, got 0\.\d+ s"):
         demonstrations([strokes()[0], stroke(PACES[0], 0.1, rests=(0.5, 0.5))])
     for step in (0.001, 0.5, math.nan):
-        with pytest.raises(DrawingError, match=rf"the time step must be from 0.01 to 0.3 s, got {step:g} s"):
+        with pytest.raises(
+            DrawingError, match=rf"the time step must be from 0.01 to 0.3 s, got {step:g} s"
+        ):
             demonstrations(strokes(), step)

@@ -17,12 +17,21 @@ FASTEST = 4.0
 @pytest.fixture
 def swing() -> tuple[Tensor, Tensor]:
     """A motion of at most 3 units a second at uneven times."""
-    times = torch.rand(200, generator=torch.Generator().manual_seed(0), dtype=torch.float64).mul(0.01).add(0.005).cumsum(0)
+    times = (
+        torch.rand(200, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        .mul(0.01)
+        .add(0.005)
+        .cumsum(0)
+    )
     return torch.stack([(3 * times).sin(), (2 * times).cos()], -1), times
 
 
-@pytest.mark.parametrize("beside", [[60], [0, 1, 2], [199], [30, 31, 32, 90, 150, 151], list(range(80, 120))])
-def test_samples_beside_the_track_are_left_out_and_no_other(swing: tuple[Tensor, Tensor], beside: list[int]) -> None:
+@pytest.mark.parametrize(
+    "beside", [[60], [0, 1, 2], [199], [30, 31, 32, 90, 150, 151], list(range(80, 120))]
+)
+def test_samples_beside_the_track_are_left_out_and_no_other(
+    swing: tuple[Tensor, Tensor], beside: list[int]
+) -> None:
     values, times = swing
     jumped = values.clone()
     jumped[beside, 0] += 3.0
@@ -40,7 +49,11 @@ def test_speed_is_that_of_each_column(swing: tuple[Tensor, Tensor]) -> None:
     values, times = swing
     values = values.clone()
     values[50] += 1.0
-    for limits, count in (((torch.inf, FASTEST), 199), ((FASTEST, torch.inf), 199), ((torch.inf, torch.inf), 200)):
+    for limits, count in (
+        ((torch.inf, FASTEST), 199),
+        ((FASTEST, torch.inf), 199),
+        ((torch.inf, torch.inf), 200),
+    ):
         assert len(without_jumps(values, times, torch.tensor(limits))[0]) == count
 
 
@@ -52,9 +65,13 @@ def test_no_larger_set_of_samples_fits_together(seed: int) -> None:
 
     def fits(chosen: tuple[int, ...]) -> bool:
         pairs = itertools.combinations(chosen, 2)
-        return all(((values[a] - values[b]).abs() <= 1.2 * (times[b] - times[a])).all() for a, b in pairs)
+        return all(
+            ((values[a] - values[b]).abs() <= 1.2 * (times[b] - times[a])).all() for a, b in pairs
+        )
 
-    largest = max(size for size in range(1, 12) if any(map(fits, itertools.combinations(range(11), size))))
+    largest = max(
+        size for size in range(1, 12) if any(map(fits, itertools.combinations(range(11), size)))
+    )
     assert largest >= 6  # of 11, so that none of them is refused
     assert len(without_jumps(values, times, 1.2)[0]) == largest
 
@@ -78,6 +95,8 @@ def test_no_larger_set_of_samples_fits_together(seed: int) -> None:
         ),
     ],
 )
-def test_what_tells_no_motion_is_refused(values: Tensor, times: Tensor, fastest: float, message: str) -> None:
+def test_what_tells_no_motion_is_refused(
+    values: Tensor, times: Tensor, fastest: float, message: str
+) -> None:
     with pytest.raises(AlignmentError, match=message):
         without_jumps(values, times, fastest)

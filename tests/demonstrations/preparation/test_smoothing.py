@@ -1,4 +1,6 @@
-"""Smoothing: what passes it and what is left of noise are as its rule says; velocities are those of known motions."""
+"""Smoothing: what passes it and what is left of noise are as its rule says; velocities are those of
+known motions.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ RECORDINGS = 60
 
 def instants(rate: float, duration: float = 8.0, jitter: float = 0.0) -> Tensor:
     times = torch.arange(0, duration, 1 / rate, dtype=torch.float64)
-    return times + jitter / rate * torch.rand(len(times), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    return times + jitter / rate * torch.rand(
+        len(times), generator=torch.Generator().manual_seed(1), dtype=torch.float64
+    )
 
 
 def inner(times: Tensor) -> Tensor:
@@ -27,7 +31,9 @@ def inner(times: Tensor) -> Tensor:
 
 
 def noise(samples: int, columns: int) -> Tensor:
-    return torch.randn(samples, columns, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    return torch.randn(
+        samples, columns, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
 
 
 @pytest.mark.parametrize(("rate", "jitter"), [(100.0, 0.0), (250.0, 0.0), (250.0, 0.6)])
@@ -49,26 +55,44 @@ def test_gain_is_that_of_the_rule_at_any_rate(period: float, rate: float, jitter
         (velocities, lambda dt: math.sqrt(2) * math.pi**3 * dt / (2 * PERIOD**3)),
     ],
 )
-def test_white_noise_is_left_as_stated_within_its_standard_error(step, variance, rate: float) -> None:
+def test_white_noise_is_left_as_stated_within_its_standard_error(
+    step, variance, rate: float
+) -> None:
     times = instants(rate)
     left = step(noise(len(times), RECORDINGS), times, PERIOD)[inner(times)].square().mean(0)
-    # samples at 50 Hz and more hardly fold the spectrum back: 3 % of the velocities' variance lies above
+    # samples at 50 Hz and more hardly fold the spectrum back: 3 % of the velocities' variance lies
+    # above
     tolerance = 3 * left.std() / math.sqrt(RECORDINGS) + 0.03 * variance(1 / rate)
     assert abs(left.mean() - variance(1 / rate)) < tolerance
 
 
 def test_velocities_of_a_known_motion_with_noise_are_wrong_by_bias_and_noise_alone() -> None:
-    """A hand's swing of 1 s with a noise of 2 mm at 100 Hz: the mean over recordings is off by the rule's gain, the rest is the noise."""
+    """A hand's swing of 1 s with a noise of 2 mm at 100 Hz: the mean over recordings is off by the
+    rule's gain, the rest is the noise.
+    """
     times, std, omega = instants(100.0), 0.002, 2 * math.pi
-    swing, rate = 0.2 * torch.sin(omega * times)[:, None], 0.2 * omega * torch.cos(omega * times)[:, None]
+    swing, rate = (
+        0.2 * torch.sin(omega * times)[:, None],
+        0.2 * omega * torch.cos(omega * times)[:, None],
+    )
     found = velocities(swing + std * noise(len(times), RECORDINGS), times, PERIOD)[inner(times)]
     error = found - rate[inner(times)]
     expected = std * math.sqrt(math.sqrt(2) * math.pi**3 * 0.01 / (2 * PERIOD**3))
     squares = (error - error.mean(1, keepdim=True)).square().mean(0) * RECORDINGS / (RECORDINGS - 1)
-    assert abs(squares.mean() - expected**2) < 3 * squares.std() / math.sqrt(RECORDINGS) + 0.03 * expected**2
+    assert (
+        abs(squares.mean() - expected**2)
+        < 3 * squares.std() / math.sqrt(RECORDINGS) + 0.03 * expected**2
+    )
     attenuated = rate[inner(times)] * (1 / (1 + PERIOD**4) - 1)  # of a swing of 1 s
-    assert (error.mean(1, keepdim=True) - attenuated).abs().max() < 5 * expected / math.sqrt(RECORDINGS)
-    naive = torch.gradient(swing + std * noise(len(times), RECORDINGS), spacing=0.01, dim=0)[0][inner(times)] - rate[inner(times)]
+    assert (error.mean(1, keepdim=True) - attenuated).abs().max() < 5 * expected / math.sqrt(
+        RECORDINGS
+    )
+    naive = (
+        torch.gradient(swing + std * noise(len(times), RECORDINGS), spacing=0.01, dim=0)[0][
+            inner(times)
+        ]
+        - rate[inner(times)]
+    )
     assert naive.square().mean() > 10 * error.square().mean()
 
 
@@ -76,28 +100,60 @@ def test_straight_lines_pass_unchanged() -> None:
     times = instants(100.0, 2.0, jitter=0.5)
     line = times[:, None] * torch.tensor([1.0, -3.0]) + 2
     torch.testing.assert_close(smooth(line, times, 0.5), line, rtol=0, atol=1e-9)
-    torch.testing.assert_close(velocities(line, times, 0.5), torch.tensor([1.0, -3.0]).double().expand(len(times), 2), rtol=0, atol=1e-8)
+    torch.testing.assert_close(
+        velocities(line, times, 0.5),
+        torch.tensor([1.0, -3.0]).double().expand(len(times), 2),
+        rtol=0,
+        atol=1e-8,
+    )
 
 
 def test_velocities_are_the_derivative_of_the_smoothed_positions() -> None:
     times = instants(500.0, 2.0)
     values = noise(len(times), 2).cumsum(0) / 50
     derived = torch.from_numpy(np.gradient(smooth(values, times, PERIOD), times, axis=0))
-    torch.testing.assert_close(velocities(values, times, PERIOD)[5:-5], derived[5:-5], rtol=0, atol=2e-3 * derived.abs().max().item())
+    torch.testing.assert_close(
+        velocities(values, times, PERIOD)[5:-5],
+        derived[5:-5],
+        rtol=0,
+        atol=2e-3 * derived.abs().max().item(),
+    )
 
 
 @pytest.mark.parametrize(
     ("values", "times", "period", "message"),
     [
-        (torch.rand(4, 2), torch.arange(4.0), 1.0, r"values must be \(T, M\) and times \(T,\) with T >= 5, got \(4, 2\) and \(4,\)"),
+        (
+            torch.rand(4, 2),
+            torch.arange(4.0),
+            1.0,
+            r"values must be \(T, M\) and times \(T,\) with T >= 5, got \(4, 2\) and \(4,\)",
+        ),
         (torch.rand(6, 2), torch.arange(5.0), 1.0, r"with T >= 5, got \(6, 2\) and \(5,\)"),
         (torch.full((6, 1), torch.nan), torch.arange(6.0), 1.0, "values and times must be finite"),
-        (torch.rand(5, 2), torch.tensor([0.0, 2.0, 1.0, 3.0, 4.0]), 1.0, "times must increase, got 1 s after 2 s at sample 2"),
-        (torch.rand(5, 2), torch.arange(5.0), 0.0, "period must be positive and at most the duration, 4 s, got 0.0 s"),
-        (torch.rand(5, 2), torch.arange(5.0), 4.5, "period must be positive and at most the duration, 4 s, got 4.5 s"),
+        (
+            torch.rand(5, 2),
+            torch.tensor([0.0, 2.0, 1.0, 3.0, 4.0]),
+            1.0,
+            "times must increase, got 1 s after 2 s at sample 2",
+        ),
+        (
+            torch.rand(5, 2),
+            torch.arange(5.0),
+            0.0,
+            "period must be positive and at most the duration, 4 s, got 0.0 s",
+        ),
+        (
+            torch.rand(5, 2),
+            torch.arange(5.0),
+            4.5,
+            "period must be positive and at most the duration, 4 s, got 4.5 s",
+        ),
     ],
 )
 @pytest.mark.parametrize("step", [smooth, velocities])
-def test_what_cannot_be_smoothed_is_refused(step, values: Tensor, times: Tensor, period: float, message: str) -> None:
+def test_what_cannot_be_smoothed_is_refused(
+    step, values: Tensor, times: Tensor, period: float, message: str
+) -> None:
     with pytest.raises(AlignmentError, match=message):
         step(values, times, period)

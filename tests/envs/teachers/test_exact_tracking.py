@@ -25,35 +25,56 @@ def motion() -> tuple[Tensor, Tensor, Tensor]:
     return motion_of(env, torch.stack(states), torques)
 
 
-def test_motion_holds_every_time_step_from_the_first_state_on(motion: tuple[Tensor, Tensor, Tensor]) -> None:
+def test_motion_holds_every_time_step_from_the_first_state_on(
+    motion: tuple[Tensor, Tensor, Tensor],
+) -> None:
     env, (states, accelerations, torques) = DoublePendulumEnv(seed=0), motion
     assert (states.shape, accelerations.shape, torques.shape) == ((200, 4), (200, 2), (200, 2))
     following = env.simulate(states[::50], torques[::50])
     torch.testing.assert_close(states[50::50], following[:-1], rtol=0, atol=1e-12)
     difference = states[1:, 1::2] - states[:-1, 1::2]  # of velocities, in 2 ms
     same = (torques[1:] == torques[:-1]).all(-1)
-    torch.testing.assert_close(difference[same] / 0.002, (accelerations[1:] + accelerations[:-1])[same] / 2, rtol=0, atol=0.05)
+    torch.testing.assert_close(
+        difference[same] / 0.002,
+        (accelerations[1:] + accelerations[:-1])[same] / 2,
+        rtol=0,
+        atol=0.05,
+    )
 
 
-def test_the_same_robot_needs_the_torques_that_it_applied(motion: tuple[Tensor, Tensor, Tensor]) -> None:
+def test_the_same_robot_needs_the_torques_that_it_applied(
+    motion: tuple[Tensor, Tensor, Tensor],
+) -> None:
     states, accelerations, torques = motion
-    torch.testing.assert_close(tracking_torques(double_pendulum_model(), states, accelerations), torques, rtol=0, atol=1e-9)
+    torch.testing.assert_close(
+        tracking_torques(double_pendulum_model(), states, accelerations), torques, rtol=0, atol=1e-9
+    )
 
 
-def test_torques_are_affine_in_the_mass_of_the_second_link(motion: tuple[Tensor, Tensor, Tensor]) -> None:
-    light, middle, heavy = (tracking_torques(double_pendulum_model((0.5, mass)), *motion[:2]) for mass in (0.2, 0.5, 1.1))
+def test_torques_are_affine_in_the_mass_of_the_second_link(
+    motion: tuple[Tensor, Tensor, Tensor],
+) -> None:
+    light, middle, heavy = (
+        tracking_torques(double_pendulum_model((0.5, mass)), *motion[:2])
+        for mass in (0.2, 0.5, 1.1)
+    )
     torch.testing.assert_close((heavy - middle) / 0.6, (middle - light) / 0.3)
     assert (heavy - light).abs().max() > 1
 
 
 @pytest.mark.parametrize("mass", [0.15, 1.0])
-def test_another_robot_under_its_tracking_torques_moves_as_the_first_one_did(motion: tuple[Tensor, Tensor, Tensor], mass: float) -> None:
+def test_another_robot_under_its_tracking_torques_moves_as_the_first_one_did(
+    motion: tuple[Tensor, Tensor, Tensor], mass: float
+) -> None:
     states, accelerations, torques = motion
     model = double_pendulum_model((0.5, mass))
     model.actuator_ctrllimited[:] = 0
     followed = follow(model, states, tracking_torques(model, states, accelerations))
     unfollowed = follow(model, states, torques)
-    assert np.abs(followed - states[1:].numpy()).max() < 0.02 * np.abs(unfollowed - states[1:].numpy()).max()
+    assert (
+        np.abs(followed - states[1:].numpy()).max()
+        < 0.02 * np.abs(unfollowed - states[1:].numpy()).max()
+    )
 
 
 def follow(model: mujoco.MjModel, states: Tensor, torques: Tensor) -> np.ndarray:

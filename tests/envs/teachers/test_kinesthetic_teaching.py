@@ -1,4 +1,6 @@
-"""Kinesthetic teaching: a hand of finite strength leads a limp robot, near what it meant, never twice the same."""
+"""Kinesthetic teaching: a hand of finite strength leads a limp robot, near what it meant, never
+twice the same.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +12,20 @@ import numpy as np
 import pytest
 
 from torch_pmil.envs.teachers import kinesthetic_teaching
-from torch_pmil.envs.teachers.kinesthetic_teaching import HAND_FORCE, SETTLING, Strike, Variation, record_strike
+from torch_pmil.envs.teachers.kinesthetic_teaching import (
+    HAND_FORCE,
+    SETTLING,
+    Strike,
+    Variation,
+    record_strike,
+)
 
 
 @pytest.fixture(scope="module")
 def model() -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_path(str(resources.files("torch_pmil.envs").joinpath("assets", "biorob", "scene.xml")))
+    return mujoco.MjModel.from_xml_path(
+        str(resources.files("torch_pmil.envs").joinpath("assets", "biorob", "scene.xml"))
+    )
 
 
 def varied(model: mujoco.MjModel, count: int) -> list[Strike]:
@@ -47,7 +57,9 @@ def test_arm_follows_the_hand_and_hits_the_ball_when_it_is_meant_to(model: mujoc
 
 def test_velocities_are_those_of_the_positions(model: mujoco.MjModel) -> None:
     states = record_strike(model, Strike()).states
-    assert np.gradient(states[:, :3], 0.001, axis=0)[5:-5] == pytest.approx(states[5:-5, 3:], abs=0.1)
+    assert np.gradient(states[:, :3], 0.001, axis=0)[5:-5] == pytest.approx(
+        states[5:-5, 3:], abs=0.1
+    )
 
 
 def test_limp_arm_is_pulled_with_the_largest_force_at_the_most_and_no_further_than_it_reaches(
@@ -55,7 +67,9 @@ def test_limp_arm_is_pulled_with_the_largest_force_at_the_most_and_no_further_th
 ) -> None:
     forces, pull = [], kinesthetic_teaching._pull
 
-    def weighed(model: mujoco.MjModel, data: mujoco.MjData, place: np.ndarray, velocity: np.ndarray) -> None:
+    def weighed(
+        model: mujoco.MjModel, data: mujoco.MjData, place: np.ndarray, velocity: np.ndarray
+    ) -> None:
         pull(model, data, place, velocity)
         jacobian = np.empty((3, model.nv))
         mujoco.mj_jacSite(model, data, jacobian, None, model.site("racket").id)
@@ -63,7 +77,9 @@ def test_limp_arm_is_pulled_with_the_largest_force_at_the_most_and_no_further_th
         assert not data.ctrl.any()
 
     monkeypatch.setattr(kinesthetic_teaching, "_pull", weighed)
-    with pytest.raises(RuntimeError, match=r"the hand must keep the racket within 0\.1 m, it ended \d\.\d\d m away"):
+    with pytest.raises(
+        RuntimeError, match=r"the hand must keep the racket within 0\.1 m, it ended \d\.\d\d m away"
+    ):
         record_strike(model, replace(Strike(), stop=(0.2, 3.5, 0.0)))
     largest = np.linalg.norm(forces, axis=1).max()
     assert HAND_FORCE * 0.99 < largest < HAND_FORCE * 1.001
@@ -71,7 +87,12 @@ def test_limp_arm_is_pulled_with_the_largest_force_at_the_most_and_no_further_th
 
 def test_variation_is_as_large_as_it_says(model: mujoco.MjModel) -> None:
     variation, strikes = Variation(), varied(model, 400)
-    for name, size in (("start", variation.start), ("back", variation.rest), ("stop", variation.rest), ("times", variation.time)):
+    for name, size in (
+        ("start", variation.start),
+        ("back", variation.rest),
+        ("stop", variation.rest),
+        ("times", variation.time),
+    ):
         drawn = np.array([getattr(strike, name) for strike in strikes])
         assert drawn.std(0) == pytest.approx(np.full(3, size), rel=0.12)  # three standard errors
         assert drawn.mean(0) == pytest.approx(getattr(Strike(), name), abs=3.5 * size / 20)
@@ -88,4 +109,6 @@ def test_all_of_several_people_hit_the_ball_at_times_of_their_own(model: mujoco.
 
 
 def test_same_strike_gives_the_same_recording(model: mujoco.MjModel) -> None:
-    assert np.array_equal(record_strike(model, Strike()).states, record_strike(model, Strike()).states)
+    assert np.array_equal(
+        record_strike(model, Strike()).states, record_strike(model, Strike()).states
+    )

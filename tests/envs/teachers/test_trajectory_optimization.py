@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from torch_pmil.envs.teachers.trajectory_optimization import QuadraticCost, linearize, plan_trajectory, roll_out, tracking_controller
+from torch_pmil.envs.teachers.trajectory_optimization import (
+    QuadraticCost,
+    linearize,
+    plan_trajectory,
+    roll_out,
+    tracking_controller,
+)
 
 A = np.array([[1.0, 0.1], [0.2, 1.05]])
 B = np.array([[0.0], [0.1]])
@@ -33,8 +39,17 @@ def cost_of_actions(actions, cost):
 @pytest.mark.parametrize("limit", [100.0, 2.0])
 def test_plan_for_a_linear_system_is_the_optimum_within_the_limits(limit, hold_action):
     cost, bounds = replace(COST, hold_action=np.array([hold_action])), [(-limit, limit)] * STEPS
-    plan = plan_trajectory(linear_dynamics, START, cost, np.zeros((STEPS, 1)), np.array([limit]), tolerance=1e-12)
-    optimum = minimize(cost_of_actions, np.zeros(STEPS), (cost,), method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-15})
+    plan = plan_trajectory(
+        linear_dynamics, START, cost, np.zeros((STEPS, 1)), np.array([limit]), tolerance=1e-12
+    )
+    optimum = minimize(
+        cost_of_actions,
+        np.zeros(STEPS),
+        (cost,),
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"ftol": 1e-15},
+    )
     assert plan.converged
     assert plan.cost == pytest.approx(optimum.fun, rel=1e-8)
     np.testing.assert_allclose(plan.actions[:, 0], optimum.x, atol=1e-2)
@@ -56,7 +71,9 @@ def test_controller_keeps_disturbed_starts_on_the_plan_and_at_the_target():
     weights[20:] = [100.0, 10.0]
     cost = QuadraticCost(TARGET, weights, np.array([0.1]))
     plan = plan_trajectory(pendulum, np.array([np.pi, 0.0]), cost, np.full((30, 1), 1.0), limit)
-    controller = tracking_controller(pendulum, plan, TARGET, 24, np.array([10.0, 1.0]), np.ones(1), limit)
+    controller = tracking_controller(
+        pendulum, plan, TARGET, 24, np.array([10.0, 1.0]), np.ones(1), limit
+    )
     starts = np.array([np.pi, 0.0]) + np.random.default_rng(0).normal(scale=0.05, size=(10, 2))
     states, actions = roll_out(pendulum, starts, controller, 30)
     assert np.abs(states[:, -1]).max() < 0.05
@@ -67,7 +84,11 @@ def test_controller_holds_a_target_where_the_robot_does_not_rest_by_itself():
     limit, leaning, hold = np.array([3.0]), np.array([0.6, 0.0]), np.array([-np.sin(0.6)])
     cost = QuadraticCost(leaning, np.tile([10.0, 1.0], (31, 1)), np.array([0.1]), hold)
     plan = plan_trajectory(pendulum, np.zeros(2), cost, np.zeros((30, 1)), limit)
-    controller = tracking_controller(pendulum, plan, leaning, 24, np.array([10.0, 1.0]), np.ones(1), limit, hold)
+    controller = tracking_controller(
+        pendulum, plan, leaning, 24, np.array([10.0, 1.0]), np.ones(1), limit, hold
+    )
     np.testing.assert_allclose(controller(24, leaning[None]), hold[None], rtol=0, atol=1e-12)
-    states, _ = roll_out(pendulum, np.random.default_rng(0).normal(scale=0.05, size=(10, 2)), controller, 60)
+    states, _ = roll_out(
+        pendulum, np.random.default_rng(0).normal(scale=0.05, size=(10, 2)), controller, 60
+    )
     np.testing.assert_allclose(states[:, -1], np.tile(leaning, (10, 1)), rtol=0, atol=1e-3)

@@ -1,4 +1,6 @@
-"""Why a run did not learn: each reason is provoked, with models that were fitted and robots that moved, and says who, when and how much."""
+"""Why a run did not learn: each reason is provoked, with models that were fitted and robots that
+moved, and says who, when and how much.
+"""
 
 from __future__ import annotations
 
@@ -38,19 +40,32 @@ def swing_up(**changes: object) -> Experiment:
 def weak_swing_up(limit: float, samples: int) -> Experiment:
     """The beginning of the swing-up, for motors that are too weak."""
     shipped = shipped_demonstrations("double_pendulum")
-    beginning = load_experiment("double_pendulum", replace(shipped, positions=shipped.positions[:, :samples]))
+    beginning = load_experiment(
+        "double_pendulum", replace(shipped, positions=shipped.positions[:, :samples])
+    )
     weak = partial(DoublePendulumEnv, torque_limit=limit)
-    return replace(beginning, make_env=weak, u_max=torch.full((2,), limit, dtype=torch.float64), num_centres=30)
+    return replace(
+        beginning, make_env=weak, u_max=torch.full((2,), limit, dtype=torch.float64), num_centres=30
+    )
 
 
 def shown(positions: Tensor) -> Experiment:
-    return load_experiment("double_pendulum", replace(shipped_demonstrations("double_pendulum"), positions=positions))
+    return load_experiment(
+        "double_pendulum", replace(shipped_demonstrations("double_pendulum"), positions=positions)
+    )
 
 
 def rollouts(experiment: Experiment, policy: RBFPolicy, starts: int, seed: int) -> TensorDictBase:
-    state_policy = StatePolicy(policy, experiment.space, experiment.demonstrations.time_step, experiment.demonstrations.target_names)
+    state_policy = StatePolicy(
+        policy,
+        experiment.space,
+        experiment.demonstrations.time_step,
+        experiment.demonstrations.target_names,
+    )
     with torch.no_grad():
-        return experiment.robots(starts, seed).rollout(experiment.horizon, state_policy.as_tensordict_module())
+        return experiment.robots(starts, seed).rollout(
+            experiment.horizon, state_policy.as_tensordict_module()
+        )
 
 
 def new_policy(experiment: Experiment) -> RBFPolicy:
@@ -70,17 +85,25 @@ def model_of(experiment: Experiment, policy: RBFPolicy, steps: int | None = None
     lived = rollouts(experiment, policy, LEARNED_FROM, 1)[:, :steps]
     inputs = torch.cat([experiment.space.features(lived["observation"]), lived["action"]], -1)
     dynamics = experiment.make_dynamics()
-    dynamics.fit(inputs.flatten(0, -2), states_of(lived).diff(dim=-2).flatten(0, -2), max_iterations=40)
+    dynamics.fit(
+        inputs.flatten(0, -2), states_of(lived).diff(dim=-2).flatten(0, -2), max_iterations=40
+    )
     return dynamics
 
 
 def diagnose(
-    experiment: Experiment, policy: RBFPolicy, dynamics: GPDynamics, horizons: tuple[int, ...] = STUCK, starts: int = STARTS
+    experiment: Experiment,
+    policy: RBFPolicy,
+    dynamics: GPDynamics,
+    horizons: tuple[int, ...] = STUCK,
+    starts: int = STARTS,
 ) -> dict[str, str]:
     """Messages by cause, in order, of a policy that ran on the robot."""
     loss = experiment.make_loss(policy, dynamics)
     with torch.no_grad():
-        outcomes = experiment.outcomes(loss.predict_states(experiment.initial), rollouts(experiment, policy, starts, 2))
+        outcomes = experiment.outcomes(
+            loss.predict_states(experiment.initial), rollouts(experiment, policy, starts, 2)
+        )
     reasons = likely_reasons(experiment, loss, outcomes, horizons)
     assert len({reason.cause for reason in reasons}) == len(reasons)
     return {reason.cause: reason.message for reason in reasons}
@@ -97,22 +120,36 @@ def dynamics(policy: RBFPolicy) -> GPDynamics:
     return model_of(swing_up(), policy)
 
 
-def test_model_that_was_fitted_to_such_motions_is_right(policy: RBFPolicy, dynamics: GPDynamics) -> None:
+def test_model_that_was_fitted_to_such_motions_is_right(
+    policy: RBFPolicy, dynamics: GPDynamics
+) -> None:
     assert list(diagnose(swing_up(), policy, dynamics)) == ["search stuck"]
 
 
 def test_robot_that_changed_makes_its_model_wrong(policy: RBFPolicy, dynamics: GPDynamics) -> None:
-    """The second link is heavier than it was when the model was fitted: already the first steps come otherwise."""
+    """The second link is heavier than it was when the model was fitted: already the first steps
+    come otherwise.
+    """
     heavier = swing_up(make_env=partial(DoublePendulumEnv, HEAVY))
     found = diagnose(heavier, policy, dynamics)
     causes = list(found)
-    assert causes.index("model not right") < causes.index("search stuck") and "too little experience" not in found
-    covered, name = re.match(r"(\d+) % of the one-step errors in (d?q[12]),", found["model not right"]).groups()
+    assert (
+        causes.index("model not right") < causes.index("search stuck")
+        and "too little experience" not in found
+    )
+    covered, name = re.match(
+        r"(\d+) % of the one-step errors in (d?q[12]),", found["model not right"]
+    ).groups()
     assert int(covered) < 75 and name in heavier.space.names
-    assert re.search(r"the rollouts leave the prediction at 0\.\d0 s, first in d?q[12];", found["model not right"])
+    assert re.search(
+        r"the rollouts leave the prediction at 0\.\d0 s, first in d?q[12];",
+        found["model not right"],
+    )
 
 
-def test_model_with_lengthscales_that_are_too_long_is_wrong(policy: RBFPolicy, dynamics: GPDynamics) -> None:
+def test_model_with_lengthscales_that_are_too_long_is_wrong(
+    policy: RBFPolicy, dynamics: GPDynamics
+) -> None:
     """It is too sure of itself between its data."""
     sure = swing_up().make_dynamics()
     sure.load_state_dict(dynamics.state_dict())
@@ -126,7 +163,8 @@ def test_model_of_the_first_steps_alone_knows_little_of_the_others(policy: RBFPo
     first_steps = model_of(swing_up(), policy, steps=3)
     found = diagnose(swing_up(), policy, first_steps)
     share, when, data = re.match(
-        r"in (\d+) % of the executed steps, first at (\d\.\d+) s, the robot is where the (\d+)", found["too little experience"]
+        r"in (\d+) % of the executed steps, first at (\d\.\d+) s, the robot is where the (\d+)",
+        found["too little experience"],
     ).groups()
     assert int(share) > 20 and float(when) >= 0.3 and int(data) == 3 * LEARNED_FROM
 
@@ -138,26 +176,48 @@ def test_search_is_stuck_where_the_kl_rises(policy: RBFPolicy, dynamics: GPDynam
         kl = experiment.make_loss(policy, dynamics).per_step(experiment.initial)
     step = int(re.search(r"\(step (\d+) of 25\)", message)[1])
     assert kl[step - 1] > experiment.search.trusted >= kl[: step - 1].max()
-    assert message.startswith(f"the KL of a step rises from {kl[step - 2]:.3g} at {0.1 * (step - 1):.2f} s to {kl[step - 1]:.3g} nats at ")
-    assert re.search(r"most in [xy][12] \(predicted -?\d\.\d\d ± \d\.\d\d m, demonstrated -?\d\.\d\d ± \d\.\d\d m\)", message)
-    assert "went up to step 5, 8, 8, 8, 8: 3 trials led them no further, so try another seed" in message
+    assert message.startswith(
+        f"the KL of a step rises from {kl[step - 2]:.3g} at {0.1 * (step - 1):.2f} s to "
+        f"{kl[step - 1]:.3g} nats at "
+    )
+    assert re.search(
+        r"most in [xy][12] \(predicted -?\d\.\d\d ± \d\.\d\d m, demonstrated -?\d\.\d\d ± \d\.\d\d m\)",
+        message,
+    )
+    assert (
+        "went up to step 5, 8, 8, 8, 8: 3 trials led them no further, so try another seed"
+        in message
+    )
 
 
-def test_search_that_still_came_further_wants_more_trials(policy: RBFPolicy, dynamics: GPDynamics) -> None:
+def test_search_that_still_came_further_wants_more_trials(
+    policy: RBFPolicy, dynamics: GPDynamics
+) -> None:
     for horizons in ((5, 5), (5, 8, 8, 8, 11)):
-        assert "more trials may lead them further" in diagnose(swing_up(), policy, dynamics, horizons)["search stuck"]
+        assert (
+            "more trials may lead them further"
+            in diagnose(swing_up(), policy, dynamics, horizons)["search stuck"]
+        )
 
 
-def test_demonstrations_outside_the_workspace_come_first(policy: RBFPolicy, dynamics: GPDynamics) -> None:
+def test_demonstrations_outside_the_workspace_come_first(
+    policy: RBFPolicy, dynamics: GPDynamics
+) -> None:
     found = diagnose(shown(1.3 * swing_up().demonstrations.positions), policy, dynamics)
     cause, message = next(iter(found.items()))
     assert cause == "demonstrations out of reach"
-    assert message.startswith("demonstration 0 leaves the workspace: at ") and message.endswith(" (and 4 more of this kind)")
+    assert message.startswith("demonstration 0 leaves the workspace: at ") and message.endswith(
+        " (and 4 more of this kind)"
+    )
 
 
 def test_two_ways_up_come_first(policy: RBFPolicy, dynamics: GPDynamics) -> None:
     positions = swing_up().demonstrations.positions
-    found = diagnose(shown(torch.cat([positions, positions * torch.tensor([-1.0, 1.0, -1.0, 1.0])])), policy, dynamics)
+    found = diagnose(
+        shown(torch.cat([positions, positions * torch.tensor([-1.0, 1.0, -1.0, 1.0])])),
+        policy,
+        dynamics,
+    )
     cause, message = next(iter(found.items()))
     assert cause == "contradictory demonstrations" and message.startswith(
         "demonstrations 0, 1, 2, 3, 4 and 5, 6, 7, 8, 9 are two different ways"
@@ -167,7 +227,9 @@ def test_two_ways_up_come_first(policy: RBFPolicy, dynamics: GPDynamics) -> None
 def test_two_demonstrations_are_said_last(policy: RBFPolicy, dynamics: GPDynamics) -> None:
     found = diagnose(shown(swing_up().demonstrations.positions[:2]), policy, dynamics)
     assert list(found)[-1] == "too few demonstrations" and next(iter(found)) == "search stuck"
-    assert found["too few demonstrations"].startswith("2 demonstrations tell the spread in one direction alone")
+    assert found["too few demonstrations"].startswith(
+        "2 demonstrations tell the spread in one direction alone"
+    )
 
 
 def test_biorob_that_its_torques_only_hold_did_not_move() -> None:
@@ -183,11 +245,19 @@ def test_worst_of_several_targets_is_named() -> None:
     start = new_policy(experiment)
     found = diagnose(experiment, start, model_of(experiment, start, steps=6), starts=2)
     labels = {
-        ", ".join(f"{name} = {value:g}" for name, value in zip(experiment.demonstrations.target_names, target, strict=True))
+        ", ".join(
+            f"{name} = {value:g}"
+            for name, value in zip(experiment.demonstrations.target_names, target, strict=True)
+        )
         for target in experiment.targets.tolist()
     }
     assert any(f" at {label};" in found["search stuck"] for label in labels)
-    assert any(message.startswith(f"at {label}, ") for label in labels for cause, message in found.items() if cause != "search stuck")
+    assert any(
+        message.startswith(f"at {label}, ")
+        for label in labels
+        for cause, message in found.items()
+        if cause != "search stuck"
+    )
 
 
 def test_pilco_is_stuck_where_its_prediction_is_wide(policy: RBFPolicy) -> None:
@@ -207,24 +277,34 @@ def test_success_has_nothing_to_explain(policy: RBFPolicy, dynamics: GPDynamics)
     assert diagnose(replace(experiment, tolerance=few), policy, dynamics, starts=20) != {}
 
 
-def test_failure_that_nothing_explains_is_left_to_the_criterion(policy: RBFPolicy, dynamics: GPDynamics) -> None:
-    """The prediction is right and the search content with it: what is left is what counts as a success."""
+def test_failure_that_nothing_explains_is_left_to_the_criterion(
+    policy: RBFPolicy, dynamics: GPDynamics
+) -> None:
+    """The prediction is right and the search content with it: what is left is what counts as a
+    success.
+    """
     experiment = swing_up()
     content = replace(experiment, search=replace(experiment.search, trusted=1e6))
     ((cause, message),) = diagnose(content, policy, dynamics).items()
     assert cause == "success criterion"
     assert f"yet {STARTS} of {STARTS} rollouts have an error above 0.25" in message
-    assert re.search(r"the KL of a step is at most [\d.e+]+ nats, at \d\.\d\d s, most in [xy][12] ", message)
+    assert re.search(
+        r"the KL of a step is at most [\d.e+]+ nats, at \d\.\d\d s, most in [xy][12] ", message
+    )
 
 
 @pytest.fixture
 def summary_of(tmp_path: Path) -> Callable[..., dict]:
     """Of a real run."""
-    return lambda experiment, trials, seed=0: train(experiment, seed, trials, tmp_path / "run", "", progress_bar=False).summary
+    return lambda experiment, trials, seed=0: (
+        train(experiment, seed, trials, tmp_path / "run", "", progress_bar=False).summary
+    )
 
 
 @pytest.mark.slow
-def test_run_with_weak_motors_names_the_motor_its_limit_and_the_need(summary_of: Callable[..., dict]) -> None:
+def test_run_with_weak_motors_names_the_motor_its_limit_and_the_need(
+    summary_of: Callable[..., dict],
+) -> None:
     summary = summary_of(replace(weak_swing_up(0.7, 9), search=SearchSettings(40, 20, 20)), 2)
     found = {reason["cause"]: reason["message"] for reason in summary["diagnosis"]}
     assert list(found)[:2] == ["demonstrations out of reach", "torque at its limit"]
@@ -232,7 +312,11 @@ def test_run_with_weak_motors_names_the_motor_its_limit_and_the_need(summary_of:
         r"motor tau1 is within 5 % of its limit of 0\.7 N·m in (\d+) % of the steps, and the demonstrations need up to (\d\.\d) N·m;",
         found["torque at its limit"],
     ).groups()
-    assert float(share) == pytest.approx(100 * summary["saturated"]["tau1"], abs=0.5) and int(share) > 50 and float(need) > 2
+    assert (
+        float(share) == pytest.approx(100 * summary["saturated"]["tau1"], abs=0.5)
+        and int(share) > 50
+        and float(need) > 2
+    )
 
 
 @pytest.mark.slow
@@ -240,7 +324,9 @@ def test_run_whose_search_has_no_budget_is_stuck(summary_of: Callable[..., dict]
     summary = summary_of(swing_up(search=SearchSettings(1, 1, 1)), 2)
     found = {reason["cause"]: reason["message"] for reason in summary["diagnosis"]}
     step = int(re.search(r"\(step (\d+) of 25\)", found["search stuck"])[1])
-    assert summary["kl_per_step"][step - 1] > 3 >= max(summary["kl_per_step"][: step - 1], default=0)
+    assert (
+        summary["kl_per_step"][step - 1] > 3 >= max(summary["kl_per_step"][: step - 1], default=0)
+    )
 
 
 @pytest.mark.slow

@@ -1,4 +1,6 @@
-"""Checks of demonstrations: each is provoked, tells who, where and how much, and keeps silent on what is as it must be."""
+"""Checks of demonstrations: each is provoked, tells who, where and how much, and keeps silent on
+what is as it must be.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,10 @@ SETS = 400
 def messages(positions: Tensor, name: str = "double_pendulum") -> list[str]:
     """What is found in demonstrations of an experiment, as its own otherwise."""
     shipped = shipped_demonstrations(name)
-    return [finding.message for finding in check(load_experiment(name, replace(shipped, positions=positions)))]
+    return [
+        finding.message
+        for finding in check(load_experiment(name, replace(shipped, positions=positions)))
+    ]
 
 
 def swing_ups() -> Tensor:
@@ -59,7 +64,9 @@ def test_two_ways_up_are_named() -> None:
 def test_links_of_another_length_leave_the_workspace() -> None:
     positions = swing_ups().clone()
     positions[3] *= 1.3
-    findings = check(load_experiment("double_pendulum", replace(shipped_demonstrations(), positions=positions)))
+    findings = check(
+        load_experiment("double_pendulum", replace(shipped_demonstrations(), positions=positions))
+    )
     fatal = [finding.message for finding in findings if finding.fatal]
     assert len(fatal) == 1 and fatal[0].startswith("demonstration 3 leaves the workspace: at ")
     assert "the robot is no nearer than 0.3 in y2" in fatal[0]
@@ -70,8 +77,8 @@ def test_joint_beyond_its_stop_leaves_the_workspace() -> None:
     stop = BioRobEnv().model.joint("elbow").range[1]
     positions[1, 7, 2] = stop + 0.2
     assert (
-        "demonstration 1 leaves the workspace: at 0.70 s joint 2 would be 0.2 beyond its stop; scale it or place it elsewhere"
-        in messages(positions, "biorob")
+        "demonstration 1 leaves the workspace: at 0.70 s joint 2 would be 0.2 beyond its stop; "
+        "scale it or place it elsewhere" in messages(positions, "biorob")
     )
 
 
@@ -86,10 +93,17 @@ def test_swing_in_half_the_time_needs_torque_that_there_is_not() -> None:
         if too_fast:
             peak = float(found[0].split(" needs ")[1].split(" N·m")[0])
             # two uniform rods as one of 1 kg and 1 m: inertia 1/3, gravity torque 4.905 sin
-            angle, acceleration = starts[0] + swing, 0.8 * (2 * math.pi * pace) ** 2 * (2 * math.pi * pace * time).cos()
+            angle, acceleration = (
+                starts[0] + swing,
+                0.8 * (2 * math.pi * pace) ** 2 * (2 * math.pi * pace * time).cos(),
+            )
             expected = (acceleration / 3 - 4.905 * angle.sin()).abs().max().item()
             assert 0.75 * expected < peak < 1.05 * expected  # a mean over 0.1 s of a swing of 0.6 s
-            assert found[0].startswith("demonstration 0 needs ") and "of motor tau1 at " in found[0] and "which has 3.5 N·m" in found[0]
+            assert (
+                found[0].startswith("demonstration 0 needs ")
+                and "of motor tau1 at " in found[0]
+                and "which has 3.5 N·m" in found[0]
+            )
 
 
 @pytest.mark.slow
@@ -103,12 +117,17 @@ def test_torques_of_known_swing_ups_are_found_again() -> None:
 def test_torques_of_the_biorob_at_rest_hold_it() -> None:
     from_above = torch.tensor([[0.0, 0.5, 0.9, 0.0, 0.0, 0.0]], dtype=torch.float64).expand(4, -1)
     torques = BioRobEnv().needed_torques(from_above)
-    torch.testing.assert_close(torques[1], torch.tensor([0.0, 3.0, 2.2], dtype=torch.float64), rtol=0, atol=0.06)
+    torch.testing.assert_close(
+        torques[1], torch.tensor([0.0, 3.0, 2.2], dtype=torch.float64), rtol=0, atol=0.06
+    )
 
 
 def test_robot_that_is_not_known_says_nothing_of_torques_and_stops() -> None:
     env = load_experiment("gym_pendulum").make_env()
-    assert env.needed_torques(torch.zeros(5, 2)) is None and env.beyond_range(torch.zeros(5, 2)) is None
+    assert (
+        env.needed_torques(torch.zeros(5, 2)) is None
+        and env.beyond_range(torch.zeros(5, 2)) is None
+    )
 
 
 def test_copies_are_named() -> None:
@@ -127,7 +146,8 @@ def test_start_elsewhere_is_told() -> None:
     begun = messages(positions[:, 5:])
     assert len(begun) == 5
     assert all(
-        f"demonstration {number} starts at " in message and "from where the robot starts" in message for number, message in enumerate(begun)
+        f"demonstration {number} starts at " in message and "from where the robot starts" in message
+        for number, message in enumerate(begun)
     )
 
 
@@ -139,7 +159,13 @@ def test_starts_of_the_robot_itself_are_seldom_told() -> None:
     alarms = 0
     for _ in range(SETS):
         positions = noisy.sample(5, draws)[:, None].expand(-1, 3, -1)
-        alarms += bool(check_start(Demonstrations(positions, 0.1, ("a", "b", "c", "d")), start, torch.tensor(0.05).double()))
+        alarms += bool(
+            check_start(
+                Demonstrations(positions, 0.1, ("a", "b", "c", "d")),
+                start,
+                torch.tensor(0.05).double(),
+            )
+        )
     assert alarms <= 0.001 * SETS + 3 * math.sqrt(0.001 * SETS)
 
 
@@ -156,9 +182,15 @@ def test_jump_is_told_where_it_is(step: int, stays: bool) -> None:
 def test_smooth_sets_seldom_jump() -> None:
     """Gaussian processes with a lengthscale of two samples, spread of 10 times the noise."""
     time = torch.arange(26, dtype=torch.float64)
-    root = torch.linalg.cholesky((-0.5 * ((time[:, None] - time) / 2).square()).exp() + 1e-6 * torch.eye(26))
+    root = torch.linalg.cholesky(
+        (-0.5 * ((time[:, None] - time) / 2).square()).exp() + 1e-6 * torch.eye(26)
+    )
     draws, alarms, noise = torch.Generator().manual_seed(0), 0, torch.tensor(0.05).double()
     for _ in range(SETS):
-        one = Demonstrations(0.5 * root @ torch.randn(5, 26, 2, generator=draws, dtype=torch.float64), 0.1, ("x", "y"))
+        one = Demonstrations(
+            0.5 * root @ torch.randn(5, 26, 2, generator=draws, dtype=torch.float64),
+            0.1,
+            ("x", "y"),
+        )
         alarms += bool(check_jumps([one], [range(5)], noise))
     assert alarms <= 0.01 * SETS + 3 * math.sqrt(0.01 * SETS)

@@ -36,22 +36,36 @@ def test_errors_of_twice_the_promised_size_are_named_with_their_entry(draws: Dra
     executed = draws.normal(50, 11, 2)
     errors = executed[:, 1:].flatten(0, 1) * torch.tensor([1.0, 2.0])
     found = check_model(errors, standing(10), executed, NAMES, 0.1)
-    assert "of the one-step errors in dq, and 95 % of the executed states" in found.message and "leave" not in found.message
+    assert (
+        "of the one-step errors in dq, and 95 % of the executed states" in found.message
+        and "leave" not in found.message
+    )
 
 
-def test_trajectory_that_leaves_the_prediction_is_told_though_no_step_is_known(draws: Draws) -> None:
+def test_trajectory_that_leaves_the_prediction_is_told_though_no_step_is_known(
+    draws: Draws,
+) -> None:
     executed = draws.normal(50, 11, 2)
     executed[:, 4:, 1] += 6
     found = check_model(torch.zeros(0, 2), standing(10), executed, NAMES, 0.1)
-    assert "one-step" not in found.message and "the rollouts leave the prediction at 0.40 s, first in dq;" in found.message
+    assert (
+        "one-step" not in found.message
+        and "the rollouts leave the prediction at 0.40 s, first in dq;" in found.message
+    )
     assert first_departure(standing(10), executed) == (4, 1)
-    assert first_departure(standing(10), torch.cat([executed[:20], draws.normal(30, 11, 2)])) is None
+    assert (
+        first_departure(standing(10), torch.cat([executed[:20], draws.normal(30, 11, 2)])) is None
+    )
 
 
 def test_a_few_steps_tell_nothing_of_a_model() -> None:
     still = torch.zeros(5, 11, 2).double()
-    assert check_model(torch.full((FEWEST_STEPS - 1, 2), 9.0), standing(10), still, NAMES, 0.1) is None
-    assert check_model(torch.full((FEWEST_STEPS, 2), 9.0), standing(10), still, NAMES, 0.1) is not None
+    assert (
+        check_model(torch.full((FEWEST_STEPS - 1, 2), 9.0), standing(10), still, NAMES, 0.1) is None
+    )
+    assert (
+        check_model(torch.full((FEWEST_STEPS, 2), 9.0), standing(10), still, NAMES, 0.1) is not None
+    )
 
 
 def test_task_of_standing_still_says_nothing_of_a_robot_that_does() -> None:
@@ -85,5 +99,15 @@ def test_search_that_is_stuck_from_the_first_step_on() -> None:
 
 
 def test_findings_of_one_cause_are_one_reason_in_the_order_in_which_they_came() -> None:
-    found = group([Finding("b", "first"), Finding("a", "second"), Finding("b", "third"), Finding("b", "fourth")])
-    assert [(reason.cause, reason.message) for reason in found] == [("b", "first (and 2 more of this kind)"), ("a", "second")]
+    found = group(
+        [
+            Finding("b", "first"),
+            Finding("a", "second"),
+            Finding("b", "third"),
+            Finding("b", "fourth"),
+        ]
+    )
+    assert [(reason.cause, reason.message) for reason in found] == [
+        ("b", "first (and 2 more of this kind)"),
+        ("a", "second"),
+    ]

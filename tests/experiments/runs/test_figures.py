@@ -19,7 +19,12 @@ from torch_pmil.search.policy_search import SearchSettings
 STEPS = 6
 OF_ALL = {"learning_curve", "calibration", "model"}
 OF_A_TASK = {"trajectories", "kl_per_step", "policy"}
-OWN = {"double_pendulum": {"poses"}, "double_pendulum_pilco": {"poses"}, "double_pendulum_targets": {"poses"}, "handwriting": {"writing"}}
+OWN = {
+    "double_pendulum": {"poses"},
+    "double_pendulum_pilco": {"poses"},
+    "double_pendulum_targets": {"poses"},
+    "handwriting": {"writing"},
+}
 WHOLE = {"handwriting", "inverted_pendulum"}  # whose error is of all steps
 SHAPE = {"handwriting": "Angle"}
 
@@ -28,28 +33,43 @@ def short(name: str) -> Experiment:
     """The first steps of an experiment, and searches of a few evaluations."""
     experiment = load_experiment(name, shape=SHAPE.get(name))
     steps = experiment.horizon if name in WHOLE else STEPS
-    beginning = replace(experiment.demonstrations, positions=experiment.demonstrations.positions[:, : steps + 1])
-    changes = {"demonstrations": beginning, "num_centres": 5, "search": SearchSettings(1, 1, 1, first_horizon=steps), "pd_movements": None}
+    beginning = replace(
+        experiment.demonstrations, positions=experiment.demonstrations.positions[:, : steps + 1]
+    )
+    changes = {
+        "demonstrations": beginning,
+        "num_centres": 5,
+        "search": SearchSettings(1, 1, 1, first_horizon=steps),
+        "pd_movements": None,
+    }
     return replace(experiment, **changes)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPERIMENTS)
-def test_every_experiment_has_its_figures(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_experiment_has_its_figures(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     quick_fits(monkeypatch)
     experiment = short(name)
-    result = train(experiment, seed=0, trials=1, out=tmp_path / "run", command="", progress_bar=False)
+    result = train(
+        experiment, seed=0, trials=1, out=tmp_path / "run", command="", progress_bar=False
+    )
     figures = dict(figures_of(experiment, result))
     of_a_task = OF_A_TASK - ({"kl_per_step"} if name == "double_pendulum_pilco" else set())
     count = len(result.outcomes)
     targets = [f"_target_{number}" for number in range(count)] if count > 1 else [""]
-    assert figures.keys() == OF_ALL | {kind + target for kind in of_a_task for target in targets} | OWN.get(name, set())
+    assert figures.keys() == OF_ALL | {
+        kind + target for kind in of_a_task for target in targets
+    } | OWN.get(name, set())
     for kind, figure in figures.items():
         save_figure(figure, tmp_path / f"{kind}.png")
 
 
 def test_planes_of_a_cart_have_its_one_motor() -> None:
     space = load_experiment("inverted_pendulum").space
-    planes = planes_of(space, 1, torch.tensor([[[0.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0, 4.0]]]).double())
+    planes = planes_of(
+        space, 1, torch.tensor([[[0.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0, 4.0]]]).double()
+    )
     assert [(plane.x, plane.y, plane.torque) for plane in planes] == [(0, 2, 0), (1, 3, 0)]
     assert planes[0].span == (pytest.approx((-0.3, 1.3)), pytest.approx((-0.9, 3.9)))

@@ -14,7 +14,13 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from torch_pmil.experiments.runs import sweep
-from torch_pmil.experiments.runs.sweep import SweepCheck, missing_launcher, register_launchers, runs_of, shared_folder
+from torch_pmil.experiments.runs.sweep import (
+    SweepCheck,
+    missing_launcher,
+    register_launchers,
+    runs_of,
+    shared_folder,
+)
 
 CONFIG = Path(__file__).parents[3] / "scripts" / "config"
 
@@ -29,7 +35,9 @@ def hydra() -> Iterator[None]:
 def sweep_over(*overrides: str) -> DictConfig:
     """The configuration that Hydra gives the callbacks of a sweep."""
     instance: Hydra = GlobalHydra.instance().hydra
-    return instance.compose_config("train", list(overrides), run_mode=RunMode.MULTIRUN, with_log_configuration=False)
+    return instance.compose_config(
+        "train", list(overrides), run_mode=RunMode.MULTIRUN, with_log_configuration=False
+    )
 
 
 def test_sweeps_run_on_joblib_with_as_many_jobs_as_cores() -> None:
@@ -51,8 +59,17 @@ def test_ray_cluster_joins_one_that_runs_and_leaves_its_memory_alone() -> None:
 
 
 def test_slurm_jobs_take_one_core_each_and_settings_can_be_changed() -> None:
-    launcher = sweep_over("hydra/launcher=submitit_slurm", "hydra.launcher.partition=short", "hydra.launcher.timeout_min=90").hydra.launcher
-    assert (launcher.tasks_per_node, launcher.cpus_per_task, launcher.partition, launcher.timeout_min) == (1, 1, "short", 90)
+    launcher = sweep_over(
+        "hydra/launcher=submitit_slurm",
+        "hydra.launcher.partition=short",
+        "hydra.launcher.timeout_min=90",
+    ).hydra.launcher
+    assert (
+        launcher.tasks_per_node,
+        launcher.cpus_per_task,
+        launcher.partition,
+        launcher.timeout_min,
+    ) == (1, 1, "short", 90)
 
 
 def test_a_single_run_is_where_it_was() -> None:
@@ -64,24 +81,43 @@ def test_a_single_run_is_where_it_was() -> None:
 def test_runs_of_handwriting_are_apart_by_shape_and_robot() -> None:
     config = compose("train", ["experiment=handwriting", "shape=Sine", "robot=biorob", "seed=3"])
     assert config.out == "runs/handwriting_Sine_biorob/seed_3"
-    assert shared_folder(sweep_over("experiment=handwriting", "shape=Sine,Angle", "robot=biorob,double_pendulum", "seed=range(2)")) is None
+    assert (
+        shared_folder(
+            sweep_over(
+                "experiment=handwriting",
+                "shape=Sine,Angle",
+                "robot=biorob,double_pendulum",
+                "seed=range(2)",
+            )
+        )
+        is None
+    )
 
 
 def test_runs_are_the_product_of_what_is_swept() -> None:
     assert list(runs_of(sweep_over("seed=range(2)", "trials=3", "demonstrations=a.npz,b.npz"))) == [
-        [f"seed={seed}", "trials=3", f"demonstrations={file}.npz"] for seed in (0, 1) for file in "ab"
+        [f"seed={seed}", "trials=3", f"demonstrations={file}.npz"]
+        for seed in (0, 1)
+        for file in "ab"
     ]
 
 
 def test_runs_with_folders_of_their_own_are_let_through() -> None:
     assert shared_folder(sweep_over("seed=range(10)")) is None
-    assert shared_folder(sweep_over("seed=range(2)", "trials=4,8", "out=runs/trials_${trials}/seed_${seed}")) is None
+    assert (
+        shared_folder(
+            sweep_over("seed=range(2)", "trials=4,8", "out=runs/trials_${trials}/seed_${seed}")
+        )
+        is None
+    )
 
 
 def test_two_runs_with_one_folder_are_refused() -> None:
     complaint = shared_folder(sweep_over("seed=range(2)", "trials=4,8"))
     assert complaint is not None
-    assert complaint.startswith("two runs would write to runs/double_pendulum/seed_0: seed=0 trials=4 and seed=0 trials=8; ")
+    assert complaint.startswith(
+        "two runs would write to runs/double_pendulum/seed_0: seed=0 trials=4 and seed=0 trials=8; "
+    )
 
 
 @pytest.mark.parametrize(
@@ -92,17 +128,24 @@ def test_two_runs_with_one_folder_are_refused() -> None:
         ("submitit_slurm", "hydra_submitit_launcher", "slurm"),
     ],
 )
-def test_missing_launcher_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch, launcher: str, module: str, extra: str) -> None:
+def test_missing_launcher_is_named_with_its_extra(
+    monkeypatch: pytest.MonkeyPatch, launcher: str, module: str, extra: str
+) -> None:
     monkeypatch.setattr(sweep, "find_spec", {f"hydra_plugins.{module}": None}.__getitem__)
     complaint = missing_launcher(sweep_over(f"hydra/launcher={launcher}"))
-    assert complaint == f'hydra/launcher={launcher} needs {module.replace("_", "-")}: pip install "torch_pmil[{extra}]"'
+    assert (
+        complaint
+        == f'hydra/launcher={launcher} needs {module.replace("_", "-")}: pip install "torch_pmil[{extra}]"'
+    )
 
 
 def test_extras_hold_what_the_message_asks_for() -> None:
     settings = ConfigParser()
     settings.read(CONFIG.parents[1] / "setup.cfg")
     for module, extra in sweep.EXTRAS.items():
-        assert settings["options.extras_require"][extra].strip().startswith(module.replace("_", "-"))
+        assert (
+            settings["options.extras_require"][extra].strip().startswith(module.replace("_", "-"))
+        )
 
 
 def test_refused_sweep_ends_in_one_line_before_anything_runs() -> None:

@@ -45,10 +45,16 @@ def config(tmp_path: Path) -> Iterator[DictConfig]:
 
 def test_settings_are_those_of_the_config_store(config: DictConfig) -> None:
     assert config.trainer._target_ == PMILTrainerConfig._target_
-    assert (config.trainer.experiment, config.trainer.seed, config.trainer.trials) == ("double_pendulum", 7, 1)
+    assert (config.trainer.experiment, config.trainer.seed, config.trainer.trials) == (
+        "double_pendulum",
+        7,
+        1,
+    )
 
 
-def test_instantiated_trainer_learns_logs_and_saves(config: DictConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_instantiated_trainer_learns_logs_and_saves(
+    config: DictConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     quick_fits(monkeypatch)
     short = short_experiment()
     monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
@@ -57,7 +63,16 @@ def test_instantiated_trainer_learns_logs_and_saves(config: DictConfig, tmp_path
     trainer.train()
     assert len(trainer.trials) == 1
     scalars = {path.stem for path in (tmp_path / "run" / "scalars").glob("*.csv")}
-    assert {"trial", "experience_s", "success_rate", "kl", "own_error", "own_success", "loss_kl", "search_seconds"} <= scalars
+    assert {
+        "trial",
+        "experience_s",
+        "success_rate",
+        "kl",
+        "own_error",
+        "own_success",
+        "loss_kl",
+        "search_seconds",
+    } <= scalars
     assert len(list((tmp_path / "checkpoints").glob("*.torchrl"))) == 2
 
 

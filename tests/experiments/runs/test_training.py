@@ -74,35 +74,81 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
 
 
 def test_run_leaves_these_files_and_no_temporary_ones(result: RunResult, folder: Path) -> None:
-    assert sorted(os.listdir(folder)) == ["checkpoints", "dynamics.pt", "figures", "metrics.csv", "policy.pt", "summary.json"]
+    assert sorted(os.listdir(folder)) == [
+        "checkpoints",
+        "dynamics.pt",
+        "figures",
+        "metrics.csv",
+        "policy.pt",
+        "summary.json",
+    ]
     assert os.listdir(folder / "figures") == []
 
 
 def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> None:
-    assert (summary["experiment"], summary["seed"], summary["command"]) == ("double_pendulum", SEED, COMMAND)
+    assert (summary["experiment"], summary["seed"], summary["command"]) == (
+        "double_pendulum",
+        SEED,
+        COMMAND,
+    )
     assert datetime.fromisoformat(summary["date"]).utcoffset().total_seconds() == 0
     assert summary["commit"]
     assert summary["versions"]["torch"] == torch.__version__
-    assert {"python", "torch_pmil", "gpytorch", "torchrl", "tensordict", "mujoco", "numpy"} <= summary["versions"].keys()
+    assert {
+        "python",
+        "torch_pmil",
+        "gpytorch",
+        "torchrl",
+        "tensordict",
+        "mujoco",
+        "numpy",
+    } <= summary["versions"].keys()
     settings = summary["settings"]
-    assert (settings["trials"], settings["horizon"], settings["num_centres"]) == (TRIALS, HORIZON, 5)
+    assert (settings["trials"], settings["horizon"], settings["num_centres"]) == (
+        TRIALS,
+        HORIZON,
+        5,
+    )
     assert settings["search"] == asdict(experiment.search)
-    assert {"random_torque", "initial_weight_std", "tolerance", "input_widths", "holds_start"} <= settings.keys()
+    assert {
+        "random_torque",
+        "initial_weight_std",
+        "tolerance",
+        "input_widths",
+        "holds_start",
+    } <= settings.keys()
     assert (settings["noise_std"], settings["confirmations"]) == (0.05, 2)
-    assert settings["first_motion"] == {"rollouts": 1, "steps": HORIZON, "random_torque": experiment.random_torque}
+    assert settings["first_motion"] == {
+        "rollouts": 1,
+        "steps": HORIZON,
+        "random_torque": experiment.random_torque,
+    }
 
 
-def test_summary_says_what_came_of_it(summary: dict, result: RunResult, experiment: Experiment) -> None:
+def test_summary_says_what_came_of_it(
+    summary: dict, result: RunResult, experiment: Experiment
+) -> None:
     successes = experiment.error(rollout_of(result.outcomes[0].executed)) <= experiment.tolerance
     assert summary["saved_success_rate"] == successes.double().mean().item()
     assert summary["saved_n_eval"] == len(result.outcomes[0].executed) == EVALUATION_STARTS
-    assert summary["two_sigma_coverage"] == two_sigma_coverage(result.outcomes[0].predicted, result.outcomes[0].executed)
+    assert summary["two_sigma_coverage"] == two_sigma_coverage(
+        result.outcomes[0].predicted, result.outcomes[0].executed
+    )
     space, demonstrations = experiment.space, experiment.demonstrations
-    by_entry = two_sigma_coverage_by_entry(result.outcomes[0].predicted, result.outcomes[0].executed)
-    assert summary["two_sigma_coverage_by_entry"] == dict(zip(space.names, by_entry.tolist(), strict=True))
-    errors, spread = rms_error(demonstrations, space.match(result.outcomes[0].executed)), demonstration_spread(demonstrations)
+    by_entry = two_sigma_coverage_by_entry(
+        result.outcomes[0].predicted, result.outcomes[0].executed
+    )
+    assert summary["two_sigma_coverage_by_entry"] == dict(
+        zip(space.names, by_entry.tolist(), strict=True)
+    )
+    errors, spread = (
+        rms_error(demonstrations, space.match(result.outcomes[0].executed)),
+        demonstration_spread(demonstrations),
+    )
     assert summary["rms_error"] == dict(zip(space.match.names, errors.tolist(), strict=True))
-    assert summary["demonstration_spread"] == dict(zip(space.match.names, spread.tolist(), strict=True))
+    assert summary["demonstration_spread"] == dict(
+        zip(space.match.names, spread.tolist(), strict=True)
+    )
     assert summary["saved_trial"] in (1, 2)
     assert summary["stop_reason"] == "limit of trials"
     assert summary["experience_s"] == pytest.approx((TRIALS + 1) * HORIZON * 0.1)
@@ -110,7 +156,17 @@ def test_summary_says_what_came_of_it(summary: dict, result: RunResult, experime
 
 
 def test_summary_holds_every_trial_whole(summary: dict, result: RunResult) -> None:
-    named = {"trial", "experience_s", "success_rate", "n_eval", "kl", "gp_seconds", "search_seconds", "evaluations", "stop_reason"}
+    named = {
+        "trial",
+        "experience_s",
+        "success_rate",
+        "n_eval",
+        "kl",
+        "gp_seconds",
+        "search_seconds",
+        "evaluations",
+        "stop_reason",
+    }
     assert len(summary["trials"]) == TRIALS
     assert all(named <= trial.keys() for trial in summary["trials"])
     assert summary["trials"] == [asdict(trial) for trial in result.trials]
@@ -123,10 +179,14 @@ def test_result_holds_the_summary_that_was_written(summary: dict, result: RunRes
 def test_metrics_hold_a_row_for_each_trial(result: RunResult, folder: Path) -> None:
     rows = read_metrics(folder)
     assert list(rows[0]) == [field.name for field in fields(Trial)]
-    assert rows == [{name: str(value) for name, value in asdict(trial).items()} for trial in result.trials]
+    assert rows == [
+        {name: str(value) for name, value in asdict(trial).items()} for trial in result.trials
+    ]
 
 
-def test_metrics_are_written_after_every_trial(result: RunResult, rows_when_told: list[int]) -> None:
+def test_metrics_are_written_after_every_trial(
+    result: RunResult, rows_when_told: list[int]
+) -> None:
     assert rows_when_told == [1, 2]
 
 
@@ -141,13 +201,19 @@ def load_dynamics(folder: Path) -> GPDynamics:
 
 
 @torch.no_grad()
-def test_saved_policy_acts_as_the_learned_one(result: RunResult, folder: Path, draws: Draws) -> None:
+def test_saved_policy_acts_as_the_learned_one(
+    result: RunResult, folder: Path, draws: Draws
+) -> None:
     features = draws.normal(50, 6)
     assert torch.equal(load_network(folder)(features), result.policy.policy(features))
 
 
-def test_saved_policy_and_model_predict_as_the_run_did(result: RunResult, folder: Path, experiment: Experiment) -> None:
-    predicted = predict_trajectory(experiment.initial, load_network(folder), load_dynamics(folder), experiment.space, HORIZON)
+def test_saved_policy_and_model_predict_as_the_run_did(
+    result: RunResult, folder: Path, experiment: Experiment
+) -> None:
+    predicted = predict_trajectory(
+        experiment.initial, load_network(folder), load_dynamics(folder), experiment.space, HORIZON
+    )
     assert torch.equal(predicted.mean, result.outcomes[0].predicted.mean)
     assert torch.equal(predicted.cov, result.outcomes[0].predicted.cov)
 
@@ -156,10 +222,17 @@ def test_saved_model_knows_all_experience(result: RunResult, folder: Path) -> No
     assert load_dynamics(folder).train_inputs.shape == ((TRIALS + 1) * HORIZON, 8)
 
 
-def test_executed_rollouts_are_those_of_the_saved_policy(result: RunResult, folder: Path, experiment: Experiment) -> None:
-    before, after = result.outcomes[0].executed[:, :-1].flatten(0, 1), result.outcomes[0].executed[:, 1:].flatten(0, 1)
+def test_executed_rollouts_are_those_of_the_saved_policy(
+    result: RunResult, folder: Path, experiment: Experiment
+) -> None:
+    before, after = (
+        result.outcomes[0].executed[:, :-1].flatten(0, 1),
+        result.outcomes[0].executed[:, 1:].flatten(0, 1),
+    )
     actions = load_network(folder)(experiment.space.features(before)).detach()
-    torch.testing.assert_close(experiment.make_env(seed=0).simulate(before, actions), after, rtol=0, atol=1e-9)
+    torch.testing.assert_close(
+        experiment.make_env(seed=0).simulate(before, actions), after, rtol=0, atol=1e-9
+    )
 
 
 def test_folder_is_made_with_its_parents_and_used_again(tmp_path: Path) -> None:
@@ -180,7 +253,9 @@ def test_pictures_of_the_run_before_do_not_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("below", ["", "run"], ids=["a file", "below a file"])
-def test_folder_that_cannot_be_made_is_an_oserror_before_anything_is_learned(experiment: Experiment, tmp_path: Path, below: str) -> None:
+def test_folder_that_cannot_be_made_is_an_oserror_before_anything_is_learned(
+    experiment: Experiment, tmp_path: Path, below: str
+) -> None:
     (tmp_path / "file").write_text("old")
     with pytest.raises(OSError, match="file"):
         train(experiment, SEED, TRIALS, tmp_path / "file" / below, COMMAND, progress_bar=False)

@@ -44,21 +44,36 @@ def test_new_policy_holds_the_robot_at_its_starts(experiment: Experiment) -> Non
 
 def test_policy_that_holds_is_random_elsewhere_as_any_other(experiment: Experiment) -> None:
     """Far from the start, where no basis function that acts at the start reaches."""
-    plain, holding = (each.make_policy(generator()) for each in (experiment, replace(experiment, holding_torques=lifting)))
+    plain, holding = (
+        each.make_policy(generator())
+        for each in (experiment, replace(experiment, holding_torques=lifting))
+    )
     far = experiment.space.features(torch.tensor([0.0, 6.0, 2.0, -6.0], dtype=torch.float64))
     torch.testing.assert_close(holding(far), plain(far), rtol=0, atol=0.02)
     assert torch.equal(holding.centres, plain.centres)
 
 
 def test_widths_may_be_said_in_the_units_of_the_features(experiment: Experiment) -> None:
-    plain, wide = (each.make_policy(generator()) for each in (experiment, replace(experiment, input_widths=WIDTHS)))
+    plain, wide = (
+        each.make_policy(generator())
+        for each in (experiment, replace(experiment, input_widths=WIDTHS))
+    )
     assert torch.equal(wide.controller.network.lengthscales, WIDTHS.expand(2, 6))
     torch.testing.assert_close(wide.centres * wide.scale, plain.centres * plain.scale)
 
 
 def test_settings_say_what_the_first_policy_and_motion_are(experiment: Experiment) -> None:
     noise_std = torch.tensor([0.1, 0.2, 0.3, 0.4], dtype=torch.float64)
-    changed = replace(experiment, noise_std=noise_std, input_widths=WIDTHS, holding_torques=lifting, pd_movements=PD_MOVEMENTS)
-    assert (changed.settings["noise_std"], changed.settings["input_widths"]) == (noise_std.tolist(), WIDTHS.tolist())
+    changed = replace(
+        experiment,
+        noise_std=noise_std,
+        input_widths=WIDTHS,
+        holding_torques=lifting,
+        pd_movements=PD_MOVEMENTS,
+    )
+    assert (changed.settings["noise_std"], changed.settings["input_widths"]) == (
+        noise_std.tolist(),
+        WIDTHS.tolist(),
+    )
     assert changed.settings["holds_start"] and not experiment.settings["holds_start"]
     assert changed.settings["first_motion"]["gain"] == PD_MOVEMENTS.gain.tolist()

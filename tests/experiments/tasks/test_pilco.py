@@ -39,10 +39,17 @@ def cost_of(loss: ExpectedSaturatingCost, state: Tensor) -> float:
     return loss.rollout_loss(state.expand(1, 4), torch.zeros(1, 4, 4, dtype=torch.float64)).item()
 
 
-def test_cost_is_that_of_equation_28_at_the_upright_link_ends(pilco: PilcoExperiment, draws: Draws) -> None:
-    """c = 1 - exp(-|x - x_target|² / 8), with the two link ends 1 and 2 m below the target when hanging."""
+def test_cost_is_that_of_equation_28_at_the_upright_link_ends(
+    pilco: PilcoExperiment, draws: Draws
+) -> None:
+    """c = 1 - exp(-|x - x_target|² / 8), with the two link ends 1 and 2 m below the target when
+    hanging.
+    """
     loss = make_loss(pilco, draws)
-    upright, hanging = torch.zeros(4, dtype=torch.float64), torch.tensor([math.pi, 0.0, 0.0, 0.0], dtype=torch.float64)
+    upright, hanging = (
+        torch.zeros(4, dtype=torch.float64),
+        torch.tensor([math.pi, 0.0, 0.0, 0.0], dtype=torch.float64),
+    )
     assert torch.equal(loss.target, link_positions(upright))
     assert cost_of(loss, upright) == pytest.approx(0, abs=1e-15)
     assert cost_of(loss, hanging) == pytest.approx(1 - math.exp(-5 / 8), rel=1e-12)
@@ -51,9 +58,19 @@ def test_cost_is_that_of_equation_28_at_the_upright_link_ends(pilco: PilcoExperi
 
 def test_robot_model_and_policy_class_are_those_of_imitation(pilco: PilcoExperiment) -> None:
     imitation = load_experiment("double_pendulum")
-    for same in ("make_env", "num_centres", "random_torque", "initial_weight_std", "tolerance", "error", "horizon"):
+    for same in (
+        "make_env",
+        "num_centres",
+        "random_torque",
+        "initial_weight_std",
+        "tolerance",
+        "error",
+        "horizon",
+    ):
         assert getattr(pilco, same) == getattr(imitation, same)
-    assert torch.equal(pilco.u_max, imitation.u_max) and torch.equal(pilco.initial.cov, imitation.initial.cov)
+    assert torch.equal(pilco.u_max, imitation.u_max) and torch.equal(
+        pilco.initial.cov, imitation.initial.cov
+    )
     assert sum(p.numel() for p in pilco.make_policy(generator()).parameters()) == 812
 
 
@@ -67,7 +84,9 @@ def test_demonstrations_change_nothing(pilco: PilcoExperiment, draws: Draws) -> 
 
 
 def test_model_learns_from_up_to_half_a_turn_in_a_control_step(pilco: PilcoExperiment) -> None:
-    """Faster, the angles at the samples are the same as those of a slower turn, perhaps the other way."""
+    """Faster, the angles at the samples are the same as those of a slower turn, perhaps the other
+    way.
+    """
     fastest = pilco.limits[pilco.limits.isfinite()]
     torch.testing.assert_close(0.1 * fastest, torch.full((2,), math.pi, dtype=torch.float64))
     assert pilco.limits[list(pilco.space.angles)].isposinf().all()
@@ -84,7 +103,9 @@ def test_policies_are_random_and_seeded(pilco: PilcoExperiment) -> None:
 
 
 def test_centres_are_spread_over_all_angles_and_the_velocities_told(pilco: PilcoExperiment) -> None:
-    """Features are dq1, dq2, sin q1, sin q2, cos q1, cos q2; means to four standard errors of 100 centres, deviations to a fifth."""
+    """Features are dq1, dq2, sin q1, sin q2, cos q1, cos q2; means to four standard errors of 100
+    centres, deviations to a fifth.
+    """
     policy = replace(pilco, num_centres=400).make_policy(generator())
     centres = (policy.centres * policy.scale).detach()
     std = torch.tensor([3.0, 3.0, 0.5**0.5, 0.5**0.5, 0.5**0.5, 0.5**0.5], dtype=torch.float64)

@@ -38,7 +38,9 @@ def test_clone_is_the_squashed_mean_of_a_gp(draws: Draws) -> None:
     gp = GPDynamics(6, 2)
     gp.fit(SPACE.features(states), torch.asin(torques / U_MAX))
     expected = U_MAX * gp.expansion.mean(SPACE.features(others)).sin()
-    torch.testing.assert_close(clone_behavior(states, torques, SPACE, U_MAX, 0.1)(others), expected, rtol=0, atol=1e-10)
+    torch.testing.assert_close(
+        clone_behavior(states, torques, SPACE, U_MAX, 0.1)(others), expected, rtol=0, atol=1e-10
+    )
 
 
 def test_noise_of_the_torques_is_averaged_out(draws: Draws) -> None:
@@ -72,10 +74,26 @@ def test_clone_runs_on_robots(draws: Draws) -> None:
 @pytest.mark.parametrize(
     ("states", "torques", "complaint"),
     [
-        (torch.zeros(5, 3), torch.zeros(5, 2), r"states must be \(S, 4\) and torques \(S, 2\), got \(5, 3\) and \(5, 2\)"),
-        (torch.zeros(5, 4), torch.zeros(4, 2), r"states must be \(S, 4\) and torques \(S, 2\), got \(5, 4\) and \(4, 2\)"),
-        (torch.zeros(5, 4), torch.full((5, 2), 3.0), r"torques must be finite and within ± \[3.5, 2.0\] N·m, got \[3.0, 3.0\]"),
-        (torch.zeros(5, 4), torch.full((5, 2), torch.nan), r"torques must be finite and within .* got \[nan, nan\]"),
+        (
+            torch.zeros(5, 3),
+            torch.zeros(5, 2),
+            r"states must be \(S, 4\) and torques \(S, 2\), got \(5, 3\) and \(5, 2\)",
+        ),
+        (
+            torch.zeros(5, 4),
+            torch.zeros(4, 2),
+            r"states must be \(S, 4\) and torques \(S, 2\), got \(5, 4\) and \(4, 2\)",
+        ),
+        (
+            torch.zeros(5, 4),
+            torch.full((5, 2), 3.0),
+            r"torques must be finite and within ± \[3.5, 2.0\] N·m, got \[3.0, 3.0\]",
+        ),
+        (
+            torch.zeros(5, 4),
+            torch.full((5, 2), torch.nan),
+            r"torques must be finite and within .* got \[nan, nan\]",
+        ),
         (torch.full((5, 4), torch.nan), torch.zeros(5, 2), "inputs must be finite, got nan"),
     ],
 )

@@ -1,4 +1,6 @@
-"""Movement primitives: laws of the spring-damper, and the package ``movement_primitives`` as an independent implementation."""
+"""Movement primitives: laws of the spring-damper, and the package ``movement_primitives`` as an
+independent implementation.
+"""
 
 from __future__ import annotations
 
@@ -33,17 +35,23 @@ def demonstration(times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def learned(num_basis: int = 30, samples: int = 26) -> DMP:
     times = torch.linspace(0, DURATION, samples, dtype=torch.float64)
-    return DMP.from_demonstrations(demonstration(times)[0][None], DURATION / (samples - 1), num_basis)
+    return DMP.from_demonstrations(
+        demonstration(times)[0][None], DURATION / (samples - 1), num_basis
+    )
 
 
 @pytest.fixture
 def random_dmp(draws: Draws) -> DMP:
-    return DMP(draws.normal(3), draws.normal(3), draws.normal(3), 100 * draws.normal(12, 3), DURATION)
+    return DMP(
+        draws.normal(3), draws.normal(3), draws.normal(3), 100 * draws.normal(12, 3), DURATION
+    )
 
 
 def test_demonstration_is_reproduced_with_its_velocity_and_acceleration() -> None:
     motion = learned(num_basis=60, samples=251)(TIMES)
-    for reproduced, demonstrated, tolerance in zip(motion, demonstration(TIMES), (1e-4, 1e-3, 1e-2), strict=True):
+    for reproduced, demonstrated, tolerance in zip(
+        motion, demonstration(TIMES), (1e-4, 1e-3, 1e-2), strict=True
+    ):
         assert (reproduced - demonstrated).abs().max() < tolerance * demonstrated.abs().max()
 
 
@@ -53,7 +61,10 @@ def test_few_samples_are_reproduced_at_their_times() -> None:
 
 def test_several_demonstrations_give_their_mean(draws: Draws) -> None:
     both = torch.stack([demonstration(TIMES)[0], draws.normal(1, 2) + 2 * demonstration(TIMES)[0]])
-    together, mean = (DMP.from_demonstrations(positions, 0.1, 20) for positions in (both, both.mean(0, keepdim=True)))
+    together, mean = (
+        DMP.from_demonstrations(positions, 0.1, 20)
+        for positions in (both, both.mean(0, keepdim=True))
+    )
     torch.testing.assert_close(together(TIMES)[0], mean(TIMES)[0])
 
 
@@ -67,10 +78,14 @@ def test_motion_solves_its_differential_equation(random_dmp: DMP) -> None:
         x = math.exp(-4.605170185988091 * t / DURATION)
         psi = np.exp(-widths * (x - centres) ** 2)
         y, dy = state[:3], state[3:]
-        return np.append(dy, (25 * (6.25 * (goal - y) - DURATION * dy) + x * (psi @ w) / psi.sum()) / DURATION**2)
+        return np.append(
+            dy, (25 * (6.25 * (goal - y) - DURATION * dy) + x * (psi @ w) / psi.sum()) / DURATION**2
+        )
 
     start = np.append(random_dmp.start, random_dmp.start_rate / DURATION)
-    solution = solve_ivp(equation, (0, DURATION), start, "DOP853", TIMES.numpy(), rtol=1e-12, atol=1e-12).y.T
+    solution = solve_ivp(
+        equation, (0, DURATION), start, "DOP853", TIMES.numpy(), rtol=1e-12, atol=1e-12
+    ).y.T
     y, dy, ddy = random_dmp(TIMES)
     np.testing.assert_allclose(torch.cat([y, dy], -1), solution, atol=1e-9)
     np.testing.assert_allclose(ddy[7], equation(TIMES[7].item(), solution[7])[3:], atol=1e-8)
@@ -80,7 +95,9 @@ def test_velocity_and_acceleration_are_derivatives_of_the_position(random_dmp: D
     times, step = TIMES[1:], 1e-4
     before, here, after = (random_dmp(times + shift) for shift in (-step, 0.0, step))
     for order in (0, 1):
-        torch.testing.assert_close((after[order] - before[order]) / (2 * step), here[order + 1], atol=1e-4, rtol=1e-5)
+        torch.testing.assert_close(
+            (after[order] - before[order]) / (2 * step), here[order + 1], atol=1e-4, rtol=1e-5
+        )
 
 
 def test_it_starts_where_and_as_fast_as_told(random_dmp: DMP) -> None:
@@ -101,7 +118,9 @@ def test_twice_the_duration_is_the_same_motion_at_half_the_speed(random_dmp: DMP
         torch.testing.assert_close(slow[order] * 2**order, fast[order])
 
 
-def test_another_goal_draws_the_motion_there_like_a_critically_damped_spring(random_dmp: DMP, draws: Draws) -> None:
+def test_another_goal_draws_the_motion_there_like_a_critically_damped_spring(
+    random_dmp: DMP, draws: Draws
+) -> None:
     shift = draws.normal(3)
     moved = replace(random_dmp, goal=random_dmp.goal + shift)(TIMES)[0] - random_dmp(TIMES)[0]
     u = 12.5 * TIMES[:, None] / DURATION
@@ -118,7 +137,9 @@ def test_motion_is_differentiable_in_the_weights(random_dmp: DMP) -> None:
     def motion(weights: Tensor) -> tuple[Tensor, ...]:
         return replace(random_dmp, weights=weights)(TIMES[::12])
 
-    assert torch.autograd.gradcheck(motion, random_dmp.weights.clone().requires_grad_(), fast_mode=True)
+    assert torch.autograd.gradcheck(
+        motion, random_dmp.weights.clone().requires_grad_(), fast_mode=True
+    )
 
 
 def test_times_may_come_in_any_order(random_dmp: DMP) -> None:
@@ -148,7 +169,9 @@ def test_motion_is_that_of_movement_primitives(random_dmp: DMP) -> None:
 def test_what_is_learned_is_what_movement_primitives_learns() -> None:
     times = torch.linspace(0, DURATION, 2501, dtype=torch.float64)
     u = times[:, None] / DURATION
-    positions = (10 * u**3 - 15 * u**4 + 6 * u**5) * torch.tensor([3.0, -1.0]) + (u * (1 - u)) ** 2 * (10 * u).sin()
+    positions = (10 * u**3 - 15 * u**4 + 6 * u**5) * torch.tensor([3.0, -1.0]) + (
+        u * (1 - u)
+    ) ** 2 * (10 * u).sin()
     oracle = other_package(2, 30, dt=1e-3)
     oracle.imitate(times.numpy(), positions.numpy())
     ours = DMP.from_demonstrations(positions[None], 1e-3, 30)(times[::100])[0]
@@ -159,8 +182,14 @@ def test_what_is_learned_is_what_movement_primitives_learns() -> None:
     ("change", "complaint"),
     [
         ({"weights": torch.zeros(1, 3)}, "weights must be of at least two basis functions, got 1"),
-        ({"weights": torch.zeros(5, 2)}, r"start, start_rate and goal must be \(D,\) and weights \(K, D\)"),
-        ({"goal": torch.zeros(2)}, r"start, start_rate and goal must be \(D,\) and weights \(K, D\)"),
+        (
+            {"weights": torch.zeros(5, 2)},
+            r"start, start_rate and goal must be \(D,\) and weights \(K, D\)",
+        ),
+        (
+            {"goal": torch.zeros(2)},
+            r"start, start_rate and goal must be \(D,\) and weights \(K, D\)",
+        ),
         ({"duration": 0.0}, "duration must be positive and finite, in seconds, got 0.0"),
     ],
 )
@@ -172,18 +201,30 @@ def test_impossible_primitive_is_refused(random_dmp: DMP, change: dict, complain
 @pytest.mark.parametrize(
     ("positions", "num_basis", "complaint"),
     [
-        (torch.zeros(1, 3, 2), 5, r"positions must be finite, \(N, T \+ 1, D\) with at least four samples, got \(1, 3, 2\)"),
-        (torch.zeros(8, 2), 5, r"positions must be finite, \(N, T \+ 1, D\) with at least four samples, got \(8, 2\)"),
+        (
+            torch.zeros(1, 3, 2),
+            5,
+            r"positions must be finite, \(N, T \+ 1, D\) with at least four samples, got \(1, 3, 2\)",
+        ),
+        (
+            torch.zeros(8, 2),
+            5,
+            r"positions must be finite, \(N, T \+ 1, D\) with at least four samples, got \(8, 2\)",
+        ),
         (torch.full((1, 8, 2), torch.nan), 5, "positions must be finite"),
         (torch.zeros(1, 8, 2), 1, "num_basis must be at least 2, got 1"),
     ],
 )
-def test_impossible_demonstrations_are_refused(positions: Tensor, num_basis: int, complaint: str) -> None:
+def test_impossible_demonstrations_are_refused(
+    positions: Tensor, num_basis: int, complaint: str
+) -> None:
     with pytest.raises(ValueError, match=complaint):
         DMP.from_demonstrations(positions, 0.1, num_basis)
 
 
-@pytest.mark.parametrize("times", [torch.tensor([-0.1]), torch.tensor([torch.inf]), torch.zeros(0), torch.tensor(1.0)])
+@pytest.mark.parametrize(
+    "times", [torch.tensor([-0.1]), torch.tensor([torch.inf]), torch.zeros(0), torch.tensor(1.0)]
+)
 def test_impossible_times_are_refused(random_dmp: DMP, times: Tensor) -> None:
     with pytest.raises(ValueError, match="times must be a vector of finite seconds from 0 on"):
         random_dmp(times)

@@ -1,4 +1,6 @@
-"""A run of the baseline with movement primitives: what it starts from, what it leaves, and that it learns."""
+"""A run of the baseline with movement primitives: what it starts from, what it leaves, and that it
+learns.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,13 @@ from torch_pmil.experiments.runs.summaries import find_runs, read_summary, succe
 from torch_pmil.experiments.runs.training import make_trainer
 
 TRIALS, SEED = 2, 3
-short_run = partial(run_dmp, short_experiment(), SEED, TRIALS, command="python -m reproduction.baselines.train_dmp seed=3")
+short_run = partial(
+    run_dmp,
+    short_experiment(),
+    SEED,
+    TRIALS,
+    command="python -m reproduction.baselines.train_dmp seed=3",
+)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +44,9 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     quick_fits(monkeypatch)
 
 
-def test_joint_trajectories_show_what_was_demonstrated_and_begin_near_the_robot(experiment: Experiment) -> None:
+def test_joint_trajectories_show_what_was_demonstrated_and_begin_near_the_robot(
+    experiment: Experiment,
+) -> None:
     angles = joint_trajectories(experiment)
     states = torch.stack([angles, torch.zeros_like(angles)], -1).flatten(-2)
     torch.testing.assert_close(experiment.space.match(states), experiment.demonstrations.positions)
@@ -44,16 +54,26 @@ def test_joint_trajectories_show_what_was_demonstrated_and_begin_near_the_robot(
     assert angles.diff(dim=1).abs().max() < 1
 
 
-def test_demonstration_that_begins_beyond_half_a_turn_is_the_same_motion(experiment: Experiment) -> None:
-    """Hanging is where arctangents jump: a start of -3.1 rad must not be averaged with one of 3.1 rad."""
-    positions = experiment.demonstrations.positions * torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64)
-    mirrored = replace(experiment, demonstrations=Demonstrations(positions, 0.1, experiment.demonstrations.names))
+def test_demonstration_that_begins_beyond_half_a_turn_is_the_same_motion(
+    experiment: Experiment,
+) -> None:
+    """Hanging is where arctangents jump: a start of -3.1 rad must not be averaged with one of 3.1
+    rad.
+    """
+    positions = experiment.demonstrations.positions * torch.tensor(
+        [-1.0, 1.0, -1.0, 1.0], dtype=torch.float64
+    )
+    mirrored = replace(
+        experiment, demonstrations=Demonstrations(positions, 0.1, experiment.demonstrations.names)
+    )
     expected = torch.tensor([2 * math.pi, 0.0]) - joint_trajectories(experiment)
     torch.testing.assert_close(joint_trajectories(mirrored), expected, check_dtype=False)
 
 
 @pytest.mark.parametrize("hold", [1, 10])
-def test_first_experience_and_later_starts_are_those_of_our_learner(experiment: Experiment, hold: int) -> None:
+def test_first_experience_and_later_starts_are_those_of_our_learner(
+    experiment: Experiment, hold: int
+) -> None:
     trainer = make_trainer(experiment, SEED, 2, False, lambda trial: None)
     batches = iter(trainer.collector)
     first, second = next(batches), next(batches)
@@ -77,8 +97,14 @@ def test_run_leaves_what_our_runs_leave(tmp_path: Path) -> None:
         "python -m reproduction.baselines.train_dmp seed=3",
     )
     assert summary["settings"]["feedback_period"] == 0.01
-    assert (summary["experience_s"], summary["saved_n_eval"], summary["stop_reason"]) == (pytest.approx(1.2), 20, "limit of trials")
-    assert summary["trials"] == [asdict(trial) for trial in told] and [trial.trial for trial in told] == [1, 2]
+    assert (summary["experience_s"], summary["saved_n_eval"], summary["stop_reason"]) == (
+        pytest.approx(1.2),
+        20,
+        "limit of trials",
+    )
+    assert summary["trials"] == [asdict(trial) for trial in told] and [
+        trial.trial for trial in told
+    ] == [1, 2]
     assert [trial.experience_s for trial in told] == pytest.approx([0.4, 0.8])
     with (folder / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -94,7 +120,9 @@ def test_runs_make_a_curve_over_experience(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("quick")
 def test_same_seed_is_the_same_run_up_to_rounding(tmp_path: Path) -> None:
-    first, again = (short_run(out=tmp_path / name, feedback_period=0.1)["trials"] for name in ("a", "b"))
+    first, again = (
+        short_run(out=tmp_path / name, feedback_period=0.1)["trials"] for name in ("a", "b")
+    )
     for trial, repeated in zip(first, again, strict=True):
         assert {**repeated, "gp_seconds": 0} == pytest.approx({**trial, "gp_seconds": 0}, rel=1e-4)
 
@@ -102,32 +130,54 @@ def test_same_seed_is_the_same_run_up_to_rounding(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"feedback_period": 0.03}, "feedback_period must divide the control period of 0.1 s, got 0.03 s"),
-        ({"feedback_period": 0.2}, "feedback_period must divide the control period of 0.1 s, got 0.2 s"),
-        ({"feedback_period": -0.1}, "feedback_period must divide the control period of 0.1 s, got -0.1 s"),
-        ({"feedback_period": 0.001}, "control_period must be a whole number of 0.002 s time steps, got 0.001 s"),
+        (
+            {"feedback_period": 0.03},
+            "feedback_period must divide the control period of 0.1 s, got 0.03 s",
+        ),
+        (
+            {"feedback_period": 0.2},
+            "feedback_period must divide the control period of 0.1 s, got 0.2 s",
+        ),
+        (
+            {"feedback_period": -0.1},
+            "feedback_period must divide the control period of 0.1 s, got -0.1 s",
+        ),
+        (
+            {"feedback_period": 0.001},
+            "control_period must be a whole number of 0.002 s time steps, got 0.001 s",
+        ),
     ],
 )
-def test_impossible_feedback_period_is_refused_before_a_folder_is_made(tmp_path: Path, changes: dict, complaint: str) -> None:
+def test_impossible_feedback_period_is_refused_before_a_folder_is_made(
+    tmp_path: Path, changes: dict, complaint: str
+) -> None:
     with pytest.raises(ValueError, match=complaint):
         short_run(out=tmp_path / "run", **changes)
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(
-    ("seed", "trials", "complaint"), [(-1, 1, "seed .* got -1"), (0, 0, "trials .* got 0"), (0, 1.5, "trials .* got 1.5")]
+    ("seed", "trials", "complaint"),
+    [(-1, 1, "seed .* got -1"), (0, 0, "trials .* got 0"), (0, 1.5, "trials .* got 1.5")],
 )
-def test_impossible_numbers_are_refused(experiment: Experiment, tmp_path: Path, seed: int, trials: int, complaint: str) -> None:
+def test_impossible_numbers_are_refused(
+    experiment: Experiment, tmp_path: Path, seed: int, trials: int, complaint: str
+) -> None:
     with pytest.raises(ValueError, match=complaint):
         run_dmp(experiment, seed, trials, tmp_path, "")
 
 
 def test_other_robots_are_refused(experiment: Experiment, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="the baseline with movement primitives is for double_pendulum, got gym_pendulum"):
+    with pytest.raises(
+        ValueError,
+        match="the baseline with movement primitives is for double_pendulum, got gym_pendulum",
+    ):
         run_dmp(replace(experiment, name="gym_pendulum"), 0, 1, tmp_path, "")
 
 
-def test_environment_is_asked_for_the_feedbacks_period(experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_is_asked_for_the_feedbacks_period(
+    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     quick_fits(monkeypatch)
     made: list[float] = []
 
@@ -135,7 +185,9 @@ def test_environment_is_asked_for_the_feedbacks_period(experiment: Experiment, t
         made.append(control_period)
         return DoublePendulumEnv(control_period=control_period, **settings)
 
-    run_dmp(replace(short_experiment(), make_env=make_env), 0, 1, tmp_path, "", feedback_period=0.05)
+    run_dmp(
+        replace(short_experiment(), make_env=make_env), 0, 1, tmp_path, "", feedback_period=0.05
+    )
     assert made == [0.05, 0.05]
 
 

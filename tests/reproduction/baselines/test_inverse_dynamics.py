@@ -58,14 +58,18 @@ def test_inverse_of_the_double_pendulum_is_learned(draws: Draws) -> None:
     assert (inverse(states, next_states, accelerations) - torques).square().mean().sqrt() < 0.3
 
 
-def test_inverse_model_does_not_count_full_turns(draws: Draws, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inverse_model_does_not_count_full_turns(
+    draws: Draws, monkeypatch: pytest.MonkeyPatch
+) -> None:
     quick_fits(monkeypatch)
     inverse = InverseDynamics(double_pendulum_space())
     states, next_states, accelerations, torques = transitions(draws, 20)
     inverse.fit(states, next_states, accelerations, torques)
     turned = 2 * math.pi * torch.tensor([1.0, 0.0, -1.0, 0.0], dtype=torch.float64)
     expected = inverse(states, next_states, accelerations)
-    torch.testing.assert_close(inverse(states + turned, next_states + turned, accelerations), expected)
+    torch.testing.assert_close(
+        inverse(states + turned, next_states + turned, accelerations), expected
+    )
 
 
 def test_inverse_model_needs_data() -> None:
@@ -76,7 +80,9 @@ def test_inverse_model_needs_data() -> None:
 
 def test_state_without_a_velocity_for_each_joint_is_refused() -> None:
     names, units = ("q1", "dq1", "q2"), ("rad", "rad/s", "rad")
-    with pytest.raises(ValueError, match="a state must hold a position and a velocity of each joint, got "):
+    with pytest.raises(
+        ValueError, match="a state must hold a position and a velocity of each joint, got "
+    ):
         InverseDynamics(StateSpace(names, units, (), joint_match(names, units)))
 
 
@@ -85,9 +91,15 @@ def test_torques_are_those_of_equation_29(reference: Reference, draws: Draws) ->
     controller = TrackingController(inverse, reference, 1e3 * U_MAX)
     for step, state in enumerate(states):
         begun, control_step = step - step % HOLD, step // HOLD
-        feedforward = KnownInverse()(states[begun], reference.states[begun + HOLD], reference.accelerations[control_step + 1])
-        q, dq, target, target_rate = (entries[0::2] for x in (state, reference.states[step]) for entries in (x, x[1:]))
-        torch.testing.assert_close(controller(step, state), feedforward + 0.5 * (target - q) + 0.25 * (target_rate - dq))
+        feedforward = KnownInverse()(
+            states[begun], reference.states[begun + HOLD], reference.accelerations[control_step + 1]
+        )
+        q, dq, target, target_rate = (
+            entries[0::2] for x in (state, reference.states[step]) for entries in (x, x[1:])
+        )
+        torch.testing.assert_close(
+            controller(step, state), feedforward + 0.5 * (target - q) + 0.25 * (target_rate - dq)
+        )
     assert len(inverse.asked) == STEPS
 
 
@@ -107,34 +119,59 @@ def test_batch_of_robots_is_a_loop_over_them(reference: Reference, draws: Draws)
     together = torch.stack([batched(step, state) for step, state in enumerate(states)])
     for robot in range(5):
         alone = TrackingController(KnownInverse(), reference, U_MAX)
-        torch.testing.assert_close(torch.stack([alone(step, state[robot]) for step, state in enumerate(states)]), together[:, robot])
+        torch.testing.assert_close(
+            torch.stack([alone(step, state[robot]) for step, state in enumerate(states)]),
+            together[:, robot],
+        )
 
 
-@pytest.mark.parametrize(("states", "accelerations"), [((9, 4), (4, 2)), ((9, 4), (3, 1)), ((9, 4), (1, 2))])
-def test_reference_of_other_shapes_is_refused(states: tuple[int, int], accelerations: tuple[int, int]) -> None:
-    with pytest.raises(ValueError, match=r"states must be \(T \* hold \+ 1, D\) and accelerations \(T \+ 1, D / 2\), got \(9, 4\)"):
+@pytest.mark.parametrize(
+    ("states", "accelerations"), [((9, 4), (4, 2)), ((9, 4), (3, 1)), ((9, 4), (1, 2))]
+)
+def test_reference_of_other_shapes_is_refused(
+    states: tuple[int, int], accelerations: tuple[int, int]
+) -> None:
+    with pytest.raises(
+        ValueError,
+        match=r"states must be \(T \* hold \+ 1, D\) and accelerations \(T \+ 1, D / 2\), got \(9, 4\)",
+    ):
         Reference(torch.zeros(states), torch.zeros(accelerations))
 
 
 def test_accelerations_are_exact_for_cubic_velocities(draws: Draws) -> None:
     t, c = torch.linspace(0, 1, 9, dtype=torch.float64)[:, None], draws.normal(4, 2)
     velocities = c[0] + c[1] * t + c[2] * t**2 + c[3] * t**3
-    torch.testing.assert_close(accelerations_from_velocities(velocities, 1 / 8), c[1] + 2 * c[2] * t + 3 * c[3] * t**2)
+    torch.testing.assert_close(
+        accelerations_from_velocities(velocities, 1 / 8), c[1] + 2 * c[2] * t + 3 * c[3] * t**2
+    )
 
 
 @pytest.mark.parametrize(("period", "least", "largest"), [(0.1, 2.2, 2.4), (0.01, 0.9, 1.0)])
 def test_feedback_held_for_a_control_step_is_unstable_about_hanging_and_a_fast_one_is_not(
     period: float, least: float, largest: float
 ) -> None:
-    """The spectral radius of the hanging double pendulum with the PD controller alone, for one period of the controller.
+    """The spectral radius of the hanging double pendulum with the PD controller alone, for one
+    period of the controller.
 
-    K_d dt is three times the least eigenvalue of the mass matrix at dt = 0.1 s: the velocity error of that mode changes its sign and grows.
+    K_d dt is three times the least eigenvalue of the mass matrix at dt = 0.1 s: the velocity error
+    of that mode changes its sign and grows.
     """
     env, step = DoublePendulumEnv(control_period=period, seed=0), 1e-5
-    states, torques = step * torch.eye(4, dtype=torch.float64), step * torch.eye(2, dtype=torch.float64)
+    states, torques = (
+        step * torch.eye(4, dtype=torch.float64),
+        step * torch.eye(2, dtype=torch.float64),
+    )
     hanging = env.initial_mean
-    of_states = (env.simulate(hanging + states, torch.zeros(4, 2)) - env.simulate(hanging - states, torch.zeros(4, 2))).mT / (2 * step)
-    of_torques = (env.simulate(hanging.expand(2, 4), torques) - env.simulate(hanging.expand(2, 4), -torques)).mT / (2 * step)
-    gains = torch.kron(torch.eye(2, dtype=torch.float64), torch.tensor([[POSITION_GAIN, VELOCITY_GAIN]], dtype=torch.float64))
+    of_states = (
+        env.simulate(hanging + states, torch.zeros(4, 2))
+        - env.simulate(hanging - states, torch.zeros(4, 2))
+    ).mT / (2 * step)
+    of_torques = (
+        env.simulate(hanging.expand(2, 4), torques) - env.simulate(hanging.expand(2, 4), -torques)
+    ).mT / (2 * step)
+    gains = torch.kron(
+        torch.eye(2, dtype=torch.float64),
+        torch.tensor([[POSITION_GAIN, VELOCITY_GAIN]], dtype=torch.float64),
+    )
     radius = torch.linalg.eigvals(of_states - of_torques @ gains).abs().max()
     assert least < radius < largest

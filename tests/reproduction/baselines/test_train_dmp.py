@@ -1,4 +1,6 @@
-"""The script of the baseline with movement primitives: what it leaves, what it says, and that it fails in one line."""
+"""The script of the baseline with movement primitives: what it leaves, what it says, and that it
+fails in one line.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ Script = Callable[..., None]
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
-    """The script, run with command-line overrides in an empty folder, on the first steps of the double pendulum."""
+    """The script, run with command-line overrides in an empty folder, on the first steps of the
+    double pendulum.
+    """
     monkeypatch.chdir(tmp_path)
     short = short_experiment()
     monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
@@ -27,26 +31,42 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     return partial(run_script, monkeypatch, SCRIPT)
 
 
-def test_run_leaves_its_numbers_and_says_them(script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_leaves_its_numbers_and_says_them(
+    script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     script("seed=4", "trials=1", "feedback_period=0.1", "out=run")
     files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
-    assert files == {f"run/{name}" for name in ("metrics.csv", "summary.json", "figures/learning_curve.png", "report.html")}
+    assert files == {
+        f"run/{name}"
+        for name in ("metrics.csv", "summary.json", "figures/learning_curve.png", "report.html")
+    }
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert summary["command"] == "python -m reproduction.baselines.train_dmp seed=4 trials=1 feedback_period=0.1 out=run"
+    assert (
+        summary["command"]
+        == "python -m reproduction.baselines.train_dmp seed=4 trials=1 feedback_period=0.1 out=run"
+    )
     printed = capsys.readouterr().out
     assert "trial  1:   0.4 s of experience, own rollout" in printed
-    assert "of 20 fresh starts after 0.8 s of experience" in printed and "see run/report.html, run/summary.json" in printed
+    assert (
+        "of 20 fresh starts after 0.8 s of experience" in printed
+        and "see run/report.html, run/summary.json" in printed
+    )
 
 
 @pytest.mark.parametrize(
     ("override", "message"),
     [
         ("trials=0", "trials must be a whole number of at least 1, got 0"),
-        ("feedback_period=0.03", "feedback_period must divide the control period of 0.1 s, got 0.03 s"),
+        (
+            "feedback_period=0.03",
+            "feedback_period must divide the control period of 0.1 s, got 0.03 s",
+        ),
         ("demonstrations=none.csv", "[Errno 2] No such file or directory: 'none.csv'"),
     ],
 )
-def test_what_cannot_be_run_is_said_in_one_line(script: Script, override: str, message: str) -> None:
+def test_what_cannot_be_run_is_said_in_one_line(
+    script: Script, override: str, message: str
+) -> None:
     with pytest.raises(SystemExit) as stop:
         script(override)
     assert stop.value.code == f"error: {message}"

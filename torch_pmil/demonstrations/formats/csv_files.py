@@ -27,9 +27,10 @@ class _Row(NamedTuple):
 def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
     """The recordings of a CSV file, or of a folder of them.
 
-    A file starts with a header ``demonstration,time,NAME,...`` and has one row per sample: the number or name of the demonstration, the
-    time in s, and the observed entries. In a folder each file is a demonstration that has the file's name; its header is
-    ``time,NAME,...``. Columns ``target NAME`` hold the target, the same in all rows of a demonstration.
+    A file starts with a header ``demonstration,time,NAME,...`` and has one row per sample: the
+    number or name of the demonstration, the time in s, and the observed entries. In a folder each
+    file is a demonstration that has the file's name; its header is ``time,NAME,...``. Columns
+    ``target NAME`` hold the target, the same in all rows of a demonstration.
 
     Args:
         path: of the file or folder.
@@ -48,7 +49,9 @@ def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
     if len(parts) < 2:
         raise DemonstrationError(f"at least two demonstrations are needed, got {len(parts)}")
     tables = [np.array([_numbers(row, header, read) for row in part]) for part in parts.values()]
-    times, values, shown = zip(*(np.split(table, [1, 1 + len(entries)], axis=1) for table in tables), strict=True)
+    times, values, shown = zip(
+        *(np.split(table, [1, 1 + len(entries)], axis=1) for table in tables), strict=True
+    )
     return Recordings(
         tuple(parts),
         tuple(torch.from_numpy(column[:, 0]) for column in times),
@@ -66,12 +69,18 @@ def _file(path: Path, leading: tuple[str, ...]) -> tuple[list[str], list[_Row]]:
     with path.open(newline="", encoding="utf-8-sig") as file, readable("CSV file", csv.Error):
         lines = list(csv.reader(file, strict=True))
     header = [cell.strip() for cell in lines[0]] if lines else []
-    if tuple(header[: len(leading)]) != leading or all(name.startswith(TARGET_PREFIX) for name in header[len(leading) :]):
-        raise DemonstrationError(f"row 1 must be {','.join(leading)},NAME,..., got {','.join(header)}")
+    if tuple(header[: len(leading)]) != leading or all(
+        name.startswith(TARGET_PREFIX) for name in header[len(leading) :]
+    ):
+        raise DemonstrationError(
+            f"row 1 must be {','.join(leading)},NAME,..., got {','.join(header)}"
+        )
     rows = [_Row(f"row {number}", line) for number, line in enumerate(lines[1:], start=2) if line]
     for row in rows:
         if len(row.cells) != len(header):
-            raise DemonstrationError(f"{row.place} must have {len(header)} columns, got {len(row.cells)}")
+            raise DemonstrationError(
+                f"{row.place} must have {len(header)} columns, got {len(row.cells)}"
+            )
     return header, rows
 
 
@@ -84,7 +93,10 @@ def _folder(path: Path) -> tuple[list[str], list[_Row]]:
             own, lines = _file(file, ("time",))
             header = header or own
             if own != header:
-                raise DemonstrationError(f"row 1 must be {','.join(header)} as in the files before it, got {','.join(own)}")
+                raise DemonstrationError(
+                    f"row 1 must be {','.join(header)} as in the files before it, got "
+                    f"{','.join(own)}"
+                )
         rows += [_Row(f"{file.name}: {line.place}", [file.stem, *line.cells]) for line in lines]
     return ["demonstration", *header], rows
 
@@ -94,17 +106,21 @@ def _columns(header: list[str], keys: Sequence[str]) -> tuple[list[str], list[st
     targets = [name for name in header[2:] if name.startswith(TARGET_PREFIX)]
     names = [name for name in header[2:] if name not in targets]
     if len(set(names)) != len(names):
-        raise DemonstrationError(f"names must be {len(names)} different names, one per column, got {tuple(names)}")
+        raise DemonstrationError(
+            f"names must be {len(names)} different names, one per column, got {tuple(names)}"
+        )
     return [entry.name for entry in choose({name: [name] for name in names}, keys, names)], targets
 
 
-def _targets(columns: Sequence[np.ndarray], parts: Sequence[Sequence[_Row]], names: Sequence[str]) -> Tensor:
+def _targets(
+    columns: Sequence[np.ndarray], parts: Sequence[Sequence[_Row]], names: Sequence[str]
+) -> Tensor:
     """The target of each demonstration (N, K), of columns (T_n, K) that must each hold one number."""
     for rows, part in zip(columns, parts, strict=True):
         for sample, entry in np.argwhere(rows != rows[0])[:1]:
             raise DemonstrationError(
-                f"{part[sample].place}, column {names[entry]} must be {rows[0, entry]:g} as in {part[0].place} of the same "
-                f"demonstration, got {rows[sample, entry]:g}"
+                f"{part[sample].place}, column {names[entry]} must be {rows[0, entry]:g} as in "
+                f"{part[0].place} of the same demonstration, got {rows[sample, entry]:g}"
             )
     return torch.from_numpy(np.stack([rows[0] for rows in columns]))
 
@@ -117,5 +133,8 @@ def _numbers(row: _Row, header: Sequence[str], read: Sequence[int]) -> list[floa
         except ValueError:
             numbers.append(math.nan)
         if not math.isfinite(numbers[-1]):
-            raise DemonstrationError(f"{row.place}, column {header[column]} must be a finite number, got {row.cells[column]!r}")
+            raise DemonstrationError(
+                f"{row.place}, column {header[column]} must be a finite number, got "
+                f"{row.cells[column]!r}"
+            )
     return numbers

@@ -14,7 +14,9 @@ Groups = Mapping[str, Sequence[str]]  # names of the entries that a key of a fil
 
 
 class Entry(NamedTuple):
-    """One number of each sample: the key that it stands under in the file, its place there, and its name."""
+    """One number of each sample: the key that it stands under in the file, its place there, and its
+    name.
+    """
 
     key: str
     column: int
@@ -46,7 +48,10 @@ def choose(groups: Groups, keys: Sequence[str], default: Sequence[str]) -> list[
         >>> [entry.name for entry in choose({"pos": ("x", "y"), "vel": ("dx", "dy")}, ["vel", "x"], ())]
         ['dx', 'dy', 'x']
     """
-    entries = {key: [Entry(key, column, name) for column, name in enumerate(names)] for key, names in groups.items()}
+    entries = {
+        key: [Entry(key, column, name) for column, name in enumerate(names)]
+        for key, names in groups.items()
+    }
     single = {entry.name: [entry] for held in entries.values() for entry in held}
     wanted = keys or default
     if not wanted:
@@ -74,4 +79,10 @@ def natural_order(name: str) -> list[tuple[int, str]]:
 
 
 def _listed(groups: Groups) -> str:
-    return ", ".join(key if tuple(names) == (key,) else f"{key} ({', '.join(names)})" for key, names in groups.items()) or "nothing"
+    return (
+        ", ".join(
+            key if tuple(names) == (key,) else f"{key} ({', '.join(names)})"
+            for key, names in groups.items()
+        )
+        or "nothing"
+    )

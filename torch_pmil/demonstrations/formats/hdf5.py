@@ -27,15 +27,19 @@ MINARI = _Layout("Minari", "/", "episode_", "observations")
 
 
 def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = None) -> Recordings:
-    """What was observed in a robomimic file (``data/demo_N/obs``) or a Minari data set (``episode_N/observations``).
+    """What was observed in a robomimic file (``data/demo_N/obs``) or a Minari data set
+    (``episode_N/observations``).
 
     Args:
         path: of the file, or the folder of a Minari data set.
-        keys: data sets below what was observed, or single entries as ``KEY_0``; none where there is only one data set.
-        time_step: seconds between samples; None for what a robomimic file says itself, ``control_freq`` in its ``env_args``.
+        keys: data sets below what was observed, or single entries as ``KEY_0``; none where there is
+            only one data set.
+        time_step: seconds between samples; None for what a robomimic file says itself,
+            ``control_freq`` in its ``env_args``.
 
     Raises:
-        DemonstrationError: the file is malformed, keys are not in it, or nothing says the time step.
+        DemonstrationError: the file is malformed, keys are not in it, or nothing says the time
+            step.
         ImportError: h5py is missing.
         OSError: the file cannot be read.
     """
@@ -44,15 +48,30 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
     with path.open("rb") as file, readable("HDF5 file"), h5py.File(file) as content:
         layout = _layout(content)
         root = content[layout.root]
-        labels = sorted((name for name in root if name.startswith(layout.prefix)), key=natural_order)
+        labels = sorted(
+            (name for name in root if name.startswith(layout.prefix)), key=natural_order
+        )
         step = time_step if time_step is not None else _time_step(root)
         observed = [_datasets(root[label].get(layout.observed, {})) for label in labels]
-        entries = choose({key: names_of(key, data.shape) for key, data in observed[0].items()}, keys, _only(observed[0]))
+        entries = choose(
+            {key: names_of(key, data.shape) for key, data in observed[0].items()},
+            keys,
+            _only(observed[0]),
+        )
         needed = sorted({entry.key for entry in entries})
-        arrays = [_arrays(label, data, needed, observed[0]) for label, data in zip(labels, observed, strict=True)]
+        arrays = [
+            _arrays(label, data, needed, observed[0])
+            for label, data in zip(labels, observed, strict=True)
+        ]
     values = [torch.from_numpy(columns_of(one, entries)) for one in arrays]
     times = tuple(step * torch.arange(len(one), dtype=torch.float64) for one in values)
-    return Recordings(tuple(labels), times, tuple(values), tuple(entry.name for entry in entries), format=layout.format)
+    return Recordings(
+        tuple(labels),
+        times,
+        tuple(values),
+        tuple(entry.name for entry in entries),
+        format=layout.format,
+    )
 
 
 def _main_file(folder: Path) -> Path:
@@ -68,9 +87,14 @@ def _main_file(folder: Path) -> Path:
 
 def _layout(content: Any) -> _Layout:
     for layout in (ROBOMIMIC, MINARI):
-        if layout.root in content and any(name.startswith(layout.prefix) for name in content[layout.root]):
+        if layout.root in content and any(
+            name.startswith(layout.prefix) for name in content[layout.root]
+        ):
             return layout
-    raise DemonstrationError(f"an HDF5 file must hold groups data/demo_N (robomimic) or episode_N (Minari), found {sorted(content)}")
+    raise DemonstrationError(
+        "an HDF5 file must hold groups data/demo_N (robomimic) or episode_N (Minari), found "
+        f"{sorted(content)}"
+    )
 
 
 def _time_step(root: Any) -> float:
@@ -78,7 +102,9 @@ def _time_step(root: Any) -> float:
     try:
         return 1 / json.loads(root.attrs["env_args"])["env_kwargs"]["control_freq"]
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise DemonstrationError("time_step must be given, in s: the file does not say how often it was sampled") from error
+        raise DemonstrationError(
+            "time_step must be given, in s: the file does not say how often it was sampled"
+        ) from error
 
 
 def _datasets(observed: Any) -> dict[str, Any]:
@@ -100,12 +126,19 @@ def _only(datasets: dict[str, Any]) -> Sequence[str]:
     return list(datasets) if len(datasets) == 1 else ()
 
 
-def _arrays(label: str, datasets: dict[str, Any], keys: Sequence[str], first: dict[str, Any]) -> dict[str, np.ndarray]:
+def _arrays(
+    label: str, datasets: dict[str, Any], keys: Sequence[str], first: dict[str, Any]
+) -> dict[str, np.ndarray]:
     arrays = {}
     for key in keys:
         if key not in datasets or datasets[key].shape[1:] != first[key].shape[1:]:
-            raise DemonstrationError(f"{label} must hold {key} in the shape of the first demonstration")
+            raise DemonstrationError(
+                f"{label} must hold {key} in the shape of the first demonstration"
+            )
         arrays[key] = datasets[key][()]
         if len(arrays[key]) != len(arrays[keys[0]]):
-            raise DemonstrationError(f"{label}, {key} must have {len(arrays[keys[0]])} samples like {keys[0]}, got {len(arrays[key])}")
+            raise DemonstrationError(
+                f"{label}, {key} must have {len(arrays[keys[0]])} samples like {keys[0]}, got "
+                f"{len(arrays[key])}"
+            )
     return arrays

@@ -1,4 +1,6 @@
-"""The LASA handwriting set: MATLAB files of strokes that people drew on a tablet (Khansari-Zadeh and Billard 2011)."""
+"""The LASA handwriting set: MATLAB files of strokes that people drew on a tablet (Khansari-Zadeh
+and Billard 2011).
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
     """
     if path.is_dir():
         shapes = ", ".join(sorted(file.stem for file in path.glob("*.mat")))
-        raise DemonstrationError(f"a folder of shapes: name one of them, as {path / 'NAME'}; found {shapes}")
+        raise DemonstrationError(
+            f"a folder of shapes: name one of them, as {path / 'NAME'}; found {shapes}"
+        )
     with path.open("rb") as file, readable("MATLAB file", zlib.error, MatReadError):
         content = loadmat(file, variable_names=["demos"], simplify_cells=True)
     strokes = content.get("demos", [])
@@ -47,7 +51,12 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
     return Recordings(
         labels,
         tuple(torch.from_numpy(stroke["t"]) for stroke in arrays),
-        tuple(torch.from_numpy(METRES * np.stack([stroke[entry.key][entry.column] for entry in entries], 1)) for stroke in arrays),
+        tuple(
+            torch.from_numpy(
+                METRES * np.stack([stroke[entry.key][entry.column] for entry in entries], 1)
+            )
+            for stroke in arrays
+        ),
         tuple(entry.name for entry in entries),
         units=tuple(UNITS[entry.key] for entry in entries),
         format="LASA handwriting",
@@ -59,8 +68,12 @@ def _stroke(label: str, stroke: object, keys: Sequence[str]) -> Mapping[str, np.
     held = stroke if isinstance(stroke, dict) else {}
     for key in ("t", *keys):
         if not isinstance(held.get(key), np.ndarray) or held[key].dtype.kind not in "fiu":
-            raise DemonstrationError(f"demonstration {label} must hold numbers {key}, found {sorted(map(str, held))}")
+            raise DemonstrationError(
+                f"demonstration {label} must hold numbers {key}, found {sorted(map(str, held))}"
+            )
         shape = held["t"].shape if key == "t" else (2, held["t"].size)
         if held[key].shape != shape or held["t"].ndim != 1:
-            raise DemonstrationError(f"demonstration {label}, {key} must have shape {shape}, got {held[key].shape}")
+            raise DemonstrationError(
+                f"demonstration {label}, {key} must have shape {shape}, got {held[key].shape}"
+            )
     return {key: held[key].astype(np.float64) for key in ("t", *keys)}

@@ -16,16 +16,19 @@ from torch_pmil.demonstrations.formats.entries import choose, columns_of, names_
 from torch_pmil.demonstrations.recordings import Recordings
 
 OBSERVED = "observation"  # how the names of columns begin that may be read; no actions
-TOLERANCE = 1e-4  # s, by which LeRobot's timestamps, single precision, may be off the rate that its data set states
+# s, by which LeRobot's timestamps, single precision, may be off the rate that its data set states
+TOLERANCE = 1e-4
 
 
 def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
     """What was observed in the episodes of a LeRobot data set, version 2 or 3.
 
     Args:
-        path: the folder with ``meta/info.json`` and ``data/chunk-*/*.parquet``, or a single Parquet file.
-        keys: columns, which begin with ``observation``, or single entries by the names in ``info.json``, or as ``observation.state_0``
-            where it has none; none for ``observation.state``.
+        path: the folder with ``meta/info.json`` and ``data/chunk-*/*.parquet``, or a single Parquet
+            file.
+        keys: columns, which begin with ``observation``, or single entries by the names in
+            ``info.json``, or as ``observation.state_0`` where it has none; none for
+            ``observation.state``.
 
     Raises:
         DemonstrationError: the data set is malformed, or keys are not in it.
@@ -33,9 +36,15 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
         OSError: a file cannot be read.
     """
     info = _info(path) if path.is_dir() else {}
-    files = sorted(path.glob("data/*/*.parquet"), key=lambda file: natural_order(str(file))) if path.is_dir() else [path]
+    files = (
+        sorted(path.glob("data/*/*.parquet"), key=lambda file: natural_order(str(file)))
+        if path.is_dir()
+        else [path]
+    )
     if not files:
-        raise DemonstrationError("a LeRobot data set must hold files data/chunk-*/*.parquet, found none")
+        raise DemonstrationError(
+            "a LeRobot data set must hold files data/chunk-*/*.parquet, found none"
+        )
     frames = _joined([_read(file, path) for file in files])
     episodes, stamps = (frames.pop(name) for name in ("episode_index", "timestamp"))
     for row in np.flatnonzero(~np.isfinite(episodes))[:1]:
@@ -44,7 +53,9 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
     values, labels = columns_of(frames, entries), np.unique(episodes)
     return Recordings(
         tuple(f"{label:.0f}" for label in labels),
-        tuple(torch.from_numpy(_times(stamps[episodes == label], info.get("fps"))) for label in labels),
+        tuple(
+            torch.from_numpy(_times(stamps[episodes == label], info.get("fps"))) for label in labels
+        ),
         tuple(torch.from_numpy(values[episodes == label]) for label in labels),
         tuple(entry.name for entry in entries),
         format="LeRobot",
@@ -55,8 +66,14 @@ def _info(folder: Path) -> dict[str, Any]:
     with readable("LeRobot data set"):
         info = json.loads((folder / "meta" / "info.json").read_text())
     fps = info.get("fps") if isinstance(info, dict) else None
-    if not isinstance(fps, int | float) or not fps > 0 or not isinstance(info.get("features", {}), dict):
-        raise DemonstrationError(f"meta/info.json must hold a positive fps and features, got fps {fps}")
+    if (
+        not isinstance(fps, int | float)
+        or not fps > 0
+        or not isinstance(info.get("features", {}), dict)
+    ):
+        raise DemonstrationError(
+            f"meta/info.json must hold a positive fps and features, got fps {fps}"
+        )
     return info
 
 
@@ -69,12 +86,22 @@ def _read(file: Path, root: Path) -> dict[str, np.ndarray]:
 
 def _table(file: Path) -> Any:
     pyarrow, parquet = optional("pyarrow"), optional("pyarrow.parquet")
-    with file.open("rb") as opened, readable("Parquet file", pyarrow.ArrowException), parquet.ParquetFile(opened) as content:
+    with (
+        file.open("rb") as opened,
+        readable("Parquet file", pyarrow.ArrowException),
+        parquet.ParquetFile(opened) as content,
+    ):
         schema = content.schema_arrow
         missing = {"episode_index", "timestamp"} - set(schema.names)
         if missing:
-            raise DemonstrationError(f"column {min(missing)} is missing, found {', '.join(schema.names)}")
-        observed = [name for name in schema.names if name.startswith(OBSERVED) and _is_numeric(pyarrow.types, schema.field(name).type)]
+            raise DemonstrationError(
+                f"column {min(missing)} is missing, found {', '.join(schema.names)}"
+            )
+        observed = [
+            name
+            for name in schema.names
+            if name.startswith(OBSERVED) and _is_numeric(pyarrow.types, schema.field(name).type)
+        ]
         return content.read(columns=["episode_index", "timestamp", *observed])
 
 
@@ -91,17 +118,27 @@ def _array(name: str, column: Any) -> np.ndarray:
     except (TypeError, ValueError) as error:
         widths = [len(row) if isinstance(row, list) else row for row in rows]
         odd = next((number for number, width in enumerate(widths) if width != widths[0]), 0)
-        raise DemonstrationError(f"row {odd}, column {name} must hold numbers like row 0, got {rows[odd]}") from error
+        raise DemonstrationError(
+            f"row {odd}, column {name} must hold numbers like row 0, got {rows[odd]}"
+        ) from error
 
 
 def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """The same columns of all files, one after the other."""
-    shared = [name for name in tables[0] if all(name in table and table[name].shape[1:] == tables[0][name].shape[1:] for table in tables)]
+    shared = [
+        name
+        for name in tables[0]
+        if all(
+            name in table and table[name].shape[1:] == tables[0][name].shape[1:] for table in tables
+        )
+    ]
     return {name: np.concatenate([table[name] for table in tables]) for name in shared}
 
 
 def _groups(frames: dict[str, np.ndarray], info: dict[str, Any]) -> dict[str, Sequence[str]]:
-    """Names of the entries of each column: those that the data set gives, if they are one for each and no other column has them."""
+    """Names of the entries of each column: those that the data set gives, if they are one for each
+    and no other column has them.
+    """
     groups: dict[str, Sequence[str]] = {}
     taken: set[str] = set()
     for key, array in frames.items():

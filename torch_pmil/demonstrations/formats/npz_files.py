@@ -24,17 +24,33 @@ def read_npz(path: Path, keys: Sequence[str] = ()) -> Recordings:
     count, samples, _ = shown.positions.shape
     labels = tuple(str(number) for number in range(1, count + 1))
     times = shown.time_step * torch.arange(samples, dtype=torch.float64)
-    return Recordings(labels, count * (times,), tuple(shown.positions), shown.names, shown.targets, shown.target_names, format="NPZ")
+    return Recordings(
+        labels,
+        count * (times,),
+        tuple(shown.positions),
+        shown.names,
+        shown.targets,
+        shown.target_names,
+        format="NPZ",
+    )
 
 
 def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
     """The demonstrations of an NPZ file; of their entries those that keys name, if any."""
     failures = (zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError)
-    with path.open("rb") as file, readable("NPZ file without object arrays", *failures), np.load(file, allow_pickle=False) as archive:
+    with (
+        path.open("rb") as file,
+        readable("NPZ file without object arrays", *failures),
+        np.load(file, allow_pickle=False) as archive,
+    ):
         arrays = {name: archive[name] for name in archive.files}
     _check(arrays)
     names, targets = arrays["names"].tolist(), arrays.get("targets")
-    columns = [names.index(entry.name) for entry in choose({name: [name] for name in names}, keys, ())] if keys else slice(None)
+    columns = (
+        [names.index(entry.name) for entry in choose({name: [name] for name in names}, keys, ())]
+        if keys
+        else slice(None)
+    )
     return Demonstrations(
         torch.from_numpy(arrays["positions"])[..., columns],
         arrays["time_step"].item(),
@@ -53,5 +69,7 @@ def _check(arrays: dict[str, np.ndarray]) -> None:
     if arrays["time_step"].shape != () or arrays["names"].ndim != 1:
         raise DemonstrationError("array time_step must be one number and names a list")
     targets = arrays.get("targets")
-    if (targets is not None and targets.dtype.kind not in "fiu") or arrays.get("target_names", np.array([])).ndim != 1:
+    if (targets is not None and targets.dtype.kind not in "fiu") or arrays.get(
+        "target_names", np.array([])
+    ).ndim != 1:
         raise DemonstrationError("array targets must hold real numbers and target_names be a list")

@@ -1,7 +1,9 @@
-r"""Time alignment of demonstrations: people are never on time, and half the spread of what they show is timing.
+r"""Time alignment of demonstrations: people are never on time, and half the spread of what they
+show is timing.
 
-Dynamic time warping (Sakoe and Chiba 1978, dtaidistance) says which moment of one demonstration corresponds to which of another; what
-lies before and after it prepares a recording: even samples from uneven ones, and the part that moves.
+Dynamic time warping (Sakoe and Chiba 1978, dtaidistance) says which moment of one demonstration
+corresponds to which of another; what lies before and after it prepares a recording: even samples
+from uneven ones, and the part that moves.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from torch import Tensor
 
 RESOLUTION = 400  # samples of the longest trajectory that times are compared at, at least
 KNOTS = 20  # of a warp, between its ends: timing changes smoothly
-PENALTY = 0.05  # of a step off the diagonal, in spreads of the coordinates: where nothing moves, time runs on
+# of a step off the diagonal, in spreads of the coordinates: where nothing moves, time runs on
+PENALTY = 0.05
 
 
 class AlignmentError(ValueError):
@@ -32,29 +35,36 @@ def align(
 ) -> Tensor:
     r"""Trajectories that differ in timing and length, on one time base.
 
-    Each is matched to the medoid, the one with the least sum of warping distances to all, by dynamic time warping on positions in units
-    of their spread over all trajectories (not on velocities: a slower copy of a motion has others). The common time is the mean of the
-    times at which the same moment comes: the motion begins and ends where each demonstration does and lasts as long as they do on
-    average. Warps :math:`w_n` from common time to that of a demonstration are smooth and monotone, a cubic through ``KNOTS`` averages of
-    the path, which has plateaus and jumps itself. With a ``reference``, all are matched to that one and take over its timing and length.
+    Each is matched to the medoid, the one with the least sum of warping distances to all, by
+    dynamic time warping on positions in units of their spread over all trajectories (not on
+    velocities: a slower copy of a motion has others). The common time is the mean of the times at
+    which the same moment comes: the motion begins and ends where each demonstration does and lasts
+    as long as they do on average. Warps :math:`w_n` from common time to that of a demonstration are
+    smooth and monotone, a cubic through ``KNOTS`` averages of the path, which has plateaus and
+    jumps itself. With a ``reference``, all are matched to that one and take over its timing and
+    length.
 
-    Positions are warped, :math:`x_n(w_n(s))`; velocities must be those of the warped positions, :math:`\dot x_n(w_n(s)) \, \dot w_n(s)`,
-    so say which columns they are. They are in the unit that they had: the time step does not change but by rounding the duration
-    to a whole number of steps.
+    Positions are warped, :math:`x_n(w_n(s))`; velocities must be those of the warped positions,
+    :math:`\dot x_n(w_n(s)) \, \dot w_n(s)`, so say which columns they are. They are in the unit
+    that they had: the time step does not change but by rounding the duration to a whole number of
+    steps.
 
     Args:
         trajectories: N of them, (T_n, M) each, at one time step.
         velocities: columns that are rates of change; negative ones count from the end.
-        window: how far times may be shifted, as a fraction of the longest trajectory, beyond what a difference in length needs.
+        window: how far times may be shifted, as a fraction of the longest trajectory, beyond what a
+            difference in length needs.
         reference: number of the trajectory whose timing is taken over; None for the mean timing.
-        isotropic: the positions are coordinates of one place, as on a page, and share one spread: the result turns with the axes.
+        isotropic: the positions are coordinates of one place, as on a page, and share one spread:
+            the result turns with the axes.
 
     Returns:
         (N, T, M), float64, where T - 1 is the mean of T_n - 1, or that of the reference.
 
     Raises:
-        AlignmentError: fewer than two trajectories, a shape or a column that does not fit, no column of positions, a number that is
-            not finite, nothing that moves, a window that is not in (0, 1], or a reference that there is not.
+        AlignmentError: fewer than two trajectories, a shape or a column that does not fit, no
+            column of positions, a number that is not finite, nothing that moves, a window that is
+            not in (0, 1], or a reference that there is not.
 
     Example:
         >>> time = torch.linspace(0, 1, 101, dtype=torch.float64)
@@ -67,24 +77,34 @@ def align(
     """
     values = _checked(trajectories, window)
     if reference is not None and not 0 <= reference < len(values):
-        raise AlignmentError(f"reference must be the number of a trajectory, 0 to {len(values) - 1}, got {reference}")
+        raise AlignmentError(
+            f"reference must be the number of a trajectory, 0 to {len(values) - 1}, got {reference}"
+        )
     positions = _positions(velocities, values[0].shape[1])
     lengths = np.array([len(one) - 1 for one in values])
     refinement = max(1, round(RESOLUTION / lengths.max()))
-    compared = _in_units_of_spread([_refined(one[:, positions], refinement) for one in values], isotropic)
+    compared = _in_units_of_spread(
+        [_refined(one[:, positions], refinement) for one in values], isotropic
+    )
     settings = {"window": max(2, round(window * refinement * lengths.max())), "penalty": PENALTY}
     template = compared[_medoid(compared, settings) if reference is None else reference]
-    knots = np.stack([_matched_times(template, one, settings) for one in compared]) / refinement  # (N, KNOTS + 2), samples
+    knots = (
+        np.stack([_matched_times(template, one, settings) for one in compared]) / refinement
+    )  # (N, KNOTS + 2), samples
     knots[:, -1] = lengths
     common = knots.mean(0) if reference is None else knots[reference]
     steps = round(common[-1])
     times, scale = np.linspace(0, common[-1], steps + 1), common[-1] / steps
-    aligned = [_warped(one, PchipInterpolator(common, own), times, scale, list(velocities)) for one, own in zip(values, knots, strict=True)]
+    aligned = [
+        _warped(one, PchipInterpolator(common, own), times, scale, list(velocities))
+        for one, own in zip(values, knots, strict=True)
+    ]
     return torch.from_numpy(np.stack(aligned))
 
 
 def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
-    """Values at even times from the first one on, through a cubic spline; sampling noise stays, nothing is smoothed.
+    """Values at even times from the first one on, through a cubic spline; sampling noise stays,
+    nothing is smoothed.
 
     Args:
         values: (*batch, T, M).
@@ -92,11 +112,12 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
         time_step: between two samples of the result, in s.
 
     Returns:
-        (*batch, T', M), float64; the last sample is at most one time step before the last of ``times``.
+        (*batch, T', M), float64; the last sample is at most one time step before the last of
+        ``times``.
 
     Raises:
-        AlignmentError: shapes do not fit, a number is not finite, times do not increase, or the time step is not positive or
-            longer than the recording.
+        AlignmentError: shapes do not fit, a number is not finite, times do not increase, or the
+            time step is not positive or longer than the recording.
 
     Example:
         >>> times = torch.tensor([0.0, 0.1, 0.25, 0.3])
@@ -106,12 +127,16 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
     values, times = values.double(), times.double()
     if values.ndim < 2 or times.shape != values.shape[-2:-1] or len(times) < 2:
         raise AlignmentError(
-            f"values must be (*batch, T, M) and times (T,) with T >= 2, got {tuple(values.shape)} and {tuple(times.shape)}"
+            f"values must be (*batch, T, M) and times (T,) with T >= 2, got {tuple(values.shape)} "
+            f"and {tuple(times.shape)}"
         )
     check_samples(values, times)
     duration = (times[-1] - times[0]).item()
     if not 0 < time_step <= duration * (1 + 1e-9):
-        raise AlignmentError(f"time_step must be positive and at most the duration, {duration:g} s, got {time_step} s")
+        raise AlignmentError(
+            f"time_step must be positive and at most the duration, {duration:g} s, got {time_step} "
+            "s"
+        )
     even = times[0].item() + time_step * np.arange(int(duration / time_step + 1e-6) + 1)
     spline = CubicSpline(times.numpy(), values.numpy(), axis=-2)
     return torch.from_numpy(spline(np.minimum(even, times[-1].item())))
@@ -123,23 +148,34 @@ def check_samples(values: Tensor, times: Tensor) -> None:
         raise AlignmentError("values and times must be finite")
     if (late := (times.diff() <= 0).nonzero()).numel():
         at = int(late[0])
-        raise AlignmentError(f"times must increase, got {times[at + 1]:g} s after {times[at]:g} s at sample {at + 1}")
+        raise AlignmentError(
+            f"times must increase, got {times[at + 1]:g} s after {times[at]:g} s at sample {at + 1}"
+        )
 
 
-def crop(trajectory: Tensor, threshold: float = 0.05, velocities: Sequence[int] = (), isotropic: bool = False) -> Tensor:
-    """The part that moves: from the last sample at rest before the motion to the first one after it.
+def crop(
+    trajectory: Tensor,
+    threshold: float = 0.05,
+    velocities: Sequence[int] = (),
+    isotropic: bool = False,
+) -> Tensor:
+    """The part that moves: from the last sample at rest before the motion to the first one after
+    it.
 
     Args:
         trajectory: at one time step, (T, M).
-        threshold: speed above which it moves, as a fraction of the largest one; coordinates are in units of their spread.
-        velocities: columns that are rates of change, which say nothing of where the motion begins: their noise is larger.
+        threshold: speed above which it moves, as a fraction of the largest one; coordinates are in
+            units of their spread.
+        velocities: columns that are rates of change, which say nothing of where the motion begins:
+            their noise is larger.
         isotropic: the positions share one spread, as in ``align``.
 
     Returns:
         Some consecutive samples of it, (T', M).
 
     Raises:
-        AlignmentError: the shape or a column does not fit, a number is not finite, nothing moves, or the threshold is not in [0, 1).
+        AlignmentError: the shape or a column does not fit, a number is not finite, nothing moves,
+            or the threshold is not in [0, 1).
 
     Example:
         >>> crop(torch.tensor([0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])[:, None]).flatten()
@@ -148,23 +184,42 @@ def crop(trajectory: Tensor, threshold: float = 0.05, velocities: Sequence[int] 
     _check_trajectory("the trajectory", trajectory)
     if not 0 <= threshold < 1:
         raise AlignmentError(f"threshold must be in [0, 1), got {threshold}")
-    (scaled,) = _in_units_of_spread([trajectory[:, _positions(velocities, trajectory.shape[1])].double().numpy()], isotropic)
+    (scaled,) = _in_units_of_spread(
+        [trajectory[:, _positions(velocities, trajectory.shape[1])].double().numpy()], isotropic
+    )
     speed = np.linalg.norm(np.diff(scaled, axis=0), axis=1)
     moving = np.flatnonzero(speed > threshold * speed.max())
     return trajectory[moving[0] : moving[-1] + 2]
 
 
-def _matched_times(reference: np.ndarray, other: np.ndarray, settings: dict[str, float]) -> np.ndarray:
-    """Samples of the other that correspond to those of the reference: at its start, at the middles of ``KNOTS`` parts, at its end."""
-    path = np.array(dtw.warping_path_fast(*(np.squeeze(one, 1) if one.shape[1] == 1 else one for one in (reference, other)), **settings))
+def _matched_times(
+    reference: np.ndarray, other: np.ndarray, settings: dict[str, float]
+) -> np.ndarray:
+    """Samples of the other that correspond to those of the reference: at its start, at the middles
+    of ``KNOTS`` parts, at its end.
+    """
+    path = np.array(
+        dtw.warping_path_fast(
+            *(np.squeeze(one, 1) if one.shape[1] == 1 else one for one in (reference, other)),
+            **settings,
+        )
+    )
     matched = np.bincount(path[:, 0], path[:, 1]) / np.bincount(path[:, 0])  # the mean of a jump
     edges = np.linspace(0, len(matched) - 1, KNOTS + 1)
     cumulative = CubicSpline(np.arange(len(matched)), matched).antiderivative()
     middles = np.diff(cumulative(edges)) / np.diff(edges)
-    return np.concatenate([[0.0], np.maximum.accumulate(np.clip(middles, 0, len(other) - 1)), [len(other) - 1.0]])
+    return np.concatenate(
+        [[0.0], np.maximum.accumulate(np.clip(middles, 0, len(other) - 1)), [len(other) - 1.0]]
+    )
 
 
-def _warped(trajectory: np.ndarray, warp: PchipInterpolator, times: np.ndarray, scale: float, velocities: list[int]) -> np.ndarray:
+def _warped(
+    trajectory: np.ndarray,
+    warp: PchipInterpolator,
+    times: np.ndarray,
+    scale: float,
+    velocities: list[int],
+) -> np.ndarray:
     """A trajectory at the warped times; velocities by the chain rule."""
     own = np.clip(warp(times), 0, len(trajectory) - 1)
     warped = CubicSpline(np.arange(len(trajectory)), trajectory)(own)
@@ -179,11 +234,15 @@ def _medoid(trajectories: Sequence[np.ndarray], settings: dict[str, float]) -> i
 
 def _refined(trajectory: np.ndarray, refinement: int) -> np.ndarray:
     steps = len(trajectory) - 1
-    return CubicSpline(np.arange(steps + 1), trajectory)(np.linspace(0, steps, refinement * steps + 1))
+    return CubicSpline(np.arange(steps + 1), trajectory)(
+        np.linspace(0, steps, refinement * steps + 1)
+    )
 
 
 def _in_units_of_spread(trajectories: Sequence[np.ndarray], isotropic: bool) -> list[np.ndarray]:
-    """Coordinates over their spread in all trajectories together, or over the one of all coordinates; those that never change are zero."""
+    """Coordinates over their spread in all trajectories together, or over the one of all
+    coordinates; those that never change are zero.
+    """
     everything = np.concatenate(trajectories)
     mean, spread = everything.mean(0), everything.std(0)
     changes = spread > 1e-9 * np.abs(everything).max(0)
@@ -191,29 +250,41 @@ def _in_units_of_spread(trajectories: Sequence[np.ndarray], isotropic: bool) -> 
         raise AlignmentError("trajectories must move: every coordinate is constant")
     if isotropic:
         spread = np.full_like(spread, np.sqrt(np.mean(spread**2)))
-    return [np.ascontiguousarray(np.where(changes, one - mean, 0.0) / np.where(changes, spread, 1.0)) for one in trajectories]
+    return [
+        np.ascontiguousarray(np.where(changes, one - mean, 0.0) / np.where(changes, spread, 1.0))
+        for one in trajectories
+    ]
 
 
 def _checked(trajectories: Sequence[Tensor], window: float) -> list[np.ndarray]:
     if len(trajectories) < 2:
         raise AlignmentError(f"at least two trajectories are needed, got {len(trajectories)}")
     if not 0 < window <= 1:
-        raise AlignmentError(f"window must be in (0, 1], a fraction of the longest trajectory, got {window}")
+        raise AlignmentError(
+            f"window must be in (0, 1], a fraction of the longest trajectory, got {window}"
+        )
     for number, trajectory in enumerate(trajectories):
         _check_trajectory(f"trajectory {number}", trajectory)
         if trajectory.shape[1] != trajectories[0].shape[1]:
             raise AlignmentError(
-                f"trajectory {number} must have {trajectories[0].shape[1]} columns like the first, got {trajectory.shape[1]}"
+                f"trajectory {number} must have {trajectories[0].shape[1]} columns like the first, "
+                f"got {trajectory.shape[1]}"
             )
     return [trajectory.detach().cpu().double().numpy() for trajectory in trajectories]
 
 
 def _check_trajectory(name: str, trajectory: Tensor) -> None:
     if trajectory.ndim != 2 or trajectory.shape[0] < 3 or trajectory.shape[1] < 1:
-        raise AlignmentError(f"{name} must have shape (samples, columns) with at least 3 samples, got {tuple(trajectory.shape)}")
+        raise AlignmentError(
+            f"{name} must have shape (samples, columns) with at least 3 samples, got "
+            f"{tuple(trajectory.shape)}"
+        )
     if not trajectory.isfinite().all():
         row, column = (~trajectory.isfinite()).nonzero()[0].tolist()
-        raise AlignmentError(f"{name} must be finite, got {trajectory[row, column].item()} in sample {row}, column {column}")
+        raise AlignmentError(
+            f"{name} must be finite, got {trajectory[row, column].item()} in sample {row}, column "
+            f"{column}"
+        )
 
 
 def _positions(velocities: Sequence[int], columns: int) -> list[int]:
@@ -223,5 +294,8 @@ def _positions(velocities: Sequence[int], columns: int) -> list[int]:
             raise AlignmentError(f"velocities must be columns of {columns}, got {column}")
     positions = sorted(set(range(columns)) - {column % columns for column in velocities})
     if not positions:
-        raise AlignmentError(f"at least one of the {columns} columns must be a position, got velocities {list(velocities)}")
+        raise AlignmentError(
+            f"at least one of the {columns} columns must be a position, got velocities "
+            f"{list(velocities)}"
+        )
     return positions

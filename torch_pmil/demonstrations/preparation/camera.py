@@ -8,16 +8,19 @@ from torch import Tensor
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError
 
 FEWEST_MARKERS = 4  # that determine a homography
-LEAST_AREA = 1e-3  # of the narrowest direction among markers beside the widest, below which they lie on one line
+# of the narrowest direction among markers beside the widest, below which they lie on one line
+LEAST_AREA = 1e-3
 
 
 def plane_coordinates(pixels: Tensor, markers: Tensor, places: Tensor) -> Tensor:
-    r"""Places in the plane of a motion, from a picture taken from anywhere, by a homography (Hartley and Zisserman 2004, Algorithm 4.2).
+    r"""Places in the plane of a motion, from a picture taken from anywhere, by a homography
+    (Hartley and Zisserman 2004, Algorithm 4.2).
 
     .. math:: w\,[x, y, 1]^\top = H\,[p_x, p_y, 1]^\top
 
-    H is fitted to four markers or more, as the corners of a sheet of paper in the plane, whose places are known. Pixels count downwards and
-    the camera may be tilted; both are in H. The lens must show straight lines as straight.
+    H is fitted to four markers or more, as the corners of a sheet of paper in the plane, whose
+    places are known. Pixels count downwards and the camera may be tilted; both are in H. The lens
+    must show straight lines as straight.
 
     Args:
         pixels: (*batch, 2).
@@ -36,22 +39,38 @@ def plane_coordinates(pixels: Tensor, markers: Tensor, places: Tensor) -> Tensor
         >>> plane_coordinates(torch.tensor([[300.0, 700.0]]), corners, sheet)
         tensor([[0.1000, 0.1000]], dtype=torch.float64)
     """
-    if markers.ndim != 2 or markers.shape != places.shape or markers.shape[1] != 2 or len(markers) < FEWEST_MARKERS:
+    if (
+        markers.ndim != 2
+        or markers.shape != places.shape
+        or markers.shape[1] != 2
+        or len(markers) < FEWEST_MARKERS
+    ):
         raise AlignmentError(
-            f"markers and places must be (K, 2) with K >= {FEWEST_MARKERS}, got {tuple(markers.shape)} and {tuple(places.shape)}"
+            f"markers and places must be (K, 2) with K >= {FEWEST_MARKERS}, got "
+            f"{tuple(markers.shape)} and {tuple(places.shape)}"
         )
     if pixels.shape[-1:] != (2,):
         raise AlignmentError(f"pixels must be (*batch, 2), got {tuple(pixels.shape)}")
     seen, known = _normalisation(markers.double()), _normalisation(places.double())
-    H = torch.linalg.solve(known, _homography(_applied(seen, markers.double()), _applied(known, places.double())) @ seen)
+    H = torch.linalg.solve(
+        known,
+        _homography(_applied(seen, markers.double()), _applied(known, places.double())) @ seen,
+    )
     return _applied(H, pixels.double())
 
 
 def _homography(seen: Tensor, known: Tensor) -> Tensor:
-    """H (3, 3) that maps seen (K, 2) to known (K, 2): two linear equations a marker in its nine entries, in least squares."""
-    ones, zeros = torch.ones(len(seen), 1, dtype=torch.float64), torch.zeros(len(seen), 3, dtype=torch.float64)
+    """H (3, 3) that maps seen (K, 2) to known (K, 2): two linear equations a marker in its nine
+    entries, in least squares.
+    """
+    ones, zeros = (
+        torch.ones(len(seen), 1, dtype=torch.float64),
+        torch.zeros(len(seen), 3, dtype=torch.float64),
+    )
     p = torch.cat([seen, ones], -1)
-    rows = torch.cat([torch.cat([p, zeros, -known[:, :1] * p], -1), torch.cat([zeros, p, -known[:, 1:] * p], -1)])
+    rows = torch.cat(
+        [torch.cat([p, zeros, -known[:, :1] * p], -1), torch.cat([zeros, p, -known[:, 1:] * p], -1)]
+    )
     _, spread, directions = torch.linalg.svd(rows)
     if spread[7] < LEAST_AREA * spread[0]:
         raise AlignmentError("markers must determine the plane: no three of the four on one line")
@@ -59,9 +78,18 @@ def _homography(seen: Tensor, known: Tensor) -> Tensor:
 
 
 def _normalisation(points: Tensor) -> Tensor:
-    """Similarity (3, 3) that centres points (K, 2) and gives them unit spread: pixels and metres differ by orders of magnitude."""
-    scale = 1 / (points - points.mean(0)).norm(dim=-1).mean().clamp_min(torch.finfo(torch.float64).tiny)
-    return torch.cat([torch.cat([scale * torch.eye(2).double(), -scale * points.mean(0)[:, None]], 1), torch.eye(3).double()[2:]])
+    """Similarity (3, 3) that centres points (K, 2) and gives them unit spread: pixels and metres
+    differ by orders of magnitude.
+    """
+    scale = 1 / (points - points.mean(0)).norm(dim=-1).mean().clamp_min(
+        torch.finfo(torch.float64).tiny
+    )
+    return torch.cat(
+        [
+            torch.cat([scale * torch.eye(2).double(), -scale * points.mean(0)[:, None]], 1),
+            torch.eye(3).double()[2:],
+        ]
+    )
 
 
 def _applied(H: Tensor, points: Tensor) -> Tensor:

@@ -1,7 +1,8 @@
-"""Strokes that a person drew on a page become demonstrations: checked, brought to one timing, saved with what was recorded.
+"""Strokes that a person drew on a page become demonstrations: checked, brought to one timing, saved
+with what was recorded.
 
-A page tells where the pen was in fractions of a square and when; the square stands for ``SIDE`` metres, x points right and y up from its
-lower left corner.
+A page tells where the pen was in fractions of a square and when; the square stands for ``SIDE``
+metres, x points right and y up from its lower left corner.
 """
 
 from __future__ import annotations
@@ -35,22 +36,25 @@ REST = 0.1  # of the largest speed: below it a pen trembles
 
 
 class DrawingError(ValueError):
-    """Strokes are not as they must be; the message says in one line which one, what was expected and what came."""
+    """Strokes are not as they must be; the message says in one line which one, what was expected
+    and what came.
+    """
 
 
 def read_strokes(text: str | bytes) -> Recordings:
     """The strokes that a page sent, in s from the start of each and in m.
 
     Args:
-        text: JSON, a list of strokes, each a list of samples [time, right, down]: ms, and fractions of the square's side from its
-            upper left corner.
+        text: JSON, a list of strokes, each a list of samples [time, right, down]: ms, and fractions
+            of the square's side from its upper left corner.
 
     Returns:
         Recordings of x and y, labelled from 1.
 
     Raises:
-        DrawingError: not JSON of this form, fewer than two strokes, a stroke with too few samples, too short or long, or outside of the
-            square, a number that is not finite, or times that do not increase.
+        DrawingError: not JSON of this form, fewer than two strokes, a stroke with too few samples,
+            too short or long, or outside of the square, a number that is not finite, or times that
+            do not increase.
 
     Example:
         >>> stroke = [[16 * k, k / 40, 0.5] for k in range(41)]
@@ -77,8 +81,9 @@ def read_strokes(text: str | bytes) -> Recordings:
 def drawn_demonstrations(strokes: Recordings, time_step: float = 0.1) -> Demonstrations:
     """Demonstrations of the shape that was drawn: one length, one timing, even samples.
 
-    Each stroke is sampled evenly, smoothed and cut to the part that moves; then all are aligned by dynamic time warping on distances on
-    the page. They last as long as they do on average, to a whole number of time steps, and begin and end where they did.
+    Each stroke is sampled evenly, smoothed and cut to the part that moves; then all are aligned by
+    dynamic time warping on distances on the page. They last as long as they do on average, to a
+    whole number of time steps, and begin and end where they did.
 
     Args:
         strokes: as ``read_strokes`` gives them.
@@ -88,7 +93,8 @@ def drawn_demonstrations(strokes: Recordings, time_step: float = 0.1) -> Demonst
         Positions (N, T+1, 2) in m.
 
     Raises:
-        DrawingError: the time step is not as ``check_time_step`` asks, or a stroke moves for too short a time.
+        DrawingError: the time step is not as ``check_time_step`` asks, or a stroke moves for too
+            short a time.
         AlignmentError: the strokes cannot be aligned.
 
     Example:
@@ -98,15 +104,21 @@ def drawn_demonstrations(strokes: Recordings, time_step: float = 0.1) -> Demonst
         torch.Size([2, 12, 2])
     """
     check_time_step(time_step)
-    moving = [_moving(*stroke) for stroke in zip(strokes.labels, strokes.times, strokes.values, strict=True)]
+    moving = [
+        _moving(*stroke)
+        for stroke in zip(strokes.labels, strokes.times, strokes.values, strict=True)
+    ]
     aligned = align(moving, isotropic=True)
     steps = round((aligned.shape[1] - 1) * STEP / time_step)
     times = torch.linspace(0, steps * time_step, aligned.shape[1], dtype=torch.float64)
     return Demonstrations(resample(aligned, times, time_step), time_step, strokes.names)
 
 
-def save_drawing(path: str | os.PathLike[str], strokes: Recordings, time_step: float = 0.1) -> Demonstrations:
-    """Write demonstrations to an NPZ file, and beside it, ending in .csv, what was recorded: both wholly, or neither.
+def save_drawing(
+    path: str | os.PathLike[str], strokes: Recordings, time_step: float = 0.1
+) -> Demonstrations:
+    """Write demonstrations to an NPZ file, and beside it, ending in .csv, what was recorded: both
+    wholly, or neither.
 
     Args:
         path: of the NPZ file.
@@ -124,62 +136,93 @@ def save_drawing(path: str | os.PathLike[str], strokes: Recordings, time_step: f
         with temporary.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(("demonstration", "time", *strokes.names))
-            for label, times, values in zip(strokes.labels, strokes.times, strokes.values, strict=True):
-                writer.writerows((label, *sample) for sample in torch.column_stack([times, values]).tolist())
+            for label, times, values in zip(
+                strokes.labels, strokes.times, strokes.values, strict=True
+            ):
+                writer.writerows(
+                    (label, *sample) for sample in torch.column_stack([times, values]).tolist()
+                )
         demonstrations.save(path)
     return demonstrations
 
 
 def check_time_step(time_step: float) -> None:
-    """Raises DrawingError unless strokes can have this time step, in s: no finer than they are compared at, no longer than they may be."""
+    """Raises DrawingError unless strokes can have this time step, in s: no finer than they are
+    compared at, no longer than they may be.
+    """
     if not STEP <= time_step <= SHORTEST:
-        raise DrawingError(f"the time step must be from {STEP:g} to {SHORTEST:g} s, got {time_step:g} s")
+        raise DrawingError(
+            f"the time step must be from {STEP:g} to {SHORTEST:g} s, got {time_step:g} s"
+        )
 
 
 def _checked(stroke: object, number: int) -> Tensor:
     """The samples of a stroke, (T, 3)."""
     if not isinstance(stroke, list) or len(stroke) < LEAST_SAMPLES:
         came = f"{len(stroke)}" if isinstance(stroke, list) else short(stroke)
-        raise DrawingError(f"stroke {number} must be a list of at least {LEAST_SAMPLES} samples, got {came}")
+        raise DrawingError(
+            f"stroke {number} must be a list of at least {LEAST_SAMPLES} samples, got {came}"
+        )
     for at, sample in enumerate(stroke, start=1):
         if not _is_sample(sample):
-            raise DrawingError(f"stroke {number}, sample {at} must be three finite numbers [time, right, down], got {short(sample)}")
+            raise DrawingError(
+                f"stroke {number}, sample {at} must be three finite numbers [time, right, down], "
+                f"got {short(sample)}"
+            )
     table = torch.tensor(stroke, dtype=torch.float64)
     if (late := (table[:, 0].diff() <= 0).nonzero()).numel():
         at = int(late[0])
         raise DrawingError(
-            f"stroke {number}, sample {at + 2} must be later than the one before, got {table[at + 1, 0]:g} after {table[at, 0]:g} ms"
+            f"stroke {number}, sample {at + 2} must be later than the one before, got "
+            f"{table[at + 1, 0]:g} after {table[at, 0]:g} ms"
         )
     _check_size(table, number)
     return table
 
 
 def _is_sample(sample: object) -> bool:
-    return isinstance(sample, list) and len(sample) == 3 and all(isinstance(value, float) and math.isfinite(value) for value in sample)
+    return (
+        isinstance(sample, list)
+        and len(sample) == 3
+        and all(isinstance(value, float) and math.isfinite(value) for value in sample)
+    )
 
 
 def _check_size(table: Tensor, number: int) -> None:
     duration = (table[-1, 0] - table[0, 0]).item() / 1000
     if not SHORTEST <= duration <= LONGEST:
-        raise DrawingError(f"stroke {number} must last {SHORTEST:g} to {LONGEST:g} s, got {duration:.3g} s")
+        raise DrawingError(
+            f"stroke {number} must last {SHORTEST:g} to {LONGEST:g} s, got {duration:.3g} s"
+        )
     if (outside := ((table[:, 1:] < 0) | (table[:, 1:] > 1)).any(1).nonzero()).numel():
         at = int(outside[0])
-        raise DrawingError(f"stroke {number}, sample {at + 1} must be inside of the square, [0, 1], got {table[at, 1:].tolist()}")
+        raise DrawingError(
+            f"stroke {number}, sample {at + 1} must be inside of the square, [0, 1], got "
+            f"{table[at, 1:].tolist()}"
+        )
     extent = (table.amax(0) - table.amin(0))[1:].amax().item()
     if extent < LEAST_EXTENT:
-        raise DrawingError(f"stroke {number} must reach over {LEAST_EXTENT:g} of the square's side at least, got {extent:.2g}")
+        raise DrawingError(
+            f"stroke {number} must reach over {LEAST_EXTENT:g} of the square's side at least, got "
+            f"{extent:.2g}"
+        )
 
 
 def _moving(label: str, times: Tensor, values: Tensor) -> Tensor:
     """The part of a stroke that moves, smoothed, at ``STEP``, (T, 2).
 
-    A page hears of a pen only when it moves: where it rests there are no samples, and a spline that does not overshoot bridges the gap.
+    A page hears of a pen only when it moves: where it rests there are no samples, and a spline that
+    does not overshoot bridges the gap.
     """
     even = np.linspace(0, times[-1].item(), round(times[-1].item() / STEP) + 1)
     sampled = PchipInterpolator(times.numpy(), values.numpy())(even)
-    smooth = torch.from_numpy(sosfiltfilt(butter(2, CUTOFF, fs=1 / STEP, output="sos"), sampled, axis=0).copy())
+    smooth = torch.from_numpy(
+        sosfiltfilt(butter(2, CUTOFF, fs=1 / STEP, output="sos"), sampled, axis=0).copy()
+    )
     moving = crop(smooth, REST, isotropic=True)
     duration = STEP * (len(moving) - 1)
     if duration < SHORTEST:
-        raise DrawingError(f"stroke {label} must move for {SHORTEST:g} s at least, got {duration:.2g} s")
+        raise DrawingError(
+            f"stroke {label} must move for {SHORTEST:g} s at least, got {duration:.2g} s"
+        )
     return moving

@@ -8,25 +8,31 @@ from torch import Tensor
 
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError
 
-MOST_DROPPED = 0.5  # of the samples; where more contradict each other nobody knows which half is right
+MOST_DROPPED = (
+    0.5  # of the samples; where more contradict each other nobody knows which half is right
+)
 
 
 def without_jumps(values: Tensor, times: Tensor, fastest: float | Tensor) -> tuple[Tensor, Tensor]:
-    """The samples that one motion can have passed through, given that no column changes faster than ``fastest``.
+    """The samples that one motion can have passed through, given that no column changes faster than
+    ``fastest``.
 
-    Kept are as many as possible of which any two, and so all, are reached from one another within that speed: a longest chain. One sample
-    beside the track is left out, as is a stretch of them, at the start or the end too. The gap is what ``resample`` closes with its spline.
+    Kept are as many as possible of which any two, and so all, are reached from one another within
+    that speed: a longest chain. One sample beside the track is left out, as is a stretch of them,
+    at the start or the end too. The gap is what ``resample`` closes with its spline.
 
     Args:
         values: of one recording, (T, M).
         times: of the samples, increasing, in s, (T,).
-        fastest: largest speed of each column, or one for all of them, in the unit of the values a second; infinite for any.
+        fastest: largest speed of each column, or one for all of them, in the unit of the values a
+            second; infinite for any.
 
     Returns:
         Values (T', M) and times (T',) of the samples that are kept.
 
     Raises:
-        AlignmentError: shapes do not fit, a speed is not positive, times do not increase, or fewer than half of the samples fit together.
+        AlignmentError: shapes do not fit, a speed is not positive, times do not increase, or fewer
+            than half of the samples fit together.
 
     Example:
         >>> values, times = torch.tensor([[0.0], [0.5], [9.0], [1.5]]), torch.arange(4.0)
@@ -34,7 +40,12 @@ def without_jumps(values: Tensor, times: Tensor, fastest: float | Tensor) -> tup
         [[0.0, 0.5, 1.5], [0.0, 1.0, 3.0]]
     """
     limit = torch.as_tensor(fastest, dtype=torch.float64)
-    if values.ndim != 2 or times.shape != values.shape[:1] or not len(times) or limit.shape not in ((), values.shape[1:]):
+    if (
+        values.ndim != 2
+        or times.shape != values.shape[:1]
+        or not len(times)
+        or limit.shape not in ((), values.shape[1:])
+    ):
         raise AlignmentError(
             "values must be (T, M), times (T,) and fastest a number or (M,), "
             f"got {tuple(values.shape)}, {tuple(times.shape)} and {tuple(limit.shape)}"
@@ -45,18 +56,27 @@ def without_jumps(values: Tensor, times: Tensor, fastest: float | Tensor) -> tup
         raise AlignmentError("times must increase")
     kept = _longest_chain(values.double().numpy() / limit.numpy(), times.double().numpy())
     if len(kept) < MOST_DROPPED * len(times):
-        raise AlignmentError(f"at least half of the {len(times)} samples must fit a motion of speed {limit.tolist()}, got {len(kept)}")
+        raise AlignmentError(
+            f"at least half of the {len(times)} samples must fit a motion of speed "
+            f"{limit.tolist()}, got {len(kept)}"
+        )
     return values[kept], times[kept]
 
 
 def _longest_chain(places: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Indices of the longest sequence of samples of which each is at most 1 a second away from the one before."""
+    """Indices of the longest sequence of samples of which each is at most 1 a second away from the
+    one before.
+    """
     length, before = np.ones(len(times), dtype=int), np.full(len(times), -1)
     for now in range(1, len(times)):
-        reached = np.abs(places[now] - places[:now]).max(1) <= (times[now] - times[:now]) * (1 + 1e-9)
+        reached = np.abs(places[now] - places[:now]).max(1) <= (times[now] - times[:now]) * (
+            1 + 1e-9
+        )
         chains = np.where(reached, length[:now], 0)
         if reached.any():
-            before[now] = now - 1 - int(chains[::-1].argmax())  # of equally long ones, the one that ends last
+            before[now] = (
+                now - 1 - int(chains[::-1].argmax())
+            )  # of equally long ones, the one that ends last
             length[now] = chains.max() + 1
     chain = [int(length.argmax())]
     while before[chain[-1]] >= 0:

@@ -1,9 +1,10 @@
 r"""Smoothing of recorded positions, and the velocities that no sensor recorded.
 
-A cubic smoothing spline (Reinsch 1967) minimises :math:`\int (y - f)^2 \, dt + \lambda \int \ddot f^2 \, dt` over the recording. What
-oscillates with period :math:`P` passes it with the gain :math:`1 / (1 + \lambda (2 \pi / P)^4)`, whatever the rate of the samples. The
-rule is therefore a period in seconds, of what passes at half its height, :math:`\lambda = (\text{period} / 2 \pi)^4`: of what takes twice
-as long 94 % pass, of what takes half as long 6 %.
+A cubic smoothing spline (Reinsch 1967) minimises :math:`\int (y - f)^2 \, dt + \lambda \int \ddot
+f^2 \, dt` over the recording. What oscillates with period :math:`P` passes it with the gain
+:math:`1 / (1 + \lambda (2 \pi / P)^4)`, whatever the rate of the samples. The rule is therefore a
+period in seconds, of what passes at half its height, :math:`\lambda = (\text{period} / 2 \pi)^4`:
+of what takes twice as long 94 % pass, of what takes half as long 6 %.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ FEWEST_SAMPLES = 5  # that a smoothing spline takes
 def smooth(values: Tensor, times: Tensor, period: float) -> Tensor:
     r"""Positions without what is faster than people move.
 
-    White noise of standard deviation :math:`\sigma` in samples that are :math:`\Delta t` apart is left with
-    :math:`\sigma \sqrt{3 \sqrt 2 \, \pi \Delta t / (8\,\text{period})}`, away from the ends.
+    White noise of standard deviation :math:`\sigma` in samples that are :math:`\Delta t` apart is
+    left with :math:`\sigma \sqrt{3 \sqrt 2 \, \pi \Delta t / (8\,\text{period})}`, away from the
+    ends.
 
     Args:
         values: of one recording, (T, M), T >= 5.
@@ -34,8 +36,8 @@ def smooth(values: Tensor, times: Tensor, period: float) -> Tensor:
         At the same times, (T, M), float64.
 
     Raises:
-        AlignmentError: shapes do not fit, a number is not finite, times do not increase, or the period is not positive or longer than the
-            recording.
+        AlignmentError: shapes do not fit, a number is not finite, times do not increase, or the
+            period is not positive or longer than the recording.
 
     Example:
         >>> import torch
@@ -54,7 +56,8 @@ def velocities(values: Tensor, times: Tensor, period: float) -> Tensor:
     :math:`\sigma \sqrt{\sqrt 2 \, \pi^3 \Delta t / (2\,\text{period}^3)}`, away from the ends.
 
     Args:
-        values, times, period: as for :func:`smooth`; positions that are smoothed already would be smoothed twice.
+        values, times, period: as for :func:`smooth`; positions that are smoothed already would be
+            smoothed twice.
 
     Returns:
         In the unit of the values a second, (T, M), float64.
@@ -77,16 +80,23 @@ def _spline(values: Tensor, times: Tensor, period: float) -> BSpline:
     _check(values, times, period)
     t = times.double().numpy()
     each = np.diff(t) / 2
-    share = np.concatenate([each, [0.0]]) + np.concatenate([[0.0], each])  # of the integral over time, trapezoidal
-    return make_smoothing_spline(t, values.double().numpy(), w=share, lam=(period / (2 * math.pi)) ** 4)
+    share = np.concatenate([each, [0.0]]) + np.concatenate(
+        [[0.0], each]
+    )  # of the integral over time, trapezoidal
+    return make_smoothing_spline(
+        t, values.double().numpy(), w=share, lam=(period / (2 * math.pi)) ** 4
+    )
 
 
 def _check(values: Tensor, times: Tensor, period: float) -> None:
     if values.ndim != 2 or times.shape != values.shape[:1] or len(times) < FEWEST_SAMPLES:
         raise AlignmentError(
-            f"values must be (T, M) and times (T,) with T >= {FEWEST_SAMPLES}, got {tuple(values.shape)} and {tuple(times.shape)}"
+            f"values must be (T, M) and times (T,) with T >= {FEWEST_SAMPLES}, got "
+            f"{tuple(values.shape)} and {tuple(times.shape)}"
         )
     check_samples(values, times)
     duration = (times[-1] - times[0]).item()
     if not 0 < period <= duration:
-        raise AlignmentError(f"period must be positive and at most the duration, {duration:g} s, got {period} s")
+        raise AlignmentError(
+            f"period must be positive and at most the duration, {duration:g} s, got {period} s"
+        )

@@ -1,4 +1,6 @@
-"""The torques with which a robot would move exactly as another one did, by MuJoCo's inverse dynamics."""
+"""The torques with which a robot would move exactly as another one did, by MuJoCo's inverse
+dynamics.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from torch_pmil.envs.inverse_dynamics import inverse_dynamics
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 
 
-def motion_of(env: MujocoRobotEnv, states: Tensor, torques: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def motion_of(
+    env: MujocoRobotEnv, states: Tensor, torques: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     """A recorded rollout at every time step of the simulation.
 
     Args:
@@ -20,7 +24,8 @@ def motion_of(env: MujocoRobotEnv, states: Tensor, torques: Tensor) -> tuple[Ten
         torques: held from each of them on, N·m, (T, F).
 
     Returns:
-        States (S, D), accelerations (S, D/2) and applied torques (S, F) at the S = T * substeps time steps.
+        States (S, D), accelerations (S, D/2) and applied torques (S, F) at the S = T * substeps
+        time steps.
 
     Example:
         >>> from torch_pmil.envs import DoublePendulumEnv
@@ -38,7 +43,9 @@ def motion_of(env: MujocoRobotEnv, states: Tensor, torques: Tensor) -> tuple[Ten
 
 
 def accelerations_of(model: mujoco.MjModel, states: Tensor, torques: Tensor) -> Tensor:
-    """Joint accelerations (S, D/2) in states (S, D) under torques (S, F); every joint has its motor and is in the state."""
+    """Joint accelerations (S, D/2) in states (S, D) under torques (S, F); every joint has its motor
+    and is in the state.
+    """
     data, result = mujoco.MjData(model), np.empty((len(states), model.nv))
     for row, (state, torque) in enumerate(zip(states.numpy(), torques.numpy(), strict=True)):
         data.qpos[:], data.qvel[:], data.ctrl[:] = state[::2], state[1::2], torque
@@ -61,4 +68,8 @@ def tracking_torques(model: mujoco.MjModel, states: Tensor, accelerations: Tenso
         >>> tracking_torques(double_pendulum_model((0.5, 0.5)), stretched, torch.zeros(1, 2)).round(decimals=3)
         tensor([[-4.9050, -1.2260]], dtype=torch.float64)
     """
-    return torch.from_numpy(inverse_dynamics(model, states[:, ::2].numpy(), states[:, 1::2].numpy(), accelerations.numpy()))
+    return torch.from_numpy(
+        inverse_dynamics(
+            model, states[:, ::2].numpy(), states[:, 1::2].numpy(), accelerations.numpy()
+        )
+    )

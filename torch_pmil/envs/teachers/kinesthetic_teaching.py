@@ -1,4 +1,6 @@
-"""Kinesthetic teaching of the BioRob (Section 5.2.2): a person leads the racket by hand, the motors are limp, states are recorded."""
+"""Kinesthetic teaching of the BioRob (Section 5.2.2): a person leads the racket by hand, the motors
+are limp, states are recorded.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ NEAR = 1e-9  # m, from where the racket is to be
 
 @dataclass(frozen=True)
 class Strike:
-    """Back, then fast up through the ball, then rest: what the teacher has in mind, unless told with the ball at ``BALL``.
+    """Back, then fast up through the ball, then rest: what the teacher has in mind, unless told
+    with the ball at ``BALL``.
 
     Angles of [yaw, shoulder, elbow] in rad, times in s after the start of the recording.
 
@@ -50,17 +53,26 @@ class Strike:
     duration: float = 1.8
 
     def path(self) -> BPoly:
-        """Angles over time, (3,) at each: at rest at the start, drawn back and in the end; smooth in the acceleration between these."""
+        """Angles over time, (3,) at each: at rest at the start, drawn back and in the end; smooth
+        in the acceleration between these.
+        """
         still = [0.0, 0.0, 0.0]
         knots = [-SETTLING, 0.0, *self.times, max(self.duration, self.times[-1]) + 0.1]
-        rests = [[pose, still, still] for pose in (self.start, self.start, self.back, self.stop, self.stop)]
-        return BPoly.from_derivatives(knots, [*rests[:3], [self.hit, self.hit_velocity], *rests[3:]])
+        rests = [
+            [pose, still, still]
+            for pose in (self.start, self.start, self.back, self.stop, self.stop)
+        ]
+        return BPoly.from_derivatives(
+            knots, [*rests[:3], [self.hit, self.hit_velocity], *rests[3:]]
+        )
 
     def towards(self, ball: Sequence[float] | Array, model: mujoco.MjModel) -> Strike:
-        """The same strike at a ball elsewhere: a smooth function of its place, and this strike itself if it is at ``BALL``.
+        """The same strike at a ball elsewhere: a smooth function of its place, and this strike
+        itself if it is at ``BALL``.
 
-        The racket meets the ball as it did, by inverse kinematics of its centre; where the arm is drawn back to turns along with the yaw,
-        and where it comes to rest moves along in all angles. Start, times and speed are the same.
+        The racket meets the ball as it did, by inverse kinematics of its centre; where the arm is
+        drawn back to turns along with the yaw, and where it comes to rest moves along in all
+        angles. Start, times and speed are the same.
 
         Args:
             ball: where it hangs, (3,) in m.
@@ -78,7 +90,8 @@ class Strike:
         place = _racket_path(model, np.array([self.hit]))[0] + (np.asarray(ball) - BALL)
         turn = _angles_at(model, self.hit, place) - self.hit
         moved: dict[str, Any] = {
-            name: tuple(getattr(self, name) + turn * along) for name, along in (("back", (1, 0, 0)), ("hit", 1), ("stop", 1))
+            name: tuple(getattr(self, name) + turn * along)
+            for name, along in (("back", (1, 0, 0)), ("hit", 1), ("stop", 1))
         }
         return replace(self, **moved)
 
@@ -88,7 +101,8 @@ class Variation:
     """How much a person varies from one demonstration to the next: standard deviations.
 
     Args:
-        start, rest: of each angle at the start, and where the arm is drawn back and comes to rest, rad.
+        start, rest: of each angle at the start, and where the arm is drawn back and comes to rest,
+            rad.
         hit: of the racket's place at the ball, m along each axis.
         time: of each of the three times, s.
         speed: of the speed at the ball, as a fraction.
@@ -134,7 +148,8 @@ class RecordedStrike:
 def record_strike(model: mujoco.MjModel, strike: Strike) -> RecordedStrike:
     """Lead the racket along a strike with a compliant hand, the motors limp.
 
-    The hand pulls with a spring and a damper, and with 120 N at the most; the robot's weight, friction, rotors and cables do the rest.
+    The hand pulls with a spring and a damper, and with 120 N at the most; the robot's weight,
+    friction, rotors and cables do the rest.
 
     Args:
         model: of the robot and its ball.
@@ -154,9 +169,15 @@ def record_strike(model: mujoco.MjModel, strike: Strike) -> RecordedStrike:
     led = _racket_path(model, strike.path()(np.arange(steps + 1) * model.opt.timestep - SETTLING))
     speeds = np.gradient(led, model.opt.timestep, axis=0)
     _set_angles(data, JOINTS, strike.start)
-    _set_angles(data, ROTORS, Equilibrium(model, JOINTS, ROTORS).ratio @ strike.start)  # the two cables of each joint pull alike
+    _set_angles(
+        data, ROTORS, Equilibrium(model, JOINTS, ROTORS).ratio @ strike.start
+    )  # the two cables of each joint pull alike
     joints = [data.joint(name) for name in JOINTS]
-    states, touched, physics = [], [], np.empty((steps + 1, mujoco.mj_stateSize(model, FULL_PHYSICS)))
+    states, touched, physics = (
+        [],
+        [],
+        np.empty((steps + 1, mujoco.mj_stateSize(model, FULL_PHYSICS))),
+    )
     for place, velocity, now in zip(led, speeds, physics, strict=True):
         mujoco.mj_getState(model, data, now, FULL_PHYSICS)
         mujoco.mj_step1(model, data)
@@ -166,7 +187,9 @@ def record_strike(model: mujoco.MjModel, strike: Strike) -> RecordedStrike:
         touched.append(data.sensor("racket_ball_contact").data[0] > 0)
     distance = np.linalg.norm(data.site("racket").xpos - led[-1])
     if distance > 0.1:
-        raise RuntimeError(f"the hand must keep the racket within 0.1 m, it ended {distance:.2f} m away")
+        raise RuntimeError(
+            f"the hand must keep the racket within 0.1 m, it ended {distance:.2f} m away"
+        )
     begun = round(SETTLING / model.opt.timestep)
     hits = np.flatnonzero(touched[begun:])
     hit_time = hits[0] * model.opt.timestep if len(hits) else None
@@ -178,11 +201,17 @@ def _pull(model: mujoco.MjModel, data: mujoco.MjData, place: Array, velocity: Ar
     racket = data.site("racket")
     jacobian = np.empty((3, model.nv))
     mujoco.mj_jacSite(model, data, jacobian, None, racket.id)
-    force = HAND_STIFFNESS * (place - racket.xpos) + HAND_DAMPING * (velocity - jacobian @ data.qvel)
-    data.qfrc_applied[:] = jacobian.T @ force * (HAND_FORCE / max(float(np.linalg.norm(force)), HAND_FORCE))
+    force = HAND_STIFFNESS * (place - racket.xpos) + HAND_DAMPING * (
+        velocity - jacobian @ data.qvel
+    )
+    data.qfrc_applied[:] = (
+        jacobian.T @ force * (HAND_FORCE / max(float(np.linalg.norm(force)), HAND_FORCE))
+    )
 
 
-def _set_angles(data: mujoco.MjData, joints: Sequence[str], angles: Sequence[float] | Array) -> None:
+def _set_angles(
+    data: mujoco.MjData, joints: Sequence[str], angles: Sequence[float] | Array
+) -> None:
     for name, angle in zip(joints, angles, strict=True):
         data.joint(name).qpos = angle
 
@@ -208,11 +237,20 @@ def _angles_for(model: mujoco.MjModel, angles: tuple[float, ...], shift: Array) 
 
 
 def _angles_at(model: mujoco.MjModel, near: tuple[float, ...], place: Array) -> Array:
-    """Angles (3,) at which the racket's centre is at ``place`` (3,), m: Newton's method from ``near``."""
+    """Angles (3,) at which the racket's centre is at ``place`` (3,), m: Newton's method from
+    ``near``.
+    """
     angles, limits = np.array(near), np.array([model.joint(name).range for name in JOINTS])
     for _ in range(MAX_ITERATIONS):
         rest = place - _racket_path(model, angles[None])[0]
-        if np.linalg.norm(rest) < NEAR and (limits[:, 0] <= angles).all() and (angles <= limits[:, 1]).all():
+        if (
+            np.linalg.norm(rest) < NEAR
+            and (limits[:, 0] <= angles).all()
+            and (angles <= limits[:, 1]).all()
+        ):
             return angles
         angles += _angles_for(model, tuple(angles), rest)
-    raise ValueError(f"the arm must reach the ball: no pose within the joints' ranges has the racket's centre at {place.round(3).tolist()}")
+    raise ValueError(
+        "the arm must reach the ball: no pose within the joints' ranges has the racket's centre "
+        f"at {place.round(3).tolist()}"
+    )

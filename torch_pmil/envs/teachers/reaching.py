@@ -1,10 +1,11 @@
 """Places that the double pendulum's tip reaches and holds: one task with many targets.
 
-A target eta is the place [x, y] of the tip in m, as ``link_positions`` gives it. All are below the base, the elbow always to their left,
-so that the pose is a smooth function of the target. Holding them takes up to 2.3 of the 3.5 N·m; in many of them the outer link points
-upward and falls without feedback. A place counts as reached within 0.1 m, and the training targets are 0.28 m to 0.4 m from each other:
-who goes to the nearest of them instead reaches no other place of the grid. The grid of test targets surrounds the triangle of the training
-targets and extends 0.1 m beyond it.
+A target eta is the place [x, y] of the tip in m, as ``link_positions`` gives it. All are below the
+base, the elbow always to their left, so that the pose is a smooth function of the target. Holding
+them takes up to 2.3 of the 3.5 N·m; in many of them the outer link points upward and falls without
+feedback. A place counts as reached within 0.1 m, and the training targets are 0.28 m to 0.4 m from
+each other: who goes to the nearest of them instead reaches no other place of the grid. The grid of
+test targets surrounds the triangle of the training targets and extends 0.1 m beyond it.
 """
 
 from __future__ import annotations
@@ -18,18 +19,30 @@ from torch import Tensor
 from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv, double_pendulum_model
 from torch_pmil.envs.teachers.exact_tracking import tracking_torques
 from torch_pmil.envs.teachers.swing_up import STEPS, TORQUE_NOISE, demonstrate, expert_for
-from torch_pmil.envs.teachers.trajectory_optimization import Array, QuadraticCost, TrackingController
+from torch_pmil.envs.teachers.trajectory_optimization import (
+    Array,
+    QuadraticCost,
+    TrackingController,
+)
 
-TRAINING_TARGETS = torch.tensor([[0.1, -0.6], [0.5, -0.6], [0.3, -0.4]], dtype=torch.float64)  # (3, 2), m
+TRAINING_TARGETS = torch.tensor(
+    [[0.1, -0.6], [0.5, -0.6], [0.3, -0.4]], dtype=torch.float64
+)  # (3, 2), m
 COLUMNS = torch.arange(0, 7, dtype=torch.float64) / 10  # x of the test targets, m
 ROWS = torch.arange(-7, -2, dtype=torch.float64) / 10  # y of the test targets, m
 TEST_TARGETS = torch.cartesian_prod(ROWS, COLUMNS).flip(-1)  # (35, 2), m; row by row from below
-STATE_WEIGHTS = (10.0, 2.0, 10.0, 2.0)  # of the plan at each step: it goes there at once, and is there after about 1.5 s
+STATE_WEIGHTS = (
+    10.0,
+    2.0,
+    10.0,
+    2.0,
+)  # of the plan at each step: it goes there at once, and is there after about 1.5 s
 ACTION_WEIGHTS = (0.5, 0.5)  # of the torques beside those that hold the target
 
 
 def pose_at(targets: Tensor) -> Tensor:
-    """Angles [q1, q2] with which the tip is at the targets, the elbow on their left seen from the base, hence q2 < 0.
+    """Angles [q1, q2] with which the tip is at the targets, the elbow on their left seen from the
+    base, hence q2 < 0.
 
     Args:
         targets: [x, y] of the tip, (*batch, 2), m.
@@ -47,7 +60,10 @@ def pose_at(targets: Tensor) -> Tensor:
     reach = targets.norm(dim=-1)
     bad = targets[~((reach > 0) & (reach <= 2 * LINK_LENGTH))]
     if len(bad):
-        raise ValueError(f"targets must be in the arm's reach, from 0 to {2 * LINK_LENGTH} m from its base, got {bad[0].tolist()}")
+        raise ValueError(
+            f"targets must be in the arm's reach, from 0 to {2 * LINK_LENGTH} m from its base, got "
+            f"{bad[0].tolist()}"
+        )
     direction = torch.atan2(targets[..., 0], targets[..., 1]).remainder(2 * math.pi)
     bend = (reach / (2 * LINK_LENGTH)).acos()
     return torch.stack([direction + bend, -2 * bend], dim=-1)
@@ -60,17 +76,21 @@ def holding_torques(targets: Tensor) -> Tensor:
         >>> holding_torques(TEST_TARGETS).abs().amax(0)
         tensor([2.3395, 1.2263], dtype=torch.float64)
     """
-    return tracking_torques(double_pendulum_model(), _resting_at(targets), torch.zeros(len(targets), 2))
+    return tracking_torques(
+        double_pendulum_model(), _resting_at(targets), torch.zeros(len(targets), 2)
+    )
 
 
 def reaching_expert(target: Tensor) -> TrackingController:
-    """Plan the motion from hanging to a target and a controller that follows the plan, then holds the tip there.
+    """Plan the motion from hanging to a target and a controller that follows the plan, then holds
+    the tip there.
 
     Args:
         target: [x, y] of the tip, (2,), m.
 
     Returns:
-        The controller, a function of step (0..24) and states (N, 4) that returns torques (N, 2) in N·m, at most 3.5.
+        The controller, a function of step (0..24) and states (N, 4) that returns torques (N, 2) in
+        N·m, at most 3.5.
 
     Raises:
         ValueError: the target is out of the arm's reach.
@@ -78,18 +98,27 @@ def reaching_expert(target: Tensor) -> TrackingController:
     """
     torque = holding_torques(target[None])[0].numpy()
     guess = torque * np.linspace(0.0, 1.0, STEPS)[:, None]
-    cost = QuadraticCost(_resting_at(target).numpy(), np.tile(STATE_WEIGHTS, (STEPS + 1, 1)), np.array(ACTION_WEIGHTS), hold_action=torque)
+    cost = QuadraticCost(
+        _resting_at(target).numpy(),
+        np.tile(STATE_WEIGHTS, (STEPS + 1, 1)),
+        np.array(ACTION_WEIGHTS),
+        hold_action=torque,
+    )
     return expert_for(cost, guess)
 
 
-def demonstrate_reaching(env: DoublePendulumEnv, targets: Tensor, seed: int, torque_noise: float = TORQUE_NOISE) -> tuple[Tensor, Tensor]:
-    """Let the experts of N targets move N double pendulums at once, each time a little beside the torques that they mean.
+def demonstrate_reaching(
+    env: DoublePendulumEnv, targets: Tensor, seed: int, torque_noise: float = TORQUE_NOISE
+) -> tuple[Tensor, Tensor]:
+    """Let the experts of N targets move N double pendulums at once, each time a little beside the
+    torques that they mean.
 
     Args:
         env: the N robots, which draw the starts.
         targets: where each is to go, (N, 2), m.
         seed: of the noise.
-        torque_noise: standard deviation of what is added to the torques, drawn anew at each step, in N·m.
+        torque_noise: standard deviation of what is added to the torques, drawn anew at each step,
+            in N·m.
 
     Returns:
         States x_0..x_T, (N, T + 1, 4), and the torques that were applied, (N, T, 2), in N·m.
@@ -99,8 +128,14 @@ def demonstrate_reaching(env: DoublePendulumEnv, targets: Tensor, seed: int, tor
         RuntimeError: a plan does not get there.
     """
     if targets.shape != (*env.batch_size, 2):
-        raise ValueError(f"targets must have shape {(*env.batch_size, 2)}, one for each robot, got {tuple(targets.shape)}")
-    experts = {target: reaching_expert(torch.tensor(target).double()) for target in set(map(tuple, targets.tolist()))}
+        raise ValueError(
+            f"targets must have shape {(*env.batch_size, 2)}, one for each robot, got "
+            f"{tuple(targets.shape)}"
+        )
+    experts = {
+        target: reaching_expert(torch.tensor(target).double())
+        for target in set(map(tuple, targets.tolist()))
+    }
     of_robot = [experts[tuple(target)] for target in targets.tolist()]
 
     def expert(step: int, states: Array) -> Array:

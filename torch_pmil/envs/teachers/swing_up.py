@@ -30,7 +30,9 @@ TORQUE_NOISE = 0.1  # N·m, standard deviation of the demonstrator's imprecision
 PLANNING_TIMESTEP = 0.01  # s; five times the simulation's, exact enough to plan with
 
 
-def swing_up_expert(link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5) -> TrackingController:
+def swing_up_expert(
+    link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5
+) -> TrackingController:
     """Plan the swing-up from hanging and a controller that follows the plan, then balances.
 
     Args:
@@ -38,25 +40,33 @@ def swing_up_expert(link_masses: Sequence[float] = (0.5, 0.5), torque_limit: flo
         torque_limit: largest absolute torque of plan and feedback together, in N·m.
 
     Returns:
-        The controller, a function of step (0..24) and states (N, 4) that returns torques (N, 2) in N·m.
+        The controller, a function of step (0..24) and states (N, 4) that returns torques (N, 2) in
+        N·m.
 
     Raises:
         RuntimeError: the plan does not reach the upright position within the torque limit.
     """
     guess = np.random.default_rng(0).normal(size=(5, 2)).repeat(5, axis=0)
-    state_weights = np.tile([0.001, 0.05, 0.001, 0.05], (STEPS + 1, 1))  # a calm teacher: speed costs, not being away
+    state_weights = np.tile(
+        [0.001, 0.05, 0.001, 0.05], (STEPS + 1, 1)
+    )  # a calm teacher: speed costs, not being away
     state_weights[UPRIGHT_FROM:] = [100.0, 10.0, 100.0, 10.0]
     cost = QuadraticCost(UPRIGHT, state_weights, action_weights=np.full(2, 0.2))
     return expert_for(cost, guess, link_masses, torque_limit)
 
 
 def expert_for(
-    cost: QuadraticCost, guess: Array, link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5
+    cost: QuadraticCost,
+    guess: Array,
+    link_masses: Sequence[float] = (0.5, 0.5),
+    torque_limit: float = 3.5,
 ) -> TrackingController:
-    """Plan how to come from hanging to a pose, and a controller that follows the plan, then holds the pose.
+    """Plan how to come from hanging to a pose, and a controller that follows the plan, then holds
+    the pose.
 
     Args:
-        cost: of the motion; its target is the pose at rest, its ``hold_action`` the torques (2,) that keep it, in N·m.
+        cost: of the motion; its target is the pose at rest, its ``hold_action`` the torques (2,)
+            that keep it, in N·m.
         guess: torques to plan from, (25, 2), in N·m.
         link_masses: masses of the two rods in kg.
         torque_limit: largest absolute torque of plan and feedback together, in N·m.
@@ -69,7 +79,8 @@ def expert_for(
     plan = plan_trajectory(dynamics, HANGING, cost, guess, planned_torque)
     if np.abs(plan.states[HOLD_FROM] - cost.target).max() > 0.1:
         raise RuntimeError(
-            f"no plan found within {planned_torque[0]} N·m for link masses {link_masses} kg to the state {cost.target.tolist()}"
+            f"no plan found within {planned_torque[0]} N·m for link masses {link_masses} kg to the "
+            f"state {cost.target.tolist()}"
         )
     return tracking_controller(
         dynamics,
@@ -84,15 +95,21 @@ def expert_for(
 
 
 def demonstrate(
-    env: DoublePendulumEnv, expert: Callable[[int, Array], Array], seed: int, torque_noise: float = TORQUE_NOISE
+    env: DoublePendulumEnv,
+    expert: Callable[[int, Array], Array],
+    seed: int,
+    torque_noise: float = TORQUE_NOISE,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Let an expert move N double pendulums at once, each time a little beside the torques that it means.
+    """Let an expert move N double pendulums at once, each time a little beside the torques that it
+    means.
 
     Args:
         env: the N robots, which draw the starts.
-        expert: torques (N, 2) in N·m of step (0..24) and states (N, 4), such as :func:`swing_up_expert`.
+        expert: torques (N, 2) in N·m of step (0..24) and states (N, 4), such as
+            :func:`swing_up_expert`.
         seed: of the noise.
-        torque_noise: standard deviation of what is added to the torques, drawn anew at each step, in N·m.
+        torque_noise: standard deviation of what is added to the torques, drawn anew at each step,
+            in N·m.
 
     Returns:
         States x_0..x_T, (N, T + 1, 4), and the torques that were applied, (N, T, 2), in N·m.
@@ -103,20 +120,33 @@ def demonstrate(
     def imprecise_expert(step: int, states: Array) -> Array:
         return (expert(step, states) + torque_noise * noise[step]).clip(-limit, limit)
 
-    states, torques = roll_out(array_dynamics(env), env.reset()["observation"].numpy(), imprecise_expert, STEPS)
+    states, torques = roll_out(
+        array_dynamics(env), env.reset()["observation"].numpy(), imprecise_expert, STEPS
+    )
     return torch.from_numpy(states), torch.from_numpy(torques)
 
 
-def planning_dynamics(link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5) -> Dynamics:
+def planning_dynamics(
+    link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5
+) -> Dynamics:
     """The double pendulum at a coarser simulation step, as a function of arrays."""
     model = double_pendulum_model(link_masses)
     model.opt.timestep = PLANNING_TIMESTEP
-    env = MujocoRobotEnv(model, ("q1", "q2"), initial_mean=HANGING.tolist(), initial_std=(0.0,) * 4, torque_limit=torque_limit, seed=0)
+    env = MujocoRobotEnv(
+        model,
+        ("q1", "q2"),
+        initial_mean=HANGING.tolist(),
+        initial_std=(0.0,) * 4,
+        torque_limit=torque_limit,
+        seed=0,
+    )
     return array_dynamics(env)
 
 
 def array_dynamics(env: MujocoRobotEnv) -> Dynamics:
-    """One control period of an environment as a function of arrays: states (N, D), actions (N, F) to states (N, D)."""
+    """One control period of an environment as a function of arrays: states (N, D), actions (N, F)
+    to states (N, D).
+    """
 
     def dynamics(states: Array, actions: Array) -> Array:
         return env.simulate(torch.tensor(states), torch.tensor(actions)).numpy()

@@ -1,8 +1,8 @@
 r"""Control-limited trajectory optimisation and tracking: the expert that demonstrates a task.
 
-Iterative LQR with the torque limits as a box at each step (Tassa, Mansard and Todorov, 2014), then a time-varying
-LQR about the plan and an infinite-horizon LQR about its target. Knows no robot: ``dynamics`` maps states (N, D) and
-actions (N, F) to the states (N, D) one control period later.
+Iterative LQR with the torque limits as a box at each step (Tassa, Mansard and Todorov, 2014), then
+a time-varying LQR about the plan and an infinite-horizon LQR about its target. Knows no robot:
+``dynamics`` maps states (N, D) and actions (N, F) to the states (N, D) one control period later.
 
 =========  =========================================================================
 symbol     here
@@ -37,7 +37,8 @@ MU_MIN, MU_MAX, MU_FACTOR = 1e-8, 1e8, 4.0
 
 @dataclass(frozen=True)
 class QuadraticCost:
-    """Cost of a trajectory: half the sum of state_weights (x - target)² and action_weights (u - hold_action)².
+    """Cost of a trajectory: half the sum of state_weights (x - target)² and action_weights (u -
+    hold_action)².
 
     Attributes:
         target: state to reach, (D,).
@@ -54,7 +55,9 @@ class QuadraticCost:
     def __call__(self, states: Array, actions: Array) -> Array:
         """Costs (*batch,) of trajectories with states (*batch, T+1, D) and actions (*batch, T, F)."""
         state_cost = (self.state_weights * (states - self.target) ** 2).sum((-2, -1))
-        return (state_cost + (self.action_weights * (actions - self.hold_action) ** 2).sum((-2, -1))) / 2
+        return (
+            state_cost + (self.action_weights * (actions - self.hold_action) ** 2).sum((-2, -1))
+        ) / 2
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,9 @@ class TrackingController:
     def __call__(self, step: int, states: Array) -> Array:
         """Actions (N, F) at a step for states (N, D)."""
         if step < self.hold_from:
-            actions = self.plan.actions[step] - (states - self.plan.states[step]) @ self.gains[step].T
+            actions = (
+                self.plan.actions[step] - (states - self.plan.states[step]) @ self.gains[step].T
+            )
         else:
             actions = self.hold_action - (states - self.target) @ self.hold_gain.T
         return actions.clip(-self.action_limit, self.action_limit)
@@ -116,8 +121,9 @@ def plan_trajectory(
 ) -> Plan:
     """Control-limited iterative LQR.
 
-    The search ends where an iteration improves the cost by less than the tolerance, or where none does and the local model, which is
-    not regularised, promises less. Rounding may swallow an improvement, the promise does not depend on it.
+    The search ends where an iteration improves the cost by less than the tolerance, or where none
+    does and the local model, which is not regularised, promises less. Rounding may swallow an
+    improvement, the promise does not depend on it.
 
     Args:
         dynamics: states (N, D) and actions (N, F) to next states (N, D).
@@ -132,15 +138,24 @@ def plan_trajectory(
         The plan; its ``converged`` says whether the tolerance was met.
     """
     guess = initial_actions.clip(-action_limit, action_limit)
-    states, actions = (part[0] for part in roll_out(dynamics, start[None], lambda t, _: guess[t, None], len(guess)))
+    states, actions = (
+        part[0] for part in roll_out(dynamics, start[None], lambda t, _: guess[t, None], len(guess))
+    )
     best, mu = float(cost(states, actions)), 1.0
     A, B = linearize(dynamics, states[:-1], actions)
     for _ in range(max_iterations):
         k, K, _ = _backward(A, B, states, actions, cost, action_limit, mu)
-        new_states, new_actions, new_cost = _line_search(dynamics, states, actions, k, K, cost, action_limit)
+        new_states, new_actions, new_cost = _line_search(
+            dynamics, states, actions, k, K, cost, action_limit
+        )
         if new_cost < best:
             improvement = best - new_cost
-            states, actions, best, mu = new_states, new_actions, new_cost, max(mu / MU_FACTOR, MU_MIN)
+            states, actions, best, mu = (
+                new_states,
+                new_actions,
+                new_cost,
+                max(mu / MU_FACTOR, MU_MIN),
+            )
             A, B = linearize(dynamics, states[:-1], actions)
         else:
             improvement = _backward(A, B, states, actions, cost, action_limit, mu=0.0)[2]
@@ -162,7 +177,8 @@ def tracking_controller(
     action_limit: Array,
     hold_action: Array | float = 0.0,
 ) -> TrackingController:
-    """Time-varying LQR about a plan, then infinite-horizon LQR about the target, an equilibrium under ``hold_action``.
+    """Time-varying LQR about a plan, then infinite-horizon LQR about the target, an equilibrium
+    under ``hold_action``.
 
     Args:
         dynamics: states (N, D) and actions (N, F) to next states (N, D).
@@ -183,16 +199,25 @@ def tracking_controller(
     Q, R = np.diag(state_weights), np.diag(action_weights)
     hold_gain, P = linear_regulator(dynamics, target, state_weights, action_weights, hold_action)
     gains = []
-    for A, B in reversed(list(zip(*linearize(dynamics, plan.states[:-1], plan.actions), strict=True))):
+    for A, B in reversed(
+        list(zip(*linearize(dynamics, plan.states[:-1], plan.actions), strict=True))
+    ):
         gains.append(_lqr_gain(A, B, P, R))
         P = Q + A.T @ P @ (A - B @ gains[-1])
-    return TrackingController(plan, np.array(gains[::-1]), hold_gain, hold_from, target, action_limit, hold_action)
+    return TrackingController(
+        plan, np.array(gains[::-1]), hold_gain, hold_from, target, action_limit, hold_action
+    )
 
 
 def linear_regulator(
-    dynamics: Dynamics, target: Array, state_weights: Array, action_weights: Array, hold_action: Array | float = 0.0
+    dynamics: Dynamics,
+    target: Array,
+    state_weights: Array,
+    action_weights: Array,
+    hold_action: Array | float = 0.0,
 ) -> tuple[Array, Array]:
-    """Infinite-horizon LQR about a target that is an equilibrium under an action: the feedback gain (F, D) and the cost to go (D, D).
+    """Infinite-horizon LQR about a target that is an equilibrium under an action: the feedback gain
+    (F, D) and the cost to go (D, D).
 
     Args:
         dynamics: states (N, D) and actions (N, F) to next states (N, D).
@@ -204,13 +229,22 @@ def linear_regulator(
         numpy.linalg.LinAlgError: the dynamics about the target cannot be stabilised.
     """
     Q, R = np.diag(state_weights), np.diag(action_weights)
-    A, B = (part[0] for part in linearize(dynamics, target[None], np.full((1, len(action_weights)), hold_action)))
+    A, B = (
+        part[0]
+        for part in linearize(
+            dynamics, target[None], np.full((1, len(action_weights)), hold_action)
+        )
+    )
     P = solve_discrete_are(A, B, Q, R)
     return _lqr_gain(A, B, P, R), P
 
 
-def roll_out(dynamics: Dynamics, starts: Array, controller: Callable[[int, Array], Array], steps: int) -> tuple[Array, Array]:
-    """States (N, T+1, D) and actions (N, T, F) from the starts (N, D), under actions (N, F) of step and states."""
+def roll_out(
+    dynamics: Dynamics, starts: Array, controller: Callable[[int, Array], Array], steps: int
+) -> tuple[Array, Array]:
+    """States (N, T+1, D) and actions (N, T, F) from the starts (N, D), under actions (N, F) of step
+    and states.
+    """
     states, actions = [starts], []
     for t in range(steps):
         actions.append(controller(t, states[-1]))
@@ -219,7 +253,9 @@ def roll_out(dynamics: Dynamics, starts: Array, controller: Callable[[int, Array
 
 
 def linearize(dynamics: Dynamics, states: Array, actions: Array) -> tuple[Array, Array]:
-    """Derivatives of the next states, (T, D, D) by state and (T, D, F) by action, from central differences."""
+    """Derivatives of the next states, (T, D, D) by state and (T, D, F) by action, from central
+    differences.
+    """
     dim = states.shape[1]
     points = np.concatenate([states, actions], axis=1)  # (T, D+F)
     offsets = DIFFERENCE_STEP * np.eye(points.shape[1])
@@ -231,9 +267,17 @@ def linearize(dynamics: Dynamics, states: Array, actions: Array) -> tuple[Array,
 
 
 def _backward(
-    A: Array, B: Array, states: Array, actions: Array, cost: QuadraticCost, action_limit: Array, mu: float
+    A: Array,
+    B: Array,
+    states: Array,
+    actions: Array,
+    cost: QuadraticCost,
+    action_limit: Array,
+    mu: float,
 ) -> tuple[Array, Array, float]:
-    """Changes k (T, F) and gains K (T, F, D) of the actions that minimise the local model within the limits, and what k gains there."""
+    """Changes k (T, F) and gains K (T, F, D) of the actions that minimise the local model within
+    the limits, and what k gains there.
+    """
     gradients, R = cost.state_weights * (states - cost.target), np.diag(cost.action_weights)
     excess = actions - cost.hold_action
     V_x, V_xx = gradients[-1], np.diag(cost.state_weights[-1])
@@ -251,18 +295,32 @@ def _backward(
     return k, K, gained
 
 
-def _box_minimum(hessian: Array, gradient: Array, lower: Array, upper: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Minimum of x·gradient + x·hessian·x/2 in a box, (F,), and which coordinates are off its walls, (F,)."""
+def _box_minimum(
+    hessian: Array, gradient: Array, lower: Array, upper: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Minimum of x·gradient + x·hessian·x/2 in a box, (F,), and which coordinates are off its
+    walls, (F,).
+    """
     L = np.linalg.cholesky(hessian)
     # A torque may already be at its limit: the box needs an inside.
-    result = lsq_linear(L.T, -np.linalg.solve(L, gradient), (lower - 1e-12, upper + 1e-12), method="bvls")
+    result = lsq_linear(
+        L.T, -np.linalg.solve(L, gradient), (lower - 1e-12, upper + 1e-12), method="bvls"
+    )
     return result.x, result.active_mask == 0
 
 
 def _line_search(
-    dynamics: Dynamics, states: Array, actions: Array, k: Array, K: Array, cost: QuadraticCost, action_limit: Array
+    dynamics: Dynamics,
+    states: Array,
+    actions: Array,
+    k: Array,
+    K: Array,
+    cost: QuadraticCost,
+    action_limit: Array,
 ) -> tuple[Array, Array, float]:
-    """The cheapest of the trajectories that go a part LINE_SEARCH of the way, all simulated at once."""
+    """The cheapest of the trajectories that go a part LINE_SEARCH of the way, all simulated at
+    once.
+    """
 
     def changed(t: int, new_states: Array) -> Array:
         change = LINE_SEARCH[:, None] * k[t] + (new_states - states[t]) @ K[t].T

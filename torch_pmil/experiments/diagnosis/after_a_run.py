@@ -33,12 +33,20 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 
 @torch.no_grad()
-def likely_reasons(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], horizons: Sequence[int]) -> list[Reason]:
-    """Likely reasons why a run did not learn, the most likely first: what comes first brings about what comes after it.
+def likely_reasons(
+    experiment: Experiment,
+    loss: TrajectoryLoss,
+    outcomes: Sequence[Outcome],
+    horizons: Sequence[int],
+) -> list[Reason]:
+    """Likely reasons why a run did not learn, the most likely first: what comes first brings about
+    what comes after it.
 
-    Wrong demonstrations mislead everything that follows; a robot that is too weak or does not move teaches nothing; a model that is wrong
-    up to the step at which the search is stuck misleads it, and one that is wrong beyond it alone does not: there the policy goes where
-    nothing leads it. Few demonstrations alone seldom keep a robot from learning. Of several targets, the worst one is looked at.
+    Wrong demonstrations mislead everything that follows; a robot that is too weak or does not move
+    teaches nothing; a model that is wrong up to the step at which the search is stuck misleads it,
+    and one that is wrong beyond it alone does not: there the policy goes where nothing leads it.
+    Few demonstrations alone seldom keep a robot from learning. Of several targets, the worst one is
+    looked at.
 
     Args:
         experiment: what was to be learned.
@@ -67,7 +75,14 @@ def likely_reasons(experiment: Experiment, loss: TrajectoryLoss, outcomes: Seque
         *beyond,
         *(reason for reason in found if reason.cause == FEW),
     ]
-    return reasons or [unexplained(int(failed.sum()), len(failed), experiment.tolerance, _largest(experiment, loss, outcomes, doubt))]
+    return reasons or [
+        unexplained(
+            int(failed.sum()),
+            len(failed),
+            experiment.tolerance,
+            _largest(experiment, loss, outcomes, doubt),
+        )
+    ]
 
 
 def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
@@ -79,14 +94,23 @@ def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
     return _found(
         outcome,
         check_torques(outcome.rollouts["action"], experiment.u_max, names, needed),
-        check_motion(experiment.space.match(outcome.executed), outcome.demonstrations.positions, noise_std),
+        check_motion(
+            experiment.space.match(outcome.executed), outcome.demonstrations.positions, noise_std
+        ),
     )
 
 
-def _of_the_model(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome, steps: int) -> list[Reason]:
+def _of_the_model(
+    experiment: Experiment, dynamics: GPDynamics, outcome: Outcome, steps: int
+) -> list[Reason]:
     """What it says of the first steps of rollouts that it was not fitted to."""
-    residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, outcome.rollouts["action"])[:, :steps]
-    known, time_step = known_steps(experiment, dynamics, outcome)[:, :steps], outcome.demonstrations.time_step
+    residuals = standardised_residuals(
+        dynamics, experiment.space, outcome.executed, outcome.rollouts["action"]
+    )[:, :steps]
+    known, time_step = (
+        known_steps(experiment, dynamics, outcome)[:, :steps],
+        outcome.demonstrations.time_step,
+    )
     predicted, executed = outcome.predicted[:steps], outcome.executed[:, : steps + 1]
     return _found(
         outcome,
@@ -98,47 +122,80 @@ def _of_the_model(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome
 def known_steps(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
     """At which steps t = 0..T-1 of the executed rollouts the model knows something, bool, (N, T).
 
-    That is within the limits of the states that it learns from, and with a standard deviation of no entry above half of that without data.
+    That is within the limits of the states that it learns from, and with a standard deviation of no
+    entry above half of that without data.
     """
     before, expansion = outcome.executed[:, :-1], dynamics.expansion
     inputs = torch.cat([experiment.space.features(before), outcome.rollouts["action"]], -1)
     _, variance = expansion.predict(inputs)
-    return (variance <= LITTLE**2 * expansion.signal_variance).all(-1) & (before.abs() <= experiment.limits).all(-1)
+    return (variance <= LITTLE**2 * expansion.signal_variance).all(-1) & (
+        before.abs() <= experiment.limits
+    ).all(-1)
 
 
 def _of_the_search(
-    experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], doubt: Tensor, horizons: Sequence[int], step: int
+    experiment: Experiment,
+    loss: TrajectoryLoss,
+    outcomes: Sequence[Outcome],
+    doubt: Tensor,
+    horizons: Sequence[int],
+    step: int,
 ) -> Reason:
     """The step at which the newest model says that it is stuck."""
     mismatch = _mismatch(experiment, loss, outcomes, step)
-    return check_search(doubt, step, *_named(loss), mismatch, horizons, experiment.demonstrations.time_step)
+    return check_search(
+        doubt, step, *_named(loss), mismatch, horizons, experiment.demonstrations.time_step
+    )
 
 
-def _largest(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], doubt: Tensor) -> str:
+def _largest(
+    experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], doubt: Tensor
+) -> str:
     """What the newest model doubts most."""
     name, unit = _named(loss)
     step = int(doubt.argmax()) + 1
-    said = f"the {name} of a step is at most {doubt[step - 1]:.3g} {unit}, at {step * experiment.demonstrations.time_step:.2f} s"
+    said = (
+        f"the {name} of a step is at most {doubt[step - 1]:.3g} {unit}, at "
+        f"{step * experiment.demonstrations.time_step:.2f} s"
+    )
     return f"{said}, {_mismatch(experiment, loss, outcomes, step)}"
 
 
 def _named(loss: TrajectoryLoss) -> tuple[str, str]:
     """What :meth:`TrajectoryLoss.doubt` is, and its unit."""
-    return (loss.label, loss.unit) if isinstance(loss, TrajectoryKLLoss) else ("cost of the predicted spread", "of 1")
+    return (
+        (loss.label, loss.unit)
+        if isinstance(loss, TrajectoryKLLoss)
+        else ("cost of the predicted spread", "of 1")
+    )
 
 
-def _mismatch(experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], step: int) -> str:
-    """The entry in which prediction and demonstrations differ most at a step, of the target that is worst there."""
+def _mismatch(
+    experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], step: int
+) -> str:
+    """The entry in which prediction and demonstrations differ most at a step, of the target that is
+    worst there.
+    """
     if not isinstance(loss, TrajectoryKLLoss):
         return "where the prediction is too wide to be followed"
     match, noise_std = experiment.space.match, experiment.noise_std
-    beliefs = [(outcome.expert[step - 1], match.belief(outcome.predicted[step - 1]).add_noise(noise_std**2)) for outcome in outcomes]
+    beliefs = [
+        (
+            outcome.expert[step - 1],
+            match.belief(outcome.predicted[step - 1]).add_noise(noise_std**2),
+        )
+        for outcome in outcomes
+    ]
     worst = max(range(len(outcomes)), key=lambda number: gaussian_kl(*beliefs[number]).item())
     label = outcomes[worst].label
-    return worst_entry(*beliefs[worst], match.names, match.units) + (f" at {label}" if label else "")
+    return worst_entry(*beliefs[worst], match.names, match.units) + (
+        f" at {label}" if label else ""
+    )
 
 
 def _found(outcome: Outcome, *reasons: Reason | None) -> list[Reason]:
     """Those that there are; of several targets, with the name of theirs."""
     where = f"at {outcome.label}, " if outcome.label else ""
-    return [replace(reason, message=where + reason.message) for reason in reasons if reason is not None]
+    return [
+        replace(reason, message=where + reason.message) for reason in reasons if reason is not None
+    ]

@@ -24,21 +24,28 @@ from torch_pmil.experiments.tasks.experiment import Experiment
 def check(experiment: Experiment) -> list[Finding]:
     """Check the demonstrations of an experiment; those shipped have no finding.
 
-    Modes, jumps and the number are those of each target. Reach and torques are told where the experiment's states were recovered sample by
-    sample, and as far as the robot knows its stops and its inverse dynamics.
+    Modes, jumps and the number are those of each target. Reach and torques are told where the
+    experiment's states were recovered sample by sample, and as far as the robot knows its stops and
+    its inverse dynamics.
 
     Example:
         >>> from torch_pmil.experiments import load_experiment
         >>> check(load_experiment("double_pendulum"))
         []
     """
-    demonstrations, noise_std = experiment.demonstrations, torch.as_tensor(experiment.noise_std, dtype=torch.float64)
+    demonstrations, noise_std = (
+        experiment.demonstrations,
+        torch.as_tensor(experiment.noise_std, dtype=torch.float64),
+    )
     sets: Sequence[Demonstrations]
     if demonstrations.targets is None:
         sets, numbers = (demonstrations,), [list(range(len(demonstrations.positions)))]
     else:
         targets, sets = demonstrations.by_target()
-        numbers = [(demonstrations.targets == target).all(-1).nonzero().flatten().tolist() for target in targets]
+        numbers = [
+            (demonstrations.targets == target).all(-1).nonzero().flatten().tolist()
+            for target in targets
+        ]
     return [
         *_check_robot(experiment, noise_std),
         *check_start(demonstrations, experiment.space.match.belief(experiment.initial), noise_std),
@@ -51,15 +58,23 @@ def check(experiment: Experiment) -> list[Finding]:
 
 def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Finding]:
     """What the robot itself cannot do."""
-    demonstrations, (N, samples, _) = experiment.demonstrations, experiment.demonstrations.positions.shape
+    demonstrations, (N, samples, _) = (
+        experiment.demonstrations,
+        experiment.demonstrations.positions.shape,
+    )
     if len(experiment.demonstrated_states) != N * samples:
         return []
-    states, env = experiment.demonstrated_states.reshape(N, samples, -1), experiment.first_robot(seed=0)
+    states, env = (
+        experiment.demonstrated_states.reshape(N, samples, -1),
+        experiment.first_robot(seed=0),
+    )
     findings = check_reach(demonstrations, experiment.space.match(states), noise_std)
     if (excess := env.beyond_range(states)) is not None:
         findings += check_stops(excess, demonstrations.time_step)
     if not findings and (torques := needed_torques(experiment)) is not None:
-        findings += check_torques(torques, experiment.u_max, env.motor_names, demonstrations.time_step)
+        findings += check_torques(
+            torques, experiment.u_max, env.motor_names, demonstrations.time_step
+        )
     return findings
 
 
@@ -67,7 +82,8 @@ def needed_torques(experiment: Experiment) -> torch.Tensor | None:
     """Torques along the demonstrations, (N, T, F), N·m.
 
     Returns:
-        None where the experiment's states were not recovered sample by sample, or the robot does not know its inverse dynamics.
+        None where the experiment's states were not recovered sample by sample, or the robot does
+        not know its inverse dynamics.
 
     Example:
         >>> from torch_pmil.experiments import load_experiment
@@ -78,6 +94,9 @@ def needed_torques(experiment: Experiment) -> torch.Tensor | None:
     if len(experiment.demonstrated_states) != N * samples or samples < 3:
         return None
     env = experiment.first_robot(seed=0)
-    torques = [env.needed_torques(states) for states in experiment.demonstrated_states.reshape(N, samples, -1)]
+    torques = [
+        env.needed_torques(states)
+        for states in experiment.demonstrated_states.reshape(N, samples, -1)
+    ]
     known = [each for each in torques if each is not None]
     return torch.stack(known) if known else None

@@ -1,7 +1,8 @@
-"""Why a run did not learn: likely reasons in words, from what was predicted and what the robot did; knows no robot.
+"""Why a run did not learn: likely reasons in words, from what was predicted and what the robot did;
+knows no robot.
 
-A threshold lies beyond what was measured of any run that learned; the comments say the nearest value, of ``results/diagnosis/summary.json``
-(``benchmarks/diagnosis.py``).
+A threshold lies beyond what was measured of any run that learned; the comments say the nearest
+value, of ``results/diagnosis/summary.json`` (``benchmarks/diagnosis.py``).
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from torch_pmil.search.kl import gaussian_kl_terms
 
 LEARNED = 0.95  # success rate of a run that has nothing to explain: the paper's
 COVERED = 0.75  # share of one-step errors within two standard deviations; learned: 0.81 and more
-FOLLOWED = 0.7  # share of executed entries within two predicted standard deviations; learned: 0.75 and more
+# share of executed entries within two predicted standard deviations; learned: 0.75 and more
+FOLLOWED = 0.7
 UNKNOWN = 0.2  # share of the executed steps at which the model knows little; learned: up to 0.04
 LITTLE = 0.5  # posterior over prior standard deviation, from which on it knows little
 MISMATCH = 1.5  # largest doubt of a step over what the search trusts; learned: up to 1.31
@@ -66,7 +68,8 @@ def covered_fraction(residuals: Tensor) -> Tensor:
 
 
 def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | None:
-    """First step t at which fewer than half of the rollouts are within two predicted standard deviations, and in which entry.
+    """First step t at which fewer than half of the rollouts are within two predicted standard
+    deviations, and in which entry.
 
     Args:
         predicted: marginals at t = 1..T, mean (T, D).
@@ -104,7 +107,8 @@ def first_mismatch(doubt: Tensor, trusted: float) -> int | None:
 
 
 def group(findings: Sequence[Finding]) -> list[Reason]:
-    """One reason for each cause among what was found in the demonstrations, the first finding of each in full.
+    """One reason for each cause among what was found in the demonstrations, the first finding of
+    each in full.
 
     Example:
         >>> group([Finding("a", "one is off"), Finding("a", "two is off")])
@@ -114,11 +118,14 @@ def group(findings: Sequence[Finding]) -> list[Reason]:
     for finding in findings:
         messages.setdefault(finding.cause, []).append(finding.message)
     return [
-        Reason(cause, first + (f" (and {len(others)} more of this kind)" if others else "")) for cause, (first, *others) in messages.items()
+        Reason(cause, first + (f" (and {len(others)} more of this kind)" if others else ""))
+        for cause, (first, *others) in messages.items()
     ]
 
 
-def check_torques(actions: Tensor, limits: Tensor, names: Sequence[str], needed: Tensor | None) -> Reason | None:
+def check_torques(
+    actions: Tensor, limits: Tensor, names: Sequence[str], needed: Tensor | None
+) -> Reason | None:
     """A torque that is at its limit most of the time.
 
     Args:
@@ -138,7 +145,8 @@ def check_torques(actions: Tensor, limits: Tensor, names: Sequence[str], needed:
         return None
     return Reason(
         "torque at its limit",
-        f"motor {names[motor]} is within 5 % of its limit of {limits[motor]:g} N·m in {_percent(fraction[motor])} of the steps"
+        f"motor {names[motor]} is within 5 % of its limit of {limits[motor]:g} N·m in "
+        f"{_percent(fraction[motor])} of the steps"
         + _need(limits[motor].item(), None if needed is None else needed[motor].item()),
     )
 
@@ -148,8 +156,14 @@ def _need(limit: float, needed: float | None) -> str:
     if needed is None:
         return "; a stronger motor, or a slower or smaller demonstration, leaves it room to correct"
     if needed > limit:
-        return f", and the demonstrations need up to {needed:.1f} N·m; give it more torque, or show the motion more slowly or smaller"
-    return f", though the demonstrations need no more than {needed:.1f} N·m: the policy swings from limit to limit; try another seed"
+        return (
+            f", and the demonstrations need up to {needed:.1f} N·m; give it more torque, or show "
+            "the motion more slowly or smaller"
+        )
+    return (
+        f", though the demonstrations need no more than {needed:.1f} N·m: the policy swings from "
+        "limit to limit; try another seed"
+    )
 
 
 def check_motion(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> Reason | None:
@@ -171,13 +185,16 @@ def check_motion(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> R
         return None
     return Reason(
         "robot did not move",
-        f"the robot went {_percent(moved)} as far from its start as the demonstrations: torques below its weight or static friction move "
-        "and teach nothing; begin at torques that hold it (holding_torques), and let its first motion be larger (first_motion)",
+        f"the robot went {_percent(moved)} as far from its start as the demonstrations: torques "
+        "below its weight or static friction move and teach nothing; begin at torques that hold "
+        "it (holding_torques), and let its first motion be larger (first_motion)",
     )
 
 
 def moved_fraction(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> float:
-    """How far the robot went from its start, over how far the demonstrations go; see :func:`check_motion`."""
+    """How far the robot went from its start, over how far the demonstrations go; see
+    :func:`check_motion`.
+    """
     return (_farthest(executed, noise_std) / _farthest(demonstrated, noise_std)).item()
 
 
@@ -186,11 +203,14 @@ def _farthest(positions: Tensor, noise_std: Tensor) -> Tensor:
     return ((positions - positions[:, :1]) / noise_std).norm(dim=-1).amax(-1).median()
 
 
-def check_model(residuals: Tensor, predicted: Gaussian, executed: Tensor, names: Sequence[str], time_step: float) -> Reason | None:
+def check_model(
+    residuals: Tensor, predicted: Gaussian, executed: Tensor, names: Sequence[str], time_step: float
+) -> Reason | None:
     """A model that promises more than the robot keeps, from step to step or over the trajectory.
 
     Args:
-        residuals: one-step errors of rollouts that the model was not fitted to, in predicted standard deviations, (S, D).
+        residuals: one-step errors of rollouts that the model was not fitted to, in predicted
+            standard deviations, (S, D).
         predicted: marginals at t = 1..T, mean (T, D).
         executed: the rollouts x_0..x_T, (N, T + 1, D).
         names: of the D entries.
@@ -209,9 +229,18 @@ def check_model(residuals: Tensor, predicted: Gaussian, executed: Tensor, names:
     left, worst = first_departure(predicted, executed), int(covered.argmin())
     return Reason(
         "model not right",
-        (f"{_percent(covered[worst])} of the one-step errors in {names[worst]}, and " if told else "")
+        (
+            f"{_percent(covered[worst])} of the one-step errors in {names[worst]}, and "
+            if told
+            else ""
+        )
         + f"{_percent(followed)} of the executed states, lie within two predicted standard deviations (95 % if the model were right)"
-        + (f"; the rollouts leave the prediction at {left[0] * time_step:.2f} s, first in {names[left[1]]}" if left else "")
+        + (
+            f"; the rollouts leave the prediction at {left[0] * time_step:.2f} s, first in "
+            f"{names[left[1]]}"
+            if left
+            else ""
+        )
         + "; give it more data there (more trials, a larger first motion), and see that load, friction, delay and sensors have not changed",
     )
 
@@ -236,12 +265,21 @@ def check_experience(unknown: Tensor, data: int, time_step: float) -> Reason | N
     first = int((unknown.double().mean(0) > UNKNOWN).nonzero()[0])
     return Reason(
         "too little experience",
-        f"in {_percent(share)} of the executed steps, first at {first * time_step:.2f} s, the robot is where the {data} transitions of its "
-        "model tell little; give it more of them: more trials, or a longer or larger first motion",
+        f"in {_percent(share)} of the executed steps, first at {first * time_step:.2f} s, the "
+        f"robot is where the {data} transitions of its model tell little; give it more of them: "
+        "more trials, or a longer or larger first motion",
     )
 
 
-def check_search(doubt: Tensor, step: int, name: str, unit: str, mismatch: str, horizons: Sequence[int], time_step: float) -> Reason:
+def check_search(
+    doubt: Tensor,
+    step: int,
+    name: str,
+    unit: str,
+    mismatch: str,
+    horizons: Sequence[int],
+    time_step: float,
+) -> Reason:
     """A search that is stuck at a step.
 
     Args:
@@ -258,11 +296,17 @@ def check_search(doubt: Tensor, step: int, name: str, unit: str, mismatch: str, 
         >>> check_search(doubt, 3, "KL", "nats", "most in q", [2, 2, 2, 2], 0.1).message.partition(";")[0]
         'the KL of a step rises from 0.5 at 0.20 s to 14 nats at 0.30 s (step 3 of 4), most in q'
     """
-    T, before = len(doubt), f"rises from {doubt[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to" if step > 1 else "is"
+    T, before = (
+        len(doubt),
+        f"rises from {doubt[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to"
+        if step > 1
+        else "is",
+    )
     return Reason(
         "search stuck",
-        f"the {name} of a step {before} {doubt[step - 1]:.3g} {unit} at {step * time_step:.2f} s (step {step} of {T}), {mismatch}; "
-        f"the last searches went up to step {', '.join(map(str, horizons[-LATEST - 2 :]))}: "
+        f"the {name} of a step {before} {doubt[step - 1]:.3g} {unit} at {step * time_step:.2f} s "
+        f"(step {step} of {T}), {mismatch}; the last searches went up to step "
+        f"{', '.join(map(str, horizons[-LATEST - 2 :]))}: "
         + (
             "more trials may lead them further"
             if _advancing(horizons)
@@ -277,8 +321,11 @@ def _advancing(horizons: Sequence[int]) -> bool:
     return len(horizons) <= LATEST or max(horizons[-LATEST:]) > max(horizons[:-LATEST])
 
 
-def worst_entry(expert: Gaussian, predicted: Gaussian, names: Sequence[str], units: Sequence[str]) -> str:
-    """The entry with the largest part in the KL of a step (:func:`~torch_pmil.search.kl.gaussian_kl_terms`), its means and standard deviations.
+def worst_entry(
+    expert: Gaussian, predicted: Gaussian, names: Sequence[str], units: Sequence[str]
+) -> str:
+    """The entry with the largest part in the KL of a step
+    (:func:`~torch_pmil.search.kl.gaussian_kl_terms`), its means and standard deviations.
 
     Args:
         expert, predicted: marginals of the step, mean (M,), observation noise included.
@@ -292,7 +339,10 @@ def worst_entry(expert: Gaussian, predicted: Gaussian, names: Sequence[str], uni
     """
     terms = gaussian_kl_terms(expert, predicted)
     worst = int((terms.mean + terms.spread).argmax())
-    said = (f"{belief.mean[worst]:.2f} ± {belief.std[worst]:.2f} {units[worst]}" for belief in (predicted, expert))
+    said = (
+        f"{belief.mean[worst]:.2f} ± {belief.std[worst]:.2f} {units[worst]}"
+        for belief in (predicted, expert)
+    )
     return "most in {} (predicted {}, demonstrated {})".format(names[worst], *said)
 
 
@@ -307,9 +357,10 @@ def unexplained(failed: int, count: int, tolerance: float, largest: str) -> Reas
     """
     return Reason(
         "success criterion",
-        f"the robot does what was predicted, and the search is content with it, yet {failed} of {count} rollouts have an error above "
-        f"{tolerance:.3g}: the criterion asks for more than the objective does. {largest}; a smaller noise_std, or more trials "
-        "and confirmations, bring the robot nearer to the demonstrations",
+        f"the robot does what was predicted, and the search is content with it, yet {failed} of "
+        f"{count} rollouts have an error above {tolerance:.3g}: the criterion asks for more than "
+        f"the objective does. {largest}; a smaller noise_std, or more trials and confirmations, "
+        "bring the robot nearer to the demonstrations",
     )
 
 

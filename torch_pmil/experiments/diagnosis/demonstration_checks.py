@@ -1,4 +1,6 @@
-"""Demonstrations that break what the method assumes, told before a robot learns from them; knows no robot."""
+"""Demonstrations that break what the method assumes, told before a robot learns from them; knows no
+robot.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,19 @@ from torch_pmil.gp.gaussian import Gaussian
 SIGNIFICANCE = 0.01  # of two modes: false alarms
 LEAST_EXPLAINED = 0.75  # of all scatter, by two modes
 START_SIGNIFICANCE = 1e-3  # of a start beside p(x_0), for all demonstrations together
-SAME = 0.01  # largest difference of two that are one, in standard deviations of the observation noise
+SAME = (
+    0.01  # largest difference of two that are one, in standard deviations of the observation noise
+)
 LEAST_JUMP = 6.0  # second difference of a jump, in standard deviations of the observation noise
 LONE_JUMP = 3.0  # the same, beside the largest one of the other demonstrations
 NEARBY = 2  # samples before and after, in which the others are compared
 OUT_OF_REACH = 2.0  # standard deviations of the observation noise
 STOP_MARGIN = 0.05  # rad or m, that a joint may be beyond its stop
 TORQUE_MARGIN = 1.3  # of the limit: so uncertain are torques of a motion known at the control rate
-UNREACHABLE, FEW = "demonstrations out of reach", "too few demonstrations"  # causes that several checks tell
+UNREACHABLE, FEW = (
+    "demonstrations out of reach",
+    "too few demonstrations",
+)  # causes that several checks tell
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,9 @@ class Finding:
     fatal: bool = False
 
 
-def check_modes(sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor) -> list[Finding]:
+def check_modes(
+    sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
+) -> list[Finding]:
     """Two modes in the demonstrations of one target.
 
     Args:
@@ -60,13 +69,15 @@ def check_modes(sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]]
     for demonstrations, known in zip(sets, numbers, strict=True):
         split = split_in_two(demonstrations.positions / noise_std)
         if split and split.p_value < SIGNIFICANCE and split.explained > LEAST_EXPLAINED:
-            first, second = (", ".join(str(known[member]) for member in part) for part in split.parts)
+            first, second = (
+                ", ".join(str(known[member]) for member in part) for part in split.parts
+            )
             findings.append(
                 Finding(
                     "contradictory demonstrations",
                     f"demonstrations {first} and {second} are two different ways "
-                    f"({100 * split.explained:.0f} % of the spread is between them, p = {split.p_value:.4f}); "
-                    "their mean is neither: train on one of them alone",
+                    f"({100 * split.explained:.0f} % of the spread is between them, p = "
+                    f"{split.p_value:.4f}); their mean is neither: train on one of them alone",
                 )
             )
     return findings
@@ -80,8 +91,8 @@ def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
     return [
         Finding(
             FEW,
-            f"{count} demonstrations tell the spread in one direction alone, the observation noise stands for the others; "
-            "three to five are better",
+            f"{count} demonstrations tell the spread in one direction alone, the observation "
+            "noise stands for the others; three to five are better",
         )
     ]
 
@@ -91,11 +102,17 @@ def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[
     scaled = demonstrations.positions / noise_std
     largest = (scaled[:, None] - scaled).abs().amax((-2, -1))
     pairs = (largest < SAME).triu(1).nonzero().tolist()
-    return [Finding(FEW, f"demonstrations {first} and {second} are the same; leave one of them out") for first, second in pairs]
+    return [
+        Finding(FEW, f"demonstrations {first} and {second} are the same; leave one of them out")
+        for first, second in pairs
+    ]
 
 
-def check_start(demonstrations: Demonstrations, start: Gaussian, noise_std: Tensor) -> list[Finding]:
-    r"""Demonstrations that begin where the robot does not: beyond the :math:`\chi^2` quantile of the observed p(x_0).
+def check_start(
+    demonstrations: Demonstrations, start: Gaussian, noise_std: Tensor
+) -> list[Finding]:
+    r"""Demonstrations that begin where the robot does not: beyond the :math:`\chi^2` quantile of
+    the observed p(x_0).
 
     Args:
         demonstrations: N of them.
@@ -104,7 +121,9 @@ def check_start(demonstrations: Demonstrations, start: Gaussian, noise_std: Tens
     """
     belief = start.add_noise(noise_std**2)
     deviation = demonstrations.positions[:, 0] - belief.mean
-    white = torch.linalg.solve_triangular(torch.linalg.cholesky(belief.cov), deviation.mT, upper=False)
+    white = torch.linalg.solve_triangular(
+        torch.linalg.cholesky(belief.cov), deviation.mT, upper=False
+    )
     bound = chi2.isf(START_SIGNIFICANCE / len(deviation), len(belief.mean))
     findings = []
     for number in (white.square().sum(0) > bound).nonzero().flatten().tolist():
@@ -113,15 +132,20 @@ def check_start(demonstrations: Demonstrations, start: Gaussian, noise_std: Tens
         findings.append(
             Finding(
                 "demonstrations start elsewhere",
-                f"demonstration {number} starts at {demonstrations.names[entry]} = {demonstrations.positions[number, 0, entry]:.3g}, "
-                f"{off:+.3g} from where the robot starts (standard deviation {std:.3g}); cut it, shift it, or start the robot there",
+                f"demonstration {number} starts at {demonstrations.names[entry]} = "
+                f"{demonstrations.positions[number, 0, entry]:.3g}, {off:+.3g} from where the "
+                f"robot starts (standard deviation {std:.3g}); cut it, shift it, or start the "
+                "robot there",
             )
         )
     return findings
 
 
-def check_jumps(sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor) -> list[Finding]:
-    """Jumps from sample to sample, as of a tracker that lost its point: second differences that no other demonstration has near that time.
+def check_jumps(
+    sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
+) -> list[Finding]:
+    """Jumps from sample to sample, as of a tracker that lost its point: second differences that no
+    other demonstration has near that time.
 
     Args:
         sets, numbers, noise_std: as for :func:`check_modes`.
@@ -142,8 +166,9 @@ def check_jumps(sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]]
                 findings.append(
                     Finding(
                         "jumps in demonstrations",
-                        f"demonstration {known[number]} jumps in {entry} at {(at + 1) * demonstrations.time_step:.2f} s; "
-                        "pmil align --fastest SPEED leaves jumps out of a recording",
+                        f"demonstration {known[number]} jumps in {entry} at "
+                        f"{(at + 1) * demonstrations.time_step:.2f} s; pmil align --fastest SPEED "
+                        "leaves jumps out of a recording",
                     )
                 )
     return findings
@@ -161,8 +186,10 @@ def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor
     return [
         Finding(
             UNREACHABLE,
-            f"demonstration {number} leaves the workspace: at {step * demonstrations.time_step:.2f} s the robot is no nearer than "
-            f"{apart[number, step, entry]:.3g} in {demonstrations.names[entry]}; scale it or place it elsewhere",
+            f"demonstration {number} leaves the workspace: at "
+            f"{step * demonstrations.time_step:.2f} s the robot is no nearer than "
+            f"{apart[number, step, entry]:.3g} in {demonstrations.names[entry]}; scale it or "
+            "place it elsewhere",
             fatal=True,
         )
         for number, step, entry in _worst(apart / noise_std, OUT_OF_REACH)
@@ -174,15 +201,18 @@ def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
     return [
         Finding(
             UNREACHABLE,
-            f"demonstration {number} leaves the workspace: at {step * time_step:.2f} s joint {joint} would be "
-            f"{excess[number, step, joint]:.3g} beyond its stop; scale it or place it elsewhere",
+            f"demonstration {number} leaves the workspace: at {step * time_step:.2f} s joint "
+            f"{joint} would be {excess[number, step, joint]:.3g} beyond its stop; scale it or "
+            "place it elsewhere",
             fatal=True,
         )
         for number, step, joint in _worst(excess, STOP_MARGIN)
     ]
 
 
-def check_torques(torques: Tensor, limits: Tensor, names: Sequence[str], time_step: float) -> list[Finding]:
+def check_torques(
+    torques: Tensor, limits: Tensor, names: Sequence[str], time_step: float
+) -> list[Finding]:
     """Motions that need more torque than there is.
 
     Args:
@@ -194,15 +224,18 @@ def check_torques(torques: Tensor, limits: Tensor, names: Sequence[str], time_st
     return [
         Finding(
             UNREACHABLE,
-            f"demonstration {number} needs {torques[number, step, motor].abs():.1f} N·m of motor {names[motor]} "
-            f"at {step * time_step:.2f} s, which has {limits[motor]:g} N·m; show it more slowly or smaller, or smooth it",
+            f"demonstration {number} needs {torques[number, step, motor].abs():.1f} N·m of motor "
+            f"{names[motor]} at {step * time_step:.2f} s, which has {limits[motor]:g} N·m; show "
+            "it more slowly or smaller, or smooth it",
         )
         for number, step, motor in _worst(torques.abs() / limits, TORQUE_MARGIN)
     ]
 
 
 def _worst(sizes: Tensor, bound: float) -> Iterator[tuple[int, int, int]]:
-    """Demonstration, step and entry of the largest size (N, T, K) of each demonstration in which it is more than a bound."""
+    """Demonstration, step and entry of the largest size (N, T, K) of each demonstration in which it
+    is more than a bound.
+    """
     for number, size in enumerate(sizes):
         step, entry = divmod(int(size.argmax()), size.shape[1])
         if size[step, entry] > bound:

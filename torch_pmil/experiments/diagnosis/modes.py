@@ -1,10 +1,13 @@
-r"""Two ways of doing it in one set of demonstrations, whose mean (Eq. 10) is a third way that nobody showed.
+r"""Two ways of doing it in one set of demonstrations, whose mean (Eq. 10) is a third way that
+nobody showed.
 
-Whole trajectories are split in two along their direction of largest spread. What is significant is the ratio R of the squared scatter
-within the two parts to that of all, along that direction. For Gaussian trajectories of any covariance the scores along it, scaled to
-unit norm, are those of a one-dimensional sample (the rows' distribution does not change under rotations, Langsrud 2005), so that R has one
-known distribution for each N. Compared with is that of a uniform sample, the flattest of unimodal ones (Hartigan and Hartigan 1985), by
-simulation: it lies lower at every N, and warns the more rarely.
+Whole trajectories are split in two along their direction of largest spread. What is significant is
+the ratio R of the squared scatter within the two parts to that of all, along that direction. For
+Gaussian trajectories of any covariance the scores along it, scaled to unit norm, are those of a
+one-dimensional sample (the rows' distribution does not change under rotations, Langsrud 2005), so
+that R has one known distribution for each N. Compared with is that of a uniform sample, the
+flattest of unimodal ones (Hartigan and Hartigan 1985), by simulation: it lies lower at every N, and
+warns the more rarely.
 """
 
 from __future__ import annotations
@@ -24,9 +27,11 @@ class Split:
     """The best split of N trajectories in two.
 
     Attributes:
-        parts: numbers of the trajectories of each part, increasing, the first of them in the first part.
+        parts: numbers of the trajectories of each part, increasing, the first of them in the first
+            part.
         p_value: probability of a split as clear or clearer in a uniform sample of the same size.
-        explained: share of the squared scatter of whole trajectories, in all directions, that the difference of the parts makes up.
+        explained: share of the squared scatter of whole trajectories, in all directions, that the
+            difference of the parts makes up.
     """
 
     parts: tuple[tuple[int, ...], tuple[int, ...]]
@@ -58,19 +63,32 @@ def split_in_two(trajectories: Tensor) -> Split | None:
     ratio, cut = (found.item() for found in _scatter_within(np.sort(scores)[None]))
     order = scores.argsort()
     first, second = sorted((sorted(order[: cut + 1].tolist()), sorted(order[cut + 1 :].tolist())))
-    within = sum((deviation[part] - deviation[part].mean(0)).square().sum().item() for part in (first, second))
-    return Split((tuple(first), tuple(second)), (_uniform_ratios(len(scores)) <= ratio).mean().item(), 1 - within / scatter)
+    within = sum(
+        (deviation[part] - deviation[part].mean(0)).square().sum().item()
+        for part in (first, second)
+    )
+    return Split(
+        (tuple(first), tuple(second)),
+        (_uniform_ratios(len(scores)) <= ratio).mean().item(),
+        1 - within / scatter,
+    )
 
 
 def _scatter_within(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least scatter within two parts of sorted scores (S, N) over that of all, (S,), and the index after which to cut, (S,)."""
+    """Least scatter within two parts of sorted scores (S, N) over that of all, (S,), and the index
+    after which to cut, (S,).
+    """
     centred = scores - scores.mean(1, keepdims=True)
     count = np.arange(1, scores.shape[1])
-    left = centred.cumsum(1)[:, :-1]  # sums of the first parts; those of the second are their negatives
+    left = centred.cumsum(1)[
+        :, :-1
+    ]  # sums of the first parts; those of the second are their negatives
     between = left**2 * (1 / count + 1 / count[::-1])
     return 1 - between.max(1) / (centred**2).sum(1), between.argmax(1)
 
 
 @cache
 def _uniform_ratios(count: int) -> np.ndarray:
-    return _scatter_within(np.sort(np.random.default_rng(0).uniform(size=(SIMULATIONS, count)), 1))[0]
+    return _scatter_within(np.sort(np.random.default_rng(0).uniform(size=(SIMULATIONS, count)), 1))[
+        0
+    ]

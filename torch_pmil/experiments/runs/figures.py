@@ -31,14 +31,18 @@ from torch_pmil.plotting import (
 from torch_pmil.search.losses import TrajectoryKLLoss
 
 # pictures without OpenGL, from positions in the match space; these have poses too
-SKETCHES = dict.fromkeys(("double_pendulum", "double_pendulum_pilco", "double_pendulum_targets"), pendulum_frames)
+SKETCHES = dict.fromkeys(
+    ("double_pendulum", "double_pendulum_pilco", "double_pendulum_targets"), pendulum_frames
+)
 SLICED = 4  # inputs of the model that slices go over: those on which it depends most
 SHARES = (0.2, 0.4, 0.6, 1.0)  # of the horizon: times at which the policy is shown
 MARGIN = 0.3  # around the executed motion, in its range
 
 
 def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str, Figure]]:
-    """All figures of a run with their names, one after the other; those of a target end in ``_target_0``, ``_target_1``, ..."""
+    """All figures of a run with their names, one after the other; those of a target end in
+    ``_target_0``, ``_target_1``, ...
+    """
     yield "learning_curve", _learning_curve(experiment, result)
     for number, outcome in enumerate(result.outcomes):
         target = f"_target_{number}" if len(result.outcomes) > 1 else ""
@@ -48,22 +52,49 @@ def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str,
     yield "model", _model(experiment, result)
     first = result.outcomes[0]
     if experiment.name in SKETCHES:
-        yield "poses", plot_poses(experiment.space.match(first.executed[0]), experiment.demonstrations.time_step)
+        yield (
+            "poses",
+            plot_poses(
+                experiment.space.match(first.executed[0]), experiment.demonstrations.time_step
+            ),
+        )
     if isinstance(experiment, Handwriting):
-        yield "writing", plot_writing({experiment.name: experiment.writing(first.predicted, first.rollouts)})
+        yield (
+            "writing",
+            plot_writing({experiment.name: experiment.writing(first.predicted, first.rollouts)}),
+        )
 
 
 def _learning_curve(experiment: Experiment, result: RunResult) -> Figure:
     objective, trials = experiment.objective, result.trials
-    label = f"predicted {objective.label} ({objective.unit})" if objective.unit else f"predicted {objective.label}"
-    return plot_learning_curve([t.experience_s for t in trials], [t.success_rate for t in trials], [t.kl for t in trials], label)
+    label = (
+        f"predicted {objective.label} ({objective.unit})"
+        if objective.unit
+        else f"predicted {objective.label}"
+    )
+    return plot_learning_curve(
+        [t.experience_s for t in trials],
+        [t.success_rate for t in trials],
+        [t.kl for t in trials],
+        label,
+    )
 
 
-def _of_outcome(experiment: Experiment, result: RunResult, outcome: Outcome, number: int) -> Iterator[tuple[str, Figure]]:
+def _of_outcome(
+    experiment: Experiment, result: RunResult, outcome: Outcome, number: int
+) -> Iterator[tuple[str, Figure]]:
     """Trajectories, where their KL comes from if it is what was learned from, and the policy."""
     match, time_step = experiment.space.match, experiment.demonstrations.time_step
-    predicted, executed = match.belief(outcome.predicted).add_noise(experiment.noise_std**2), match(outcome.executed)
-    yield "trajectories", plot_distributions(match.names, match.units, time_step, outcome.expert, predicted, executed[:, 1:])
+    predicted, executed = (
+        match.belief(outcome.predicted).add_noise(experiment.noise_std**2),
+        match(outcome.executed),
+    )
+    yield (
+        "trajectories",
+        plot_distributions(
+            match.names, match.units, time_step, outcome.expert, predicted, executed[:, 1:]
+        ),
+    )
     if issubclass(experiment.objective, TrajectoryKLLoss):
         yield "kl_per_step", plot_kl_per_step(match.names, time_step, outcome.expert, predicted)
     planes = planes_of(experiment.space, len(experiment.u_max), outcome.executed)
@@ -72,7 +103,8 @@ def _of_outcome(experiment: Experiment, result: RunResult, outcome: Outcome, num
 
 
 def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[Plane]:
-    """Each position q with its velocity dq, as far as a motion went and a little beyond; its own torque if each has one, else the first.
+    """Each position q with its velocity dq, as far as a motion went and a little beyond; its own
+    torque if each has one, else the first.
 
     Args:
         space: of the robot.
@@ -87,21 +119,38 @@ def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[Plane]:
     low, high = executed.flatten(0, 1).aminmax(dim=0)
     margin = (MARGIN * (high - low)).clamp(min=torch.finfo(low.dtype).eps)
     spans = torch.stack([low - margin, high + margin], -1).tolist()
-    pairs = [(space.names.index(name[1:]), entry) for entry, name in enumerate(space.names) if name[:1] == "d" and name[1:] in space.names]
+    pairs = [
+        (space.names.index(name[1:]), entry)
+        for entry, name in enumerate(space.names)
+        if name[:1] == "d" and name[1:] in space.names
+    ]
     own = torques == len(pairs)
-    return [Plane(x, y, index if own else 0, (tuple(spans[x]), tuple(spans[y]))) for index, (x, y) in enumerate(pairs)]
+    return [
+        Plane(x, y, index if own else 0, (tuple(spans[x]), tuple(spans[y])))
+        for index, (x, y) in enumerate(pairs)
+    ]
 
 
-def _policy(experiment: Experiment, result: RunResult, outcome: Outcome, planes: list[Plane], number: int) -> Figure:
-    """The policy in those planes, at some times of the predicted motion, with the flow of the model's mean."""
+def _policy(
+    experiment: Experiment, result: RunResult, outcome: Outcome, planes: list[Plane], number: int
+) -> Figure:
+    """The policy in those planes, at some times of the predicted motion, with the flow of the
+    model's mean.
+    """
     policy, space, dynamics = result.policy, experiment.space, result.dynamics
     if isinstance(experiment, TargetExperiment):
-        policy = StatePolicy(policy.policy.for_target(experiment.targets[number]), space, policy.control_period)
+        policy = StatePolicy(
+            policy.policy.for_target(experiment.targets[number]), space, policy.control_period
+        )
     steps = [max(round(share * experiment.horizon), 1) for share in SHARES]
     titles = [f"t = {step * policy.control_period:g} s" for step in steps]
     states = outcome.predicted.mean[[step - 1 for step in steps]]
     return plot_policy(
-        policy, planes, states, titles, lambda at: predict_mean_trajectory(at, policy.policy, dynamics, space, horizon=1)[:, 0]
+        policy,
+        planes,
+        states,
+        titles,
+        lambda at: predict_mean_trajectory(at, policy.policy, dynamics, space, horizon=1)[:, 0],
     )
 
 
@@ -114,10 +163,14 @@ def _calibration(experiment: Experiment, result: RunResult) -> Figure:
 
 
 def _model(experiment: Experiment, result: RunResult) -> Figure:
-    """Slices through the model where the robot was halfway, over the inputs on which it depends most."""
+    """Slices through the model where the robot was halfway, over the inputs on which it depends
+    most.
+    """
     space, dynamics, outcome = experiment.space, result.dynamics, result.outcomes[0]
     halfway = experiment.horizon // 2
-    point = torch.cat([space.features(outcome.executed[0, halfway]), outcome.rollouts["action"][0, halfway]])
+    point = torch.cat(
+        [space.features(outcome.executed[0, halfway]), outcome.rollouts["action"][0, halfway]]
+    )
     relevance = (dynamics.train_inputs.std(0) / dynamics.expansion.lengthscales).amax(0)
     over = relevance.topk(min(SLICED, len(relevance))).indices.sort().values.tolist()
     return plot_gp_slices(dynamics, point, _input_names(experiment), space.names, space.units, over)
@@ -126,5 +179,8 @@ def _model(experiment: Experiment, result: RunResult) -> Figure:
 def _input_names(experiment: Experiment) -> list[str]:
     """Features with their units, then torques."""
     units = dict(zip(experiment.space.names, experiment.space.units, strict=True))
-    features = [f"{name} ({units[name]})" if name in units else name for name in experiment.space.feature_names]
+    features = [
+        f"{name} ({units[name]})" if name in units else name
+        for name in experiment.space.feature_names
+    ]
     return features + [f"torque {number + 1} (N·m)" for number in range(len(experiment.u_max))]

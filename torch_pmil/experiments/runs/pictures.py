@@ -10,7 +10,13 @@ from torch_pmil.experiments.runs.report import write_report
 from torch_pmil.experiments.runs.training import RunResult
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.plotting import save_figure
-from torch_pmil.plotting.video import dense_states, film_rollout, render_rollout, write_gif, write_video
+from torch_pmil.plotting.video import (
+    dense_states,
+    film_rollout,
+    render_rollout,
+    write_gif,
+    write_video,
+)
 
 FRAMES_PER_SECOND = 50
 
@@ -30,7 +36,9 @@ def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
 
 
 def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Path) -> None:
-    """The first executed rollout, as the simulator draws it; without OpenGL, as lines, or not at all."""
+    """The first executed rollout, as the simulator draws it; without OpenGL, as lines, or not at
+    all.
+    """
     start, actions = outcome.executed[0, 0], outcome.rollouts["action"][0]
     try:
         write_video(path, render_rollout(env, start, actions), FRAMES_PER_SECOND)
@@ -40,7 +48,9 @@ def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Pa
             return
         print(f"{path} is a sketch, because {error}")
         positions = experiment.space.match(dense_states(env, start, actions))
-        write_video(path, SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND), FRAMES_PER_SECOND)
+        write_video(
+            path, SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND), FRAMES_PER_SECOND
+        )
 
 
 def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None:
@@ -50,4 +60,7 @@ def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None
         pictures = film_rollout(env, result.policy.policy, experiment.space, experiment.horizon)
         write_video(path, pictures, 1 / experiment.demonstrations.time_step)
     except Exception as error:  # every renderer fails with a type of its own
-        print(f"there is no video, because the environment gives no pictures: {str(error).partition(chr(10))[0]}")
+        print(
+            "there is no video, because the environment gives no pictures: "
+            f"{str(error).partition(chr(10))[0]}"
+        )

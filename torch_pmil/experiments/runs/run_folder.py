@@ -33,7 +33,9 @@ class UnfinishedRunError(ValueError):
 
 
 def prepare_folder(out: Path) -> None:
-    """Make the folder of a run, with ``figures/``, and see that it can be written to. Raises OSError if not."""
+    """Make the folder of a run, with ``figures/``, and see that it can be written to. Raises
+    OSError if not.
+    """
     (out / "figures").mkdir(parents=True, exist_ok=True)
     with replacing(out / ".writable") as probe:
         probe.touch()
@@ -59,10 +61,15 @@ def read_command(folder: Path) -> str:
 
 
 def clear_folder(out: Path) -> None:
-    """Remove what a finished run left of its course, and its pictures. Raises UnfinishedRunError where the last one has not ended."""
+    """Remove what a finished run left of its course, and its pictures. Raises UnfinishedRunError
+    where the last one has not ended.
+    """
     saved = saved_checkpoints(rotation_in(out / "checkpoints"))
     if saved and not (out / "summary.json").exists():
-        raise UnfinishedRunError(f"{out} holds a run that was stopped: go on with resume=true, or remove {out / 'checkpoints'}")
+        raise UnfinishedRunError(
+            f"{out} holds a run that was stopped: go on with resume=true, or remove "
+            f"{out / 'checkpoints'}"
+        )
     for leftover in (out / "checkpoints", out / "logs", out / "figures"):
         if leftover.exists():
             shutil.rmtree(leftover)
@@ -73,13 +80,19 @@ def clear_folder(out: Path) -> None:
 def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
     """TorchRL's logger of that kind for a run. Raises ImportError where its library is missing.
 
-    MLflow's server is that of ``MLFLOW_TRACKING_URI``, or else a database in ``logs/``: it refuses the folder that TorchRL suggests.
+    MLflow's server is that of ``MLFLOW_TRACKING_URI``, or else a database in ``logs/``: it refuses
+    the folder that TorchRL suggests.
     """
     name, folder = f"{experiment}_seed_{seed}", (out / "logs").absolute()
     folder.mkdir(parents=True, exist_ok=True)
     try:
         if kind == "mlflow":
-            return MLFlowLogger(name, tracking_uri=os.environ.get("MLFLOW_TRACKING_URI", f"sqlite:///{folder / 'mlflow.db'}"))
+            return MLFlowLogger(
+                name,
+                tracking_uri=os.environ.get(
+                    "MLFLOW_TRACKING_URI", f"sqlite:///{folder / 'mlflow.db'}"
+                ),
+            )
         return get_logger(kind, str(folder), name)
     except ImportError as error:
         raise ImportError(f"logger={kind} needs another library: pip install {kind}") from error
@@ -106,10 +119,16 @@ def check_whole(name: str, value: int, least: int) -> None:
 
 
 def provenance(command: str) -> dict[str, object]:
-    """Where a result comes from: command, date, commit of the source tree (or "unknown" outside one), versions."""
+    """Where a result comes from: command, date, commit of the source tree (or "unknown" outside
+    one), versions.
+    """
     try:
         git = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
+            ["git", "describe", "--always", "--dirty"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         commit = git.stdout.strip() or "unknown"
     except OSError:
@@ -118,5 +137,8 @@ def provenance(command: str) -> dict[str, object]:
         "command": command,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": commit,
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in LIBRARIES},
+        },
     }

@@ -1,4 +1,6 @@
-"""Several runs of one experiment: what their folders hold, and their mean success rate over experience."""
+"""Several runs of one experiment: what their folders hold, and their mean success rate over
+experience.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +43,12 @@ class SuccessCurve:
     upper: np.ndarray
 
     def at(self, experience_s: float) -> float:
-        """Mean success rate with that much experience: of the last measurement up to then, or of the first one."""
-        return self.mean[max(int(np.searchsorted(self.experience_s, experience_s, side="right")) - 1, 0)].item()
+        """Mean success rate with that much experience: of the last measurement up to then, or of
+        the first one.
+        """
+        return self.mean[
+            max(int(np.searchsorted(self.experience_s, experience_s, side="right")) - 1, 0)
+        ].item()
 
     def experience_to(self, rate: float) -> float | None:
         """Seconds of experience with which the mean first reached a rate; None if it never did."""
@@ -62,7 +68,9 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
     for folder in folders:
         if not folder.is_dir():
             raise RunError(f"{folder} is not a folder")
-        runs = [path for path in (folder, *sorted(folder.iterdir())) if (path / "metrics.csv").is_file()]
+        runs = [
+            path for path in (folder, *sorted(folder.iterdir())) if (path / "metrics.csv").is_file()
+        ]
         if not runs:
             raise RunError(f"{folder} holds no run: neither metrics.csv nor folders with it")
         found += runs
@@ -93,11 +101,15 @@ def read_summary(folder: Path) -> dict:
 
 
 def _check_summary(summary: dict) -> None:
-    """Raises KeyError, ValueError or TypeError unless all is there that tables and curves are made of."""
+    """Raises KeyError, ValueError or TypeError unless all is there that tables and curves are made
+    of.
+    """
     if not summary["trials"]:
         raise ValueError("it has no trial")
     measured = [summary | {"success_rate": summary["saved_success_rate"]}, *summary["trials"]]
-    _check_numbers("success_rate", [measurement["success_rate"] for measurement in measured], largest=1)
+    _check_numbers(
+        "success_rate", [measurement["success_rate"] for measurement in measured], largest=1
+    )
     _check_numbers("experience_s", [measurement["experience_s"] for measurement in measured])
     for key in (*NUMBERS, *({COVERAGE} & summary.keys())):
         _check_numbers(key, [summary[key]])
@@ -109,7 +121,10 @@ def _check_summary(summary: dict) -> None:
 def _check_numbers(name: str, values: list, largest: float = math.inf) -> None:
     for value in values:
         if not (isinstance(value, int | float) and math.isfinite(value) and 0 <= value <= largest):
-            raise ValueError(f"{name} must be a number from 0{f' to {largest}' if largest < math.inf else ''}, got {value!r}")
+            raise ValueError(
+                f"{name} must be a number from 0{f' to {largest}' if largest < math.inf else ''}, "
+                f"got {value!r}"
+            )
 
 
 def count_trials(folder: Path) -> int:
@@ -126,10 +141,12 @@ def count_trials(folder: Path) -> int:
 
 
 def success_over_experience(runs: Sequence[dict]) -> SuccessCurve:
-    """Mean success rate of what the runs had learned, at each second of experience at which one of them was measured.
+    """Mean success rate of what the runs had learned, at each second of experience at which one of
+    them was measured.
 
-    Between two measurements a run counts with its last one. A run that ended early is carried forward with its saved policy's
-    rate, which was measured anew from starts that no trial saw; so is every run at the end of its experience.
+    Between two measurements a run counts with its last one. A run that ended early is carried
+    forward with its saved policy's rate, which was measured anew from starts that no trial saw; so
+    is every run at the end of its experience.
 
     Args:
         runs: summaries, see :func:`read_summary`.
@@ -146,14 +163,18 @@ def success_over_experience(runs: Sequence[dict]) -> SuccessCurve:
     first = max(times[0] for times, _ in measured)
     grid = np.unique(np.concatenate([times for times, _ in measured]))
     grid = grid[grid >= first]
-    rates = np.stack([values[np.searchsorted(times, grid, side="right") - 1] for times, values in measured])
+    rates = np.stack(
+        [values[np.searchsorted(times, grid, side="right") - 1] for times, values in measured]
+    )
     mean = rates.mean(0)
     lower, upper = wilson_interval(mean, len(runs))
     return SuccessCurve(grid, rates, mean, lower, upper)
 
 
 def _measurements(run: dict) -> tuple[np.ndarray, np.ndarray]:
-    """When a run was measured, in seconds of experience, and its success rates; the saved policy's is the last one."""
+    """When a run was measured, in seconds of experience, and its success rates; the saved policy's
+    is the last one.
+    """
     measured = {round(trial["experience_s"], 6): trial["success_rate"] for trial in run["trials"]}
     measured[round(run["experience_s"], 6)] = run["saved_success_rate"]
     times = sorted(measured)
@@ -165,15 +186,18 @@ def wilson_interval(mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
 
     .. math:: \frac{\hat p + z^2/2n}{1 + z^2/n} \pm \frac{z}{1 + z^2/n} \sqrt{\frac{\hat p (1 - \hat p)}{n} + \frac{z^2}{4 n^2}}
 
-    The draws are the success rates of the runs. Rollouts of one run share its policy, so to pool them as if they were independent
-    would give too narrow an interval. No draw from [0, 1] with mean p has a variance above p (1 - p), that of draws of 0 and 1,
-    for which the interval was made. Unlike a bootstrap over the runs it does not shrink to nothing where all runs agree, and needs no seed.
+    The draws are the success rates of the runs. Rollouts of one run share its policy, so to pool
+    them as if they were independent would give too narrow an interval. No draw from [0, 1] with
+    mean p has a variance above p (1 - p), that of draws of 0 and 1, for which the interval was
+    made. Unlike a bootstrap over the runs it does not shrink to nothing where all runs agree, and
+    needs no seed.
 
     Args:
         mean: of the draws, from 0 to 1, any shape.
         count: n, number of draws.
 
-    Source: E. B. Wilson (1927), Probable inference, the law of succession, and statistical inference, JASA 22.
+    Source: E. B. Wilson (1927), Probable inference, the law of succession, and statistical
+    inference, JASA 22.
 
     Example:
         >>> lower, upper = wilson_interval(np.array(1.0), 10)

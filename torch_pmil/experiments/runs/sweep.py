@@ -1,4 +1,6 @@
-"""Sweeps over runs, ``pmil train -m "seed=range(10)"``: their launchers, and a check before the first run."""
+"""Sweeps over runs, ``pmil train -m "seed=range(10)"``: their launchers, and a check before the
+first run.
+"""
 
 from __future__ import annotations
 
@@ -21,33 +23,46 @@ from omegaconf import DictConfig, OmegaConf
 
 from torch_pmil.experiments import run_name
 
-EXTRAS = {"hydra_ray_launcher": "ray", "hydra_submitit_launcher": "slurm"}  # of setup.cfg, by the launcher's module
+EXTRAS = {
+    "hydra_ray_launcher": "ray",
+    "hydra_submitit_launcher": "slurm",
+}  # of setup.cfg, by the launcher's module
 
 OmegaConf.register_new_resolver("run_name", run_name, replace=True)
 
 
 def register_launchers(folder: Path) -> None:
-    """Make each YAML file of a folder a choice of ``hydra/launcher``, in place of what the launcher's package has under that name.
+    """Make each YAML file of a folder a choice of ``hydra/launcher``, in place of what the
+    launcher's package has under that name.
 
-    In Hydra's search path such a file would be taken for values of the package's own schema, which Hydra warns of. So it can be
-    chosen, too, where the package is not installed, and :class:`SweepCheck` says what to install.
+    In Hydra's search path such a file would be taken for values of the package's own schema, which
+    Hydra warns of. So it can be chosen, too, where the package is not installed, and
+    :class:`SweepCheck` says what to install.
     """
-    os.environ.setdefault("RAY_DEDUP_LOGS", "0")  # Ray, when imported: lines that differ in numbers alone are not the same
+    os.environ.setdefault(
+        "RAY_DEDUP_LOGS", "0"
+    )  # Ray, when imported: lines that differ in numbers alone are not the same
     Plugins.instance()  # loads the launchers' packages, which register their own
     for path in sorted(folder.glob("*.yaml")):
-        ConfigStore.instance().store(group="hydra/launcher", name=path.stem, node=OmegaConf.load(path), provider=str(path))
+        ConfigStore.instance().store(
+            group="hydra/launcher", name=path.stem, node=OmegaConf.load(path), provider=str(path)
+        )
 
 
 class SweepCheck(Callback):
-    """Ends a sweep with one line if its launcher is not installed, or if two of its runs would write to one folder.
+    """Ends a sweep with one line if its launcher is not installed, or if two of its runs would
+    write to one folder.
 
-    A Hydra callback; it exits by itself, since Hydra turns an exception of a callback into a warning.
+    A Hydra callback; it exits by itself, since Hydra turns an exception of a callback into a
+    warning.
     """
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
         """Check before anything is launched."""
         complaint = missing_launcher(config)
-        with suppress(CompactHydraException):  # overrides that make no config: the sweeper itself says so, after this
+        with suppress(
+            CompactHydraException
+        ):  # overrides that make no config: the sweeper itself says so, after this
             complaint = complaint or shared_folder(config)
         if complaint:
             sys.exit(f"error: {complaint}")
@@ -69,7 +84,10 @@ def shared_folder(config: DictConfig) -> str | None:
     for overrides in runs_of(config):
         out, run = loader.load_sweep_config(config, overrides).out, " ".join(overrides)
         if out in runs:
-            return f"two runs would write to {out}: {runs[out]} and {run}; let out name what differs, as out=runs/a_${{a}}/seed_${{seed}}"
+            return (
+                f"two runs would write to {out}: {runs[out]} and {run}; let out name what differs, "
+                f"as out=runs/a_${{a}}/seed_${{seed}}"
+            )
         runs[out] = run
     return None
 

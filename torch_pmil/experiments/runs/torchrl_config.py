@@ -1,4 +1,6 @@
-"""The trainer in TorchRL's Hydra configuration: after ``import torch_pmil.experiments.runs.torchrl_config`` there is ``trainer=pmil``."""
+"""The trainer in TorchRL's Hydra configuration: after ``import
+torch_pmil.experiments.runs.torchrl_config`` there is ``trainer=pmil``.
+"""
 
 from __future__ import annotations
 
@@ -60,8 +62,15 @@ def make_pmil_trainer(
     hooks: list[TrainerHookBase] | None,
 ) -> PMILTrainer:
     """What ``hydra.utils.instantiate`` makes of :class:`PMILTrainerConfig`."""
-    task = load_experiment(experiment, None if demonstrations is None else load_demonstrations(demonstrations), shape, robot)
-    trainer = make_trainer(task, seed, trials, progress_bar, lambda trial: None, logger, checkpoint_rotation)
+    task = load_experiment(
+        experiment,
+        None if demonstrations is None else load_demonstrations(demonstrations),
+        shape,
+        robot,
+    )
+    trainer = make_trainer(
+        task, seed, trials, progress_bar, lambda trial: None, logger, checkpoint_rotation
+    )
     for hook in hooks or []:
         hook.register(trainer)
     return trainer

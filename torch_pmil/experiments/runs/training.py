@@ -51,7 +51,8 @@ class RunResult:
     Args:
         summary: what ``summary.json`` holds.
         trials: all of them.
-        outcomes: what the saved policy was predicted to do under the newest model, and did from fresh starts, task by task.
+        outcomes: what the saved policy was predicted to do under the newest model, and did from
+            fresh starts, task by task.
         policy: the saved policy.
         dynamics: the newest model.
     """
@@ -74,11 +75,13 @@ def train(
     resume: bool = False,
     logger: str | None = None,
 ) -> RunResult:
-    """Learn an experiment and write ``metrics.csv`` (after every trial), ``policy.pt``, ``dynamics.pt`` and ``summary.json``.
+    """Learn an experiment and write ``metrics.csv`` (after every trial), ``policy.pt``,
+    ``dynamics.pt`` and ``summary.json``.
 
-    ``run.json`` says how the run was begun. A checkpoint is written into ``checkpoints/`` after every rollout of the robot. A run that was killed goes on from there with
-    ``resume`` and ends with the very same policy and model; one that has ended comes to the same end again, or goes on if ``trials``
-    was its limit and is larger now.
+    ``run.json`` says how the run was begun. A checkpoint is written into ``checkpoints/`` after
+    every rollout of the robot. A run that was killed goes on from there with ``resume`` and ends
+    with the very same policy and model; one that has ended comes to the same end again, or goes on
+    if ``trials`` was its limit and is larger now.
 
     Args:
         experiment: what to learn.
@@ -88,8 +91,10 @@ def train(
         command: said in the summary, so that the run can be repeated.
         progress_bar: whether to show progress.
         on_trial: called with each finished trial.
-        resume: whether to go on from the newest checkpoint in the folder; without one the run begins anew.
-        logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``; None for none.
+        resume: whether to go on from the newest checkpoint in the folder; without one the run
+            begins anew.
+        logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``; None for
+            none.
 
     Raises:
         OSError: the folder cannot be written to.
@@ -124,8 +129,12 @@ def train(
     trainer.train()
     best = trainer.best_policy()
     network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
-    policy = StatePolicy(network, experiment.space, trainer.control_period, experiment.demonstrations.target_names)
-    save_policy(out / "policy.pt", network, experiment.space, trainer.control_period, policy.target_names)
+    policy = StatePolicy(
+        network, experiment.space, trainer.control_period, experiment.demonstrations.target_names
+    )
+    save_policy(
+        out / "policy.pt", network, experiment.space, trainer.control_period, policy.target_names
+    )
     save_tensors(out / "dynamics.pt", dynamics.state_dict())
     outcomes = experiment.outcomes(*_predict_and_execute(trainer, experiment))
     horizons = [trial.horizon for trial in trainer.trials]
@@ -136,7 +145,10 @@ def train(
         "settings": {"trials": trials, **experiment.settings},
         "wall_seconds": round(trainer.seconds, 2),
         **_measured(trainer, best, experiment, outcomes),
-        "diagnosis": [asdict(reason) for reason in likely_reasons(experiment, trainer.loss_module, outcomes, horizons)],
+        "diagnosis": [
+            asdict(reason)
+            for reason in likely_reasons(experiment, trainer.loss_module, outcomes, horizons)
+        ],
         "trials": [_plain(trial) for trial in trainer.trials],
     }
     write_json(out / "summary.json", summary)
@@ -146,7 +158,11 @@ def train(
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
     """What a resumed run must have in common with the one that was stopped, as JSON says it."""
     positions = experiment.demonstrations.positions.contiguous().numpy().tobytes()
-    identity = {"experiment": experiment.name, "seed": seed, "demonstrations": hashlib.sha256(positions).hexdigest()}
+    identity = {
+        "experiment": experiment.name,
+        "seed": seed,
+        "demonstrations": hashlib.sha256(positions).hexdigest(),
+    }
     return json.loads(json.dumps({**identity, **experiment.settings}))
 
 
@@ -156,7 +172,10 @@ def _check_same_run(rotation: CheckpointRotation, identity: dict[str, object]) -
     saved = Checkpoint.manifest(rotation.latest())["metadata"]
     for name, value in identity.items():
         if saved.get(name) != value:
-            raise ValueError(f"the run in {rotation.directory} has {name} = {saved.get(name)}, got {value}: it cannot go on so")
+            raise ValueError(
+                f"the run in {rotation.directory} has {name} = {saved.get(name)}, got {value}: it "
+                "cannot go on so"
+            )
 
 
 def make_trainer(
@@ -195,18 +214,38 @@ def make_trainer(
 
 
 @torch.no_grad()
-def _predict_and_execute(trainer: PMILTrainer, experiment: Experiment) -> tuple[Gaussian, TensorDictBase]:
+def _predict_and_execute(
+    trainer: PMILTrainer, experiment: Experiment
+) -> tuple[Gaussian, TensorDictBase]:
     loss = trainer.loss_module
-    return loss.predict_states(experiment.initial), trainer.evaluation_env.rollout(loss.horizon, trainer.robot_policy)
+    return loss.predict_states(experiment.initial), trainer.evaluation_env.rollout(
+        loss.horizon, trainer.robot_policy
+    )
 
 
-def _measured(trainer: PMILTrainer, best: Candidate, experiment: Experiment, outcomes: list[Outcome]) -> dict[str, object]:
-    """What the run came to; the saved policy is measured anew, from starts that no trial saw. Of several targets, the mean."""
-    rates = {outcome.label: success_rate(experiment.error(outcome.rollouts), experiment.tolerance) for outcome in outcomes}
-    covered = torch.stack([two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in outcomes]).mean(0)
+def _measured(
+    trainer: PMILTrainer, best: Candidate, experiment: Experiment, outcomes: list[Outcome]
+) -> dict[str, object]:
+    """What the run came to; the saved policy is measured anew, from starts that no trial saw. Of
+    several targets, the mean.
+    """
+    rates = {
+        outcome.label: success_rate(experiment.error(outcome.rollouts), experiment.tolerance)
+        for outcome in outcomes
+    }
+    covered = torch.stack(
+        [two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in outcomes]
+    ).mean(0)
     spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in outcomes])
-    errors = torch.stack([rms_error(outcome.demonstrations, experiment.space.match(outcome.executed)) for outcome in outcomes])
-    saturated = torch.stack([saturated_fraction(outcome.rollouts["action"], experiment.u_max) for outcome in outcomes]).mean(0)
+    errors = torch.stack(
+        [
+            rms_error(outcome.demonstrations, experiment.space.match(outcome.executed))
+            for outcome in outcomes
+        ]
+    )
+    saturated = torch.stack(
+        [saturated_fraction(outcome.rollouts["action"], experiment.u_max) for outcome in outcomes]
+    ).mean(0)
     return {
         "stop_reason": trainer.stop_reason,
         "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
@@ -214,10 +253,14 @@ def _measured(trainer: PMILTrainer, best: Candidate, experiment: Experiment, out
         "saved_success_rate": fmean(rates.values()),
         "saved_n_eval": sum(len(outcome.executed) for outcome in outcomes),
         **({"saved_success_rate_by_target": rates} if len(outcomes) > 1 else {}),
-        "two_sigma_coverage": fmean(two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in outcomes),
+        "two_sigma_coverage": fmean(
+            two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in outcomes
+        ),
         "two_sigma_coverage_by_entry": _by_name(experiment.space.names, covered),
         "rms_error": _by_name(experiment.space.match.names, errors.square().mean(0).sqrt()),
-        "demonstration_spread": _by_name(experiment.space.match.names, spread.square().mean(0).sqrt()),
+        "demonstration_spread": _by_name(
+            experiment.space.match.names, spread.square().mean(0).sqrt()
+        ),
         "saturated": _by_name(trainer.evaluation_env.motor_names, saturated),
         "kl_per_step": _per_step(trainer, experiment),
     }
@@ -236,4 +279,7 @@ def _by_name(names: tuple[str, ...], values: Tensor) -> dict[str, float]:
 def _plain(trial: Trial) -> dict[str, object]:
     """A trial as JSON can say it: a KL that is not finite is null."""
     values = asdict(trial)
-    return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in values.items()}
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in values.items()
+    }

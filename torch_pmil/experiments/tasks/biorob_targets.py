@@ -1,4 +1,6 @@
-"""Section 5.2.5: one policy of the BioRob hits balls in a plane, learned from two demonstrations for each of three."""
+"""Section 5.2.5: one policy of the BioRob hits balls in a plane, learned from two demonstrations
+for each of three.
+"""
 
 from __future__ import annotations
 
@@ -23,23 +25,42 @@ from torch_pmil.experiments.tasks.experiment import check_demonstrations
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 from torch_pmil.gp.gaussian import Gaussian
 
-WIDENED = (2.0, 1.0, 1.0, 2.0, 1.0, 1.0)  # beside the widths for one ball: strikes at balls to the left and right differ in yaw
+WIDENED = (
+    2.0,
+    1.0,
+    1.0,
+    2.0,
+    1.0,
+    1.0,
+)  # beside the widths for one ball: strikes at balls to the left and right differ in yaw
 
 
-def robots_before_balls(*, targets: Tensor, num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None) -> BioRobEnv:
-    """BioRobs that see where in the plane their balls hang, targets (num_envs, 2) or (2,) for one robot."""
-    return BioRobEnv(ball_at(targets), targets=targets, num_envs=num_envs, from_pixels=from_pixels, seed=seed)
+def robots_before_balls(
+    *,
+    targets: Tensor,
+    num_envs: int | None = None,
+    from_pixels: bool = False,
+    seed: int | None = None,
+) -> BioRobEnv:
+    """BioRobs that see where in the plane their balls hang, targets (num_envs, 2) or (2,) for one
+    robot.
+    """
+    return BioRobEnv(
+        ball_at(targets), targets=targets, num_envs=num_envs, from_pixels=from_pixels, seed=seed
+    )
 
 
 def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperiment:
-    """The experiment of Section 5.2.5: 250 basis functions, 2774 policy parameters, 1.8 s at 10 Hz with the demonstrations shipped.
+    """The experiment of Section 5.2.5: 250 basis functions, 2774 policy parameters, 1.8 s at 10 Hz
+    with the demonstrations shipped.
 
-    The first movements are 6 s in all, 2 s of each of the three robots that learn. With two demonstrations of a target their covariance
-    has rank one: the observation noise, that of the experiment with one target, is what the spread is measured against elsewhere.
+    The first movements are 6 s in all, 2 s of each of the three robots that learn. With two
+    demonstrations of a target their covariance has rank one: the observation noise, that of the
+    experiment with one target, is what the spread is measured against elsewhere.
 
     Args:
-        demonstrations: of positions and velocities of the three joints at 10 Hz, under the names of :func:`biorob_space`, with targets y
-            and z; those that come with the package if None.
+        demonstrations: of positions and velocities of the three joints at 10 Hz, under the names of
+            :func:`biorob_space`, with targets y and z; those that come with the package if None.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.
@@ -62,7 +83,8 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
         tolerance=0.0,
         confirmations=4,
         pd_movements=replace(movements_around(env.initial_mean, u_max), rollouts=1),
-        input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64) * torch.tensor(WIDENED, dtype=torch.float64),
+        input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64)
+        * torch.tensor(WIDENED, dtype=torch.float64),
         holding_torques=holding_torques_at,
         search=replace(SEARCH, final_iterations=60),
     )

@@ -1,4 +1,6 @@
-"""Section 5.1: swing up and balance the double pendulum, from five demonstrations of its link positions."""
+"""Section 5.1: swing up and balance the double pendulum, from five demonstrations of its link
+positions.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def double_pendulum_space() -> StateSpace:
         tensor([0.0000, 0.5000, 0.0000, 1.0000], dtype=torch.float64)
     """
     absolute = torch.tensor([[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 1.0, 0.0]], dtype=torch.float64)
-    links = torch.zeros(4, 8, dtype=torch.float64)  # columns: state, sin of the absolute angles, cos of them
+    links = torch.zeros(
+        4, 8, dtype=torch.float64
+    )  # columns: state, sin of the absolute angles, cos of them
     links[0, 4] = links[2, 4] = links[2, 5] = LINK_LENGTH
     links[1, 6] = links[3, 6] = links[3, 7] = LINK_LENGTH
     match = MatchSpace(("x1", "y1", "x2", "y2"), ("m",) * 4, absolute, links)
@@ -34,21 +38,27 @@ def double_pendulum_space() -> StateSpace:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) that show link positions (..., T, 4): angles by arctangent, velocities by central differences."""
+    """States (..., T, 4) that show link positions (..., T, 4): angles by arctangent, velocities by
+    central differences.
+    """
     x1, y1, x2, y2 = positions.unbind(-1)
     first, second = torch.atan2(x1, y1), torch.atan2(x2 - x1, y2 - y1)
     columns = []
     for angle in (first, second):
         step = angle.diff(dim=-1)
         step = torch.atan2(step.sin(), step.cos())  # between -pi and pi
-        columns.append(angle[..., :1] + torch.cat([torch.zeros_like(step[..., :1]), step.cumsum(-1)], -1))
+        columns.append(
+            angle[..., :1] + torch.cat([torch.zeros_like(step[..., :1]), step.cumsum(-1)], -1)
+        )
     q1, q2 = columns[0], columns[1] - columns[0]
     dq1, dq2 = (torch.gradient(q, spacing=time_step, dim=-1)[0] for q in (q1, q2))
     return torch.stack([q1, dq1, q2, dq2], -1)
 
 
 def distance_from_upright(states: Tensor) -> Tensor:
-    """Largest distance (m) of [x1, y1, x2, y2] from upright over the last 0.5 s; states (*batch, T + 1, 4) to (*batch)."""
+    """Largest distance (m) of [x1, y1, x2, y2] from upright over the last 0.5 s; states (*batch, T
+    + 1, 4) to (*batch).
+    """
     upright = torch.tensor([0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH], dtype=states.dtype)
     positions = double_pendulum_space().match(states[..., -FINAL_SAMPLES:, :])
     return (positions - upright).norm(dim=-1).amax(-1)
@@ -77,7 +87,8 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
     """The experiment of Section 5.1: 100 basis functions, 812 policy parameters, 2.5 s at 10 Hz.
 
     Args:
-        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz; those that come with the package if None.
+        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz; those that come with the
+            package if None.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.

@@ -1,4 +1,6 @@
-"""One policy of the double pendulum moves its tip to places and holds it there, learned from demonstrations for three of them."""
+"""One policy of the double pendulum moves its tip to places and holds it there, learned from
+demonstrations for three of them.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +24,19 @@ from torch_pmil.gp.gaussian import Gaussian
 
 
 def distance_of_tip(rollout: TensorDictBase) -> Tensor:
-    """Largest distance (m) of the tip from the rollout's target over the last 0.5 s, of rollouts (*batch, T)."""
+    """Largest distance (m) of the tip from the rollout's target over the last 0.5 s, of rollouts
+    (*batch, T).
+    """
     return distance_from_target(states_of(rollout), rollout["target"][..., 0, :])
 
 
 def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> TargetExperiment:
-    """The double pendulum of Section 5.1 with the method of Section 5.2.5: 100 basis functions, 1016 policy parameters, 2.5 s at 10 Hz.
+    """The double pendulum of Section 5.1 with the method of Section 5.2.5: 100 basis functions,
+    1016 policy parameters, 2.5 s at 10 Hz.
 
     Args:
-        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz, with targets x and y of the tip; those that come with the package
-            if None.
+        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz, with targets x and y of the
+            tip; those that come with the package if None.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.

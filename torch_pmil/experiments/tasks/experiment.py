@@ -1,4 +1,6 @@
-"""What an experiment is: a robot, its demonstrations, the settings of the method, and when a rollout succeeds."""
+"""What an experiment is: a robot, its demonstrations, the settings of the method, and when a
+rollout succeeds.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ HELD_STARTS = 200  # at which a new policy is told to hold the robot
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a policy was predicted to do and did, beside what was demonstrated; of one target if there are several.
+    """What a policy was predicted to do and did, beside what was demonstrated; of one target if
+    there are several.
 
     Args:
         label: names the target; "" where there is one task alone.
@@ -59,22 +62,29 @@ class Experiment:
         make_env: environment for given ``num_envs`` (None or N), ``from_pixels`` and ``seed``.
         space: the robot's state space; the demonstrations are in its match space.
         demonstrations: N demonstrations.
-        noise_std: observation noise, in the units of the match space: one number, or one for each entry, (M,).
+        noise_std: observation noise, in the units of the match space: one number, or one for each
+            entry, (M,).
         initial: p(x_0).
         u_max: torque limits (F,), N·m.
-        demonstrated_states: states recovered from the demonstrations, (S, D), where the policy's centres are drawn.
+        demonstrated_states: states recovered from the demonstrations, (S, D), where the policy's
+            centres are drawn.
         num_centres: m.
-        error: of rollouts (*batch, T), as the environment gives them, (*batch); :func:`~torch_pmil.trainer.collector.of_states` makes it of a
-            function of the states x_0..x_T.
+        error: of rollouts (*batch, T), as the environment gives them, (*batch);
+            :func:`~torch_pmil.trainer.collector.of_states` makes it of a function of the states
+            x_0..x_T.
         tolerance: error up to which a rollout is a success.
-        confirmations: successes of own rollouts in a row that end a run: more where a success is a lenient measure.
+        confirmations: successes of own rollouts in a row that end a run: more where a success is a
+            lenient measure.
         random_torque: of the first rollout, as a fraction of u_max.
         pd_movements: the robot's first motion; random torques for one horizon if None.
         initial_weight_std: of the policy's initial weights.
-        input_scale: width of the policy's initial basis functions, in standard deviations of the demonstrated features; a policy is
-            nothing beyond the reach of its functions, so starts at the rim of what was demonstrated may need more than 1.
-        input_widths: the widths themselves (D',), in the units of the features; None for those by ``input_scale``.
-        holding_torques: torques (S, F) that hold the robot in states (S, D); a new policy holds it at the start. None: it need not.
+        input_scale: width of the policy's initial basis functions, in standard deviations of the
+            demonstrated features; a policy is nothing beyond the reach of its functions, so starts
+            at the rim of what was demonstrated may need more than 1.
+        input_widths: the widths themselves (D',), in the units of the features; None for those by
+            ``input_scale``.
+        holding_torques: torques (S, F) that hold the robot in states (S, D); a new policy holds it
+            at the start. None: it need not.
         search: budget and horizon of the policy search.
 
     ``objective`` is the class of the loss that :meth:`make_loss` gives.
@@ -119,7 +129,9 @@ class Experiment:
 
     @property
     def limits(self) -> Tensor:
-        """Largest absolute values of the state (D,) that the model learns from: three times the demonstrated, angles without limit."""
+        """Largest absolute values of the state (D,) that the model learns from: three times the
+        demonstrated, angles without limit.
+        """
         limits = 3 * self.demonstrated_states.abs().amax(0)
         limits[list(self.space.angles)] = torch.inf
         return limits
@@ -167,11 +179,15 @@ class Experiment:
         return TrajectoryKLLoss(policy, dynamics, self.space, self.expert, self.noise_std)
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
-        """A new policy: centres near demonstrated states, small random weights; it holds the robot at the start if the experiment can."""
+        """A new policy: centres near demonstrated states, small random weights; it holds the robot
+        at the start if the experiment can.
+        """
         return self.policy_near(self.demonstrated_inputs, generator)
 
     def policy_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
-        """As :meth:`make_policy`: centres near some of the inputs (S, D'), widths those of all unless the experiment says them."""
+        """As :meth:`make_policy`: centres near some of the inputs (S, D'), widths those of all
+        unless the experiment says them.
+        """
         std = inputs.std(0)
         chosen = torch.randint(len(inputs), (self.num_centres,), generator=generator)
         jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)
@@ -184,7 +200,9 @@ class Experiment:
         return policy
 
     def widths(self, std: Tensor) -> Tensor:
-        """Of a new policy's basis functions (D'), from the standard deviations of its demonstrated inputs."""
+        """Of a new policy's basis functions (D'), from the standard deviations of its demonstrated
+        inputs.
+        """
         return self.input_scale * std if self.input_widths is None else self.input_widths
 
     @property
@@ -198,16 +216,27 @@ class Experiment:
 
 
 def check_demonstrations(
-    demonstrations: Demonstrations, space: StateSpace, env: MujocoRobotEnv | AdaptedEnv, target_names: tuple[str, ...] = ()
+    demonstrations: Demonstrations,
+    space: StateSpace,
+    env: MujocoRobotEnv | AdaptedEnv,
+    target_names: tuple[str, ...] = (),
 ) -> None:
-    """Raise DemonstrationError unless the demonstrations are of the match space and these targets, at the robot's control rate."""
+    """Raise DemonstrationError unless the demonstrations are of the match space and these targets,
+    at the robot's control rate.
+    """
     if demonstrations.target_names != target_names:
-        wanted, found = (", ".join(names) or "none" for names in (target_names, demonstrations.target_names))
+        wanted, found = (
+            ", ".join(names) or "none" for names in (target_names, demonstrations.target_names)
+        )
         raise DemonstrationError(f"targets of the demonstrations must be {wanted}, got {found}")
     if demonstrations.names != space.match.names:
-        raise DemonstrationError(f"demonstrations must be of {', '.join(space.match.names)}, got {', '.join(demonstrations.names)}")
+        raise DemonstrationError(
+            f"demonstrations must be of {', '.join(space.match.names)}, got "
+            f"{', '.join(demonstrations.names)}"
+        )
     if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
         raise DemonstrationError(
-            f"demonstrations must have a time step of {env.control_period} s, the robot's control period, "
-            f"got {demonstrations.time_step} s; pmil align --time-step {env.control_period} resamples a recording"
+            f"demonstrations must have a time step of {env.control_period} s, the robot's control "
+            f"period, got {demonstrations.time_step} s; pmil align --time-step "
+            f"{env.control_period} resamples a recording"
         )

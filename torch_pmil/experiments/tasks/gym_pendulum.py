@@ -1,4 +1,6 @@
-"""gymnasium's Pendulum-v1: swing up with too little torque to lift, and hold, from where the tip was seen."""
+"""gymnasium's Pendulum-v1: swing up with too little torque to lift, and hold, from where the tip
+was seen.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def gym_pendulum_space() -> StateSpace:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 2) that show tip positions (..., T, 2): the angle by arctangent, velocity by central differences."""
+    """States (..., T, 2) that show tip positions (..., T, 2): the angle by arctangent, velocity by
+    central differences.
+    """
     angle = torch.atan2(*positions.unbind(-1))
     change = angle.diff(dim=-1)
     change = torch.atan2(change.sin(), change.cos())  # between -pi and pi
@@ -41,16 +45,20 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
 
 
 def distance_from_upright(states: Tensor) -> Tensor:
-    """Largest distance (m) of the tip from upright over the last 0.5 s; states (*batch, T + 1, 2) to (*batch)."""
+    """Largest distance (m) of the tip from upright over the last 0.5 s; states (*batch, T + 1, 2)
+    to (*batch).
+    """
     tip = gym_pendulum_space().match(states[..., -FINAL_SAMPLES:, :])
     return (tip - torch.tensor([0.0, LENGTH], dtype=states.dtype)).norm(dim=-1).amax(-1)
 
 
 def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
-    """Swing up and hold in 4 s at 10 Hz; a success has the tip within 0.25 m of upright for the last 0.5 s.
+    """Swing up and hold in 4 s at 10 Hz; a success has the tip within 0.25 m of upright for the
+    last 0.5 s.
 
     Args:
-        demonstrations: of the tip's positions x, y at 10 Hz; those that come with the package if None.
+        demonstrations: of the tip's positions x, y at 10 Hz; those that come with the package if
+            None.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.
@@ -66,7 +74,9 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         space=space,
         demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=Gaussian(torch.tensor(HANGING_MEAN).double(), torch.diag(torch.tensor(HANGING_STD).double() ** 2)),
+        initial=Gaussian(
+            torch.tensor(HANGING_MEAN).double(), torch.diag(torch.tensor(HANGING_STD).double() ** 2)
+        ),
         u_max=env.action_spec.space.high,
         demonstrated_states=states.reshape(-1, 2),
         num_centres=50,

@@ -1,4 +1,6 @@
-"""Handwriting: a robot's tip writes what a person wrote, from a few strokes of the pen, without forces."""
+"""Handwriting: a robot's tip writes what a person wrote, from a few strokes of the pen, without
+forces.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,14 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.envs.rollouts import of_states, states_of
 from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.strokes import NAMES, TIME_STEP, conditioned, distance_from_mean, distance_spread, lasa_strokes
+from torch_pmil.experiments.tasks.strokes import (
+    NAMES,
+    TIME_STEP,
+    conditioned,
+    distance_from_mean,
+    distance_spread,
+    lasa_strokes,
+)
 from torch_pmil.experiments.tasks.writers import WRITERS, Writer, states_of_strokes
 from torch_pmil.gp.gaussian import Gaussian
 
@@ -60,10 +69,14 @@ class Handwriting(Experiment):
         return Writing(shown, match.belief(predicted).affine(self.plane), written)
 
 
-def handwriting(demonstrations: Demonstrations | None = None, shape: str | None = None, robot: str | None = None) -> Handwriting:
-    """A shape of the LASA handwriting set, or one's own strokes, written by a robot: 0.3 m large in 3 s (the BioRob: 0.5 m in 2 s).
+def handwriting(
+    demonstrations: Demonstrations | None = None, shape: str | None = None, robot: str | None = None
+) -> Handwriting:
+    """A shape of the LASA handwriting set, or one's own strokes, written by a robot: 0.3 m large in
+    3 s (the BioRob: 0.5 m in 2 s).
 
-    A rollout's error is its root mean square distance from the mean stroke; it succeeds up to 1.25 times the writers' own spread.
+    A rollout's error is its root mean square distance from the mean stroke; it succeeds up to 1.25
+    times the writers' own spread.
 
     Args:
         demonstrations: one's own strokes, x and y of the pen in m at 10 Hz; None for a shape.
@@ -71,7 +84,8 @@ def handwriting(demonstrations: Demonstrations | None = None, shape: str | None 
         robot: double_pendulum (if None) or biorob.
 
     Raises:
-        ValueError: there is no such robot or shape, or not exactly one of shape and demonstrations is given.
+        ValueError: there is no such robot or shape, or not exactly one of shape and demonstrations
+            is given.
         DemonstrationError: the strokes hold something else, or the robot cannot follow them.
         ImportError: the set is not installed.
 
@@ -115,17 +129,23 @@ def handwriting_name(shape: str | None, robot: str | None) -> str:
 
 
 def distance_of_tip(states: Tensor, space: StateSpace, strokes: Demonstrations) -> Tensor:
-    """Root mean square distance (m) of the tip from the mean stroke, of states x_0..x_T (*batch, T + 1, D): (*batch)."""
+    """Root mean square distance (m) of the tip from the mean stroke, of states x_0..x_T (*batch, T
+    + 1, D): (*batch).
+    """
     return distance_from_mean(space.match(states), strokes)
 
 
 def input_widths(demonstrated: Tensor, space: StateSpace) -> Tensor:
-    """Widths (D',) of a new policy's basis functions: two standard deviations of the demonstrated features, or more.
+    """Widths (D',) of a new policy's basis functions: two standard deviations of the demonstrated
+    features, or more.
 
-    Slow strokes in a small place would make narrow functions, beyond whose reach a policy is nothing.
+    Slow strokes in a small place would make narrow functions, beyond whose reach a policy is
+    nothing.
     """
     least = [SPEED_WIDTH if name.startswith("dq") else ANGLE_WIDTH for name in space.feature_names]
-    return torch.maximum(2 * space.features(demonstrated).std(0), torch.tensor(least, dtype=torch.float64))
+    return torch.maximum(
+        2 * space.features(demonstrated).std(0), torch.tensor(least, dtype=torch.float64)
+    )
 
 
 def _writer(robot: str) -> Writer:
@@ -134,20 +154,31 @@ def _writer(robot: str) -> Writer:
     return WRITERS[robot]()
 
 
-def _strokes(demonstrations: Demonstrations | None, shape: str | None, writer: Writer) -> Demonstrations:
+def _strokes(
+    demonstrations: Demonstrations | None, shape: str | None, writer: Writer
+) -> Demonstrations:
     if demonstrations is None and shape is not None:
         return conditioned(lasa_strokes(shape), writer.duration)
     if demonstrations is None or shape is not None:
-        raise ValueError(f"handwriting needs a shape or demonstrations, got {'neither' if shape is None else 'both'}")
+        raise ValueError(
+            "handwriting needs a shape or demonstrations, got "
+            f"{'neither' if shape is None else 'both'}"
+        )
     if demonstrations.names != NAMES:
-        raise DemonstrationError(f"strokes must be of {', '.join(NAMES)}, got {', '.join(demonstrations.names)}")
+        raise DemonstrationError(
+            f"strokes must be of {', '.join(NAMES)}, got {', '.join(demonstrations.names)}"
+        )
     if abs(demonstrations.time_step / TIME_STEP - 1) > 1e-6:
-        raise DemonstrationError(f"strokes must have a time step of {TIME_STEP} s, got {demonstrations.time_step} s")
+        raise DemonstrationError(
+            f"strokes must have a time step of {TIME_STEP} s, got {demonstrations.time_step} s"
+        )
     return demonstrations
 
 
 def _start(states: Tensor, writer: Writer) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviations (D,) of x_0: at rest, in the mean of the poses in which the strokes begin."""
+    """Mean and standard deviations (D,) of x_0: at rest, in the mean of the poses in which the
+    strokes begin.
+    """
     begin = writer.positions(states[:, 0]).mean(0)
     position_std, velocity_std = (torch.full_like(begin, std) for std in START_STD)
     return writer.state(begin, torch.zeros_like(begin)), writer.state(position_std, velocity_std)

@@ -1,4 +1,6 @@
-"""gymnasium's InvertedPendulum-v5: bring pole and cart to rest in the middle, as a regulator does, from where it was seen."""
+"""gymnasium's InvertedPendulum-v5: bring pole and cart to rest in the middle, as a regulator does,
+from where it was seen.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ def inverted_pendulum_space() -> StateSpace:
         tensor([0.0000, 0.0000, 0.6000], dtype=torch.float64)
     """
     pole = torch.tensor([[0.0, 1.0, 0.0, 0.0]], dtype=torch.float64)
-    positions = torch.zeros(3, 6, dtype=torch.float64)  # columns: state, sin and cos of the pole's angle
+    positions = torch.zeros(
+        3, 6, dtype=torch.float64
+    )  # columns: state, sin and cos of the pole's angle
     positions[0, 0] = positions[1, 0] = 1.0
     positions[1, 4] = positions[2, 5] = POLE_LENGTH
     match = MatchSpace(("x_cart", "x_tip", "z_tip"), ("m",) * 3, pole, positions)
@@ -37,7 +41,9 @@ def inverted_pendulum_space() -> StateSpace:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) that show positions (..., T, 3): the angle by arctangent, velocities by central differences."""
+    """States (..., T, 4) that show positions (..., T, 3): the angle by arctangent, velocities by
+    central differences.
+    """
     x, x_tip, z_tip = positions.unbind(-1)
     q = torch.atan2(x_tip - x, z_tip)
     dx, dq = (torch.gradient(entry, spacing=time_step, dim=-1)[0] for entry in (x, q))
@@ -45,10 +51,12 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
 
 
 def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
-    """Recover to upright as demonstrated, in 2 s at 25 Hz; a success has the tip within 0.1 m of the demonstrated mean for the last second.
+    """Recover to upright as demonstrated, in 2 s at 25 Hz; a success has the tip within 0.1 m of
+    the demonstrated mean for the last second.
 
     Args:
-        demonstrations: of the positions x_cart, x_tip, z_tip at 25 Hz; those that come with the package if None.
+        demonstrations: of the positions x_cart, x_tip, z_tip at 25 Hz; those that come with the
+            package if None.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.
@@ -69,7 +77,9 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
         space=space,
         demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=Gaussian(torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double()),  # moments of the uniform start
+        initial=Gaussian(
+            torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double()
+        ),  # moments of the uniform start
         u_max=env.action_spec.space.high,
         demonstrated_states=states.reshape(-1, 4),
         num_centres=50,
@@ -77,5 +87,7 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
         tolerance=SUCCESS_DISTANCE,
         random_torque=0.1,
         input_scale=3.0,
-        search=SearchSettings(trusted=1.0),  # of two dimensions in effect: the height of the tip hardly changes
+        search=SearchSettings(
+            trusted=1.0
+        ),  # of two dimensions in effect: the height of the tip hardly changes
     )

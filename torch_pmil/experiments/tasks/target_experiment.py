@@ -25,14 +25,16 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 class TargetExperiment(Experiment):
     r"""An imitation task with a target :math:`\eta`, demonstrated for S of them.
 
-    As :class:`Experiment`, with these differences: the demonstrations have targets (N, K), the states recovered from them are in the order
-    of the demonstrations; ``make_env`` takes ``targets`` (num_envs, K), or (K,) for one robot, which the environment says under
-    ``"target"``. The robot that learns does every trial once for each target.
+    As :class:`Experiment`, with these differences: the demonstrations have targets (N, K), the
+    states recovered from them are in the order of the demonstrations; ``make_env`` takes
+    ``targets`` (num_envs, K), or (K,) for one robot, which the environment says under ``"target"``.
+    The robot that learns does every trial once for each target.
 
     Args:
-        target_scale: width of the policy's initial basis functions in the entries of the target, in largest distances between the
-            targets. Functions that are wide beside these distances make a policy that is nearly linear in the target, which carries
-            over to targets between and beyond; narrow ones fit each target by itself.
+        target_scale: width of the policy's initial basis functions in the entries of the target, in
+            largest distances between the targets. Functions that are wide beside these distances
+            make a policy that is nearly linear in the target, which carries over to targets between
+            and beyond; narrow ones fit each target by itself.
 
     Raises:
         DemonstrationError: the demonstrations have no targets, or one alone.
@@ -44,7 +46,9 @@ class TargetExperiment(Experiment):
 
     def __post_init__(self) -> None:
         if len(self.targets) < 2:
-            raise DemonstrationError(f"demonstrations must be of two targets at least, got {self.targets.tolist()}")
+            raise DemonstrationError(
+                f"demonstrations must be of two targets at least, got {self.targets.tolist()}"
+            )
 
     @cached_property
     def targets(self) -> Tensor:
@@ -57,17 +61,31 @@ class TargetExperiment(Experiment):
 
     @property
     def expert(self) -> Gaussian:
-        """Demonstrated marginals of each target at t = 1..T, mean (S, T, M), observation noise included."""
-        experts = [expert_distribution(demonstrations, self.noise_std) for demonstrations in self._by_target[1]]
-        return Gaussian(torch.stack([expert.mean for expert in experts]), torch.stack([expert.cov for expert in experts]))
+        """Demonstrated marginals of each target at t = 1..T, mean (S, T, M), observation noise
+        included.
+        """
+        experts = [
+            expert_distribution(demonstrations, self.noise_std)
+            for demonstrations in self._by_target[1]
+        ]
+        return Gaussian(
+            torch.stack([expert.mean for expert in experts]),
+            torch.stack([expert.cov for expert in experts]),
+        )
 
     @property
     def settings(self) -> dict[str, object]:
         """Those of :class:`Experiment`, and the targets."""
-        return {**super().settings, "targets": self.targets.tolist(), "target_scale": self.target_scale}
+        return {
+            **super().settings,
+            "targets": self.targets.tolist(),
+            "target_scale": self.target_scale,
+        }
 
     def widths(self, std: Tensor) -> Tensor:
-        """Of a new policy's basis functions (D' + K): those of the features, and that of the target's entries."""
+        """Of a new policy's basis functions (D' + K): those of the features, and that of the
+        target's entries.
+        """
         width = self.target_scale * torch.pdist(self.targets).amax()
         K = self.targets.shape[-1]
         return torch.cat([super().widths(std[:-K]), width.expand(K)])
@@ -77,7 +95,9 @@ class TargetExperiment(Experiment):
         return self.robots(1, seed)
 
     def robots(self, starts: int, seed: int) -> MujocoRobotEnv:
-        """Robots to measure a policy on, so many for each target: all of the first one, then all of the next."""
+        """Robots to measure a policy on, so many for each target: all of the first one, then all of
+        the next.
+        """
         return self.robots_at(self.targets.repeat_interleave(starts, 0), seed)
 
     def robots_at(self, targets: Tensor, seed: int) -> MujocoRobotEnv:
@@ -89,26 +109,37 @@ class TargetExperiment(Experiment):
         return self.make_env(targets=self.targets[0], seed=seed)
 
     def outcomes(self, predicted: Gaussian, rollouts: TensorDictBase) -> list[Outcome]:
-        """What was predicted for the robot, (S, T), and rollouts of :meth:`robots`, target by target."""
+        """What was predicted for the robot, (S, T), and rollouts of :meth:`robots`, target by
+        target.
+        """
         names, experts = self.demonstrations.target_names, self.expert
         return [
             Outcome(
-                ", ".join(f"{name} = {value:g}" for name, value in zip(names, target.tolist(), strict=True)),
+                ", ".join(
+                    f"{name} = {value:g}"
+                    for name, value in zip(names, target.tolist(), strict=True)
+                ),
                 demonstrations,
                 experts[i],
                 predicted[i],
                 of_target,
             )
-            for i, (target, demonstrations, of_target) in enumerate(zip(*self._by_target, rollouts.chunk(len(self.targets)), strict=True))
+            for i, (target, demonstrations, of_target) in enumerate(
+                zip(*self._by_target, rollouts.chunk(len(self.targets)), strict=True)
+            )
         ]
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> MultiTargetKLLoss:
         """Mean over the targets of the KL between demonstrated and predicted trajectories (Eq. 31)."""
-        return MultiTargetKLLoss(policy, dynamics, self.space, self.expert, self.targets, self.noise_std)
+        return MultiTargetKLLoss(
+            policy, dynamics, self.space, self.expert, self.targets, self.noise_std
+        )
 
     @property
     def demonstrated_inputs(self) -> Tensor:
-        """Features of the demonstrated states, and the targets of these demonstrations, (S, D' + K)."""
+        """Features of the demonstrated states, and the targets of these demonstrations, (S, D' +
+        K).
+        """
         targets = self.demonstrations.targets
         assert targets is not None  # or by_target had raised an error
         samples = len(self.demonstrated_states) // len(targets)
@@ -116,4 +147,10 @@ class TargetExperiment(Experiment):
 
     def start_inputs(self, starts: Tensor) -> Tensor:
         """Features of starts (S, D), and all targets in turn, (S, D' + K)."""
-        return torch.cat([super().start_inputs(starts), self.targets[torch.arange(len(starts)) % len(self.targets)]], -1)
+        return torch.cat(
+            [
+                super().start_inputs(starts),
+                self.targets[torch.arange(len(starts)) % len(self.targets)],
+            ],
+            -1,
+        )

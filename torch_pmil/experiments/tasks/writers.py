@@ -40,9 +40,11 @@ class Writer:
         plane: in which it is written (2, M): to the right, and up.
         extent: of what is written, m.
         duration: in which a shape is written, s.
-        pose: joint positions (*batch, J), rad, with the tip at a place (*batch, M) of the match space.
+        pose: joint positions (*batch, J), rad, with the tip at a place (*batch, M) of the match
+            space.
         positions_first: whether the state has all positions first.
-        torques: that it takes (S, F), N·m, from positions, velocities and accelerations (S, J) of the joints.
+        torques: that it takes (S, F), N·m, from positions, velocities and accelerations (S, J) of
+            the joints.
         stiffness, damping: of the PD controller of its first motion, N·m/rad and N·m·s/rad.
         reach: of that motion, in half ranges of the demonstrated positions.
         search: for its policy.
@@ -70,7 +72,9 @@ class Writer:
         return torch.stack([positions, velocities], -1).flatten(-2)
 
     def on_board(self, pen: Demonstrations) -> Demonstrations:
-        """Strokes of a pen, [x, y] in m, in the match space: where this robot writes them, as large as it does."""
+        """Strokes of a pen, [x, y] in m, in the match space: where this robot writes them, as large
+        as it does.
+        """
         positions = self.origin + placed(pen, self.extent).positions @ self.plane
         return Demonstrations(positions, pen.time_step, self.space.match.names)
 
@@ -79,18 +83,39 @@ class Writer:
         return states[..., : states.shape[-1] // 2] if self.positions_first else states[..., ::2]
 
     def holding_torques(self, states: Tensor) -> Tensor:
-        """Torques (*batch, F), N·m, that hold the joints where they are in states (*batch, D), against gravity."""
+        """Torques (*batch, F), N·m, that hold the joints where they are in states (*batch, D),
+        against gravity.
+        """
         positions = self.positions(states.double()).detach()
         flat = positions.reshape(-1, positions.shape[-1])
         still = torch.zeros_like(flat)
         return self.torques(flat, still, still).reshape(positions.shape)
 
     def movements(self, states: Tensor, u_max: Tensor, steps: int) -> PDMovements:
-        """The robot's first motion: simple movements all over the demonstrated states (S, D), gravity compensated (Section 5.2.4)."""
+        """The robot's first motion: simple movements all over the demonstrated states (S, D),
+        gravity compensated (Section 5.2.4).
+        """
         lowest, highest = (getattr(self.positions(states), end)(0) for end in ("amin", "amax"))
-        pose, reach = (self.state(part, torch.zeros_like(part)) for part in ((highest + lowest) / 2, self.reach * (highest - lowest) / 2))
-        gain = self.state(*(torch.tensor(gains, dtype=torch.float64).diag() for gains in (self.stiffness, self.damping)))
-        return PDMovements(pose, reach, gain, u_max, hold=HOLD, rollouts=ROLLOUTS, steps=steps, feedforward=self.holding_torques)
+        pose, reach = (
+            self.state(part, torch.zeros_like(part))
+            for part in ((highest + lowest) / 2, self.reach * (highest - lowest) / 2)
+        )
+        gain = self.state(
+            *(
+                torch.tensor(gains, dtype=torch.float64).diag()
+                for gains in (self.stiffness, self.damping)
+            )
+        )
+        return PDMovements(
+            pose,
+            reach,
+            gain,
+            u_max,
+            hold=HOLD,
+            rollouts=ROLLOUTS,
+            steps=steps,
+            feedforward=self.holding_torques,
+        )
 
 
 def pendulum_writer() -> Writer:
@@ -117,15 +142,17 @@ def pendulum_writer() -> Writer:
         stiffness=(2.0, 0.5),
         damping=(0.6, 0.12),
         reach=1.0,
-        search=SearchSettings(mean_iterations=30, stage_iterations=20, final_iterations=60, trusted=1.0),
+        search=SearchSettings(
+            mean_iterations=30, stage_iterations=20, final_iterations=60, trusted=1.0
+        ),
     )
 
 
 def biorob_writer() -> Writer:
     """The BioRob's racket, on a board in front of it: to the right as the robot sees it, and up.
 
-    The place of the racket's centre [x, y, z] (m; forwards, to the left, up from the floor) is that with a straight wrist, whose springs
-    give way by less than a millimetre.
+    The place of the racket's centre [x, y, z] (m; forwards, to the left, up from the floor) is that
+    with a straight wrist, whose springs give way by less than a millimetre.
 
     Example:
         >>> biorob_writer().space.match(torch.zeros(6, dtype=torch.float64)).round(decimals=3)  # it hangs
@@ -135,7 +162,13 @@ def biorob_writer() -> Writer:
     upper, lower = BIOROB_LINKS
     outwards = upper * sine(shoulder) + lower * sine(both)
     up = BIOROB_SHOULDER * cosine(none) + -upper * cosine(shoulder) + -lower * cosine(both)
-    match = match_of([cosine(yaw) * outwards, sine(yaw) * outwards, up], ("x", "y", "z"), ("m",) * 3, dim=6, angles=(0, 1, 2))
+    match = match_of(
+        [cosine(yaw) * outwards, sine(yaw) * outwards, up],
+        ("x", "y", "z"),
+        ("m",) * 3,
+        dim=6,
+        angles=(0, 1, 2),
+    )
     return Writer(
         name="biorob",
         make_env=BioRobEnv,
@@ -150,7 +183,9 @@ def biorob_writer() -> Writer:
         stiffness=(8.0, 20.0, 10.0),
         damping=(0.3, 0.5, 0.2),
         reach=1.5,
-        search=SearchSettings(mean_iterations=0, stage_iterations=30, final_iterations=60, trusted=2.0),
+        search=SearchSettings(
+            mean_iterations=0, stage_iterations=30, final_iterations=60, trusted=2.0
+        ),
     )
 
 
@@ -158,7 +193,8 @@ WRITERS = {"biorob": biorob_writer, "double_pendulum": pendulum_writer}
 
 
 def biorob_pose(places: Tensor) -> Tensor:
-    """Yaw, shoulder and elbow (*batch, 3), rad, with the racket's centre at [x, y, z] (*batch, 3), m, the elbow below.
+    """Yaw, shoulder and elbow (*batch, 3), rad, with the racket's centre at [x, y, z] (*batch, 3),
+    m, the elbow below.
 
     Raises:
         ValueError: a place is out of the arm's reach.
@@ -174,21 +210,28 @@ def biorob_pose(places: Tensor) -> Tensor:
     cos_elbow = (outwards**2 + below**2 - upper**2 - lower**2) / (2 * upper * lower)
     bad = places[cos_elbow.abs() > 1]
     if len(bad):
-        raise ValueError(f"places must be within {lower - upper:.2g} to {lower + upper:.2g} m of the shoulder, got {bad[0].tolist()}")
+        raise ValueError(
+            f"places must be within {lower - upper:.2g} to {lower + upper:.2g} m of the shoulder, "
+            f"got {bad[0].tolist()}"
+        )
     elbow = cos_elbow.acos()
-    shoulder = torch.atan2(outwards, below) - torch.atan2(lower * elbow.sin(), upper + lower * elbow.cos())
+    shoulder = torch.atan2(outwards, below) - torch.atan2(
+        lower * elbow.sin(), upper + lower * elbow.cos()
+    )
     return torch.stack([torch.atan2(y, x), shoulder, elbow], -1)
 
 
 def states_of_strokes(writer: Writer, strokes: Demonstrations) -> Tensor:
-    """States (N, T + 1, D) with the tip on the strokes: poses by inverse kinematics, velocities by central differences.
+    """States (N, T + 1, D) with the tip on the strokes: poses by inverse kinematics, velocities by
+    central differences.
 
     Args:
         writer: the robot.
         strokes: in its match space.
 
     Raises:
-        DemonstrationError: a stroke leaves the robot's reach, or takes more torque than there is; the message says where.
+        DemonstrationError: a stroke leaves the robot's reach, or takes more torque than there is;
+            the message says where.
     """
     try:
         positions = writer.pose(strokes.positions)
@@ -196,7 +239,9 @@ def states_of_strokes(writer: Writer, strokes: Demonstrations) -> Tensor:
         raise DemonstrationError(f"strokes must stay in the robot's reach: {error}") from error
     velocities = torch.gradient(positions, spacing=strokes.time_step, dim=1)[0]
     accelerations = torch.gradient(velocities, spacing=strokes.time_step, dim=1)[0]
-    _check_torques(writer, strokes, [part.flatten(0, 1) for part in (positions, velocities, accelerations)])
+    _check_torques(
+        writer, strokes, [part.flatten(0, 1) for part in (positions, velocities, accelerations)]
+    )
     return writer.state(positions, velocities)
 
 
@@ -207,8 +252,8 @@ def _check_torques(writer: Writer, strokes: Demonstrations, motion: list[Tensor]
     if len(excess):
         stroke, step, motor = excess[0].tolist()
         raise DemonstrationError(
-            f"stroke {stroke} needs {needed[stroke, step, motor]:.3g} N·m of motor {motor} at {step * strokes.time_step:.1f} s, "
-            f"which has {limits[motor]:.3g} N·m"
+            f"stroke {stroke} needs {needed[stroke, step, motor]:.3g} N·m of motor {motor} at "
+            f"{step * strokes.time_step:.1f} s, which has {limits[motor]:.3g} N·m"
         )
 
 

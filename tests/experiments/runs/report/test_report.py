@@ -15,7 +15,13 @@ from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.plotting import save_figure
 from torch_pmil.plotting.video import write_video
 
-MEASURED = {"trial": 1, "experience_s": 2.5, "success_rate": 0.5, "own_success": False, "own_error": 0.3}
+MEASURED = {
+    "trial": 1,
+    "experience_s": 2.5,
+    "success_rate": 0.5,
+    "own_success": False,
+    "own_error": 0.3,
+}
 TRIAL = MEASURED | {"kl": None, "stop_reason": "iterations"}
 OLD = {  # what every summary has
     "experiment": "double_pendulum",
@@ -54,7 +60,12 @@ def test_page_asks_for_nothing_from_elsewhere(tmp_path: Path) -> None:
     write_video(folder / "video.mp4", [np.zeros((16, 16, 3), dtype=np.uint8)] * 5, fps=5)
     page = page_of(folder)
     sources = re.findall(r"(?:src|href|action|poster)=\"(.{5})", page)
-    assert sources == 3 * ["data:"] and "<script" not in page and "url(" not in page and "@import" not in page
+    assert (
+        sources == 3 * ["data:"]
+        and "<script" not in page
+        and "url(" not in page
+        and "@import" not in page
+    )
 
 
 def test_all_that_comes_from_data_is_escaped(tmp_path: Path) -> None:
@@ -78,13 +89,22 @@ def test_pictures_come_in_reading_order_and_say_of_which_target_they_are(tmp_pat
     names = ("my_own", "model", "trajectories_target_1", "trajectories_target_0", "learning_curve")
     rates = {"y = 0": 0.4, "y = 1": 0.6}
     page = page_of(run_of(tmp_path / "run", OLD | {"saved_success_rate_by_target": rates}, *names))
-    titles = ["Demonstrated, predicted and executed, y = 0", "Demonstrated, predicted and executed, y = 1", "Learning curve"]
+    titles = [
+        "Demonstrated, predicted and executed, y = 0",
+        "Demonstrated, predicted and executed, y = 1",
+        "Learning curve",
+    ]
     assert headings(page)[:5] == [*titles, "Slices through the model", "my own"]
     assert re.findall(r'width="(\d+)" height="(\d+)"', page) == 5 * [("200", "100")]
 
 
 @pytest.mark.parametrize(
-    ("rate", "said"), [(1.0, "It learned: 20 of"), (0.5, "It learned in part: 10 of"), (0.0, "It did not learn: none of")]
+    ("rate", "said"),
+    [
+        (1.0, "It learned: 20 of"),
+        (0.5, "It learned in part: 10 of"),
+        (0.0, "It did not learn: none of"),
+    ],
 )
 def test_headline_says_in_words_whether_it_learned(tmp_path: Path, rate: float, said: str) -> None:
     page = page_of(run_of(tmp_path / "run", OLD | {"saved_success_rate": rate}))
@@ -94,8 +114,14 @@ def test_headline_says_in_words_whether_it_learned(tmp_path: Path, rate: float, 
 def test_diagnosis_is_said_if_there_is_one(tmp_path: Path) -> None:
     reason = {"cause": "search stuck", "message": "at step 7"}
     page = page_of(run_of(tmp_path / "a", OLD | {"diagnosis": [reason]}))
-    assert "<li><strong>search stuck</strong>: at step 7</li>" in page and headings(page)[0] == "The likely reason"
-    assert headings(page_of(run_of(tmp_path / "two", OLD | {"diagnosis": 2 * [reason]})))[0] == "Likely reasons, the most likely first"
+    assert (
+        "<li><strong>search stuck</strong>: at step 7</li>" in page
+        and headings(page)[0] == "The likely reason"
+    )
+    assert (
+        headings(page_of(run_of(tmp_path / "two", OLD | {"diagnosis": 2 * [reason]})))[0]
+        == "Likely reasons, the most likely first"
+    )
     for name, summary in (("none", OLD | {"diagnosis": []}), ("old", OLD)):
         assert "ikely reason" not in page_of(run_of(tmp_path / name, summary))
 
@@ -105,16 +131,30 @@ def test_run_at_its_limit_can_go_on_and_any_can_be_repeated_or_begin_anew(tmp_pa
     page = page_of(run_of(tmp_path / "limit", OLD))
     assert f"{command} seed=3 out=runs/a trials=2 resume=true</pre>" in page
     assert f"{command} seed=4</pre>" in page and f"{command} seed=3 out=runs/a</pre>" in page
-    done = page_of(run_of(tmp_path / "done", OLD | {"stop_reason": "succeeded", "command": f"{command} resume=true"}))
+    done = page_of(
+        run_of(
+            tmp_path / "done",
+            OLD | {"stop_reason": "succeeded", "command": f"{command} resume=true"},
+        )
+    )
     assert "trials=2" not in done and f"{command}</pre>" in done
 
 
 def test_numbers_of_trials_and_settings_are_in_tables(tmp_path: Path) -> None:
-    shares = {"rms_error": {"x": 0.01}, "demonstration_spread": {"x": 0.02}, "saturated": {"tau": 0.25}}
+    shares = {
+        "rms_error": {"x": 0.01},
+        "demonstration_spread": {"x": 0.02},
+        "saturated": {"tau": 0.25},
+    }
     summary = OLD | {"settings": {"horizon": 25, "search": {"trusted": 3.0}}} | shares
     page = page_of(run_of(tmp_path / "run", summary))
     rows = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", page)]
-    for row in (["1", "2.5", "–", "50 %", "failed", "0.3", "iterations"], ["x", "0.01", "0.02"], ["search.trusted", "3"], ["tau", "25 %"]):
+    for row in (
+        ["1", "2.5", "–", "50 %", "failed", "0.3", "iterations"],
+        ["x", "0.01", "0.02"],
+        ["search.trusted", "3"],
+        ["tau", "25 %"],
+    ):
         assert row in rows
 
 
@@ -122,7 +162,9 @@ def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Pa
     folder = run_of(tmp_path / "run", OLD)
     page = page_of(folder)
     (folder / "figures" / "poses.png").write_text("no picture")
-    with pytest.raises(RunError, match=r"poses\.png must be a PNG file, got one that begins with b'no pict"):
+    with pytest.raises(
+        RunError, match=r"poses\.png must be a PNG file, got one that begins with b'no pict"
+    ):
         write_report(folder)
     (folder / "summary.json").unlink()
     with pytest.raises(RunError, match=r"cannot read summary\.json: No such file"):
@@ -131,7 +173,9 @@ def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Pa
     assert {path.name for path in folder.iterdir()} == {"figures", "report.html"}
 
 
-def test_page_that_is_not_written_to_its_end_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_that_is_not_written_to_its_end_leaves_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = run_of(tmp_path / "run", OLD)
     page, write = page_of(folder), Path.write_text
 

@@ -37,16 +37,22 @@ class Visit:
         self.page = context.new_page()
         self.page.on("console", lambda message: self.said.append(f"{message.type}: {message.text}"))
         self.page.on("pageerror", lambda error: self.said.append(str(error)))
-        self.page.on("requestfailed", lambda request: self.said.append(f"failed: {request.url[:80]}"))
+        self.page.on(
+            "requestfailed", lambda request: self.said.append(f"failed: {request.url[:80]}")
+        )
         self.page.on("request", lambda request: self.asked.append(request.url[:5]))
         self.page.goto(path.as_uri())
         self.page.wait_for_load_state("load")
 
 
-@pytest.fixture(params=[(width, scheme) for width in WIDTHS for scheme in ("light", "dark")], ids="-".join)
+@pytest.fixture(
+    params=[(width, scheme) for width in WIDTHS for scheme in ("light", "dark")], ids="-".join
+)
 def visit(request: pytest.FixtureRequest, browser: object, report: Path) -> Iterator[Visit]:
     width, scheme = request.param
-    context = browser.new_context(viewport={"width": WIDTHS[width], "height": 700}, color_scheme=scheme)
+    context = browser.new_context(
+        viewport={"width": WIDTHS[width], "height": 700}, color_scheme=scheme
+    )
     yield Visit(context, report)
     context.close()
 
@@ -59,7 +65,10 @@ def test_nothing_is_said_in_the_console_and_nothing_is_asked_for(visit: Visit) -
 
 @pytest.mark.slow
 def test_all_pictures_are_shown_and_the_video_plays(visit: Visit) -> None:
-    pictures = visit.page.evaluate("Promise.all([...document.images].map(async (i) => (await i.decode(), [i.naturalWidth, i.complete])))")
+    pictures = visit.page.evaluate(
+        "Promise.all([...document.images].map(async (i) => (await i.decode(), [i.naturalWidth, "
+        "i.complete])))"
+    )
     assert len(pictures) == 7 and all(width > 0 and complete for width, complete in pictures)
     video = visit.page.locator("video")
     visit.page.wait_for_function("document.querySelector('video').readyState >= 2")
@@ -73,7 +82,10 @@ def test_all_pictures_are_shown_and_the_video_plays(visit: Visit) -> None:
 def test_page_is_no_wider_than_the_screen_and_tables_scroll(visit: Visit) -> None:
     page, width = visit.page, visit.page.viewport_size["width"]
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    boxes = page.evaluate("[...document.querySelectorAll('main > *, main > * > *')].map((e) => e.getBoundingClientRect().right)")
+    boxes = page.evaluate(
+        "[...document.querySelectorAll('main > *, main > * > *')].map((e) => "
+        "e.getBoundingClientRect().right)"
+    )
     assert max(boxes) <= width
     trials = page.locator(".table").first
     assert trials.evaluate("e => e.scrollWidth > e.clientWidth") == (width == WIDTHS["phone"])

@@ -21,42 +21,50 @@ class Caption:
 CAPTIONS = {  # in the order of the page
     "trajectories": Caption(
         "Demonstrated, predicted and executed",
-        "When all is right the predicted band lies on the demonstrated one, and the executed rollouts run inside both. Rollouts "
-        "outside the predicted band: the model is wrong there. A predicted band beside the demonstrated one: the search did not "
-        "get further.",
+        "When all is right the predicted band lies on the demonstrated one, and the executed "
+        "rollouts run inside both. Rollouts outside the predicted band: the model is wrong "
+        "there. A predicted band beside the demonstrated one: the search did not get further.",
     ),
     "writing": Caption(
         "In the plane",
-        "Strokes of people, what was predicted for the robot's tip (an ellipse of two standard deviations at each step), and what"
-        " it wrote.",
+        "Strokes of people, what was predicted for the robot's tip (an ellipse of two standard "
+        "deviations at each step), and what it wrote.",
     ),
-    "poses": Caption("Poses of one rollout", "The robot from the start (bright) to the end (dark)."),
+    "poses": Caption(
+        "Poses of one rollout", "The robot from the start (bright) to the end (dark)."
+    ),
     "learning_curve": Caption(
         "Learning curve",
-        "Above, the success rate from fresh starts after each trial; below, what the search made of its objective. The rate comes"
-        " up once the objective is low over the whole horizon; it need not rise evenly.",
+        "Above, the success rate from fresh starts after each trial; below, what the search made "
+        "of its objective. The rate comes up once the objective is low over the whole horizon; "
+        "it need not rise evenly.",
     ),
     "kl_per_step": Caption(
         "Where the KL comes from",
-        "The KL of each time step, above by means that differ and spreads that differ, below by what is observed, each entry "
-        "given those below it in the legend. When all is right no step stands out. A sudden rise that stays is where the search "
-        "is stuck; blue alone is a prediction that is too wide or too narrow, though its mean is right.",
+        "The KL of each time step, above by means that differ and spreads that differ, below by "
+        "what is observed, each entry given those below it in the legend. When all is right no "
+        "step stands out. A sudden rise that stays is where the search is stuck; blue alone is a "
+        "prediction that is too wide or too narrow, though its mean is right.",
     ),
     "calibration": Caption(
         "Calibration of the model",
-        "One-step predictions along rollouts from fresh starts, which the model has not learned from. Left, lines below the "
-        "diagonal: the model is surer than it is right. Right, above 1: errors are larger than it says, at that time.",
+        "One-step predictions along rollouts from fresh starts, which the model has not learned "
+        "from. Left, lines below the diagonal: the model is surer than it is right. Right, above "
+        "1: errors are larger than it says, at that time.",
     ),
     "model": Caption(
         "Slices through the model",
-        "Each output over the inputs on which the model depends most, through where the robot was halfway. The band should be "
-        "narrow where there are data and widen beyond; dots outside it are transitions that the model does not explain.",
+        "Each output over the inputs on which the model depends most, through where the robot "
+        "was halfway. The band should be narrow where there are data and widen beyond; dots "
+        "outside it are transitions that the model does not explain.",
     ),
     "policy": Caption(
         "The policy",
-        "Torque (colour) over position and velocity of a joint, the other joints held where the prediction is at that time (the "
-        "white dot is the state itself), and where the model says the robot goes from there (arrows). Around the dot the arrows "
-        "should lead along the motion or, at its end, towards the dot; full red or blue around it is a torque at its limit.",
+        "Torque (colour) over position and velocity of a joint, the other joints held where the "
+        "prediction is at that time (the white dot is the state itself), and where the model "
+        "says the robot goes from there (arrows). Around the dot the arrows should lead along "
+        "the motion or, at its end, towards the dot; full red or blue around it is a torque at "
+        "its limit.",
     ),
 }
 
@@ -78,7 +86,11 @@ def caption_of(name: str, targets: list[str]) -> Caption:
     caption = CAPTIONS.get(kind, Caption(kind.replace("_", " "), ""))
     if not number:
         return caption
-    target = targets[int(number)] if number.isdecimal() and int(number) < len(targets) else f"target {number}"
+    target = (
+        targets[int(number)]
+        if number.isdecimal() and int(number) < len(targets)
+        else f"target {number}"
+    )
     return Caption(f"{caption.title}, {target}", caption.text)
 
 

@@ -15,7 +15,10 @@ from torch_pmil.experiments.runs.summaries import RunError, read_summary
 from torch_pmil.files import replacing
 
 PNG = b"\x89PNG\r\n\x1a\n"
-DENSITY, DENSEST = 1.5, 2.8  # pixels of a picture to one of the page: as it is shown, and so that its text can still be read
+DENSITY, DENSEST = (
+    1.5,
+    2.8,
+)  # pixels of a picture to one of the page: as it is shown, and so that its text can still be read
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,8 @@ class Picture:
 def write_report(folder: Path | str) -> Path:
     """Write ``report.html`` from what a finished run left in its folder: summary, figures, video.
 
-    The page holds all of it and asks for nothing from elsewhere. What a run did not leave, it does without.
+    The page holds all of it and asks for nothing from elsewhere. What a run did not leave, it does
+    without.
 
     Args:
         folder: of the run.
@@ -95,7 +99,9 @@ def _pictures(folder: Path, summary: dict) -> list[Picture]:
     """All figures, in the order of the page."""
     targets = list(summary.get("saved_success_rate_by_target", {}))
     paths = sorted((folder / "figures").glob("*.png"), key=lambda path: place_of(path.stem))
-    return [Picture(caption_of(path.stem, targets), _pixels(path), _encoded(path)) for path in paths]
+    return [
+        Picture(caption_of(path.stem, targets), _pixels(path), _encoded(path)) for path in paths
+    ]
 
 
 def _pixels(path: Path) -> tuple[int, int]:

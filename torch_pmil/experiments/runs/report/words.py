@@ -17,10 +17,17 @@ def headline(summary: dict) -> tuple[str, str]:
         ('good', 'It learned: 20 of 20 fresh starts succeed, after 17.5 s of experience.')
     """
     rate, count = summary["saved_success_rate"], summary["saved_n_eval"]
-    succeeded = f"{round(rate * count) or 'none'} of {count} fresh starts succeed, after {summary['experience_s']:g} s of experience."
+    succeeded = (
+        f"{round(rate * count) or 'none'} of {count} fresh starts succeed, after "
+        f"{summary['experience_s']:g} s of experience."
+    )
     if rate >= LEARNED:
         return "good", f"It learned: {succeeded}"
-    return ("part", f"It learned in part: {succeeded}") if rate > 0 else ("bad", f"It did not learn: {succeeded}")
+    return (
+        ("part", f"It learned in part: {succeeded}")
+        if rate > 0
+        else ("bad", f"It did not learn: {succeeded}")
+    )
 
 
 def say(value: object) -> str:
@@ -37,7 +44,9 @@ def say(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, list):
-        return ", ".join(f"({say(item)})" if isinstance(item, list) else say(item) for item in value)
+        return ", ".join(
+            f"({say(item)})" if isinstance(item, list) else say(item) for item in value
+        )
     if isinstance(value, dict):
         return ", ".join(f"{name} = {say(item)}" for name, item in value.items())
     return str(value)
@@ -58,13 +67,21 @@ def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
     words = _words(summary["command"])
     if words[:2] == ["pmil", "train"]:
         if summary["stop_reason"] == "limit of trials":
-            further = [*_without(words, "trials=", "resume="), f"trials={2 * len(summary['trials'])}", "resume=true"]
+            further = [
+                *_without(words, "trials=", "resume="),
+                f"trials={2 * len(summary['trials'])}",
+                "resume=true",
+            ]
             yield "Go on where it stopped, with twice as many trials:", shlex.join(further)
         anew = [*_without(words, "seed=", "out=", "resume="), f"seed={summary['seed'] + 1}"]
         yield "Learn it anew, from another random motion:", shlex.join(anew)
     yield "Repeat it:", shlex.join(_without(words, "resume="))
     if (folder / "policy.pt").exists():
-        lines = "from torch_pmil import load_policy", f"policy = load_policy({str(folder / 'policy.pt')!r})", "torque = policy(state)"
+        lines = (
+            "from torch_pmil import load_policy",
+            f"policy = load_policy({str(folder / 'policy.pt')!r})",
+            "torque = policy(state)",
+        )
         yield "Use the policy:", "\n".join(lines)
 
 

@@ -24,7 +24,7 @@ import torch
 from benchmarks.workloads import make_problem
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
-from torch_pmil.gp import moment_derivatives as linearised_moments
+from torch_pmil.gp import moment_derivatives
 from torch_pmil.model import rollout
 
 ROOT = Path(__file__).parents[1]
@@ -64,8 +64,8 @@ def main() -> None:
     torch.set_num_threads(1)
     clock = Clock()
     clock.watch(rollout, "unroll", "rollout")
-    clock.watch(linearised_moments, "thin_products", "pairs of data")
-    clock.watch(linearised_moments.RecordedMoments, "_sum_up", "sums")
+    clock.watch(moment_derivatives, "pairwise_kernel_sums", "pairs of data")
+    clock.watch(moment_derivatives.RecordedMoments, "_sum_up", "sums")
     clock.watch(rollout._MomentStep, "jacobian", "jacobian")
     clock.watch(rollout._MomentStep, "parameter_gradients", "policy gradient")
     rows = [

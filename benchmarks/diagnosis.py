@@ -83,7 +83,8 @@ def measured(folder: Path, experiment: Experiment) -> dict[str, object]:
             name: (min if name in SMALLEST else max)(each[name] for each in of_each)
             for name in of_each[0]
         },
-        "mismatch": loss.doubt(experiment.initial).amax().item() / experiment.search.trusted,
+        "mismatch": loss.step_loss_for_trust(experiment.initial).amax().item()
+        / experiment.search.trust_threshold,
         "causes": [reason.cause for reason in likely_reasons(experiment, loss, outcomes, horizons)],
     }
 
@@ -96,7 +97,7 @@ def of_outcome(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -
     known = known_steps(experiment, dynamics, outcome)
     noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
     executed, demonstrated = (
-        experiment.space.match(outcome.executed),
+        experiment.space.observe(outcome.executed),
         outcome.demonstrations.positions,
     )
     return {

@@ -93,7 +93,7 @@ def experience(n: int, seed: int) -> tuple[Tensor, Tensor]:
         task.make_env(num_envs=rollouts, seed=seed),
         torch.Generator().manual_seed(seed),
     )
-    actor = RobotActor(task.make_policy(generator), task.space, task.first_motion.motion(generator))
+    actor = RobotActor(task.make_policy(generator), task.space, task.exploration.motion(generator))
     past = Experience(capacity=rollouts * ROLLOUT)
     past.extend(env.rollout(ROLLOUT, actor))
     inputs, targets = past.training_data(task.space, "difference", task.limits)

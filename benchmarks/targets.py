@@ -77,10 +77,10 @@ def measure(n: int, threads: list[int], repeats: int) -> list[dict[str, object]]
     experiment = load_experiment("biorob_targets")
     dynamics, rows = make_dynamics(experiment, n), []
     policy = experiment.make_policy(torch.Generator().manual_seed(SEED))
-    expert, targets = experiment.expert, experiment.targets
+    demonstrated, targets = experiment.demonstrated, experiment.targets
     losses = [
         MultiTargetKLLoss(
-            policy, dynamics, experiment.space, expert[:S], targets[:S], experiment.noise_std
+            policy, dynamics, experiment.space, demonstrated[:S], targets[:S], experiment.noise_std
         )
         for S in COUNTS
     ]
@@ -111,9 +111,7 @@ def evaluation(loss: MultiTargetKLLoss, experiment: TargetExperiment) -> Callabl
 def make_dynamics(experiment: TargetExperiment, n: int) -> GPDynamics:
     """The model of n transitions of the first movements, with PILCO's first hyper-parameters."""
     env = experiment.robots_at(experiment.targets[:1].expand(-(-n // STEPS), -1), SEED)
-    motion = replace(experiment.first_motion, rollouts=1).motion(
-        torch.Generator().manual_seed(SEED)
-    )
+    motion = replace(experiment.exploration, rollouts=1).motion(torch.Generator().manual_seed(SEED))
     rollout = env.rollout(
         STEPS, TensorDictModule(motion, in_keys=["observation"], out_keys=["action"])
     )

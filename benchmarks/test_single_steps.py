@@ -32,7 +32,7 @@ def with_gradient(problem: Problem, function: Callable[[], torch.Tensor]) -> Cal
 def gp_input(problem: Problem) -> Gaussian:
     """Belief over features and action at the start, without a graph."""
     space, policy = problem.experiment.space, problem.policy
-    features, _ = space.belief(problem.experiment.initial)
+    features, _ = space.feature_moments(problem.experiment.initial)
     action, slope = policy.controller.on_belief(features)
     return joint(features, action, features.cov @ slope).detach()
 
@@ -58,7 +58,7 @@ def test_moments_of_the_gp(benchmark, n: int) -> None:
 def test_action_of_a_belief(benchmark) -> None:
     """Moments of the policy's action."""
     problem = make_problem(10, horizon=1)
-    features, _ = problem.experiment.space.belief(problem.experiment.initial)
+    features, _ = problem.experiment.space.feature_moments(problem.experiment.initial)
 
     def action() -> torch.Tensor:
         belief, slope = problem.policy.controller.on_belief(features)

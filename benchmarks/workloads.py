@@ -4,7 +4,7 @@ the same work in several ways.
 The task is the double pendulum's (D = 4 states, F = 2 torques, 100 basis functions), float64. The
 data are n transitions of the robot under random torques, with PILCO's first hyper-parameters
 (lengthscales std(input), signal std(target), noise a tenth of it), the policy has random weights,
-and beyond the demonstrated 25 steps the expert stays where it ends.
+and beyond the demonstrated 25 steps the demonstration stays where it ends.
 
 =========================  ==========================================================================================
 ``torch_pmil``             ``TrajectoryKLLoss``; model and policy see sin and cos of the two angles: 6 features, 8 GP inputs
@@ -42,12 +42,12 @@ Evaluate = Callable[[], list[Tensor]]  # the loss (nats) and its gradients; the 
 
 @dataclass(frozen=True)
 class Problem:
-    """An experiment with a model, a policy, and the expert's marginals at t = 1..horizon."""
+    """An experiment with a model, a policy, and the demonstrated marginals at t = 1..horizon."""
 
     experiment: Experiment
     dynamics: GPDynamics
     policy: RBFPolicy
-    expert: Gaussian
+    demonstrated: Gaussian
 
     @property
     def loss(self) -> TrajectoryKLLoss:
@@ -56,7 +56,7 @@ class Problem:
             self.policy,
             self.dynamics,
             self.experiment.space,
-            self.expert,
+            self.demonstrated,
             self.experiment.noise_std,
         )
 
@@ -74,7 +74,7 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False) -> Problem:
     if raw_angles:
         space = experiment.space
         experiment = replace(
-            experiment, space=StateSpace(space.names, space.units, (), space.match)
+            experiment, space=StateSpace(space.names, space.units, (), space.match_space)
         )
     generator = torch.Generator().manual_seed(SEED)
     states, torques, successors = random_transitions(experiment, n, generator)
@@ -84,7 +84,7 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False) -> Problem:
         experiment,
         make_dynamics(inputs, successors - states),
         experiment.make_policy(generator),
-        experiment.expert[steps],
+        experiment.demonstrated[steps],
     )
 
 
@@ -141,10 +141,10 @@ def torchrl(n: int, horizon: int) -> Evaluate:
     parameters = list(controller.parameters())
 
     def evaluate() -> list[Tensor]:
-        predicted = experiment.space.match.belief(
+        predicted = experiment.space.match_space.moments(
             torchrl_rollout(model, controller, experiment.initial, horizon)
         )
-        value = trajectory_kl(problem.expert, predicted.add_noise(experiment.noise_std**2))
+        value = trajectory_kl(problem.demonstrated, predicted.add_noise(experiment.noise_std**2))
         return [value, *torch.autograd.grad(value, parameters)]
 
     return evaluate

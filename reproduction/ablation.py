@@ -82,7 +82,12 @@ class Variation(Experiment):
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryKLLoss:
         """The KL between demonstrated and predicted trajectories."""
         return TrajectoryKLLoss(
-            policy, dynamics, self.space, self.expert, self.noise_std, prediction=self.prediction
+            policy,
+            dynamics,
+            self.space,
+            self.demonstrated,
+            self.noise_std,
+            prediction=self.prediction,
         )
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:

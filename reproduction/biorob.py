@@ -58,7 +58,7 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
             [f"q {joint}" for joint in JOINTS],
             ["°"] * len(JOINTS),
             experiment.demonstrations.time_step,
-            experiment.expert.affine(IN_DEGREES),
+            experiment.demonstrated.affine(IN_DEGREES),
             predicted.affine(IN_DEGREES),
             executed,
         ),

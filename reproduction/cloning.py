@@ -13,7 +13,7 @@ from reproduction.baselines.behavioral_cloning import clone_behavior
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, double_pendulum_model
 from torch_pmil.envs.teachers.exact_tracking import motion_of, tracking_torques
-from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_expert
+from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.experiments import load_experiment
 
 FIRST_LINK = 0.5  # kg, of all robots
@@ -22,15 +22,15 @@ DEMONSTRATIONS = 5
 
 
 def record_pairs(seeds: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
-    """Five swing-ups with each seed: states (5, T + 1, 4) and the torques that the expert applied,
+    """Five swing-ups with each seed: states (5, T + 1, 4) and the torques that the teacher applied,
     (5, T, 2), in N·m.
 
     Those of seed 0 are the demonstrations that come with the package.
     """
-    expert = swing_up_expert((FIRST_LINK, DEMONSTRATED))
+    teacher = swing_up_teacher((FIRST_LINK, DEMONSTRATED))
     for seed in seeds:
         env = DoublePendulumEnv((FIRST_LINK, DEMONSTRATED), num_envs=DEMONSTRATIONS, seed=seed)
-        yield demonstrate(env, expert, seed)
+        yield demonstrate(env, teacher, seed)
 
 
 def clone_double_pendulum(states: Tensor, torques: Tensor) -> StatePolicy:

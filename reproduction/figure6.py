@@ -48,53 +48,53 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
         learned.rollouts(experiment, EVALUATION_STARTS, START_SEED),
     )
     executed = states_of(rollouts)
-    match = experiment.space.match
-    predicted = match.belief(states).add_noise(experiment.noise_std**2)
+    match_space = experiment.space.match_space
+    predicted = match_space.moments(states).add_noise(experiment.noise_std**2)
     headline = {
         "experience_s": learned.summary["experience_s"],
         "success_rate": success_rate(experiment.error(rollouts), experiment.tolerance),
         "two_sigma_coverage": two_sigma_coverage(states, executed),
-        **comparison(experiment.expert, predicted),
+        **comparison(experiment.demonstrated, predicted),
     }
     moment_matching, figure4 = moment_matching_figure()
     figures = {
         "figure2": gp_figure(),
         "figure3": demonstrations_figure(experiment),
         "figure4": figure4,
-        "figure5": plot_poses(match(executed[0]), experiment.demonstrations.time_step),
+        "figure5": plot_poses(match_space(executed[0]), experiment.demonstrations.time_step),
         "figure6": plot_distributions(
-            match.names,
-            match.units,
+            match_space.names,
+            match_space.units,
             experiment.demonstrations.time_step,
-            experiment.expert,
+            experiment.demonstrated,
             predicted,
-            match(executed)[:, 1:],
+            match_space(executed)[:, 1:],
         ),
     }
     return Report(headline | moment_matching, figures)
 
 
-def comparison(expert: Gaussian, predicted: Gaussian) -> dict[str, float]:
+def comparison(demonstrated: Gaussian, predicted: Gaussian) -> dict[str, float]:
     """How far the predicted positions are from the demonstrated: KL, largest difference of the
     means, and how their spreads in x1 agree.
     """
-    spreads = torch.stack([expert.std[:, 0], predicted.std[:, 0]])
+    spreads = torch.stack([demonstrated.std[:, 0], predicted.std[:, 0]])
     return {
-        "kl_nats": trajectory_kl(expert, predicted).item(),
-        "largest_mean_difference_m": (expert.mean - predicted.mean).abs().max().item(),
+        "kl_nats": trajectory_kl(demonstrated, predicted).item(),
+        "largest_mean_difference_m": (demonstrated.mean - predicted.mean).abs().max().item(),
         "x1_std_correlation": torch.corrcoef(spreads)[0, 1].item(),
     }
 
 
 def demonstrations_figure(experiment: Experiment) -> Figure:
     """Figure 3, of the double pendulum's demonstrations."""
-    match, demonstrations = experiment.space.match, experiment.demonstrations
+    match_space, demonstrations = experiment.space.match_space, experiment.demonstrations
     return plot_demonstrations(
-        match.names,
-        match.units,
+        match_space.names,
+        match_space.units,
         demonstrations.time_step,
         demonstrations.positions,
-        experiment.expert,
+        experiment.demonstrated,
     )
 
 

@@ -43,7 +43,7 @@ FORMS = ("raw", "standardised")
 def recorded_movements(seed: int) -> list[Recording]:
     """24 s of movements as those that a learning run begins with (Section 5.2.4)."""
     env = BioRobEnv(num_envs=PARTS, control_period=TIME_STEP, seed=seed)
-    motion = load_experiment("biorob").first_motion.motion(torch.Generator().manual_seed(seed))
+    motion = load_experiment("biorob").exploration.motion(torch.Generator().manual_seed(seed))
     states, torques = [env.reset()["observation"]], []
     for step in range(round(PART / TIME_STEP)):
         if step % HOLD == 0:

@@ -112,7 +112,7 @@ def record_movements(seed: int, rollouts: int) -> tuple[Tensor, Tensor, Tensor, 
         States (n, 6), motors' angles and speeds (n, 6), torques (n, 3) and successors (n, 6).
     """
     experiment, env = load_experiment("biorob"), BioRobEnv(seed=seed)
-    movements = experiment.first_motion
+    movements = experiment.exploration
     motion, recorded = movements.motion(torch.Generator().manual_seed(seed)), []
     controller = TensorDictModule(motion, in_keys=["observation"], out_keys=["action"])
     columns = state_columns(env.model, ROTORS, positions_first=True)

@@ -130,7 +130,7 @@ def departure(states: Tensor, robot: Experiment) -> float:
         >>> 0 < departure(robot.demonstrated_states.unflatten(0, (5, 26)), robot) < 0.1
         True
     """
-    difference = robot.space.match(states[:, 1:]) - robot.expert.mean
+    difference = robot.space.observe(states[:, 1:]) - robot.demonstrated.mean
     return difference.unflatten(-1, (2, 2)).square().sum(-1).mean().sqrt().item()
 
 

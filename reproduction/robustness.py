@@ -74,7 +74,7 @@ def with_demonstrations(count: int) -> Experiment:
 
 @cache
 def ten_demonstrations() -> Demonstrations:
-    """Those that come with the package, then five that the same expert gives from other starts."""
+    """Those that come with the package, then five that the same teacher gives from other starts."""
     shipped = shipped_demonstrations("double_pendulum")
     ((states, _),) = record_pairs([RECORDED_SEED])
     return replace(shipped, positions=torch.cat([shipped.positions, link_positions(states)]))

@@ -204,11 +204,11 @@ def separate_policies(learned: Learned, experiment: TargetExperiment) -> list[St
     """A policy for each target: what the joint one does there, searched further for this target
     alone, on the same model.
     """
-    policies, experts = [], experiment.expert
+    policies, demonstrated = [], experiment.demonstrated
     for i, target in enumerate(experiment.targets):
         policy = learned.policy.policy.for_target(target)
         loss = TrajectoryKLLoss(
-            policy, learned.dynamics, experiment.space, experts[i], experiment.noise_std
+            policy, learned.dynamics, experiment.space, demonstrated[i], experiment.noise_std
         )
         search_policy(loss, experiment.initial, experiment.search)
         policies.append(

@@ -1,4 +1,4 @@
-"""Let the expert demonstrate a task in simulation and record what an observer sees: positions, no
+"""Let the teacher demonstrate a task in simulation and record what an observer sees: positions, no
 torques.
 
 Example:
@@ -30,14 +30,14 @@ from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.envs.teachers import reaching
-from torch_pmil.envs.teachers.gym_experts import (
+from torch_pmil.envs.teachers.gym_teachers import (
     CART_STEPS,
     PENDULUM_STEPS,
-    balancing_expert,
-    pendulum_expert,
+    balancing_teacher,
+    pendulum_teacher,
 )
 from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
-from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_expert
+from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.envs.teachers.trajectory_optimization import Array
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.tasks.biorob import biorob_space
@@ -55,25 +55,25 @@ STRIKES = 3  # paper
 STRIKES_AT_A_TARGET = 2  # paper
 REACHES = 3  # of each target
 RECORDED_PERIOD = 0.01  # s, of what the robot's sensors record while it is led
-TORQUE_NOISE = 0.1  # of the experts that act by torques, in the unit of the action
+TORQUE_NOISE = 0.1  # of the teachers that act by torques, in the unit of the action
 CART_DEMONSTRATIONS = 10  # of starts that differ in all four entries
 LINK_ENDS = ("x1", "y1", "x2", "y2")
-Expert = Callable[[int, Array], Array]
+Teacher = Callable[[int, Array], Array]
 
 
 def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
     """Five swing-ups from starts drawn with the seed, all successful.
 
     Args:
-        seed: of the starts and of the expert's noise.
-        torque_noise: standard deviation of what the expert adds to its torques, drawn anew at each
+        seed: of the starts and of the teacher's noise.
+        torque_noise: standard deviation of what the teacher adds to its torques, drawn anew at each
             step, in N·m.
 
     Raises:
         RuntimeError: a demonstration did not stay upright.
     """
     env = DoublePendulumEnv(num_envs=DEMONSTRATIONS, seed=seed)
-    states, torques = demonstrate(env, swing_up_expert(), seed, torque_noise)
+    states, torques = demonstrate(env, swing_up_teacher(), seed, torque_noise)
     check_pendulums("upright", distance_from_upright(states), SUCCESS_DISTANCE, torques)
     return Demonstrations(link_positions(states), env.control_period, LINK_ENDS)
 
@@ -113,11 +113,11 @@ def check_pendulums(goal: str, distances: Tensor, tolerance: float, torques: Ten
 def record_inverted_pendulum(seed: int, torque_noise: float) -> Demonstrations:
     """Ten recoveries of gymnasium's InvertedPendulum-v5, all successful."""
     env = inverted_pendulum_env(CART_DEMONSTRATIONS, seed=seed)
-    return record_expert(
+    return record_teacher(
         "inverted_pendulum",
         env,
         inverted_pendulum_space(),
-        balancing_expert(),
+        balancing_teacher(),
         CART_STEPS,
         seed,
         torque_noise,
@@ -127,27 +127,27 @@ def record_inverted_pendulum(seed: int, torque_noise: float) -> Demonstrations:
 def record_gym_pendulum(seed: int, torque_noise: float) -> Demonstrations:
     """Five swing-ups of gymnasium's Pendulum-v1, all successful."""
     env = gym_pendulum_env(DEMONSTRATIONS, seed=seed)
-    return record_expert(
+    return record_teacher(
         "gym_pendulum",
         env,
         gym_pendulum_space(),
-        pendulum_expert(),
+        pendulum_teacher(),
         PENDULUM_STEPS,
         seed,
         torque_noise,
     )
 
 
-def record_expert(
+def record_teacher(
     name: str,
     env: AdaptedEnv,
     space: StateSpace,
-    expert: Expert,
+    teacher: Teacher,
     steps: int,
     seed: int,
     torque_noise: float,
 ) -> Demonstrations:
-    """What is seen of an expert, one demonstration of each robot of the environment.
+    """What is seen of a teacher, one demonstration of each robot of the environment.
 
     Raises:
         RuntimeError: a demonstration is none of the experiment's successes.
@@ -157,14 +157,14 @@ def record_expert(
         itertools.count(),
     )
 
-    def imprecise_expert(tensordict: TensorDictBase) -> TensorDictBase:
+    def imprecise_teacher(tensordict: TensorDictBase) -> TensorDictBase:
         step = next(time)
-        actions = expert(step, tensordict["observation"].numpy()) + torque_noise * noise[step]
+        actions = teacher(step, tensordict["observation"].numpy()) + torque_noise * noise[step]
         return tensordict.set("action", env.action_spec.project(torch.from_numpy(actions)))
 
-    rollout = env.rollout(steps, imprecise_expert)
+    rollout = env.rollout(steps, imprecise_teacher)
     demonstrations = Demonstrations(
-        space.match(states_of(rollout)), env.control_period, space.match.names
+        space.observe(states_of(rollout)), env.control_period, space.match_space.names
     )
     experiment = load_experiment(name, demonstrations)
     errors, peaks = experiment.error(rollout), rollout["action"].abs().amax((1, 2))
@@ -220,7 +220,9 @@ def record_strikes(seed: int, balls: Tensor) -> Demonstrations:
         velocities=(3, 4, 5),
     )
     space, period = biorob_space(), BioRobEnv().control_period
-    return Demonstrations(aligned[:, :: round(period / RECORDED_PERIOD)], period, space.match.names)
+    return Demonstrations(
+        aligned[:, :: round(period / RECORDED_PERIOD)], period, space.match_space.names
+    )
 
 
 EXPERIMENTS: dict[str, Callable[..., Demonstrations]] = {
@@ -235,7 +237,7 @@ LED_BY_HAND = {"biorob", "biorob_targets"}
 
 
 def torque_noise_of(config: DictConfig) -> float | None:
-    """What the expert adds to its torques; None for a teacher who applies none."""
+    """What the teacher adds to its torques; None for a teacher who applies none."""
     if config.experiment not in LED_BY_HAND:
         return TORQUE_NOISE if config.torque_noise is None else config.torque_noise
     if config.torque_noise is not None:

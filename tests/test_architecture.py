@@ -1,88 +1,76 @@
-"""Imports go one way: a module imports only what stands below it."""
+"""Imports go one way: a room of the package imports only rooms below it, and each knows what it may."""
 
 from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 import torch_pmil
 
 PACKAGE = Path(torch_pmil.__file__).parent
-
-FLOORS = (  # bottom first; modules of one floor may import each other
-    {"envs", "files"},  # know nothing of the mathematics, see below
-    {"functions", "gaussian", "lbfgs", "first_motion"},
-    {
-        "recurrence",
-        "trigonometry",
-        "kernel_expansion",
-        "exponential_sums",
-        "kl",
-        "saturating_cost",
-        "marginal_likelihood",
-        "writing",
-    },
-    {"gaussian_integrals"},
-    {"moment_matching"},
-    {"linearised_moments"},
-    {"state_space"},
-    {
-        "demonstrations",
-        "alignment",
-        "drawing",
-        "smoothing",
-        "jumps",
-        "camera",
-        "modes",
-        "demonstration_checks",
-        "diagnosis",
-    }
-    | {"expert", "evaluation", "trigonometric_polynomial"},
-    {"dynamics", "hyperparameters", "experience", "policy", "sampling_frequency"},
-    {"linearised_step", "state_policy", "saved_policy", "calibration"},
-    {"rollout", "particles"},
-    {"trajectory_loss"},
-    {"objective", "conditioning"},
-    {"multi_target"},
-    {"policy_search"},
-    {"search_stepper", "lbfgs_stepper", "collection", "checkpoints", "trials"},
-    {"trainer", "torchrl_interop", "run"},
-    {"baselines", "plotting"},  # plots draw numbers and know no experiment
-    {"experiments"},
-    {"video", "report", "configs", "__main__"},  # command lines may use everything
+ROOMS = (  # bottom first
+    ("files",),
+    ("envs",),  # knows no mathematics
+    ("gp",),
+    ("control",),
+    ("demonstrations",),
+    ("model",),
+    ("search",),
+    ("torchrl_interop",),
+    ("trainer",),
+    ("plotting",),  # draws numbers, and knows no experiment
+    ("experiments", "tasks"),
+    ("experiments",),  # names the tasks
+    ("experiments", "diagnosis"),
+    ("experiments", "runs"),
+    ("cli",),
+    ("__main__",),
 )
-LEVEL = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
-MATHEMATICS = {room for room in LEVEL if LEVEL[room] <= LEVEL["policy_search"]} - {
-    "envs",
-    "files",
-    "demonstrations",
+MATHEMATICS = {("gp",), ("control",), ("model",), ("search",)}
+WITHOUT_TORCHRL = {("files",), ("gp",), ("demonstrations",), ("plotting",)}
+PURE = {  # of rooms at the edge of TorchRL, the files that compute
+    "control/state_space.py",
+    "control/trigonometric_polynomial.py",
+    "control/rbf_policy.py",
+    "control/exploration.py",
+    "model/dynamics.py",
+    "model/rollout.py",
+    "model/particles.py",
+    "model/calibration.py",
+    "model/recurrence.py",
+    "model/sampling_frequency.py",
+    "model/step_derivatives.py",
+    "search/kl.py",
+    "search/saturating_cost.py",
+    "search/reparameterisation.py",
+    "search/policy_search.py",
 }
-ABOVE_SEARCH = {room for room in LEVEL if LEVEL[room] > LEVEL["policy_search"]}
-DRAWN = {"plotting", "video", "report"}
-OF_TORCHRL = {
-    "envs",
-    "experience",
-    "state_policy",
-    "trajectory_loss",
-    "objective",
-} | ABOVE_SEARCH - {"baselines"} - DRAWN
-FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
+MOST_FILES, MOST_FOLDERS = 4, 11  # of the package's top level
+SAME_NAME = {"__init__.py", "biorob.py", "double_pendulum.py"}  # a robot, and the task on it
 
 
-def room_of(path: Path) -> str:
-    """The part of the package that a file belongs to: its own name, or its folder's. A folder's
-    command line is apart.
-    """
-    return (
-        path.stem
-        if path.stem == "__main__"
-        else path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-    )
+def name_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).as_posix()
+
+
+FILES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py")) if path.parent != PACKAGE}
+FILES |= {name: PACKAGE / name for name in ("files.py", "__main__.py")}
+
+
+def room_of(module: str) -> tuple[str, ...]:
+    """The room of a dotted name below the package: the longest that is one."""
+    parts = tuple(module.split("."))
+    return max((room for room in ROOMS if parts[: len(room)] == room), key=len, default=())
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
@@ -91,84 +79,115 @@ def imports(tree: ast.AST) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"relative import in line {node.lineno}"
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def imported_rooms(path: Path) -> set[str]:
-    """Parts of the package that a file imports, its own aside."""
-    modules = (name.split(".") for name in imports(ast.parse(path.read_text())))
-    return {parts[1] for parts in modules if parts[0] == "torch_pmil"} - {room_of(path)}
+def imported_rooms(path: Path) -> set[tuple[str, ...]]:
+    inside = [name for name in imports(tree_of(path)) if name.startswith("torch_pmil.")]
+    return {room_of(name.removeprefix("torch_pmil.")) for name in inside}
 
 
 def imported_packages(path: Path) -> set[str]:
-    return {name.split(".")[0] for name in imports(ast.parse(path.read_text()))}
+    return {name.split(".")[0] for name in imports(tree_of(path))}
 
 
-each_file = pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def room_of_file(name: str) -> tuple[str, ...]:
+    return room_of(name.removesuffix(".py").removesuffix("/__init__").replace("/", "."))
 
 
-@each_file
-def test_every_module_has_a_floor(path: Path) -> None:
-    assert room_of(path) in LEVEL
+def test_every_file_is_in_a_room() -> None:
+    assert [name for name in FILES if not room_of_file(name)] == []
 
 
-@each_file
-def test_nobody_imports_upwards(path: Path) -> None:
-    above = {room for room in imported_rooms(path) if LEVEL.get(room, 0) > LEVEL[room_of(path)]}
-    assert not above
+def test_rooms_import_only_rooms_below_them() -> None:
+    upwards = [
+        (name, ".".join(room))
+        for name, path in FILES.items()
+        for room in imported_rooms(path)
+        if not room or ROOMS.index(room) > ROOMS.index(room_of_file(name))
+    ]
+    assert upwards == []
 
 
-@each_file
-def test_nobody_imports_the_package_itself(path: Path) -> None:
-    assert imported_rooms(path) <= set(LEVEL)
+def test_imports_are_absolute_and_functions_import_nothing() -> None:
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    within = [
+        (name, node.lineno)
+        for name, path in FILES.items()
+        for node in ast.walk(tree_of(path))
+        if getattr(node, "level", 0) or (isinstance(node, functions) and list(imports(node)))
+    ]
+    assert within == []
 
 
-def test_environments_import_no_mathematics() -> None:
-    assert (
-        not {room for path in (PACKAGE / "envs").rglob("*.py") for room in imported_rooms(path)}
-        & MATHEMATICS
+def test_environments_and_mathematics_do_not_know_each_other() -> None:
+    known = [
+        (name, ".".join(room))
+        for name, path in FILES.items()
+        for room in imported_rooms(path)
+        if {room_of_file(name), room} & MATHEMATICS and {room_of_file(name), room} & {("envs",)}
+    ]
+    assert known == []
+
+
+def test_readers_of_demonstrations_know_nothing_but_files() -> None:
+    readers = [name for name in FILES if name.startswith("demonstrations/formats/")]
+    rooms = {room for name in readers for room in imported_rooms(FILES[name])}
+    assert rooms <= {("files",), ("demonstrations",)}
+
+
+def test_torchrl_stays_at_the_edge() -> None:
+    pure = [name for name in FILES if room_of_file(name) in WITHOUT_TORCHRL or name in PURE]
+    known = [name for name in pure if imported_packages(FILES[name]) & {"torchrl", "tensordict"}]
+    assert known == []
+    assert FILES.keys() >= PURE
+
+
+def test_matplotlib_is_imported_in_plotting_alone() -> None:
+    drawing = {
+        room_of_file(n) for n, path in FILES.items() if "matplotlib" in imported_packages(path)
+    }
+    assert drawing == {("plotting",)}
+
+
+def test_top_level_is_small() -> None:
+    entries = [path for path in PACKAGE.iterdir() if path.name != "__pycache__"]
+    folders = [path.name for path in entries if path.is_dir()]
+    assert len(entries) - len(folders) <= MOST_FILES
+    assert len(folders) <= MOST_FOLDERS
+
+
+def test_no_two_files_have_one_name_in_one_role() -> None:
+    outside = [
+        name for name in FILES if not name.startswith("plotting/")
+    ]  # figures of what others compute
+    counted = Counter(Path(name).name for name in outside if Path(name).name not in SAME_NAME)
+    assert [name for name, count in counted.items() if count > 1] == []
+
+
+def test_every_room_says_what_it_is_for() -> None:
+    rooms = [path for path in PACKAGE.rglob("__init__.py") if path.parent != PACKAGE]
+    assert [name_of(path) for path in rooms if not ast.get_docstring(tree_of(path))] == []
+
+
+def loaded_by(statement: str) -> set[str]:
+    """Top-level modules that a fresh interpreter has loaded after a statement."""
+    code = f"{statement}; import sys; print(*{{name.partition('.')[0] for name in sys.modules}})"
+    printed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
+    return set(printed.stdout.split())
 
 
-def test_mathematics_imports_no_environment() -> None:
-    assert not [
-        path.name
-        for path in FILES
-        if room_of(path) in MATHEMATICS and "envs" in imported_rooms(path)
-    ]
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    heavy = {"torch", "gpytorch", "torchrl", "tensordict", "mujoco", "matplotlib", "hydra"}
+    assert not loaded_by("import torch_pmil") & heavy
 
 
-def test_demonstrations_are_files_alone() -> None:
-    modules = [
-        path for path in (PACKAGE / "demonstrations").glob("*.py") if path.stem != "__main__"
-    ]
-    assert {room for path in modules for room in imported_rooms(path)} == {"files"}
-
-
-@each_file
-def test_torchrl_stays_at_the_edge(path: Path) -> None:
-    assert room_of(path) in OF_TORCHRL or not imported_packages(path) & {"torchrl", "tensordict"}
-
-
-@each_file
-def test_matplotlib_is_imported_in_plotting_alone(path: Path) -> None:
-    assert room_of(path) == "plotting" or "matplotlib" not in imported_packages(path)
-
-
-@each_file
-def test_functions_import_nothing(path: Path) -> None:
-    functions = [
-        node
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
-    ]
-    assert not {name for function in functions for name in imports(function)}
+def test_exact_moments_load_neither_simulator_nor_torchrl() -> None:
+    loaded = loaded_by("from torch_pmil import Gaussian, moment_match, gaussian_kl, GPDynamics")
+    assert not loaded & {"torchrl", "mujoco", "matplotlib", "hydra"}
 
 
 def test_importing_the_experiments_draws_nothing() -> None:
-    told = "import sys, torch_pmil.experiments; sys.exit('matplotlib' in sys.modules)"
-    assert (
-        subprocess.run([sys.executable, "-c", told], cwd=PACKAGE.parent, check=False).returncode
-        == 0
-    )
+    assert "matplotlib" not in loaded_by("import torch_pmil.experiments")

@@ -31,13 +31,13 @@ def results(device: str) -> list[Tensor]:
     ) + 0.01 * draws.normal(60, 2)
     policy = RBFPolicy(draws.normal(10, 3), torch.tensor([2.0]), torch.ones(3))
     policy.weights.data.copy_(0.5 * draws.normal(10, 1))
-    expert = Gaussian(draws.normal(8, 2), draws.cov(8, 2))
+    demonstrated = Gaussian(draws.normal(8, 2), draws.cov(8, 2))
     initial = Gaussian(draws.normal(2).to(device), draws.cov(2, scale=0.02).to(device))
     dynamics = GPDynamics(4, 2).to(device)
     likelihood = dynamics.fit(inputs.to(device), change.to(device)).negative_log_likelihood
-    kl = TrajectoryKLLoss(policy, dynamics, SPACE, expert, noise_std=0.1).to(device)
+    kl = TrajectoryKLLoss(policy, dynamics, SPACE, demonstrated, noise_std=0.1).to(device)
     cost = ExpectedSaturatingCost(
-        policy, dynamics, SPACE, expert.mean[-1], width=2.0, horizon=8
+        policy, dynamics, SPACE, demonstrated.mean[-1], width=2.0, horizon=8
     ).to(device)
     belief = {"observation_mean": initial.mean, "observation_var": initial.cov}
     values = [likelihood, kl(**belief).detach(), cost(**belief).detach()]

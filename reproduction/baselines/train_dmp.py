@@ -23,7 +23,7 @@ from torch_pmil.experiments.runs.report import write_report
 from torch_pmil.plotting import plot_learning_curve, save_figure
 
 
-@hydra.main(version_base="1.3", config_path=".", config_name="train_dmp")
+@hydra.main(version_base="1.3", config_path=str(Path(__file__).parent), config_name="train_dmp")
 def main(config: DictConfig) -> None:
     """Learn, and say what came of it."""
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other

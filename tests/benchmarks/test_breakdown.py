@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from benchmarks import breakdown
-from torch_pmil.gp import moment_derivatives as linearised_moments
+from torch_pmil.gp import moment_derivatives
 from torch_pmil.model import rollout
 
 WATCHED = (
     (rollout, "unroll"),
-    (linearised_moments, "thin_products"),
-    (linearised_moments.RecordedMoments, "_sum_up"),
+    (moment_derivatives, "pairwise_kernel_sums"),
+    (moment_derivatives.RecordedMoments, "_sum_up"),
     (rollout._MomentStep, "jacobian"),
     (rollout._MomentStep, "parameter_gradients"),
 )

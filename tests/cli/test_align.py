@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.run_script import run_script
+from tests.helpers.run_script import run_command
 from torch_pmil.demonstrations import DemonstrationError, load_demonstrations
 
 Script = Callable[..., None]
@@ -21,7 +21,7 @@ Script = Callable[..., None]
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> Script:
-    return partial(run_script, monkeypatch, "pmil align")
+    return partial(run_command, monkeypatch, "align")
 
 
 @pytest.fixture

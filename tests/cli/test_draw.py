@@ -9,7 +9,6 @@ import json
 import math
 import os
 import re
-import runpy
 import shlex
 import subprocess
 import sys
@@ -19,16 +18,15 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from http.server import ThreadingHTTPServer
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import torch
 
-from tests.helpers.run_script import ROOT, run_script
+from tests.helpers.run_script import ROOT, run_command
+from torch_pmil.cli.draw import LARGEST_BODY, DrawingServer
 from torch_pmil.demonstrations import load_demonstrations, load_recordings
 from torch_pmil.demonstrations.preparation.drawing import SIDE
 
-DRAW = SimpleNamespace(**runpy.run_path(str(ROOT / "pmil draw")))
 STROKE = [[10 * k, 0.2 + 0.01 * k, 0.5 + 0.2 * math.sin(k / 8)] for k in range(51)]
 BODY = json.dumps(5 * [STROKE]).encode()
 Answer = tuple[int, str]
@@ -36,7 +34,7 @@ Answer = tuple[int, str]
 
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[object]:
-    with DRAW.DrawingServer(tmp_path / "wave.npz", 0.1) as server:
+    with DrawingServer(tmp_path / "wave.npz", 0.1) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.01,))
         thread.start()
         yield server
@@ -76,7 +74,7 @@ def test_drawing_is_saved_once_and_ends_the_server(server: object, tmp_path: Pat
     assert server.saved is not None and torch.equal(
         load_demonstrations(tmp_path / "wave.npz").positions, server.saved.positions
     )
-    with pytest.raises(DRAW.DrawingError, match=r"wave.npz is saved already"):
+    with pytest.raises(DrawingError, match=r"wave.npz is saved already"):
         server.save(BODY)
 
 
@@ -131,7 +129,7 @@ def test_file_that_cannot_be_written_is_told_and_drawing_goes_on(
 
 
 def test_bodies_too_large_or_of_no_length_are_refused(server: object) -> None:
-    assert ask(server, "POST", "save", b"", Content_Length=str(DRAW.LARGEST_BODY + 1)) == (
+    assert ask(server, "POST", "save", b"", Content_Length=str(LARGEST_BODY + 1)) == (
         413,
         "Not saved: strokes must be 16777216 bytes at most, got 16777217.",
     )
@@ -157,7 +155,7 @@ def test_what_could_not_be_saved_is_told_before_anybody_draws(
     for name in ("there.npz", "beside.csv"):
         (tmp_path / name).touch()
     with pytest.raises(SystemExit) as stop:
-        run_script(monkeypatch, "pmil draw", *arguments)
+        run_command(monkeypatch, "draw", *arguments)
     assert stop.value.code == f"error: {message}"
 
 
@@ -166,7 +164,7 @@ def test_script_tells_where_to_draw_and_how_to_train(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ThreadingHTTPServer, "serve_forever", lambda server: server.save(BODY))
-    run_script(monkeypatch, "pmil draw", "my wave.npz", "--time-step", "0.05")
+    run_command(monkeypatch, "draw", "my wave.npz", "--time-step", "0.05")
     told, *saved = capsys.readouterr().out.splitlines()
     assert re.fullmatch(
         r"draw at http://127\.0\.0\.1:\d+/[\w-]{43}/ \(Ctrl-C ends without saving\)", told
@@ -188,7 +186,7 @@ def test_interrupt_ends_in_one_line_and_writes_nothing(
 
     monkeypatch.setattr(ThreadingHTTPServer, "serve_forever", interrupt)
     with pytest.raises(SystemExit, match="\nended, nothing was saved"):
-        run_script(monkeypatch, "pmil draw", tmp_path / "wave.npz")
+        run_command(monkeypatch, "draw", tmp_path / "wave.npz")
     assert not os.listdir(tmp_path)
 
 
@@ -368,7 +366,7 @@ def test_what_is_drawn_trains_with_the_command_that_was_printed(
         os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},
     )
     draw = subprocess.Popen(
-        [sys.executable, "pmil draw", out],
+        [sys.executable, "-m", "torch_pmil", "draw", out],
         cwd=ROOT,
         env=environment,
         stdout=subprocess.PIPE,

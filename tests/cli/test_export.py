@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from tests.helpers.draws import Draws
-from tests.helpers.run_script import run_script
+from tests.helpers.run_script import run_command
 from torch_pmil.control.policy_file import load_policy, save_policy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
 
-SCRIPT = "pmil export"
+COMMAND = "export"
 Script = Callable[..., None]
 
 
@@ -24,7 +24,7 @@ Script = Callable[..., None]
 def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     """The script, run with arguments in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    return partial(run_script, monkeypatch, SCRIPT)
+    return partial(run_command, monkeypatch, COMMAND)
 
 
 @pytest.fixture

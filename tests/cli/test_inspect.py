@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import runpy
 import shlex
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.run_script import run_script
+from tests.helpers.run_script import run_command
 from torch_pmil.demonstrations import (
     Demonstrations,
     Recordings,
@@ -177,10 +175,7 @@ def inspect(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
     """The command line; returns what it prints."""
 
     def run(*arguments: object) -> str:
-        monkeypatch.setattr(
-            sys, "argv", ["torch_pmil.demonstrations", "inspect", *map(str, arguments)]
-        )
-        runpy.run_module("torch_pmil.demonstrations", run_name="__main__")
+        run_command(monkeypatch, "inspect", *arguments)
         return capsys.readouterr().out
 
     return run
@@ -205,10 +200,10 @@ def test_command_that_is_advised_makes_what_training_takes(
 ) -> None:
     printed = inspect(recorded, "--keys", "q", "dq", "--names", "angle", "rate")
     advised = next(line for line in printed.splitlines() if line.startswith("- align them: "))
-    python, script, *arguments = shlex.split(advised.removeprefix("- align them: "))
-    assert (python, script) == ("pmil", "align") and arguments[-2:] == ["--velocities", "rate"]
+    pmil, align, *arguments = shlex.split(advised.removeprefix("- align them: "))
+    assert (pmil, align) == ("pmil", "align") and arguments[-2:] == ["--velocities", "rate"]
     monkeypatch.chdir(recorded.parent)
-    run_script(monkeypatch, script, *arguments)
+    run_command(monkeypatch, align, *arguments)
     assert isinstance(load_demonstrations("demonstrations.npz", 0.1), Demonstrations)
     assert inspect("demonstrations.npz").splitlines()[-2:] == [
         "before training",
@@ -229,7 +224,7 @@ def test_recordings_without_times_are_inspected_and_aligned_at_the_step_that_is_
     assert advised.endswith(
         "reach.hdf5 demonstrations.npz --time-step 0.25 --recorded-time-step 0.05"
     )
-    run_script(monkeypatch, "pmil align", *shlex.split(advised)[5:])
+    run_command(monkeypatch, "align", *shlex.split(advised)[5:])
     assert load_demonstrations("demonstrations.npz", 0.25).duration == 1.5
 
 

@@ -27,7 +27,7 @@ SECONDS = {"gp_seconds", "search_seconds"}  # differ from run to run
 def train(folder: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
     """The script in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, str(ROOT / "scripts" / "train.py"), *overrides]
+    command = [sys.executable, "-m", "torch_pmil", "train", *overrides]
     return subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, check=False
     )

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.helpers.run_script import run_script
+from tests.helpers.run_script import run_command
 from torch_pmil.experiments.runs.summaries import wilson_interval
 
-SCRIPT = "pmil summarize"
+COMMAND = "summarize"
 
 
 def write_run(
@@ -49,7 +49,7 @@ def write_unfinished_run(folder: Path, seed: int) -> Path:
 
 
 def summarize(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> None:
-    run_script(monkeypatch, SCRIPT, *arguments)
+    run_command(monkeypatch, COMMAND, *arguments)
 
 
 def error_of(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> str:

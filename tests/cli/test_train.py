@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from hydra.core.config_store import ConfigStore
 
-from tests.helpers.run_script import ROOT, run_script
+from tests.helpers.run_script import run_command
 from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import MujocoRobotEnv
@@ -24,7 +24,7 @@ from torch_pmil.experiments import EXPERIMENTS
 from torch_pmil.search import policy_search
 from torch_pmil.trainer import search_stepper
 
-SCRIPT = "pmil train"
+COMMAND = "train"
 UNKNOWN = f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}"
 FILES = {
     "metrics.csv",
@@ -54,7 +54,7 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     monkeypatch.delitem(
         ConfigStore.instance().repo, "logger", raising=False
     )  # other tests may have imported TorchRL's configurations
-    return partial(run_script, monkeypatch, SCRIPT)
+    return partial(run_command, monkeypatch, COMMAND)
 
 
 @pytest.fixture
@@ -273,7 +273,7 @@ def test_folder_that_cannot_be_made_is_refused(script: Script, tmp_path: Path, o
 
 
 def test_failure_is_one_line_on_stderr_and_an_exit_code(tmp_path: Path) -> None:
-    command = [sys.executable, str(ROOT / SCRIPT), "experiment=triple", "out=run"]
+    command = [sys.executable, "-m", "torch_pmil", COMMAND, "experiment=triple", "out=run"]
     process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert process.returncode == 1
     assert process.stdout == ""

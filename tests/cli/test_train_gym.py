@@ -15,7 +15,7 @@ import imageio_ffmpeg
 import pytest
 import torch
 
-from tests.helpers.run_script import run_script
+from tests.helpers.run_script import run_command
 from torch_pmil.envs import gym_tasks
 from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
 from torch_pmil.experiments.runs.training import make_trainer
@@ -23,7 +23,7 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.trainer.trainer import PMILTrainer
 
-SCRIPT = "pmil train"
+COMMAND = "train"
 HORIZON = 8
 NAMES = ("gym_pendulum", "inverted_pendulum")
 
@@ -51,7 +51,7 @@ def run(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     experiment = short(name)
     monkeypatch.setitem(EXPERIMENTS, name, lambda demonstrations: experiment)
-    run_script(monkeypatch, SCRIPT, f"experiment={name}", "trials=1", "out=run")
+    run_command(monkeypatch, COMMAND, f"experiment={name}", "trials=1", "out=run")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -136,7 +136,7 @@ def test_without_gymnasium_the_script_ends_in_one_line(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(gym_tasks, "gymnasium", None)
     with pytest.raises(SystemExit) as stop:
-        run_script(monkeypatch, SCRIPT, f"experiment={name}", "out=run")
+        run_command(monkeypatch, COMMAND, f"experiment={name}", "out=run")
     assert (
         stop.value.code
         == "error: this task needs gymnasium, which is not installed: pip install 'torch_pmil[gym]'"

@@ -53,7 +53,7 @@ def test_belief_at_zero_covariance_holds_the_features_and_their_gradient(
     space: StateSpace, draws: Draws
 ) -> None:
     x = draws.normal(3, 4)
-    features, slope = space.belief(point(x))
+    features, slope = space.feature_moments(point(x))
     torch.testing.assert_close(features.mean, space.features(x))
     torch.testing.assert_close(features.cov, torch.zeros(3, 6, 6, dtype=torch.float64))
     for i in range(3):
@@ -65,7 +65,7 @@ def test_belief_at_zero_covariance_holds_the_features_and_their_gradient(
 def test_belief_has_the_moments_of_the_features_of_samples(space: StateSpace, draws: Draws) -> None:
     state, count = draws.belief(4), 50_000
     x = state.sample(count, draws.generator)
-    features, slope = space.belief(state)
+    features, slope = space.feature_moments(state)
     deviation, of_state = space.features(x) - features.mean, x - state.mean
     for products, expected in (
         (deviation, torch.zeros(6, dtype=torch.float64)),
@@ -80,7 +80,7 @@ def test_angles_in_any_position_keep_their_names(draws: Draws) -> None:
     space, x = StateSpace(names, units, (1,), joint_match(names, units)), draws.normal(3)
     assert space.feature_names == ("a", "c", "sin b", "cos b")
     assert torch.equal(space.features(x), torch.stack([x[0], x[2], x[1].sin(), x[1].cos()]))
-    torch.testing.assert_close(space.belief(point(x))[0].mean, space.features(x))
+    torch.testing.assert_close(space.feature_moments(point(x))[0].mean, space.features(x))
 
 
 def test_state_without_angles_is_its_own_features(draws: Draws) -> None:
@@ -99,7 +99,7 @@ def test_match_belief_at_zero_covariance_is_the_observation(
     links: MatchSpace, draws: Draws
 ) -> None:
     x = draws.normal(3, 4)
-    observed = links.belief(point(x))
+    observed = links.moments(point(x))
     torch.testing.assert_close(observed.mean, links(x))
     torch.testing.assert_close(observed.cov, torch.zeros(3, 4, 4, dtype=torch.float64))
 
@@ -107,7 +107,7 @@ def test_match_belief_at_zero_covariance_is_the_observation(
 def test_match_belief_has_the_moments_of_observed_samples(links: MatchSpace, draws: Draws) -> None:
     state, count = draws.belief(4), 50_000
     samples = links(state.sample(count, draws.generator))
-    observed = links.belief(state)
+    observed = links.moments(state)
     deviation = samples - observed.mean
     products = deviation[:, :, None] * deviation[:, None, :]
     assert (deviation.mean(0).abs() <= 4 * samples.std(0) / count**0.5).all()
@@ -123,7 +123,7 @@ def test_joint_match_is_the_identity(draws: Draws) -> None:
 
 def test_joint_match_takes_double_precision(draws: Draws) -> None:
     belief = draws.belief(2, 4)
-    observed = joint_match(NAMES, UNITS).belief(belief)
+    observed = joint_match(NAMES, UNITS).moments(belief)
     torch.testing.assert_close(observed.mean, belief.mean)
     torch.testing.assert_close(observed.cov, belief.cov)
 

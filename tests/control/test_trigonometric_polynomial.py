@@ -56,7 +56,7 @@ def test_moments_of_a_product_agree_with_samples() -> None:
     root = torch.tensor([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [-0.1, 0.1, 0.2]], dtype=torch.float64)
     belief = Gaussian(ANGLES[0], root @ root.mT)
     exact, samples = (
-        match.belief(belief),
+        match.moments(belief),
         match(belief.sample(100_000, torch.Generator().manual_seed(0))),
     )
     error = (exact.mean - samples.mean(0)).abs() / (samples.std(0) / len(samples) ** 0.5)

@@ -19,18 +19,22 @@ NAMES = ("x", "y", "z")
 
 def test_marginals_are_the_sample_means_and_unbiased_covariances(draws: Draws) -> None:
     positions = draws.normal(6, 4, 3)
-    expert = expert_distribution(Demonstrations(positions, 0.1, NAMES), noise_std=0.2)
-    assert expert.mean.shape == (3, 3)  # t = 1..T, the start is not matched
+    demonstrated = expert_distribution(Demonstrations(positions, 0.1, NAMES), noise_std=0.2)
+    assert demonstrated.mean.shape == (3, 3)  # t = 1..T, the start is not matched
     for t in range(1, 4):
-        np.testing.assert_allclose(expert.mean[t - 1], positions[:, t].numpy().mean(0), rtol=1e-12)
+        np.testing.assert_allclose(
+            demonstrated.mean[t - 1], positions[:, t].numpy().mean(0), rtol=1e-12
+        )
         expected = np.cov(positions[:, t].numpy(), rowvar=False) + 0.2**2 * np.eye(3)
-        np.testing.assert_allclose(expert.cov[t - 1], expected, rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(demonstrated.cov[t - 1], expected, rtol=1e-12, atol=1e-14)
 
 
 def test_noise_is_a_floor_under_the_variances(draws: Draws) -> None:
     """Two demonstrations in three dimensions: the sample covariance has rank one."""
-    expert = expert_distribution(Demonstrations(draws.normal(2, 5, 3), 0.1, NAMES), noise_std=0.05)
-    smallest = torch.linalg.eigvalsh(expert.cov)[:, 0]
+    demonstrated = expert_distribution(
+        Demonstrations(draws.normal(2, 5, 3), 0.1, NAMES), noise_std=0.05
+    )
+    smallest = torch.linalg.eigvalsh(demonstrated.cov)[:, 0]
     torch.testing.assert_close(
         smallest, torch.full((4,), 0.05**2, dtype=torch.float64), rtol=1e-8, atol=0
     )

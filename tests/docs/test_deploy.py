@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.run_script import run_script
+from tests.helpers.run_script import run_command
 from torch_pmil.control.policy_file import load_policy, save_policy
 from torch_pmil.experiments import load_experiment
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "deploy.md").read_text()
 BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
-COMMANDS = re.findall(r"^    python (scripts/.*)$", PAGE, flags=re.MULTILINE)
+COMMANDS = re.findall(r"^    pmil (.*)$", PAGE, flags=re.MULTILINE)
 RUN = Path("runs/double_pendulum/seed_0")
 
 
@@ -55,7 +55,7 @@ def namespace(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     )  # so that the test is short
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        run_script(patch, *shlex.split(COMMANDS[0]))
+        run_command(patch, *shlex.split(COMMANDS[0]))
         names: dict = {"read_state": robot.read_state, "send_torque": robot.send_torque}
         for block in BLOCKS:
             exec(block, names)

@@ -1,4 +1,4 @@
-"""The two tasks of gymnasium: they start and move as they say, their experts do what they
+"""The two tasks of gymnasium: they start and move as they say, their teachers do what they
 demonstrate.
 """
 
@@ -19,13 +19,13 @@ from torch_pmil.envs.gym_tasks import (
     pendulum_dynamics,
 )
 from torch_pmil.envs.rollouts import rollout_of, states_of
-from torch_pmil.envs.teachers.gym_experts import (
+from torch_pmil.envs.teachers.gym_teachers import (
     CART_STEPS,
     HOLD_FROM,
     PENDULUM_STEPS,
     TORQUE_LIMIT,
-    balancing_expert,
-    pendulum_expert,
+    balancing_teacher,
+    pendulum_teacher,
 )
 from torch_pmil.envs.teachers.trajectory_optimization import (
     Array,
@@ -77,7 +77,7 @@ def test_pendulum_moves_by_its_equation_with_the_torque_held_for_both_steps() ->
     ("make_env", "dynamics", "tolerance"),
     [(inverted_pendulum_env, cart_dynamics, 1e-6), (gym_pendulum_env, pendulum_dynamics, 1e-5)],
 )
-def test_what_the_expert_plans_with_is_the_environment(
+def test_what_the_teacher_plans_with_is_the_environment(
     make_env: object, dynamics: object, tolerance: float
 ) -> None:
     env, predict = make_env(seed=2), dynamics()
@@ -100,37 +100,37 @@ def test_match_space_of_the_cart_is_where_mujoco_has_cart_and_tip() -> None:
     pole = data.body("pole")
     tip = pole.xpos + pole.xmat.reshape(3, 3) @ [0.0, 0.0, 0.6]
     np.testing.assert_allclose(
-        space.match(state), [data.body("cart").xpos[0], tip[0], tip[2]], rtol=0, atol=1e-12
+        space.observe(state), [data.body("cart").xpos[0], tip[0], tip[2]], rtol=0, atol=1e-12
     )
 
 
-def expert_error(
-    name: str, dynamics: ArrayDynamics, starts: Array, expert: object, steps: int
+def teacher_error(
+    name: str, dynamics: ArrayDynamics, starts: Array, teacher: object, steps: int
 ) -> torch.Tensor:
-    states, _ = roll_out(dynamics, starts, expert, steps)
+    states, _ = roll_out(dynamics, starts, teacher, steps)
     return load_experiment(name).error(rollout_of(torch.from_numpy(states)))
 
 
-def test_cart_expert_meets_the_criterion_from_every_corner_of_the_starts() -> None:
+def test_cart_teacher_meets_the_criterion_from_every_corner_of_the_starts() -> None:
     corners = 0.1 * np.array(np.meshgrid(*[[-1, 1]] * 4)).reshape(4, -1).T
-    error = expert_error(
-        "inverted_pendulum", cart_dynamics(), corners, balancing_expert(), CART_STEPS
+    error = teacher_error(
+        "inverted_pendulum", cart_dynamics(), corners, balancing_teacher(), CART_STEPS
     )
     assert error.max() < load_experiment("inverted_pendulum").tolerance
 
 
-def test_pendulum_expert_meets_the_criterion_three_standard_deviations_off() -> None:
-    expert = pendulum_expert()
+def test_pendulum_teacher_meets_the_criterion_three_standard_deviations_off() -> None:
+    teacher = pendulum_teacher()
     corners = (
         np.array([math.pi, 0.0])
         + 3 * np.array([0.05, 0.1]) * np.array(np.meshgrid([-1, 1], [-1, 1])).reshape(2, -1).T
     )
     assert (
-        expert_error("gym_pendulum", pendulum_dynamics(), corners, expert, PENDULUM_STEPS).max()
+        teacher_error("gym_pendulum", pendulum_dynamics(), corners, teacher, PENDULUM_STEPS).max()
         < 0.25
     )
-    assert np.abs(expert.plan.states[HOLD_FROM]).max() < 0.1
-    assert np.abs(expert(0, 10 * corners)).max() == TORQUE_LIMIT
+    assert np.abs(teacher.plan.states[HOLD_FROM]).max() < 0.1
+    assert np.abs(teacher(0, 10 * corners)).max() == TORQUE_LIMIT
 
 
 @pytest.mark.parametrize("name", ["inverted_pendulum", "gym_pendulum"])
@@ -141,9 +141,9 @@ def test_shipped_demonstrations_are_successes_and_show_no_more_than_positions(na
     )
     assert (experiment.error(rollout_of(states)) <= experiment.tolerance).all()
     torch.testing.assert_close(
-        experiment.space.match(states), experiment.demonstrations.positions, rtol=0, atol=2e-3
+        experiment.space.observe(states), experiment.demonstrations.positions, rtol=0, atol=2e-3
     )
-    assert experiment.demonstrations.names == experiment.space.match.names
+    assert experiment.demonstrations.names == experiment.space.match_space.names
 
 
 def test_basis_functions_begin_as_wide_as_said() -> None:

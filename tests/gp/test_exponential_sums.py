@@ -12,7 +12,7 @@ from torch.autograd import gradcheck
 from tests.helpers.draws import Draws
 from tests.helpers.memory import LargestResult
 from torch_pmil.gp import exponential_sums
-from torch_pmil.gp.exponential_sums import ExponentialSum, thin_products
+from torch_pmil.gp.exponential_sums import ExponentialSum, pairwise_kernel_sums
 
 N, P, OWN, D = (
     3,
@@ -56,7 +56,7 @@ def assert_products_of_the_whole_matrix(
     left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None
 ) -> None:
     Q = whole_matrix(left, right, M)
-    wQ, Qz = thin_products(left, right, w, z, M)
+    wQ, Qz = pairwise_kernel_sums(left, right, w, z, M)
     torch.testing.assert_close(wQ, w @ Q, rtol=1e-12, atol=1e-12)
     torch.testing.assert_close(Qz, Q @ z, rtol=1e-12, atol=1e-12)
 
@@ -99,7 +99,7 @@ def test_columns_that_all_beliefs_share_need_no_copies(
 def test_operands_stay_as_they_are(draws: Draws, own: int) -> None:
     given = operands(draws, 7, 2, 1, own)
     before = [None if operand is None else operand.clone() for operand in given]
-    thin_products(*given)
+    pairwise_kernel_sums(*given)
     for now, then in zip(given, before, strict=True):
         assert now is None or torch.equal(now, then)
 
@@ -123,7 +123,7 @@ def test_number_of_threads_does_not_change_the_products(
     products = []
     for threads in (1, 2):
         torch.set_num_threads(threads)
-        products.append(thin_products(*given))
+        products.append(pairwise_kernel_sums(*given))
     for one, two in zip(*products, strict=True):
         torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
 
@@ -143,7 +143,7 @@ def test_no_array_is_larger_than_a_few_caches(
     )
     M = draws.normal(own, n, n) if own else None
     with LargestResult() as largest:
-        thin_products(left, right, w, z, M)
+        pairwise_kernel_sums(left, right, w, z, M)
     assert cached / 2 <= largest.numbers <= 4 * cached * torch.get_num_threads()
 
 

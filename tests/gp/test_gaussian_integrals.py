@@ -57,7 +57,7 @@ def test_integrals_are_those_of_quadrature(draws: Draws, D: int, scale: float) -
         torch.testing.assert_close(
             integrals.q[b], (w[:, None, None] * kernels).sum(0), rtol=0, atol=1e-10
         )
-        for p, (first, second) in enumerate(zip(f.products.first, f.products.second, strict=True)):
+        for p, (first, second) in enumerate(zip(f.pairs.first, f.pairs.second, strict=True)):
             expected = kernels[:, first].mT @ (w[:, None] * kernels[:, second])
             torch.testing.assert_close(Q[b, p], expected, rtol=0, atol=1e-10)
 
@@ -99,7 +99,7 @@ def test_integrals_are_those_of_the_textbook(draws: Draws, scale: float) -> None
                 integrals.q[index, a], textbook_q(f, a, mu, Sigma), rtol=1e-11
             )
         for p, (a, b) in enumerate(
-            zip(f.products.first.tolist(), f.products.second.tolist(), strict=True)
+            zip(f.pairs.first.tolist(), f.pairs.second.tolist(), strict=True)
         ):
             np.testing.assert_allclose(Q[index, p], textbook_Q(f, a, b, mu, Sigma), rtol=1e-11)
 
@@ -143,7 +143,7 @@ def test_gradient(draws: Draws) -> None:
 def test_zero_covariance_gives_the_kernels_and_their_products(draws: Draws) -> None:
     f, x = network(draws, 6, 3, 2), draws.normal(4, 3)
     integrals = GaussianIntegrals.of(f, Gaussian(x, torch.zeros(4, 3, 3, dtype=torch.float64)))
-    kernels, products = f.kernel(x), f.products
+    kernels, products = f.kernel(x), f.pairs
     torch.testing.assert_close(integrals.q, kernels, rtol=1e-13, atol=0)
     expected = kernels[:, products.first, :, None] * kernels[:, products.second, None, :]
     torch.testing.assert_close(pair_matrices(integrals), expected, rtol=1e-12, atol=0)
@@ -204,7 +204,7 @@ def test_belief_that_reaches_data_far_away_gives_them_their_share(
             rtol=1e-13,
             atol=0,
         )
-    for p, (a, b) in enumerate(zip(f.products.first, f.products.second, strict=True)):
+    for p, (a, b) in enumerate(zip(f.pairs.first, f.pairs.second, strict=True)):
         centres = (widths[b] * x[:, None] + widths[a] * x) / (widths[a] + widths[b])
         both = density(centres - mean, variance + widths[a] * widths[b] / (widths[a] + widths[b]))
         expected = factor[a] * factor[b] * density(x[:, None] - x, widths[a] + widths[b]) * both

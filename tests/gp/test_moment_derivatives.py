@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from tests.helpers.draws import Draws
-from torch_pmil.gp import exponential_sums, moment_derivatives as linearised_moments
+from torch_pmil.gp import exponential_sums, moment_derivatives
 from torch_pmil.gp.gaussian import Gaussian, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.gp.moment_derivatives import LinearisedMoments, RecordedMoments
+from torch_pmil.gp.moment_derivatives import MomentDerivatives, RecordedMoments
 from torch_pmil.gp.moment_matching import Moments, moment_match
 
 D, E = 3, 2
@@ -56,7 +56,7 @@ def cotangents(draws: Draws, N: int, C: int, outputs: int = E) -> tuple[Tensor, 
 def adjoint_by_graph(
     f: KernelExpansion, belief: Gaussian, noise: bool, d_moments: tuple[Tensor, ...]
 ) -> tuple[Tensor, Tensor]:
-    """The same as :meth:`LinearisedMoments.adjoint`, one copy after the other."""
+    """The same as :meth:`MomentDerivatives.adjoint`, one copy after the other."""
     mean, cov = (t.clone().requires_grad_() for t in (belief.mean, belief.cov))
     moments = parts(moment_match(f, Gaussian(mean, cov), noise))
     copies = [
@@ -68,12 +68,12 @@ def adjoint_by_graph(
 
 
 def assert_adjoint_is_that_of_the_graph(
-    draws: Draws, linearised: LinearisedMoments, belief: Gaussian, noise: bool, C: int = 4
+    draws: Draws, derivatives: MomentDerivatives, belief: Gaussian, noise: bool, C: int = 4
 ) -> None:
-    d_moments = cotangents(draws, len(belief.mean), C, linearised.f.num_outputs)
-    d_mean, d_cov = linearised.adjoint(*d_moments)
+    d_moments = cotangents(draws, len(belief.mean), C, derivatives.f.num_outputs)
+    d_mean, d_cov = derivatives.adjoint(*d_moments)
     for ours, theirs in zip(
-        (d_mean, d_cov), adjoint_by_graph(linearised.f, belief, noise, d_moments), strict=True
+        (d_mean, d_cov), adjoint_by_graph(derivatives.f, belief, noise, d_moments), strict=True
     ):
         torch.testing.assert_close(ours, theirs, rtol=1e-9, atol=1e-9 * theirs.abs().max().item())
     assert torch.equal(d_cov, d_cov.mT)
@@ -89,7 +89,7 @@ def test_recorded_moments_are_those_of_moment_matching(
 ) -> None:
     f, belief = make(draws, 9, D, E), draws.belief(N, D)
     recorded = RecordedMoments(f, noise)
-    now, later = recorded(belief), recorded.linearised.moments
+    now, later = recorded(belief), recorded.derivatives.moments
     for expected, ours, again in zip(
         *map(parts, (moment_match(f, belief, noise), now, later)), strict=True
     ):
@@ -113,7 +113,7 @@ def test_adjoint_is_that_of_the_graph(
     f, belief = make(draws, 9, D, E), draws.belief(N, D)
     recorded = RecordedMoments(f, noise)
     recorded(belief)
-    assert_adjoint_is_that_of_the_graph(draws, recorded.linearised, belief, noise, C)
+    assert_adjoint_is_that_of_the_graph(draws, recorded.derivatives, belief, noise, C)
 
 
 @kinds
@@ -124,7 +124,7 @@ def test_adjoint_for_other_numbers_of_outputs(
     f, belief = make(draws, 6, D, outputs), draws.belief(2, D)
     recorded = RecordedMoments(f, noise)
     recorded(belief)
-    assert_adjoint_is_that_of_the_graph(draws, recorded.linearised, belief, noise)
+    assert_adjoint_is_that_of_the_graph(draws, recorded.derivatives, belief, noise)
 
 
 @kinds
@@ -134,7 +134,7 @@ def test_adjoint_at_a_singular_covariance(draws: Draws, make: Make, noise: bool,
     f, belief = make(draws, 8, D, E), Gaussian(draws.normal(2, D), root @ root.mT)
     recorded = RecordedMoments(f, noise)
     recorded(belief)
-    assert_adjoint_is_that_of_the_graph(draws, recorded.linearised, belief, noise)
+    assert_adjoint_is_that_of_the_graph(draws, recorded.derivatives, belief, noise)
 
 
 @kinds
@@ -145,7 +145,7 @@ def test_data_far_away_leave_zero_derivatives(draws: Draws, make: Make, noise: b
     torch.testing.assert_close(
         moments.mean, torch.as_tensor(f.offset, dtype=torch.float64).expand(2, E)
     )
-    for derivative in recorded.linearised.adjoint(*cotangents(draws, 2, 3)):
+    for derivative in recorded.derivatives.adjoint(*cotangents(draws, 2, 3)):
         assert (derivative == 0).all()
 
 
@@ -159,21 +159,21 @@ def test_data_far_away_leave_zero_derivatives(draws: Draws, make: Make, noise: b
 def test_calls_are_linearised_together_in_their_order(
     draws: Draws, monkeypatch: pytest.MonkeyPatch, make: Make, noise: bool, kept: int
 ) -> None:
-    monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", kept)
+    monkeypatch.setattr(moment_derivatives, "KEPT_NUMBERS", kept)
     f, beliefs = make(draws, 7, D, E), draws.belief(5, 2, D)
     recorded = RecordedMoments(f, noise)
     called = [recorded(beliefs[t]) for t in range(5)]
-    linearised = recorded.linearised
+    derivatives = recorded.derivatives
     for t in range(5):
         for ours, expected in zip(
             parts(called[t]), parts(moment_match(f, beliefs[t], noise)), strict=True
         ):
             torch.testing.assert_close(ours, expected, rtol=1e-11, atol=1e-11)
     for ours, expected in zip(
-        parts(linearised.moments), zip(*map(parts, called), strict=True), strict=True
+        parts(derivatives.moments), zip(*map(parts, called), strict=True), strict=True
     ):
         torch.testing.assert_close(ours, torch.cat(expected), rtol=1e-11, atol=1e-11)
-    assert_adjoint_is_that_of_the_graph(draws, linearised, beliefs.flattened, noise)
+    assert_adjoint_is_that_of_the_graph(draws, derivatives, beliefs.flattened, noise)
 
 
 @kinds
@@ -185,7 +185,7 @@ def test_pieces_of_the_sums_do_not_change_the_jacobian(
     def jacobian() -> Tensor:
         recorded = RecordedMoments(f, noise)
         recorded(belief)
-        return recorded.linearised.jacobian
+        return recorded.derivatives.jacobian
 
     whole = jacobian()
     monkeypatch.setattr(exponential_sums, "CACHED_NUMBERS", 10)
@@ -208,7 +208,7 @@ def numbers_held(root: object) -> int:
 def test_what_is_kept_of_many_calls_does_not_grow_with_the_data(
     draws: Draws, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", 0)
+    monkeypatch.setattr(moment_derivatives, "KEPT_NUMBERS", 0)
     belief = draws.belief(1, D)
 
     def kept(n: int) -> int:
@@ -240,7 +240,7 @@ def test_derivatives_by_the_covariance_are_half_the_second_ones_by_the_mean(
         )  # E f f' = cov + mean mean'
         return tuple(
             d.squeeze(1)
-            for d in recorded.linearised.adjoint(by_f + through_product, by_product, by_slope)
+            for d in recorded.derivatives.adjoint(by_f + through_product, by_product, by_slope)
         )
 
     steps = h * torch.eye(D, dtype=torch.float64)
@@ -265,10 +265,14 @@ def test_single_kernel_has_the_derivatives_of_its_formula() -> None:
         / (1 + s) ** 0.5
         * torch.exp(torch.tensor(-m * m / 2 / (1 + s), dtype=torch.float64)).item()
     )
-    d_mean, d_cov = recorded.linearised.adjoint(one[None], 0 * one[None, None], 0 * one[None, None])
+    d_mean, d_cov = recorded.derivatives.adjoint(
+        one[None], 0 * one[None, None], 0 * one[None, None]
+    )
     assert d_mean.item() == pytest.approx(-m / (1 + s) * mean, rel=1e-12)
     assert d_cov.item() == pytest.approx((m * m / (1 + s) - 1) / (1 + s) / 2 * mean, rel=1e-12)
-    d_mean, d_cov = recorded.linearised.adjoint(0 * one[None], 0 * one[None, None], one[None, None])
+    d_mean, d_cov = recorded.derivatives.adjoint(
+        0 * one[None], 0 * one[None, None], one[None, None]
+    )
     assert d_mean.item() == pytest.approx((m * m / (1 + s) - 1) / (1 + s) * mean, rel=1e-12)
     assert d_cov.item() == pytest.approx(
         (3 * m - m**3 / (1 + s)) / (1 + s) ** 2 / 2 * mean, rel=1e-12

@@ -79,7 +79,7 @@ def run(
     """Learn it, or go on. No step counts as matched, so that searches stall and begin anew."""
     arguments = {"seed": SEED, "trials": TRIALS, "command": COMMAND, **changes}
     experiment = short_experiment(
-        name=name, search=SearchSettings(1, 1, 1, first_horizon=STEPS, trusted=1e-9)
+        name=name, search=SearchSettings(1, 1, 1, first_horizon=STEPS, trust_threshold=1e-9)
     )
     return train(experiment, out=folder, progress_bar=False, resume=resume, **arguments)
 

@@ -15,7 +15,7 @@ from tests.helpers.draws import Draws
 from tests.helpers.memory import LargestResult
 from torch_pmil.control.rbf_policy import Controller, RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.gp import exponential_sums, moment_derivatives as linearised_moments
+from torch_pmil.gp import exponential_sums, moment_derivatives
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.model import rollout
@@ -505,8 +505,8 @@ def test_gradient_is_the_same_however_many_steps_are_summed_up_together(
 ) -> None:
     parameters, cotangent = list(policy.parameters()), draws.normal(7, 2, 2)
     gradients = []
-    for numbers in (linearised_moments.KEPT_NUMBERS, kept):
-        monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", numbers)
+    for numbers in (moment_derivatives.KEPT_NUMBERS, kept):
+        monkeypatch.setattr(moment_derivatives, "KEPT_NUMBERS", numbers)
         gradients.append(
             torch.autograd.grad(
                 predict_trajectory(initial, policy, dynamics, SPACE, 7).cov, parameters, cotangent
@@ -548,7 +548,7 @@ def test_no_array_of_pairs_of_data_is_saved_for_the_gradient(
     )  # what the expansion itself keeps is there from now on
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
     monkeypatch.setattr(exponential_sums, "CACHED_NUMBERS", 8 * n)
-    monkeypatch.setattr(linearised_moments, "KEPT_NUMBERS", 0)
+    monkeypatch.setattr(moment_derivatives, "KEPT_NUMBERS", 0)
     with (
         LargestResult() as largest,
         saved_tensors_hooks(

@@ -16,7 +16,7 @@ from torch_pmil.gp.moment_derivatives import RecordedMoments
 from torch_pmil.gp.moment_matching import Moments, moment_match
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.rollout import predict_step
-from torch_pmil.model.step_derivatives import LinearisedStep
+from torch_pmil.model.step_derivatives import StepDerivatives
 
 NAMES, UNITS = ("a", "b", "c"), ("",) * 3
 
@@ -51,20 +51,20 @@ class Robot:
             dynamics,
         )
 
-    def linearise(self, state: Gaussian, noise: bool) -> LinearisedStep:
+    def linearise(self, state: Gaussian, noise: bool) -> StepDerivatives:
         network, model = (
             RecordedMoments(self.controller.network),
             RecordedMoments(self.dynamics.expansion, noise),
         )
-        features, _ = self.space.belief(state)
+        features, _ = self.space.feature_moments(state)
         action, slope = self.controller.squashed(network(features))
         model(joint(features, action, features.cov @ slope))
         differences = self.dynamics.targets == "difference"
-        return LinearisedStep(
+        return StepDerivatives(
             state,
-            network.linearised,
+            network.derivatives,
             self.controller.u_max,
-            model.linearised,
+            model.derivatives,
             differences,
             self.space,
         )
@@ -143,7 +143,7 @@ def test_adjoint_of_the_network_is_that_of_the_graph(
 ) -> None:
     robot, state = Robot.draw(draws, angles, targets, actions), draws.belief(N, 3)
     d_mean, d_cov = cotangents(draws, N, C)
-    raw = moment_match(robot.controller.network, robot.space.belief(state)[0])
+    raw = moment_match(robot.controller.network, robot.space.feature_moments(state)[0])
     leaves = [t.requires_grad_() for t in (raw.mean, raw.cov, raw.inv_cov_cross_cov)]
     controller = GivenMoments(robot.controller.network, robot.controller.u_max, Moments(*leaves))
     following = predict_step(state, controller, robot.dynamics, robot.space)

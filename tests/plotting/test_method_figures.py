@@ -95,25 +95,25 @@ def test_moment_matching_of_several_entries_is_refused(draws: Draws) -> None:
 def test_demonstrations_are_dashed_lines_from_the_start_and_their_distribution_a_band_from_the_first_step(
     draws: Draws,
 ) -> None:
-    demonstrated = draws.normal(3, 6, 2)
-    expert = Gaussian(draws.normal(5, 2), torch.diag_embed(draws.uniform(0.5, 2.0, 5, 2)))
+    demonstrations = draws.normal(3, 6, 2)
+    demonstrated = Gaussian(draws.normal(5, 2), torch.diag_embed(draws.uniform(0.5, 2.0, 5, 2)))
     for entry, panel in enumerate(
-        plot_demonstrations(("x", "y"), ("m", "m"), 0.1, demonstrated, expert).axes
+        plot_demonstrations(("x", "y"), ("m", "m"), 0.1, demonstrations, demonstrated).axes
     ):
         dashed = [line.get_xydata() for line in panel.lines if line.is_dashed()]
         np.testing.assert_allclose(np.stack(dashed)[..., 0], np.tile(0.1 * np.arange(6), (3, 1)))
-        np.testing.assert_array_equal(np.stack(dashed)[..., 1], demonstrated[..., entry].numpy())
-        upper = expert.mean[:, entry] + 2 * expert.cov[:, entry, entry].sqrt()
+        np.testing.assert_array_equal(np.stack(dashed)[..., 1], demonstrations[..., entry].numpy())
+        upper = demonstrated.mean[:, entry] + 2 * demonstrated.cov[:, entry, entry].sqrt()
         assert_edge(panel.collections[0], 0.1 * np.arange(1, 6), upper.numpy())
 
 
 def test_demonstrations_of_another_length_are_refused(draws: Draws) -> None:
-    expert = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
+    demonstrated = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
     with pytest.raises(
         ValueError,
-        match=r"demonstrated must be \(N, 6, 1\) for an expert \(5, 1\), .* got \(3, 5, 1\)",
+        match=r"demonstrations must be \(N, 6, 1\) for demonstrated marginals \(5, 1\), .* got \(3, 5, 1\)",
     ):
-        plot_demonstrations(("x",), ("m",), 0.1, draws.normal(3, 5, 1), expert)
+        plot_demonstrations(("x",), ("m",), 0.1, draws.normal(3, 5, 1), demonstrated)
 
 
 def test_prediction_is_a_band_and_particles_are_dashed_moments_and_the_first_twenty_as_lines(

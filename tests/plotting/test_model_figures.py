@@ -158,9 +158,9 @@ def stacks_of(panel: Axes) -> np.ndarray:
 
 
 def test_kl_is_stacked_by_its_terms_at_each_step_up_to_the_kl(draws: Draws) -> None:
-    expert, predicted = draws.belief(7, 3), draws.belief(7, 3)
-    upper, lower = plot_kl_per_step(("x", "y", "z"), 0.1, expert, predicted).axes
-    terms = gaussian_kl_terms(expert, predicted)
+    demonstrated, predicted = draws.belief(7, 3), draws.belief(7, 3)
+    upper, lower = plot_kl_per_step(("x", "y", "z"), 0.1, demonstrated, predicted).axes
+    terms = gaussian_kl_terms(demonstrated, predicted)
     expected = {
         upper: torch.stack([terms.mean.sum(-1), terms.spread.sum(-1)]),
         lower: (terms.mean + terms.spread).mT,
@@ -169,11 +169,13 @@ def test_kl_is_stacked_by_its_terms_at_each_step_up_to_the_kl(draws: Draws) -> N
         stacks = stacks_of(panel)
         np.testing.assert_allclose(stacks[..., 1], heights, atol=1e-12)
         np.testing.assert_allclose(stacks[1:, :, 0], heights.cumsum(0)[:-1], atol=1e-12)
-        np.testing.assert_allclose(stacks[-1].sum(-1), gaussian_kl(expert, predicted), atol=1e-10)
+        np.testing.assert_allclose(
+            stacks[-1].sum(-1), gaussian_kl(demonstrated, predicted), atol=1e-10
+        )
     assert [container.get_label() for container in lower.containers] == ["x", "y", "z"]
     centres = [bar.get_x() + bar.get_width() / 2 for bar in lower.containers[0]]
     np.testing.assert_allclose(centres, 0.1 * np.arange(1, 8))
-    total = gaussian_kl(expert, predicted).sum().item()
+    total = gaussian_kl(demonstrated, predicted).sum().item()
     assert upper.get_title(loc="left") == f"KL of the trajectory: {total:.1f} nats"
 
 

@@ -40,9 +40,11 @@ def swing(count: int) -> Tensor:
     return torch.stack([angle.sin() / 2, angle.cos() / 2, angle.sin(), angle.cos()], -1)
 
 
-def draw(expert: Gaussian, predicted: Gaussian, executed: Tensor) -> Figure:
-    dim = expert.dim
-    return plot_distributions(NAMES[:dim], UNITS[:dim], TIME_STEP, expert, predicted, executed)
+def draw(demonstrated: Gaussian, predicted: Gaussian, executed: Tensor) -> Figure:
+    dim = demonstrated.dim
+    return plot_distributions(
+        NAMES[:dim], UNITS[:dim], TIME_STEP, demonstrated, predicted, executed
+    )
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 4])
@@ -56,13 +58,13 @@ def test_every_entry_has_a_panel_with_its_unit(draws: Draws, dim: int) -> None:
 
 
 def test_bands_reach_two_standard_deviations(draws: Draws) -> None:
-    expert, predicted = make_belief(draws), make_belief(draws)
+    demonstrated, predicted = make_belief(draws), make_belief(draws)
     time = TIME_STEP * np.arange(1, 7)
-    for entry, panel in enumerate(draw(expert, predicted, draws.normal(2, 6, 4)).axes):
+    for entry, panel in enumerate(draw(demonstrated, predicted, draws.normal(2, 6, 4)).axes):
         bands = [
             drawn for drawn in panel.collections if isinstance(drawn, FillBetweenPolyCollection)
         ]
-        for belief, band in zip((expert, predicted), bands, strict=True):
+        for belief, band in zip((demonstrated, predicted), bands, strict=True):
             mean, std = belief.mean[:, entry].numpy(), belief.cov[:, entry, entry].sqrt().numpy()
             corners = band.get_paths()[0].vertices
             for edge in (mean - 2 * std, mean + 2 * std):
@@ -97,14 +99,14 @@ def test_without_rollouts_the_distributions_are_drawn_alone(draws: Draws) -> Non
 def test_the_demonstrated_band_stays_readable_beside_any_prediction(
     draws: Draws, std: float
 ) -> None:
-    expert = make_belief(draws)
+    demonstrated = make_belief(draws)
     for entry, panel in enumerate(
-        draw(expert, make_belief(draws, std=std), draws.normal(2, 6, 4)).axes
+        draw(demonstrated, make_belief(draws, std=std), draws.normal(2, 6, 4)).axes
     ):
         bottom, top = panel.get_ylim()
-        edges = torch.stack([expert.mean - 2 * expert.std, expert.mean + 2 * expert.std])[
-            ..., entry
-        ]
+        edges = torch.stack(
+            [demonstrated.mean - 2 * demonstrated.std, demonstrated.mean + 2 * demonstrated.std]
+        )[..., entry]
         assert bottom < edges.min()
         assert edges.max() < top
         assert top - bottom < 20

@@ -91,7 +91,7 @@ def test_ours_learns_as_the_double_pendulum_does(varied: dict[str, Variation]) -
         trainer.loss_module.dynamics.set_data(torch.eye(8).double(), torch.ones(8, 4).double())
     one, other = (trainer.loss_module.per_step(trainer.initial) for trainer in trainers)
     assert torch.equal(one, other)
-    assert torch.equal(*(trainer.loss_module.expert_cov for trainer in trainers))
+    assert torch.equal(*(trainer.loss_module.demonstrated_cov for trainer in trainers))
 
 
 def test_plain_angles_are_seen_as_they_are_and_begin_where_the_robot_hangs(
@@ -102,8 +102,8 @@ def test_plain_angles_are_seen_as_they_are_and_begin_where_the_robot_hangs(
     starts = plain.demonstrated_states.unflatten(0, (5, 26))[:, 0]
     assert ((starts - plain.initial.mean)[:, [0, 2]].abs() < 4 * 0.05).all()
     torch.testing.assert_close(
-        plain.space.match(plain.demonstrated_states),
-        plain.space.match(varied["ours"].demonstrated_states),
+        plain.space.observe(plain.demonstrated_states),
+        plain.space.observe(varied["ours"].demonstrated_states),
     )
 
 
@@ -151,7 +151,7 @@ def test_run_on_particles_that_was_stopped_ends_as_one_that_was_not(
         torch.equal(one, other)
         for one, other in zip(whole.policy.parameters(), resumed.policy.parameters(), strict=True)
     )
-    assert [trial.kl for trial in whole.trials] == [trial.kl for trial in resumed.trials]
+    assert [trial.loss for trial in whole.trials] == [trial.loss for trial in resumed.trials]
 
 
 def stop() -> None:

@@ -103,7 +103,7 @@ def test_report_has_all_figures_and_numbers_of_the_run(
     assert made.headline["success_rate"] == 0  # nothing is upright after four steps
     loaded = load_learned(learned[0], short)
     objective = TrajectoryKLLoss(
-        loaded.policy.policy, loaded.dynamics, short.space, short.expert, short.noise_std
+        loaded.policy.policy, loaded.dynamics, short.space, short.demonstrated, short.noise_std
     )
     assert made.headline["kl_nats"] == pytest.approx(objective.per_step(short.initial).sum().item())
 

@@ -39,8 +39,8 @@ def recorded_pairs(seeds: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
 
 
 @pytest.fixture(autouse=True)
-def no_expert(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """To plan the expert takes long."""
+def no_teacher(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """To plan the teacher takes long."""
     monkeypatch.setattr(robustness, "record_pairs", recorded_pairs)
     ten_demonstrations.cache_clear()
     yield
@@ -82,7 +82,7 @@ def test_demonstrations_are_nested_and_begin_with_those_of_the_package() -> None
         experiment = with_demonstrations(count)
         assert torch.equal(experiment.demonstrations.positions, every[:count])
         assert len(experiment.demonstrated_states) == 26 * count
-        assert torch.linalg.cholesky_ex(experiment.expert.cov).info.max() == 0
+        assert torch.linalg.cholesky_ex(experiment.demonstrated.cov).info.max() == 0
 
 
 def test_plain_level_is_the_plain_experiment_and_all_others_differ_in_name() -> None:

@@ -100,7 +100,7 @@ def test_seed_0_records_the_shipped_demonstrations_of_gymnasium(record, tmp_path
     assert "peak action" in capsys.readouterr().out
 
 
-def test_expert_that_fails_records_nothing(record, tmp_path):
+def test_teacher_that_fails_records_nothing(record, tmp_path):
     with pytest.raises(SystemExit, match=r"a demonstration must have an error of at most 0.1, got"):
         record(
             "experiment=inverted_pendulum", "torque_noise=30", f"out={tmp_path / 'recorded.npz'}"

@@ -71,15 +71,15 @@ def test_batches_broadcast(draws: Draws) -> None:
 
 
 def test_trajectory_kl_is_the_sum_over_time(draws: Draws) -> None:
-    expert, predicted = draws.belief(6, 2), draws.belief(3, 6, 2)
-    expected = sum(gaussian_kl(expert[t], predicted[:, t]) for t in range(6))
-    torch.testing.assert_close(trajectory_kl(expert, predicted), expected)
+    demonstrated, predicted = draws.belief(6, 2), draws.belief(3, 6, 2)
+    expected = sum(gaussian_kl(demonstrated[t], predicted[:, t]) for t in range(6))
+    torch.testing.assert_close(trajectory_kl(demonstrated, predicted), expected)
 
 
 def test_mean_kl_is_the_kl_at_equal_covariances(draws: Draws) -> None:
-    expert, mean = draws.belief(5, 3), draws.normal(5, 3)
+    demonstrated, mean = draws.belief(5, 3), draws.normal(5, 3)
     torch.testing.assert_close(
-        mean_kl(expert, mean), gaussian_kl(expert, Gaussian(mean, expert.cov))
+        mean_kl(demonstrated, mean), gaussian_kl(demonstrated, Gaussian(mean, demonstrated.cov))
     )
 
 

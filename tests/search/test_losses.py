@@ -39,7 +39,7 @@ def initial(draws: Draws) -> Gaussian:
 
 
 def expert_of(loss: TrajectoryKLLoss) -> Gaussian:
-    return Gaussian(loss.expert_mean, loss.expert_cov)
+    return Gaussian(loss.demonstrated_mean, loss.demonstrated_cov)
 
 
 def test_loss_is_the_kl_of_the_predicted_trajectory(
@@ -63,7 +63,7 @@ def test_prediction_is_that_of_the_state_seen_in_the_match_space_with_noise(
     loss: TrajectoryKLLoss, initial: Gaussian
 ) -> None:
     states = predict_trajectory(initial, loss.actor_network, loss.dynamics, SPACE, HORIZON)
-    seen, predicted = TIP.belief(states), loss.predict(initial)
+    seen, predicted = TIP.moments(states), loss.predict(initial)
     torch.testing.assert_close(predicted.mean, seen.mean, rtol=0, atol=0)
     torch.testing.assert_close(
         predicted.cov - seen.cov,
@@ -93,7 +93,7 @@ def test_mean_objective_is_the_kl_of_a_prediction_as_wide_as_the_expert(
     states = predict_mean_trajectory(
         initial.mean, loss.actor_network, loss.dynamics, SPACE, HORIZON
     )
-    as_wide = Gaussian(TIP(states), loss.expert_cov)
+    as_wide = Gaussian(TIP(states), loss.demonstrated_cov)
     torch.testing.assert_close(loss.mean_per_step(initial), gaussian_kl(expert_of(loss), as_wide))
 
 
@@ -110,14 +110,14 @@ def test_expert_that_is_the_prediction_costs_nothing(
 def test_noise_of_each_entry_is_added_to_the_prediction_as_to_the_expert(draws: Draws) -> None:
     """Independent entries: the KL is the sum of theirs, each with its own noise."""
     parts, noise_std = make_parts(draws), torch.tensor([0.1, 0.3], dtype=torch.float64)
-    expert, start = draws.belief(HORIZON, 2, scale=0.05), draws.belief(2, scale=0.01)
-    loss = TrajectoryKLLoss(*parts, SPACE, expert, noise_std)
-    predicted = TIP.belief(loss.predict_states(start))
+    demonstrated, start = draws.belief(HORIZON, 2, scale=0.05), draws.belief(2, scale=0.01)
+    loss = TrajectoryKLLoss(*parts, SPACE, demonstrated, noise_std)
+    predicted = TIP.moments(loss.predict_states(start))
     noisy = Gaussian(predicted.mean, predicted.cov + (noise_std**2).diag())
-    torch.testing.assert_close(loss.per_step(start), gaussian_kl(expert, noisy))
-    same = TrajectoryKLLoss(*parts, SPACE, expert, torch.full((2,), 0.1, dtype=torch.float64))
+    torch.testing.assert_close(loss.per_step(start), gaussian_kl(demonstrated, noisy))
+    same = TrajectoryKLLoss(*parts, SPACE, demonstrated, torch.full((2,), 0.1, dtype=torch.float64))
     assert torch.equal(
-        same.per_step(start), TrajectoryKLLoss(*parts, SPACE, expert, 0.1).per_step(start)
+        same.per_step(start), TrajectoryKLLoss(*parts, SPACE, demonstrated, 0.1).per_step(start)
     )
 
 
@@ -129,7 +129,9 @@ def test_noise_of_other_entries_is_an_error(draws: Draws) -> None:
 
 
 def test_expert_of_another_dimension_is_an_error(loss: TrajectoryKLLoss, draws: Draws) -> None:
-    with pytest.raises(ValueError, match=r"expert must have the 2 entries \('x', 'y'\), got 3"):
+    with pytest.raises(
+        ValueError, match=r"demonstrated must have the 2 entries \('x', 'y'\), got 3"
+    ):
         TrajectoryKLLoss(
             loss.actor_network, loss.dynamics, SPACE, draws.belief(HORIZON, 3), NOISE_STD
         )
@@ -170,7 +172,7 @@ def test_prediction_of_the_cost_holds_no_observation_noise(
     cost: ExpectedSaturatingCost, initial: Gaussian
 ) -> None:
     states = predict_trajectory(initial, cost.actor_network, cost.dynamics, SPACE, HORIZON)
-    torch.testing.assert_close(cost.predict(initial).cov, TIP.belief(states).cov, rtol=0, atol=0)
+    torch.testing.assert_close(cost.predict(initial).cov, TIP.moments(states).cov, rtol=0, atol=0)
 
 
 def test_mean_cost_is_that_of_the_mean_trajectory(
@@ -198,7 +200,7 @@ def test_weight_may_turn_the_axes(draws: Draws) -> None:
         *make_parts(draws), space, target, width=2.0, horizon=5, weight=weight, reduction="none"
     )
     certain = cost.rollout_loss(states, torch.zeros(5, 2, 2, dtype=torch.float64))
-    delta = space.match(states) - target
+    delta = space.observe(states) - target
     torch.testing.assert_close(
         certain,
         1 - torch.exp(-torch.einsum("ti,ij,tj->t", delta, weight, delta) / 8),
@@ -234,7 +236,7 @@ def test_entry_without_weight_is_ignored(initial: Gaussian) -> None:
 
 
 def test_doubt_of_a_kl_is_the_kl(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
-    assert torch.equal(loss.doubt(initial, 3), loss.per_step(initial, 3))
+    assert torch.equal(loss.step_loss_for_trust(initial, 3), loss.per_step(initial, 3))
 
 
 def test_doubt_of_a_cost_is_the_cost_of_the_spread_around_the_target(initial: Gaussian) -> None:
@@ -246,7 +248,9 @@ def test_doubt_of_a_cost_is_the_cost_of_the_spread_around_the_target(initial: Ga
     spread = weight @ near.predict(initial, 3).cov / WIDTH**2
     expected = 1 - torch.linalg.det(torch.eye(2) + spread).rsqrt()
     for cost in (near, far):
-        torch.testing.assert_close(cost.doubt(initial, 3), expected, rtol=1e-10, atol=0)
+        torch.testing.assert_close(
+            cost.step_loss_for_trust(initial, 3), expected, rtol=1e-10, atol=0
+        )
     assert (expected > 1e-3).all()
 
 
@@ -258,8 +262,8 @@ def test_search_lowers_the_loss(key: str, initial: Gaussian) -> None:
     result = search_policy(
         loss, initial, SearchSettings(mean_iterations=3, stage_iterations=3, final_iterations=5)
     )
-    assert result.kl < before
-    assert loss(start(initial))[key].item() == pytest.approx(result.kl, rel=1e-12)
+    assert result.loss < before
+    assert loss(start(initial))[key].item() == pytest.approx(result.loss, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from torch_pmil.model.particles import ParticlePrediction
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
-from torch_pmil.search.policy_search import SearchSettings, renew_policy, search_policy
+from torch_pmil.search.policy_search import SearchSettings, refit_policy, search_policy
 
 TARGETS = torch.tensor([[0.0, 0.5], [1.0, -0.5], [-1.0, 0.3]], dtype=torch.float64)
 S, K = TARGETS.shape
@@ -43,12 +43,12 @@ def make_policy(draws: Draws, centres: int = 6) -> RBFPolicy:
 
 def make_loss(seed: int, centres: int = 6, **kwargs) -> MultiTargetKLLoss:
     draws = Draws(seed)
-    policy, dynamics, expert = (
+    policy, dynamics, demonstrated = (
         make_policy(draws, centres),
         make_parts(draws)[1],
         draws.belief(S, HORIZON, 2, scale=0.05),
     )
-    return MultiTargetKLLoss(policy, dynamics, SPACE, expert, TARGETS, NOISE_STD, **kwargs)
+    return MultiTargetKLLoss(policy, dynamics, SPACE, demonstrated, TARGETS, NOISE_STD, **kwargs)
 
 
 def of_one_target(loss: MultiTargetKLLoss, i: int) -> TrajectoryKLLoss:
@@ -58,8 +58,8 @@ def of_one_target(loss: MultiTargetKLLoss, i: int) -> TrajectoryKLLoss:
     distance = (known - joint.centres[:, 3:]) / joint.log_widths[0, 3:].exp()
     policy.weights.data.copy_(joint.weights * torch.exp(-distance.square().sum(-1) / 2)[:, None])
     policy.log_widths.data.copy_(joint.log_widths[:, :3])
-    expert = Gaussian(loss.expert_mean[i], loss.expert_cov[i])
-    return TrajectoryKLLoss(policy, loss.dynamics, SPACE, expert, NOISE_STD)
+    demonstrated = Gaussian(loss.demonstrated_mean[i], loss.demonstrated_cov[i])
+    return TrajectoryKLLoss(policy, loss.dynamics, SPACE, demonstrated, NOISE_STD)
 
 
 def test_known_inputs_are_inputs_of_these_values(draws: Draws) -> None:
@@ -99,7 +99,7 @@ def test_loss_is_the_mean_of_the_losses_of_the_targets(initial: Gaussian) -> Non
     loss = make_loss(1)
     single = torch.stack([of_one_target(loss, i).per_step(initial) for i in range(S)])
     torch.testing.assert_close(loss.per_step(initial), single.mean(0))
-    torch.testing.assert_close(loss.doubt(initial), single.amax(0))
+    torch.testing.assert_close(loss.step_loss_for_trust(initial), single.amax(0))
     torch.testing.assert_close(loss(start(initial))["loss_kl"], single.sum(-1).mean())
 
 
@@ -161,10 +161,12 @@ def test_search_lowers_the_loss_of_all_targets_together(initial: Gaussian) -> No
     result = search_policy(
         loss,
         initial,
-        SearchSettings(mean_iterations=5, stage_iterations=10, final_iterations=10, trusted=1.0),
+        SearchSettings(
+            mean_iterations=5, stage_iterations=10, final_iterations=10, trust_threshold=1.0
+        ),
     )
-    assert result.kl < before
-    assert result.kl == pytest.approx(loss.per_step(initial).sum().item())
+    assert result.loss < before
+    assert result.loss == pytest.approx(loss.per_step(initial).sum().item())
 
 
 def test_renewed_policy_acts_as_the_old_one_at_every_target(initial: Gaussian) -> None:
@@ -172,11 +174,11 @@ def test_renewed_policy_acts_as_the_old_one_at_every_target(initial: Gaussian) -
     starts, old = initial.sample(50, draws.generator), PolicyAtTargets(loss.actor_network, TARGETS)
     features = SPACE.features(starts)[:, None]
     before = old.controller(features)
-    renew_policy(
+    refit_policy(
         loss,
         initial,
         make_policy(draws, 80),
-        SearchSettings(first_horizon=1, trusted=0.0),
+        SearchSettings(first_horizon=1, trust_threshold=0.0),
         draws.generator,
     )
     assert before.std(1).mean() > 0.1
@@ -185,17 +187,27 @@ def test_renewed_policy_acts_as_the_old_one_at_every_target(initial: Gaussian) -
 
 def test_failed_prediction_of_one_target_is_an_error_that_names_its_step(initial: Gaussian) -> None:
     loss = make_loss(1)
-    loss.expert_cov[1, 2] *= -1
+    loss.demonstrated_cov[1, 2] *= -1
     with pytest.raises(PredictionError, match="comparison of step 3 of 4 failed"):
         loss.per_step(initial)
 
 
 @pytest.mark.parametrize(
-    ("expert", "targets", "inputs", "message"),
+    ("demonstrated", "targets", "inputs", "message"),
     [
-        ((HORIZON, 2), TARGETS, 5, "and an expert of batch shape (4,)"),
-        ((2, HORIZON, 2), TARGETS, 5, "got targets (3, 2) and an expert of batch shape (2, 4)"),
-        ((S, HORIZON, 2), TARGETS[:, 0], 5, "got targets (3,) and an expert of batch shape (3, 4)"),
+        ((HORIZON, 2), TARGETS, 5, "and demonstrated marginals of batch shape (4,)"),
+        (
+            (2, HORIZON, 2),
+            TARGETS,
+            5,
+            "got targets (3, 2) and demonstrated marginals of batch shape (2, 4)",
+        ),
+        (
+            (S, HORIZON, 2),
+            TARGETS[:, 0],
+            5,
+            "got targets (3,) and demonstrated marginals of batch shape (3, 4)",
+        ),
         (
             (S, HORIZON, 2),
             TARGETS,
@@ -205,12 +217,12 @@ def test_failed_prediction_of_one_target_is_an_error_that_names_its_step(initial
     ],
 )
 def test_shapes_that_do_not_fit_are_errors(
-    draws: Draws, expert: tuple[int, ...], targets: Tensor, inputs: int, message: str
+    draws: Draws, demonstrated: tuple[int, ...], targets: Tensor, inputs: int, message: str
 ) -> None:
     policy = RBFPolicy(torch.zeros(4, inputs), torch.ones(1), torch.ones(inputs))
     with pytest.raises(ValueError) as error:
         MultiTargetKLLoss(
-            policy, GPDynamics(4, 2), SPACE, draws.belief(*expert), targets, NOISE_STD
+            policy, GPDynamics(4, 2), SPACE, draws.belief(*demonstrated), targets, NOISE_STD
         )
     assert message in str(error.value)
 

@@ -23,7 +23,7 @@ from torch_pmil.search.policy_search import (
     SearchResult,
     SearchSettings,
     _evaluate,
-    renew_policy,
+    refit_policy,
     search_policy,
 )
 
@@ -35,7 +35,7 @@ SETTINGS = SearchSettings(
     final_iterations=5,
     first_horizon=2,
     horizon_step=2,
-    trusted=1.0,
+    trust_threshold=1.0,
 )
 INITIAL = Gaussian(
     torch.ones(1, dtype=torch.float64), torch.full((1, 1), 0.01, dtype=torch.float64)
@@ -60,20 +60,20 @@ def make_policy(draws: Draws) -> RBFPolicy:
 
 
 def make_loss(dynamics: GPDynamics, draws: Draws, mean: Tensor) -> TrajectoryKLLoss:
-    """An expert of that mean (T,) and a standard deviation of 0.14."""
-    expert = Gaussian(mean[:, None], torch.full((HORIZON, 1, 1), 0.02, dtype=torch.float64))
-    return TrajectoryKLLoss(make_policy(draws), dynamics, SPACE, expert, noise_std=0.05)
+    """Demonstrated marginals of that mean (T,) and a standard deviation of 0.14."""
+    demonstrated = Gaussian(mean[:, None], torch.full((HORIZON, 1, 1), 0.02, dtype=torch.float64))
+    return TrajectoryKLLoss(make_policy(draws), dynamics, SPACE, demonstrated, noise_std=0.05)
 
 
 @pytest.fixture
 def loss(dynamics: GPDynamics, draws: Draws) -> TrajectoryKLLoss:
-    """What the expert shows can be reached; the random policy does not."""
+    """What the demonstrated shows can be reached; the random policy does not."""
     return make_loss(dynamics, draws, REACHABLE)
 
 
 @pytest.fixture
 def hopeless(dynamics: GPDynamics, draws: Draws) -> TrajectoryKLLoss:
-    """From step 4 on the expert is where no torque leads."""
+    """From step 4 on the demonstrated is where no torque leads."""
     return make_loss(dynamics, draws, REACHABLE + 10 * (torch.arange(HORIZON) >= 3))
 
 
@@ -115,16 +115,16 @@ def test_search_lowers_the_kl_until_the_whole_horizon_is_matched(
     loss: TrajectoryKLLoss, finished: Search
 ) -> None:
     result = finished.result
-    assert result.kl < 0.5 * loss.per_step(INITIAL).sum().item()
-    assert result.matched and result.horizon == HORIZON
-    assert (result.per_step < SETTINGS.trusted).all()
+    assert result.loss < 0.5 * loss.per_step(INITIAL).sum().item()
+    assert result.converged and result.horizon == HORIZON
+    assert (result.per_step < SETTINGS.trust_threshold).all()
 
 
 def test_result_is_that_of_the_policy_that_is_left(
     found: TrajectoryKLLoss, finished: Search
 ) -> None:
     assert torch.equal(finished.result.per_step, found.per_step(INITIAL).detach())
-    assert finished.result.kl == finished.result.per_step.sum().item()
+    assert finished.result.loss == finished.result.per_step.sum().item()
     assert finished.result.seconds > 0
 
 
@@ -146,7 +146,7 @@ def test_horizon_grows_step_by_step_each_with_a_run_on_the_mean_and_then_the_kl(
 
 
 def test_last_report_is_the_result(finished: Search) -> None:
-    assert finished.reports[-1][1] == pytest.approx(finished.result.kl)
+    assert finished.reports[-1][1] == pytest.approx(finished.result.loss)
 
 
 @pytest.mark.parametrize(
@@ -155,12 +155,12 @@ def test_last_report_is_the_result(finished: Search) -> None:
 def test_horizon_never_exceeds_that_of_the_expert(
     loss: TrajectoryKLLoss, first: int, step: int, expected: list[int]
 ) -> None:
-    settings = SearchSettings(3, 3, 1, first_horizon=first, horizon_step=step, trusted=1.0)
+    settings = SearchSettings(3, 3, 1, first_horizon=first, horizon_step=step, trust_threshold=1.0)
     assert horizons(search(loss, settings), "mean") == expected
 
 
 def test_policy_that_matches_is_searched_on_the_whole_kl_alone(found: TrajectoryKLLoss) -> None:
-    settings = SearchSettings(1, 1, 1, first_horizon=2, trusted=SETTINGS.trusted)
+    settings = SearchSettings(1, 1, 1, first_horizon=2, trust_threshold=SETTINGS.trust_threshold)
     once = search(found, settings)
     assert horizons(once, "KL") == [6]
     assert horizons(once, "mean") == []
@@ -171,42 +171,59 @@ def test_policy_that_matches_is_searched_on_the_whole_kl_alone(found: Trajectory
     [(False, True, [2, 4, 6]), (False, False, []), (True, True, [])],
 )
 def test_random_policy_that_is_trusted_throughout_grows_step_by_step_if_the_horizon_does_not_leap(
-    found: TrajectoryKLLoss, leaps: bool, random: bool, expected: list[int]
+    found: TrajectoryKLLoss, skip_matched_steps: bool, random: bool, expected: list[int]
 ) -> None:
     settings = SearchSettings(
-        1, 1, 1, first_horizon=2, horizon_step=2, trusted=SETTINGS.trusted, leaps=leaps
+        1,
+        1,
+        1,
+        first_horizon=2,
+        horizon_step=2,
+        trust_threshold=SETTINGS.trust_threshold,
+        skip_matched_steps=skip_matched_steps,
     )
     assert horizons(search(found, settings, random), "mean") == expected
 
 
 @pytest.mark.parametrize(("leaps", "expected"), [(True, [2, 6]), (False, [2, 3, 4, 5, 6])])
 def test_horizon_that_leaps_passes_over_what_is_trusted(
-    loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, leaps: bool, expected: list[int]
+    loss: TrajectoryKLLoss,
+    monkeypatch: pytest.MonkeyPatch,
+    skip_matched_steps: bool,
+    expected: list[int],
 ) -> None:
     doubts = iter([torch.full((HORIZON,), 9.0), *[torch.zeros(HORIZON)] * 10])
     monkeypatch.setattr(loss, "doubt", lambda *_: next(doubts))
-    settings = SearchSettings(1, 1, 1, first_horizon=2, horizon_step=1, trusted=1.0, leaps=leaps)
+    settings = SearchSettings(
+        1,
+        1,
+        1,
+        first_horizon=2,
+        horizon_step=1,
+        trust_threshold=1.0,
+        skip_matched_steps=skip_matched_steps,
+    )
     assert horizons(search(loss, settings), "mean") == expected
 
 
 def test_horizon_stops_where_the_last_steps_are_not_trusted(hopeless: TrajectoryKLLoss) -> None:
     result = search(hopeless).result
     assert result.horizon == 4
-    assert not result.matched
+    assert not result.converged
     assert result.per_step.shape == (HORIZON,)
-    assert result.per_step[2:4].mean() > SETTINGS.trusted
+    assert result.per_step[2:4].mean() > SETTINGS.trust_threshold
 
 
-@pytest.mark.parametrize(("trusted", "horizon"), [(1e-9, 2), (0.0018, HORIZON), (0.5, HORIZON)])
+@pytest.mark.parametrize(("threshold", "horizon"), [(1e-9, 2), (0.0018, HORIZON), (0.5, HORIZON)])
 def test_costly_prediction_is_followed_as_far_as_it_is_sure(
-    dynamics: GPDynamics, draws: Draws, trusted: float, horizon: int
+    dynamics: GPDynamics, draws: Draws, threshold: float, horizon: int
 ) -> None:
     """The target is out of reach: every step costs more than may be doubted."""
     cost = ExpectedSaturatingCost(
         make_policy(draws), dynamics, SPACE, torch.tensor([5.0]), width=1.5, horizon=HORIZON
     )
     result = search(
-        cost, SearchSettings(2, 2, 1, first_horizon=2, horizon_step=2, trusted=trusted)
+        cost, SearchSettings(2, 2, 1, first_horizon=2, horizon_step=2, trust_threshold=threshold)
     ).result
     assert (result.per_step > 0.5).all()
     assert (result.horizon, result.complete) == (horizon, horizon == HORIZON)
@@ -262,8 +279,8 @@ def test_search_goes_on_where_the_prediction_can_be_followed(
 ) -> None:
     """The far part fails throughout, and is not searched."""
     fail_beyond(loss, 3, monkeypatch)
-    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted=0.0)).result
-    assert (result.horizon, result.matched, result.kl) == (3, False, math.inf)
+    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trust_threshold=0.0)).result
+    assert (result.horizon, result.converged, result.loss) == (3, False, math.inf)
     assert result.per_step[:3].isfinite().all()
 
 
@@ -283,7 +300,7 @@ def test_failures_within_a_run_are_survived_and_counted(
         return mean_per_step(initial, horizon)
 
     monkeypatch.setattr(loss, "mean_per_step", failing_once)
-    result = search(loss, SearchSettings(5, 1, 1, first_horizon=6, trusted=0.0)).result
+    result = search(loss, SearchSettings(5, 1, 1, first_horizon=6, trust_threshold=0.0)).result
     assert result.failures == 1
     assert result.evaluations > len(calls) > 2
 
@@ -300,7 +317,7 @@ def renewed(
     mean = predict_mean_trajectory(INITIAL.mean, policy, loss.dynamics, SPACE, HORIZON)
     features = SPACE.features(torch.cat([INITIAL.mean[None], mean])).detach()
     before = policy(features).detach()
-    renew_policy(loss, INITIAL, new, settings, draws.generator)
+    refit_policy(loss, INITIAL, new, settings, draws.generator)
     after = policy(features).detach()
     new.load_state_dict(drawn)
     return before, after, new
@@ -323,20 +340,20 @@ def test_renewed_policy_has_the_centres_and_widths_of_the_new_one(found: Traject
 
 
 @pytest.mark.parametrize(
-    ("trusted", "same"), [(0.0, True), (math.inf, False)], ids=["nowhere", "everywhere"]
+    ("threshold", "same"), [(0.0, True), (math.inf, False)], ids=["nowhere", "everywhere"]
 )
 def test_policy_is_renewed_at_the_start_and_where_the_prediction_is_trusted(
-    found: TrajectoryKLLoss, trusted: float, same: bool
+    found: TrajectoryKLLoss, threshold: float, same: bool
 ) -> None:
     """What a model predicts matters only where it is trusted."""
     other = copy.deepcopy(found)
     other.dynamics.set_data(other.dynamics.train_inputs, -other.dynamics.train_targets)
     for loss in (found, other):
-        renew_policy(
+        refit_policy(
             loss,
             INITIAL,
             make_policy(Draws(seed=5)),
-            SearchSettings(first_horizon=1, trusted=trusted),
+            SearchSettings(first_horizon=1, trust_threshold=threshold),
             Draws(seed=6).generator,
         )
     assert torch.equal(found.actor_network.weights, other.actor_network.weights) == same
@@ -354,8 +371,8 @@ def test_horizon_grows_no_further_than_the_prediction_can_be_followed(
 ) -> None:
     """The first three steps are matched, and beyond step ``known`` the prediction fails."""
     fail_beyond(loss, known, monkeypatch)
-    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trusted=1.0)).result
-    assert (result.horizon, result.kl) == (known, math.inf)
+    result = search(loss, SearchSettings(5, 5, 1, first_horizon=3, trust_threshold=1.0)).result
+    assert (result.horizon, result.loss) == (known, math.inf)
 
 
 def test_without_iterations_of_the_mean_each_horizon_begins_with_the_loss(
@@ -365,7 +382,7 @@ def test_without_iterations_of_the_mean_each_horizon_begins_with_the_loss(
     assert horizons(found, "mean") == []
     assert horizons(found, "KL")[:2] == [2, 4]
     assert (
-        found.result.kl
+        found.result.loss
         < 0.5 * make_loss(loss.dynamics, Draws(seed=0), REACHABLE).per_step(INITIAL).sum().item()
     )
 
@@ -394,7 +411,9 @@ def test_horizon_that_is_not_trusted_is_searched_on_while_that_lowers_the_loss(
     """No torque leads to step 4: the search on the horizon that holds it goes on while runs of two
     iterations bring a tenth.
     """
-    found = search(hopeless, SearchSettings(1, 2, 1, first_horizon=4, horizon_step=1, trusted=1.0))
+    found = search(
+        hopeless, SearchSettings(1, 2, 1, first_horizon=4, horizon_step=1, trust_threshold=1.0)
+    )
     reached = losses_at(found, 4)
     falls = [after / before for before, after in pairwise(reached)]
     assert len(falls) > 1

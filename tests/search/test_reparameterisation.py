@@ -14,7 +14,7 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.lbfgs import MinimiseResult, minimise
 from torch_pmil.search.losses import TrajectoryKLLoss
-from torch_pmil.search.reparameterisation import NOISE_VARIANCE, ConditionedLoss
+from torch_pmil.search.reparameterisation import NOISE_VARIANCE, ReparameterisedLoss
 
 START = Gaussian(torch.zeros(2, dtype=torch.float64), 0.01 * torch.eye(2, dtype=torch.float64))
 
@@ -36,16 +36,16 @@ def total(loss: TrajectoryKLLoss) -> Tensor:
 
 
 def test_start_is_the_policy_itself(loss: TrajectoryKLLoss) -> None:
-    """Its weights come back as accurately as the system for them is conditioned, and the loss is
+    """Its weights come back as accurately as the system for them is reparameterised, and the loss is
     that of these weights.
     """
     weights, condition = (
         loss.actor_network.weights.detach().clone(),
         torch.linalg.cond(gram(loss.actor_network)).item(),
     )
-    conditioned = ConditionedLoss(loss)
-    value = conditioned.total(loss.per_step, START, HORIZON).item()
-    conditioned.write()
+    reparameterised = ReparameterisedLoss(loss)
+    value = reparameterised.total(loss.per_step, START, HORIZON).item()
+    reparameterised.write()
     written = loss.actor_network.weights.detach()
     assert (written - weights).norm() <= len(weights) * condition * torch.finfo(
         torch.float64
@@ -56,17 +56,17 @@ def test_start_is_the_policy_itself(loss: TrajectoryKLLoss) -> None:
 def test_values_are_those_of_the_network_at_its_centres_with_noise(loss: TrajectoryKLLoss) -> None:
     policy = loss.actor_network
     policy.log_widths.data += 0.3
-    torch.testing.assert_close(ConditionedLoss(loss).values[0], gram(policy) @ policy.weights)
+    torch.testing.assert_close(ReparameterisedLoss(loss).values[0], gram(policy) @ policy.weights)
 
 
 def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(
     loss: TrajectoryKLLoss, draws: Draws
 ) -> None:
-    policy, conditioned = loss.actor_network, ConditionedLoss(loss)
-    conditioned.values.data += 0.3 * draws.normal(*conditioned.values.shape)
-    value = conditioned.total(loss.per_step, START, HORIZON)
-    centres, values, widths = torch.autograd.grad(value, conditioned.variables)
-    conditioned.write()
+    policy, reparameterised = loss.actor_network, ReparameterisedLoss(loss)
+    reparameterised.values.data += 0.3 * draws.normal(*reparameterised.values.shape)
+    value = reparameterised.total(loss.per_step, START, HORIZON)
+    centres, values, widths = torch.autograd.grad(value, reparameterised.variables)
+    reparameterised.write()
     of_centres, of_weights, of_widths = torch.autograd.grad(
         total(loss), [policy.centres, policy.weights, policy.log_widths]
     )
@@ -76,11 +76,13 @@ def test_gradient_is_that_of_the_policy_with_the_weights_solved_for(
 
 
 def found_by_values(loss: TrajectoryKLLoss, iterations: int) -> MinimiseResult:
-    conditioned = ConditionedLoss(loss)
+    reparameterised = ReparameterisedLoss(loss)
     result = minimise(
-        conditioned.variables, lambda: conditioned.total(loss.per_step, START, HORIZON), iterations
+        reparameterised.variables,
+        lambda: reparameterised.total(loss.per_step, START, HORIZON),
+        iterations,
     )
-    conditioned.write()
+    reparameterised.write()
     return result
 
 

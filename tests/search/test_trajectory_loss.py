@@ -483,7 +483,10 @@ def test_fresh_loss_with_the_state_of_another_is_the_same(
     torch.save(loss.state_dict(), tmp_path / "loss.pt")
     other.load_state_dict(torch.load(tmp_path / "loss.pt", weights_only=True))
     assert torch.equal(other(start(initial))[key], expected)
-    buffers = {"loss_kl": {"expert_mean", "expert_cov"}, "loss_cost": {"target", "to_widths"}}[key]
+    buffers = {
+        "loss_kl": {"demonstrated_mean", "demonstrated_cov"},
+        "loss_cost": {"target", "to_widths"},
+    }[key]
     assert {name.split(".")[0] for name in loss.state_dict()} == {
         "actor_network",
         "dynamics",

@@ -222,9 +222,9 @@ def test_features_of_a_state_jointly_gaussian_with_the_action_covary_as_samples_
     )
     mean = torch.cat([belief["observation", "mean"], belief["action", "mean"]])
     samples = Gaussian(mean, both).sample(400_000, draws.generator)
-    features = ANGLES.belief(Gaussian(belief["observation", "mean"], belief["observation", "var"]))[
-        0
-    ]
+    features = ANGLES.feature_moments(
+        Gaussian(belief["observation", "mean"], belief["observation", "var"])
+    )[0]
     products = (ANGLES.features(samples[:, :4]) - features.mean)[..., None] * (
         samples[:, None, 4:] - belief["action", "mean"]
     )

@@ -21,9 +21,10 @@ from torch_pmil.envs.rollouts import rollout_of, states_of, without_sensor_noise
 from torch_pmil.experiments.runs.training import make_trainer
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.policy_search import SearchResult, SearchSettings
+from torch_pmil.trainer import search_stepper as stepper_module
 from torch_pmil.trainer.collector import RobotActor
 from torch_pmil.trainer.search_stepper import PROGRESS, PolicySearchStepper
-from torch_pmil.trainer.trainer import PMILTrainer, search_stepper as stepper_module
+from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Candidate, Trial
 
 HORIZON, STARTS = 4, 20
@@ -356,13 +357,13 @@ class ScriptedSearches:
         restarts: int = 0,
     ) -> None:
         self.loss = make(trials=1)[0].loss_module
-        self.renewed_from: list[int] = []  # numbers of the searches whose policies were renewed
+        self.refitted_from: list[int] = []  # numbers of the searches whose policies were renewed
         self.random_at: list[int] = []  # and of those that were told that theirs is random
         self.searches = 0
         self._results = iter(results)
         monkeypatch.setattr(stepper_module, "search_policy", self._search)
         monkeypatch.setattr(
-            stepper_module, "renew_policy", lambda *_: self.renewed_from.append(self.kept)
+            stepper_module, "refit_policy", lambda *_: self.refitted_from.append(self.kept)
         )
         self.stepper = PolicySearchStepper(
             SearchSettings(restarts=restarts), self._random, torch.Generator(), lambda *_: None
@@ -400,7 +401,7 @@ class ScriptedSearches:
         """One trial's search; number of the one whose policy was kept."""
         start = TensorDict({"observation": {"mean": torch.zeros(4), "var": torch.eye(4)}})
         loss = self.stepper.step(SimpleNamespace(loss_module=self.loss), start)["loss_kl"]
-        assert loss.item() == self.stepper.result.kl
+        assert loss.item() == self.stepper.result.loss
         return self.kept
 
 
@@ -415,20 +416,24 @@ def test_search_that_makes_progress_is_the_only_one(
 ) -> None:
     scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), second])
     assert [scripted.step(), scripted.step()] == [1, 2]
-    assert (scripted.renewed_from, scripted.random_at, scripted.stepper.renewed) == ([], [1], False)
+    assert (scripted.refitted_from, scripted.random_at, scripted.stepper.refitted) == (
+        [],
+        [1],
+        False,
+    )
 
 
-@pytest.mark.parametrize(("renewed", "kept"), [(50.0, 3), (99.0, 2)], ids=["better", "worse"])
+@pytest.mark.parametrize(("refitted", "kept"), [(50.0, 3), (99.0, 2)], ids=["better", "worse"])
 def test_search_without_progress_is_followed_by_one_of_the_renewed_policy_and_the_better_is_kept(
-    monkeypatch: pytest.MonkeyPatch, renewed: float, kept: int
+    monkeypatch: pytest.MonkeyPatch, refitted: float, kept: int
 ) -> None:
     scripted = ScriptedSearches(
-        monkeypatch, [(100.0, 2, False), (SLOW, 3, False), (renewed, 2, False)]
+        monkeypatch, [(100.0, 2, False), (SLOW, 3, False), (refitted, 2, False)]
     )
     assert [scripted.step(), scripted.step()] == [1, kept]
-    assert (scripted.renewed_from, scripted.stepper.renewed) == ([2], True)
+    assert (scripted.refitted_from, scripted.stepper.refitted) == ([2], True)
     result = scripted.stepper.result
-    assert result.kl == min(renewed, SLOW)
+    assert result.loss == min(refitted, SLOW)
     assert (result.evaluations, result.failures, result.seconds) == (20, 2, 1.0)
 
 
@@ -444,7 +449,7 @@ def test_searches_from_random_policies_follow_until_one_brings_enough(
     ]
     scripted = ScriptedSearches(monkeypatch, results, restarts=3)
     assert [scripted.step(), scripted.step()] == [1, 5]
-    assert (scripted.renewed_from, scripted.random_at) == ([2], [1, 4, 5])
+    assert (scripted.refitted_from, scripted.random_at) == ([2], [1, 4, 5])
     assert scripted.stepper.result.evaluations == 40
 
 
@@ -460,7 +465,7 @@ def test_progress_is_from_the_least_loss_of_all_trials(monkeypatch: pytest.Monke
         ],
     )
     assert [scripted.step() for _ in range(3)] == [1, 3, 4]
-    assert scripted.renewed_from == [2, 4]
+    assert scripted.refitted_from == [2, 4]
 
 
 def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -53,12 +53,12 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     check_names(
         recordings.names, [*options.velocities, *(position for _, position in options.derive)]
     )
-    conditioned = [
-        conditioned_one(*one, recordings.names, options)
+    preprocessed = [
+        preprocessed_one(*one, recordings.names, options)
         for one in zip(recordings.times, recordings.values, strict=True)
     ]
     recorded_step = torch.cat([times.diff() for times in recordings.times]).median().item()
-    even = [resample(values, times, recorded_step) for times, values in conditioned]
+    even = [resample(values, times, recorded_step) for times, values in preprocessed]
     derived = range(len(recordings.names), len(names))
     kept = [crop(values, velocities=derived) for values in even] if options.crop else even
     reference = (
@@ -72,7 +72,7 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     )
 
 
-def conditioned_one(
+def preprocessed_one(
     times: Tensor, values: Tensor, names: tuple[str, ...], options: argparse.Namespace
 ) -> Timed:
     """One recording: in metres, without jumps and noise, with velocities, each as far as it was

@@ -122,7 +122,7 @@ def warn_of(label: str, findings: list[Finding]) -> None:
 
 def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> None:
     """One line for each trial."""
-    predicted = f"{objective.label} {trial.kl:6.1f} {objective.unit}".rstrip()
+    predicted = f"{objective.label} {trial.loss:6.1f} {objective.unit}".rstrip()
     say(
         label,
         f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {predicted}, own "

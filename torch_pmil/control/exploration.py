@@ -22,7 +22,7 @@ class Motion(Protocol):
         """Torques of the next step."""
 
 
-class FirstMotion(Protocol):
+class Exploration(Protocol):
     """What an experiment says of it: the number of rollouts, their steps, and what moves the robot."""
 
     @property

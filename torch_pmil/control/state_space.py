@@ -56,7 +56,7 @@ class MatchSpace:
         angles = states @ self.angles.to(states).mT
         return torch.cat([states, angles.sin(), angles.cos()], -1) @ self.weights.to(states).mT
 
-    def belief(self, state: Gaussian) -> Gaussian:
+    def moments(self, state: Gaussian) -> Gaussian:
         """Exact mean and covariance of the observation of an uncertain state."""
         return self._augmentation.to(state.mean)(state)[0].affine(self.weights.to(state.mean))
 
@@ -77,7 +77,7 @@ class StateSpace:
     Args:
         names, units: one for each entry.
         angles: indices of the entries that are angles (rad) and wrap around.
-        match: where predictions are compared with demonstrations.
+        match_space: where predictions are compared with demonstrations.
 
     Example:
         >>> space = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s")))
@@ -90,13 +90,13 @@ class StateSpace:
     names: tuple[str, ...]
     units: tuple[str, ...]
     angles: tuple[int, ...]
-    match: MatchSpace
+    match_space: MatchSpace
 
     def __post_init__(self) -> None:
-        if len(self.units) != self.dim or self.match.angles.shape[-1] != self.dim:
+        if len(self.units) != self.dim or self.match_space.angles.shape[-1] != self.dim:
             raise ValueError(
                 f"units and the match space must be for the {self.dim} entries of {self.names}, "
-                f"got {len(self.units)} units and a match space of {self.match.angles.shape[-1]}"
+                f"got {len(self.units)} units and a match space of {self.match_space.angles.shape[-1]}"
             )
         if not set(self.angles) <= set(range(self.dim)):
             raise ValueError(f"angles must be indices below {self.dim}, got {self.angles}")
@@ -117,6 +117,10 @@ class StateSpace:
         sines, cosines = ([f"{f} {self.names[i]}" for i in self.angles] for f in ("sin", "cos"))
         return (*(self.names[i] for i in self.plain), *sines, *cosines)
 
+    def observe(self, states: Tensor) -> Tensor:
+        """What is observed of states (*batch, D) in the match space: (*batch, M)."""
+        return self.match_space(states)
+
     def features(self, states: Tensor) -> Tensor:
         """What models and policies see of states (*batch, D): (*batch, D')."""
         selected = states @ self.augmentation.to(states).rows.mT
@@ -125,7 +129,7 @@ class StateSpace:
         )
         return torch.cat([plain, for_sine.sin(), for_cosine.cos()], -1)
 
-    def belief(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
+    def feature_moments(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
         """Exact moments of the features of an uncertain state, and Sigma_x^-1 cov(x, features),
         (*batch, D, D').
         """

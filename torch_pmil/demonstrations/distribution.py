@@ -30,8 +30,8 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tenso
 
     Example:
         >>> positions = torch.tensor([[[0.0], [1.0]], [[0.0], [3.0]]], dtype=torch.float64)
-        >>> expert = expert_distribution(Demonstrations(positions, 0.1, ("x",)), noise_std=0.5)
-        >>> expert.mean.item(), expert.cov.item()
+        >>> demonstrated = expert_distribution(Demonstrations(positions, 0.1, ("x",)), noise_std=0.5)
+        >>> demonstrated.mean.item(), demonstrated.cov.item()
         (2.0, 2.25)
     """
     observed = demonstrations.positions[:, 1:]

@@ -18,7 +18,7 @@ CACHED_NUMBERS = (
 )
 
 
-def thin_products(
+def pairwise_kernel_sums(
     left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     r"""Products of thin matrices with :math:`Q_{ij} = \exp(l_i^\top r_j)`, from the left and from
@@ -106,14 +106,14 @@ def products_for_gradient(
     """What :class:`ExponentialSum` and its gradient are made of, (N, P, d, n) and (N, P, n, d); the
     work is all in here.
     """
-    return thin_products(left, right, w * left, (z * right).mT, M)
+    return pairwise_kernel_sums(left, right, w * left, (z * right).mT, M)
 
 
 class ExponentialSum(torch.autograd.Function):
     r"""S = sum_ij w_i M_ij z_j exp(l_i . r_j) for every belief and pair, (N, P); its gradient keeps
     thin products instead of n^2 numbers.
 
-    Arguments as in :func:`thin_products`, but with a single row w and z of each pair, (P, 1, n) or
+    Arguments as in :func:`pairwise_kernel_sums`, but with a single row w and z of each pair, (P, 1, n) or
     (N, P, 1, n); the entry ``one`` of every l_i and the last of every r_j must be 1. ``products``
     are :func:`products_for_gradient` of the same arguments, if they are known.
     """

@@ -54,7 +54,7 @@ class GaussianIntegrals:
             NotPositiveDefiniteError: its covariance has a clearly negative eigenvalue, or is not
                 finite.
         """
-        D, E, products = f.num_inputs, f.num_outputs, f.products
+        D, E, products = f.num_inputs, f.num_outputs, f.pairs
         if belief.dim != D:
             raise ValueError(f"belief must have the model's {D} inputs, got {belief.dim}")
         nu1, squares = centred(f, belief.mean)

@@ -14,7 +14,7 @@ from gpytorch.means import ConstantMean, ZeroMean
 from torch import Tensor
 
 from torch_pmil.gp.gaussian import cholesky
-from torch_pmil.gp.kernel_pairs import Products
+from torch_pmil.gp.kernel_pairs import KernelPairs
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class KernelExpansion:
         return self.precision / -2
 
     @cached_property
-    def products(self) -> Products:
+    def pairs(self) -> KernelPairs:
         """The pairs of outputs, and the precisions of their kernels' products."""
-        return Products.of(self.precision, self.log_signal_variance)
+        return KernelPairs.of(self.precision, self.log_signal_variance)
 
     @cached_property
     def inputs_and_one(self) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 @dataclass(frozen=True)
-class Products:
+class KernelPairs:
     """Which kernels moment matching integrates: the E single ones, then the P = E(E+1)/2 products
     of two, of each output with itself first.
 
@@ -41,7 +41,7 @@ class Products:
     minus_log_det: Tensor
 
     @classmethod
-    def of(cls, precision: Tensor, log_signal_variance: Tensor) -> Products:
+    def of(cls, precision: Tensor, log_signal_variance: Tensor) -> KernelPairs:
         """Built from the diagonals of Lambda_a^-1, (E, D), and log alpha_a^2, (E,)."""
         E, D = precision.shape
         outputs = torch.arange(E, device=precision.device)

@@ -21,13 +21,13 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from torch_pmil.gp.exponential_sums import products_for_gradient, thin_products
+from torch_pmil.gp.exponential_sums import pairwise_kernel_sums, products_for_gradient
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.gaussian_integrals import GaussianIntegrals, centred
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import Moments, combine, first_slope
 
-Part = TypeVar("Part", "ThinProducts", "MomentSums")
+Part = TypeVar("Part", "MomentTerms", "MomentSums")
 KEPT_NUMBERS = 2**16  # of arrays as long as the data, before they are summed up: half a megabyte
 
 
@@ -48,7 +48,7 @@ class RecordedMoments:
         self.f, self.observation_noise, self.keep_products = f, observation_noise, keep_products
         self._kept: list[tuple[Tensor, Tensor]] = []
         self._sums: list[MomentSums] = []
-        self._pending: list[ThinProducts] = []
+        self._pending: list[MomentTerms] = []
 
     @torch.no_grad()
     def __call__(self, belief: Gaussian) -> Moments:
@@ -61,8 +61,8 @@ class RecordedMoments:
             self._kept.append(whole)
             thin = whole[0][:, :, :-1], whole[1][..., -1:]
         else:
-            thin = ThinProducts.needed(self.f, integrals)
-        products, moments = ThinProducts.at(self.f, belief, integrals, thin, self.observation_noise)
+            thin = MomentTerms.needed(self.f, integrals)
+        products, moments = MomentTerms.at(self.f, belief, integrals, thin, self.observation_noise)
         self._pending.append(products)
         if len(self._pending) * products.left.numel() > KEPT_NUMBERS:
             self._sum_up()
@@ -80,14 +80,14 @@ class RecordedMoments:
         return left_Q, Q_right
 
     @cached_property
-    def linearised(self) -> LinearisedMoments:
+    def derivatives(self) -> MomentDerivatives:
         """The moments at the beliefs of all T calls, T N of them, to first order around them."""
         self._sum_up()
-        return LinearisedMoments(self.f, _concatenated(self._sums), self.observation_noise)
+        return MomentDerivatives(self.f, _concatenated(self._sums), self.observation_noise)
 
 
 @dataclass(frozen=True)
-class ThinProducts:
+class MomentTerms:
     """What moment matching of N beliefs gives on the way, besides the moments: arrays as long as
     the data.
 
@@ -110,7 +110,7 @@ class ThinProducts:
         """sum_i w_i [nu_i, 1] Q_ij, (N, P, D + 1, n), and sum_j Q_ij z_j, (N, P, n, 1)."""
         w, z = f.pair_weights
         columns = z.mT.expand(len(integrals.nu1), -1, -1, -1)
-        return thin_products(
+        return pairwise_kernel_sums(
             integrals.left, integrals.right, w * integrals.left[:, :, :-1], columns, f.self_weights
         )
 
@@ -122,7 +122,7 @@ class ThinProducts:
         integrals: GaussianIntegrals,
         thin: tuple[Tensor, Tensor],
         observation_noise: bool,
-    ) -> tuple[ThinProducts, Moments]:
+    ) -> tuple[MomentTerms, Moments]:
         """For N beliefs from what :meth:`needed` gives, with the moments as :func:`moment_match`
         gives them.
         """
@@ -160,7 +160,7 @@ class MomentSums:
     cubes: Tensor
 
     @classmethod
-    def of(cls, f: KernelExpansion, products: ThinProducts) -> MomentSums:
+    def of(cls, f: KernelExpansion, products: MomentTerms) -> MomentSums:
         """Summed over the data."""
         D, E = f.num_inputs, f.num_outputs
         nu1, squares = centred(f, products.mean)
@@ -184,7 +184,7 @@ def _concatenated(parts: Sequence[Part]) -> Part:
     )
 
 
-class LinearisedMoments:
+class MomentDerivatives:
     """Moments at N beliefs and their Jacobian in these.
 
     Args:
@@ -212,7 +212,7 @@ class LinearisedMoments:
         moments; covariances are symmetric.
         """
         d_single = d_mean - 2 * (d_cov @ self.mean[:, None, :, None]).squeeze(-1)
-        first, second = self.f.products.first, self.f.products.second
+        first, second = self.f.pairs.first, self.f.pairs.second
         d_second = d_cov[..., first, second] * torch.where(first == second, 1.0, 2.0)
         d_outputs = torch.cat([d_single, d_second, d_inv_cov_cross_cov.mT.flatten(-2)], -1)
         return Gaussian.cotangent_from_flat(d_outputs @ self.jacobian, self.f.num_inputs)
@@ -222,7 +222,7 @@ def _derivatives(f: KernelExpansion, sums: MomentSums) -> tuple[Tensor, Tensor, 
     """Value (N, E + P), gradient (.., D) and Hessian (.., D, D) by the mean of all integrals; third
     derivatives of the single ones.
     """
-    E, D, products = f.num_outputs, f.num_inputs, f.products
+    E, D, products = f.num_outputs, f.num_inputs, f.pairs
     B, (i_share, j_share) = sums.precision, products.shares
     own, of_i, of_j = sums.squares.split([E, len(products.first), len(products.first)], 1)
     first_pair = i_share * sums.pair[..., :D, D] + j_share * sums.pair[..., D, :D]

@@ -133,7 +133,7 @@ def combine(
         observation_noise: as in :func:`moment_match`.
     """
     E = f.num_outputs
-    second = second.index_select(-1, f.products.position).view(-1, E, E)
+    second = second.index_select(-1, f.pairs.position).view(-1, E, E)
     cov = torch.baddbmm(second, mean[:, :, None], mean[:, None], alpha=-1)
     if f.gram_inverse is not None:
         cov = cov + (f.observed_prior_cov if observation_noise else f.prior_cov)

@@ -22,7 +22,9 @@ from torch_pmil.gp.lbfgs import NotFiniteError
 
 Targets = Literal["difference", "successor"]
 
-RENEWAL = 1.25  # growth of the data after which hyper-parameters are searched from all starts again
+RESTART_GROWTH = (
+    1.25  # growth of the data after which hyper-parameters are searched from all starts again
+)
 
 
 class _BatchGP(gpytorch.models.ExactGP):
@@ -148,7 +150,7 @@ class GPDynamics(nn.Module):
         a factor 100 of std(input). Few data have several optima, and one of them may explain all
         motion as noise. Later, when many data have come rollout by rollout, the other starts hardly
         ever lead further than the last optimum: it is the only one while the data begin with those
-        of the last fit from all starts, and are less than ``RENEWAL`` times as many.
+        of the last fit from all starts, and are less than ``RESTART_GROWTH`` times as many.
 
         Args:
             inputs: features and actions (n, D' + F).
@@ -163,13 +165,13 @@ class GPDynamics(nn.Module):
         start_time = time.perf_counter()
         fitted = len(self.train_inputs) > 0
         self.set_data(inputs, targets)
-        renewed = len(inputs) >= RENEWAL * self.searched_size.item()
+        restarted = len(inputs) >= RESTART_GROWTH * self.searched_size.item()
         optima = [
-            self._find(output, fitted, renewed, max_iterations)
+            self._find(output, fitted, restarted, max_iterations)
             for output in range(self.num_outputs)
         ]
         self._set_log_parameters(torch.stack([optimum.log_parameters for optimum in optima]))
-        if renewed:
+        if restarted:
             self.searched_size.fill_(len(inputs))
         return FitResult(
             negative_log_likelihood=torch.tensor(
@@ -180,12 +182,12 @@ class GPDynamics(nn.Module):
             stop_reason=tuple(optimum.stop_reason for optimum in optima),
         )
 
-    def _find(self, output: int, fitted: bool, renewed: bool, max_iterations: int) -> Optimum:
+    def _find(self, output: int, fitted: bool, restarted: bool, max_iterations: int) -> Optimum:
         """Hyper-parameters of one output: from the last ones alone where those do, else from
         PILCO's starts too.
         """
         target, last = self.train_targets[:, output].contiguous(), self._log_parameters()[output]
-        if not renewed:
+        if not restarted:
             with contextlib.suppress(
                 NotPositiveDefiniteError, NotFiniteError
             ):  # new data may contradict the last model

@@ -14,7 +14,7 @@ from torch_pmil.gp.moment_derivatives import RecordedMoments
 from torch_pmil.gp.moment_matching import Moments, moment_match
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.recurrence import unroll
-from torch_pmil.model.step_derivatives import LinearisedStep
+from torch_pmil.model.step_derivatives import StepDerivatives
 
 
 class PredictionError(RuntimeError):
@@ -65,7 +65,7 @@ def _propagate(
     space: StateSpace,
 ) -> Gaussian:
     """:func:`predict_step` for a policy and a model that are given as functions of beliefs."""
-    features, slope = space.belief(state)
+    features, slope = space.feature_moments(state)
     action, policy_slope = act(features)
     moments = respond(joint(features, action, features.cov @ policy_slope))
     return successor_belief(state, torch.cat([slope, slope @ policy_slope], -1), moments, targets)
@@ -172,13 +172,13 @@ class _MomentStep:
         identity = torch.eye(size, dtype=states.dtype, device=states.device)
         d_next = Gaussian.cotangent_from_flat(identity, self.space.dim)
         d_mean, d_cov = (t.expand(states[..., 0].numel(), *t.shape) for t in d_next)
-        d_state = self._linearised(states).state_adjoint(d_mean, d_cov)
+        d_state = self._derivatives(states).state_adjoint(d_mean, d_cov)
         return Gaussian.flat_cotangent(*d_state).view(*states.shape, size)
 
     def parameter_gradients(
         self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor
     ) -> Sequence[Tensor]:
-        step = self._linearised(states)
+        step = self._derivatives(states)
         d_mean, d_cov = Gaussian.cotangent_from_flat(
             adjoints.flatten(0, 1)[:, None], self.space.dim
         )
@@ -186,19 +186,19 @@ class _MomentStep:
         leaves = [parameter.detach().requires_grad_() for parameter in parameters]
         with torch.enable_grad():
             network = self.controller.with_parameters(*leaves).network.repeated(len(states))
-            moments = moment_match(network, step.features, products=self.network.products)
+            moments = moment_match(network, step.features, products=self.network.pairs)
         return torch.autograd.grad(
             (moments.mean, moments.cov, moments.inv_cov_cross_cov), leaves, d_network
         )
 
-    def _linearised(self, states: Tensor) -> LinearisedStep:
+    def _derivatives(self, states: Tensor) -> StepDerivatives:
         state = Gaussian.from_flat(states.flatten(0, -2), self.space.dim)
         differences = self.targets == "difference"
-        return LinearisedStep(
+        return StepDerivatives(
             state,
-            self.network.linearised,
+            self.network.derivatives,
             self.controller.u_max,
-            self.model.linearised,
+            self.model.derivatives,
             differences,
             self.space,
         )
@@ -256,7 +256,7 @@ class _MeanStep:
         return self._follow(state, self.controller)
 
     def jacobian(self, states: Tensor) -> Tensor:
-        features, slope = self.space.belief(
+        features, slope = self.space.feature_moments(
             Gaussian(states, torch.diag_embed(torch.zeros_like(states)))
         )
         raw, raw_slope = self.controller.network.mean_and_gradient(features.mean)

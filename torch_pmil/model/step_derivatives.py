@@ -9,13 +9,13 @@ from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import Gaussian, symmetric
-from torch_pmil.gp.moment_derivatives import LinearisedMoments
+from torch_pmil.gp.moment_derivatives import MomentDerivatives
 from torch_pmil.gp.trigonometry import augment_adjoint, squash, squash_adjoint
 
 Cotangents = tuple[Tensor, Tensor, Tensor]
 
 
-class LinearisedStep:
+class StepDerivatives:
     """:func:`predict_step` at N beliefs, linearised.
 
     Args:
@@ -30,9 +30,9 @@ class LinearisedStep:
     def __init__(
         self,
         state: Gaussian,
-        network: LinearisedMoments,
+        network: MomentDerivatives,
         u_max: Tensor,
-        model: LinearisedMoments,
+        model: MomentDerivatives,
         differences: bool,
         space: StateSpace,
     ) -> None:
@@ -43,7 +43,7 @@ class LinearisedStep:
             differences,
             space.augmentation,
         )
-        self.features, slope = space.belief(state)
+        self.features, slope = space.feature_moments(state)
         raw = network.moments
         _, gain = squash(raw.gaussian, u_max)
         action_slope = raw.inv_cov_cross_cov * gain[:, None, :]

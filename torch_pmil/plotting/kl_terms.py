@@ -15,7 +15,7 @@ from torch_pmil.search.kl import gaussian_kl_terms
 
 
 def plot_kl_per_step(
-    names: Sequence[str], time_step: float, expert: Gaussian, predicted: Gaussian
+    names: Sequence[str], time_step: float, demonstrated: Gaussian, predicted: Gaussian
 ) -> Figure:
     """The KL divergence of each time step, stacked by what it comes from; the stacks' heights sum
     to the KL of the trajectory (Eq. 20).
@@ -26,7 +26,7 @@ def plot_kl_per_step(
     Args:
         names: of the M entries of the match space.
         time_step: seconds between two samples; the first one shown is t = 1.
-        expert: demonstrated marginals at t = 1..T, mean (T, M), observation noise included.
+        demonstrated: demonstrated marginals at t = 1..T, mean (T, M), observation noise included.
         predicted: predicted marginals of the same shape, with the same noise.
 
     Raises:
@@ -41,15 +41,15 @@ def plot_kl_per_step(
         'KL of the trajectory: 5.0 nats'
     """
     if (
-        expert.mean.ndim != 2
-        or predicted.mean.shape != expert.mean.shape
-        or expert.dim != len(names)
+        demonstrated.mean.ndim != 2
+        or predicted.mean.shape != demonstrated.mean.shape
+        or demonstrated.dim != len(names)
     ):
         raise ValueError(
-            f"expert and predicted must be (T, {len(names)}) for {len(names)} names, "
-            f"got {tuple(expert.mean.shape)} and {tuple(predicted.mean.shape)}"
+            f"demonstrated and predicted must be (T, {len(names)}) for {len(names)} names, "
+            f"got {tuple(demonstrated.mean.shape)} and {tuple(predicted.mean.shape)}"
         )
-    terms = gaussian_kl_terms(expert.detach(), predicted.detach())
+    terms = gaussian_kl_terms(demonstrated.detach(), predicted.detach())
     mean, spread = (term.numpy() for term in terms)  # (T, M)
     time = time_step * np.arange(1, len(mean) + 1)
     figure = Figure(figsize=(6.0, 4.8), layout="constrained")

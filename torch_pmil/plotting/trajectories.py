@@ -29,7 +29,7 @@ def plot_distributions(
     names: Sequence[str],
     units: Sequence[str],
     time_step: float,
-    expert: Gaussian,
+    demonstrated: Gaussian,
     predicted: Gaussian,
     executed: Tensor,
 ) -> Figure:
@@ -43,7 +43,7 @@ def plot_distributions(
         names: of the M entries of the match space.
         units: of those entries.
         time_step: seconds between two samples; the first one shown is t = 1.
-        expert: demonstrated marginals at t = 1..T, mean (T, M) and cov (T, M, M).
+        demonstrated: demonstrated marginals at t = 1..T, mean (T, M) and cov (T, M, M).
         predicted: predicted marginals of the same shape.
         executed: rollouts of the robot at t = 1..T, (B, T, M).
 
@@ -57,13 +57,13 @@ def plot_distributions(
         >>> [panel.get_ylabel() for panel in figure.axes]
         ['q (rad)', 'dq (rad/s)']
     """
-    shape = expert.mean.shape
+    shape = demonstrated.mean.shape
     if not (
         len(names) == len(units) == shape[-1]
         and predicted.mean.shape == shape == executed.shape[1:]
     ):
         raise ValueError(
-            f"predicted and executed must be (T, M) and (B, T, M) for an expert {tuple(shape)} and "
+            f"predicted and executed must be (T, M) and (B, T, M) for demonstrated marginals {tuple(shape)} and "
             f"{len(names)} names with {len(units)} units, got {tuple(predicted.mean.shape)} and "
             f"{tuple(executed.shape)}"
         )
@@ -71,17 +71,15 @@ def plot_distributions(
     figure, panels = panels_of(len(names), "time (s)")
     for entry, panel in enumerate(panels):
         rollouts = executed[..., entry].detach().numpy()
-        demonstrated, prediction = band_of(expert, entry), band_of(predicted, entry)
-        draw_band(panel, time, demonstrated, BLUE, f"demonstrated ± {BAND} std")
+        shown, prediction = band_of(demonstrated, entry), band_of(predicted, entry)
+        draw_band(panel, time, shown, BLUE, f"demonstrated ± {BAND} std")
         draw_band(panel, time, prediction, VERMILLION, f"predicted ± {BAND} std")
         lines = panel.plot(
             time, rollouts.T, color=DARK, linewidth=0.7, linestyle=(0, (4, 2)), alpha=0.8
         )
         if lines:
             lines[0].set_label("executed")
-        panel.set_ylim(
-            *_limits(np.concatenate([*demonstrated, *rollouts]), np.concatenate(prediction))
-        )
+        panel.set_ylim(*_limits(np.concatenate([*shown, *rollouts]), np.concatenate(prediction)))
         panel.set_ylabel(f"{names[entry]} ({units[entry]})")
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
@@ -93,8 +91,8 @@ def plot_demonstrations(
     names: Sequence[str],
     units: Sequence[str],
     time_step: float,
-    demonstrated: Tensor,
-    expert: Gaussian,
+    demonstrations: Tensor,
+    demonstrated: Gaussian,
 ) -> Figure:
     """Demonstrations and the Gaussian trajectory distribution that is estimated from them, one
     panel an entry (Figure 3).
@@ -103,32 +101,34 @@ def plot_demonstrations(
         names: of the M entries of the match space.
         units: of those entries.
         time_step: seconds between two samples.
-        demonstrated: N demonstrations at t = 0..T, (N, T + 1, M).
-        expert: marginals at t = 1..T, mean (T, M) and cov (T, M, M).
+        demonstrations: N of them at t = 0..T, (N, T + 1, M).
+        demonstrated: marginals at t = 1..T, mean (T, M) and cov (T, M, M).
 
     Raises:
         ValueError: shapes do not fit each other.
 
     Example:
         >>> import torch
-        >>> expert = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
-        >>> plot_demonstrations(("x",), ("m",), 0.1, torch.zeros(3, 6, 1), expert).axes[0].get_ylabel()
+        >>> demonstrated = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
+        >>> plot_demonstrations(("x",), ("m",), 0.1, torch.zeros(3, 6, 1), demonstrated).axes[0].get_ylabel()
         'x (m)'
     """
-    steps, entries = expert.mean.shape
-    if demonstrated.shape[1:] != (steps + 1, entries) or not len(names) == len(units) == entries:
+    steps, entries = demonstrated.mean.shape
+    if demonstrations.shape[1:] != (steps + 1, entries) or not len(names) == len(units) == entries:
         raise ValueError(
-            f"demonstrated must be (N, {steps + 1}, {entries}) for an expert {(steps, entries)}, "
-            f"with a name and a unit for each entry, got {tuple(demonstrated.shape)}, {len(names)} "
+            f"demonstrations must be (N, {steps + 1}, {entries}) for demonstrated marginals {(steps, entries)}, "
+            f"with a name and a unit for each entry, got {tuple(demonstrations.shape)}, {len(names)} "
             f"names and {len(units)} units"
         )
     time = time_step * np.arange(steps + 1)
     figure, panels = panels_of(entries, "time (s)")
     for entry, panel in enumerate(panels):
-        draw_band(panel, time[1:], band_of(expert, entry), VERMILLION, f"estimated ± {BAND} std")
+        draw_band(
+            panel, time[1:], band_of(demonstrated, entry), VERMILLION, f"estimated ± {BAND} std"
+        )
         lines = panel.plot(
             time,
-            demonstrated[..., entry].numpy().T,
+            demonstrations[..., entry].numpy().T,
             color=BLUE,
             linewidth=1.0,
             linestyle=(0, (4, 2)),

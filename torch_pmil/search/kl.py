@@ -99,12 +99,12 @@ def gaussian_kl_terms(p: Gaussian, q: Gaussian) -> KLTerms:
     )
 
 
-def trajectory_kl(expert: Gaussian, predicted: Gaussian) -> Tensor:
+def trajectory_kl(demonstrated: Gaussian, predicted: Gaussian) -> Tensor:
     r"""KL of two trajectory distributions that factorise over time (Eq. 20): the sum of their
     marginals' KLs.
 
     Args:
-        expert, predicted: marginals at t = 1..T, mean (*batch, T, M), in the match space.
+        demonstrated, predicted: marginals at t = 1..T, mean (*batch, T, M), in the match space.
 
     Returns:
         Nats, (*batch).
@@ -114,17 +114,17 @@ def trajectory_kl(expert: Gaussian, predicted: Gaussian) -> Tensor:
         >>> trajectory_kl(marginals, marginals)
         tensor(0.)
     """
-    return gaussian_kl(expert, predicted).sum(-1)
+    return gaussian_kl(demonstrated, predicted).sum(-1)
 
 
-def mean_kl(expert: Gaussian, mean: Tensor) -> Tensor:
-    r"""KL of each marginal when the prediction is a mean alone, given the expert's covariance (Eq.
+def mean_kl(demonstrated: Gaussian, mean: Tensor) -> Tensor:
+    r"""KL of each marginal when the prediction is a mean alone, given the demonstrated covariance (Eq.
     19 with equal covariances).
 
     .. math:: \tfrac12 \delta^\top (\Sigma^{\mathrm{exp}})^{-1} \delta
 
     Args:
-        expert: marginals, mean (*batch, M).
+        demonstrated: marginals, mean (*batch, M).
         mean: predicted means (*batch, M).
 
     Returns:
@@ -134,6 +134,6 @@ def mean_kl(expert: Gaussian, mean: Tensor) -> Tensor:
         >>> mean_kl(Gaussian(torch.zeros(2), torch.eye(2)), torch.ones(2))
         tensor(1.)
     """
-    L = cholesky(expert.cov, "covariance of the expert")
-    white = torch.linalg.solve_triangular(L, (expert.mean - mean)[..., None], upper=False)
+    L = cholesky(demonstrated.cov, "demonstrated covariance")
+    white = torch.linalg.solve_triangular(L, (demonstrated.mean - mean)[..., None], upper=False)
     return white.square().sum((-2, -1)) / 2

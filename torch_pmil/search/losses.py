@@ -28,13 +28,13 @@ class TrajectoryKLLoss(TrajectoryLoss):
         actor_network: the policy, whose parameters are learned.
         dynamics: the forward model, constant here.
         space: the robot's state space.
-        expert: demonstrated marginals at t = 1..T in the match space, observation noise included.
+        demonstrated: demonstrated marginals at t = 1..T in the match space, observation noise included.
         noise_std: observation noise added to the prediction too, in the units of the match space:
             one number, or one for each entry, (M,).
         reduction, prediction: as in :class:`TrajectoryLoss`.
 
     Raises:
-        ValueError: the expert or the noise is not in the match space, or the reduction is unknown.
+        ValueError: the demonstrated or the noise is not in the match space, or the reduction is unknown.
 
     Example:
         >>> from tensordict import TensorDict
@@ -42,8 +42,8 @@ class TrajectoryKLLoss(TrajectoryLoss):
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> dynamics, policy = GPDynamics(2, 1), RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
         >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
-        >>> expert = Gaussian(torch.zeros(5, 1).double(), torch.ones(5, 1, 1).double())
-        >>> loss = TrajectoryKLLoss(policy, dynamics, space, expert, noise_std=0.1)
+        >>> demonstrated = Gaussian(torch.zeros(5, 1).double(), torch.ones(5, 1, 1).double())
+        >>> loss = TrajectoryKLLoss(policy, dynamics, space, demonstrated, noise_std=0.1)
         >>> start = {"mean": torch.zeros(1).double(), "var": torch.eye(1).double()}
         >>> loss(TensorDict({"observation": start}))["loss_kl"].shape
         torch.Size([])
@@ -57,30 +57,30 @@ class TrajectoryKLLoss(TrajectoryLoss):
         actor_network: RBFPolicy,
         dynamics: GPDynamics,
         space: StateSpace,
-        expert: Gaussian,
+        demonstrated: Gaussian,
         noise_std: float | Tensor,
         reduction: Reduction = "mean",
         prediction: Prediction = predict_trajectory,
     ) -> None:
         super().__init__(actor_network, dynamics, space, reduction, prediction)
-        if expert.dim != space.match.dim:
+        if demonstrated.dim != space.match_space.dim:
             raise ValueError(
-                f"expert must have the {space.match.dim} entries {space.match.names}, got "
-                f"{expert.dim}"
+                f"demonstrated must have the {space.match_space.dim} entries {space.match_space.names}, got "
+                f"{demonstrated.dim}"
             )
-        if torch.as_tensor(noise_std).shape not in ((), (expert.dim,)):
+        if torch.as_tensor(noise_std).shape not in ((), (demonstrated.dim,)):
             raise ValueError(
-                f"noise_std must be a number or one for each of {space.match.names}, got "
+                f"noise_std must be a number or one for each of {space.match_space.names}, got "
                 f"{noise_std}"
             )
         self.noise_std = noise_std
-        self.register_buffer("expert_mean", expert.mean)
-        self.register_buffer("expert_cov", expert.cov)
+        self.register_buffer("demonstrated_mean", demonstrated.mean)
+        self.register_buffer("demonstrated_cov", demonstrated.cov)
 
     @property
     def horizon(self) -> int:
         """T, number of demonstrated steps after the start."""
-        return self.expert_mean.shape[-2]
+        return self.demonstrated_mean.shape[-2]
 
     def _observe(self, states: Gaussian) -> Gaussian:
         return super()._observe(states).add_noise(self.noise_std**2)
@@ -92,7 +92,9 @@ class TrajectoryKLLoss(TrajectoryLoss):
         return mean_kl(self._expert(observed.shape[-2]), observed)
 
     def _expert(self, horizon: int) -> Gaussian:
-        return Gaussian(self.expert_mean[..., :horizon, :], self.expert_cov[..., :horizon, :, :])
+        return Gaussian(
+            self.demonstrated_mean[..., :horizon, :], self.demonstrated_cov[..., :horizon, :, :]
+        )
 
 
 class ExpectedSaturatingCost(TrajectoryLoss):
@@ -152,10 +154,10 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         prediction: Prediction = predict_trajectory,
     ) -> None:
         super().__init__(actor_network, dynamics, space, reduction, prediction)
-        M = space.match.dim
+        M = space.match_space.dim
         if target.shape != (M,):
             raise ValueError(
-                f"target must have shape ({M},), the entries {space.match.names}, got "
+                f"target must have shape ({M},), the entries {space.match_space.names}, got "
                 f"{tuple(target.shape)}"
             )
         if not width > 0 or horizon < 1:
@@ -174,7 +176,7 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         """T, number of steps after the start."""
         return self._horizon
 
-    def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+    def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """What the spread of each predicted marginal would cost around the target, (*batch,
         horizon). Raises PredictionError.
 

@@ -26,7 +26,7 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
     Args:
         actor_network: the policy, whose parameters are learned.
         dynamics, space, noise_std, reduction, prediction: as in :class:`TrajectoryKLLoss`.
-        expert: demonstrated marginals of each target at t = 1..T, mean (S, T, M), observation noise
+        demonstrated: demonstrated marginals of each target at t = 1..T, mean (S, T, M), observation noise
             included.
         targets: :math:`\eta_i`, (S, K).
 
@@ -38,8 +38,8 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> dynamics, policy = GPDynamics(2, 1), RBFPolicy(torch.zeros(3, 2), torch.ones(1), torch.ones(2))
         >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
-        >>> expert = Gaussian(torch.zeros(4, 5, 1).double(), torch.ones(4, 5, 1, 1).double())
-        >>> loss = MultiTargetKLLoss(policy, dynamics, space, expert, torch.arange(4.0)[:, None], noise_std=0.1)
+        >>> demonstrated = Gaussian(torch.zeros(4, 5, 1).double(), torch.ones(4, 5, 1, 1).double())
+        >>> loss = MultiTargetKLLoss(policy, dynamics, space, demonstrated, torch.arange(4.0)[:, None], noise_std=0.1)
         >>> loss.per_step(Gaussian(torch.zeros(1).double(), torch.eye(1).double())).shape
         torch.Size([5])
     """
@@ -49,20 +49,22 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         actor_network: RBFPolicy,
         dynamics: GPDynamics,
         space: StateSpace,
-        expert: Gaussian,
+        demonstrated: Gaussian,
         targets: Tensor,
         noise_std: float | Tensor,
         reduction: Reduction = "mean",
         prediction: Prediction = predict_trajectory,
     ) -> None:
-        super().__init__(actor_network, dynamics, space, expert, noise_std, reduction, prediction)
-        if targets.ndim != 2 or expert.batch_shape[:-1] != targets.shape[:1]:
+        super().__init__(
+            actor_network, dynamics, space, demonstrated, noise_std, reduction, prediction
+        )
+        if targets.ndim != 2 or demonstrated.batch_shape[:-1] != targets.shape[:1]:
             got = (
-                f"targets {tuple(targets.shape)} and an expert of batch shape "
-                f"{tuple(expert.batch_shape)}"
+                f"targets {tuple(targets.shape)} and demonstrated marginals of batch shape "
+                f"{tuple(demonstrated.batch_shape)}"
             )
             raise ValueError(
-                "targets must have shape (S, K) and the expert's marginals batch shape (S, T), "
+                "targets must have shape (S, K) and the demonstrated marginals batch shape (S, T), "
                 f"got {got}"
             )
         features, inputs = space.feature_names, len(actor_network.scale)
@@ -95,7 +97,7 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         """The same for the model's mean alone."""
         return super().mean_per_step(initial, horizon).mean(-2)
 
-    def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+    def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """The largest KL of all targets, (*batch, horizon): a search goes on where it may rely on
         all of them. Raises PredictionError.
         """

@@ -16,10 +16,10 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.gp.lbfgs import MinimiseResult, NotFiniteError, minimise, restore
 from torch_pmil.model.rollout import PredictionError
-from torch_pmil.search.reparameterisation import ConditionedLoss
+from torch_pmil.search.reparameterisation import ReparameterisedLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
-RENEWAL_SAMPLES = 20  # states a time step
+REFIT_SAMPLES = 20  # states a time step
 WORTHWHILE = 0.9  # of the loss at its start: what a run must come to for another one to follow
 
 
@@ -34,10 +34,10 @@ class SearchSettings:
         final_iterations: on the loss, at the last horizon.
         first_horizon: least number of steps of the first horizon.
         horizon_step: steps by which the horizon grows.
-        trusted: mean doubt of the last steps (:meth:`TrajectoryLoss.doubt`) above which the
+        trust_threshold: mean step_loss of the last steps (:meth:`TrajectoryLoss.step_loss_for_trust`) above which the
             prediction is not followed further. For the KL it is in nats a step, about 3 in four
             dimensions.
-        leaps: whether the horizon leaps to where the prediction ceases to be trusted: right for the
+        skip_matched_steps: whether the horizon leaps to where the prediction ceases to be trusted: right for the
             KL, which is trusted where it matches. A motion that is predicted well may be no good
             for another loss; then the horizon grows step by step, and from the first one on for a
             random policy.
@@ -50,8 +50,8 @@ class SearchSettings:
     final_iterations: int = 40
     first_horizon: int = 5
     horizon_step: int = 3
-    trusted: float = 3.0
-    leaps: bool = True
+    trust_threshold: float = 3.0
+    skip_matched_steps: bool = True
     restarts: int = 0
 
 
@@ -59,15 +59,15 @@ class SearchSettings:
 class SearchResult:
     """What a policy search did.
 
-    ``kl`` is the loss (KL or cost) over the whole horizon T, ``per_step`` its summands; ``horizon``
-    is the last one that was searched, ``matched`` whether all its steps are trusted;
+    ``loss`` is the loss (KL or cost) over the whole horizon T, ``per_step`` its summands; ``horizon``
+    is the last one that was searched, ``converged`` whether all its steps are trusted;
     ``stop_reason`` says why the last run of L-BFGS ended.
     """
 
-    kl: float
+    loss: float
     per_step: Tensor  # (T,)
     horizon: int
-    matched: bool
+    converged: bool
     evaluations: int
     failures: int
     seconds: float
@@ -76,7 +76,7 @@ class SearchResult:
     @property
     def complete(self) -> bool:
         """Whether the whole horizon T is matched."""
-        return self.matched and self.horizon == len(self.per_step)
+        return self.converged and self.horizon == len(self.per_step)
 
 
 def search_policy(
@@ -92,8 +92,8 @@ def search_policy(
     The far, unpredictable part of a trajectory would pull the policy away from the near part that
     is right already. So the horizon starts where the present policy stops matching, and grows; at
     each horizon the mean alone is searched first (a policy that only widens the prediction is no
-    optimum there), then the loss. It stops growing where the loss falls no more and the doubt of
-    the last steps is still more than ``settings.trusted`` each. A policy whose every step is
+    optimum there), then the loss. It stops growing where the loss falls no more and the step_loss of
+    the last steps is still more than ``settings.trust_threshold`` each. A policy whose every step is
     trusted already is searched on the loss of the whole horizon alone.
 
     Args:
@@ -107,22 +107,26 @@ def search_policy(
         PredictionError: the prediction fails at the policy that was given.
     """
     search = _Search(loss, initial, settings, report)
-    doubt = _evaluate(loss.doubt, initial, loss.horizon)
-    from_first = random and not settings.leaps
+    step_loss = _evaluate(loss.step_loss_for_trust, initial, loss.horizon)
+    from_first = random and not settings.skip_matched_steps
     horizon = (
         min(settings.first_horizon, loss.horizon)
         if from_first
-        else _first_unmatched(doubt, settings)
+        else _first_untrusted(step_loss, settings)
     )
-    growing = from_first or bool((doubt > settings.trusted).any())
+    growing = from_first or bool((step_loss > settings.trust_threshold).any())
     while growing:
         begun = search.stage(horizon)
-        doubt = _evaluate(loss.doubt, initial, loss.horizon)
-        growing = begun and horizon < loss.horizon and _trusted(doubt, horizon, settings)
+        step_loss = _evaluate(loss.step_loss_for_trust, initial, loss.horizon)
+        growing = begun and horizon < loss.horizon and _trusted(step_loss, horizon, settings)
         if growing:
             horizon = min(horizon + settings.horizon_step, loss.horizon)
-            horizon = max(horizon, _first_unmatched(doubt, settings)) if settings.leaps else horizon
-    horizon = min(horizon, int(doubt.isfinite().sum()))
+            horizon = (
+                max(horizon, _first_untrusted(step_loss, settings))
+                if settings.skip_matched_steps
+                else horizon
+            )
+    horizon = min(horizon, int(step_loss.isfinite().sum()))
     search.run(loss.label, loss.per_step, horizon, settings.final_iterations)
     return search.result(horizon)
 
@@ -147,16 +151,16 @@ class _Search:
     ) -> None:
         """Minimise the sum of the steps up to a horizon."""
         failures = (PredictionError, NotPositiveDefiniteError)
-        conditioned = ConditionedLoss(self.loss)
+        reparameterised = ReparameterisedLoss(self.loss)
         self.runs.append(
             minimise(
-                conditioned.variables,
-                lambda: conditioned.total(per_step, self.initial, horizon),
+                reparameterised.variables,
+                lambda: reparameterised.total(per_step, self.initial, horizon),
                 iterations,
                 failures,
             )
         )
-        conditioned.write()
+        reparameterised.write()
         self.report(f"{name} {horizon}/{self.loss.horizon}", self.runs[-1].loss)
 
     def stage(self, horizon: int) -> bool:
@@ -186,20 +190,20 @@ class _Search:
             last.stop_reason == "iteration limit" and last.loss < WORTHWHILE * last.initial_loss
         )
         return unfinished and not _trusted(
-            _evaluate(self.loss.doubt, self.initial, horizon), horizon, self.settings
+            _evaluate(self.loss.step_loss_for_trust, self.initial, horizon), horizon, self.settings
         )
 
     def result(self, horizon: int) -> SearchResult:
         """What the policy has come to."""
-        per_step, doubt = (
+        per_step, step_loss = (
             _evaluate(of, self.initial, self.loss.horizon)
-            for of in (self.loss.per_step, self.loss.doubt)
+            for of in (self.loss.per_step, self.loss.step_loss_for_trust)
         )
         return SearchResult(
-            kl=per_step.sum().item(),
+            loss=per_step.sum().item(),
             per_step=per_step,
             horizon=horizon,
-            matched=_trusted(doubt, horizon, self.settings),
+            converged=_trusted(step_loss, horizon, self.settings),
             evaluations=sum(run.evaluations for run in self.runs),
             failures=sum(run.failures for run in self.runs),
             seconds=time.perf_counter() - self.start,
@@ -208,7 +212,7 @@ class _Search:
 
 
 @torch.no_grad()
-def renew_policy(
+def refit_policy(
     loss: TrajectoryLoss,
     initial: Gaussian,
     new: RBFPolicy,
@@ -229,12 +233,12 @@ def renew_policy(
         settings: says up to which step the prediction is trusted.
         generator: of the states, drawn from the prediction, at which the actions are compared.
     """
-    doubt = _evaluate(loss.doubt, initial, loss.horizon)
-    trusted = min(_first_unmatched(doubt, settings) - 1, int(doubt.isfinite().sum()))
-    states = loss.begin(initial)[0].sample(RENEWAL_SAMPLES, generator)[..., None, :]
+    step_loss = _evaluate(loss.step_loss_for_trust, initial, loss.horizon)
+    trusted = min(_first_untrusted(step_loss, settings) - 1, int(step_loss.isfinite().sum()))
+    states = loss.begin(initial)[0].sample(REFIT_SAMPLES, generator)[..., None, :]
     if trusted > 0:
         predicted = loss.predict_states(initial, trusted)
-        states = torch.cat([states, predicted.sample(RENEWAL_SAMPLES, generator)], -2)
+        states = torch.cat([states, predicted.sample(REFIT_SAMPLES, generator)], -2)
     inputs = loss.policy_inputs(states).flatten(0, -2)
     new.fit_weights(inputs, loss.actor_network(inputs))
     loss.actor_network.load_state_dict(new.state_dict())
@@ -244,7 +248,7 @@ def renew_policy(
 def _evaluate(
     of_steps: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
 ) -> Tensor:
-    """Cost or doubt of each step, (horizon,); infinite from the step on at which the prediction
+    """Cost or step_loss of each step, (horizon,); infinite from the step on at which the prediction
     fails.
     """
     try:
@@ -256,13 +260,14 @@ def _evaluate(
         return torch.cat([known, known.new_full((horizon - len(known),), math.inf)])
 
 
-def _first_unmatched(doubt: Tensor, settings: SearchSettings) -> int:
-    unmatched = (doubt > settings.trusted).nonzero()[:, 0]
-    first = int(unmatched[0]) + 1 if len(unmatched) else len(doubt)
-    return min(max(first, settings.first_horizon), len(doubt))
+def _first_untrusted(step_loss: Tensor, settings: SearchSettings) -> int:
+    untrusted = (step_loss > settings.trust_threshold).nonzero()[:, 0]
+    first = int(untrusted[0]) + 1 if len(untrusted) else len(step_loss)
+    return min(max(first, settings.first_horizon), len(step_loss))
 
 
-def _trusted(doubt: Tensor, horizon: int, settings: SearchSettings) -> bool:
+def _trusted(step_loss: Tensor, horizon: int, settings: SearchSettings) -> bool:
     return (
-        doubt[max(horizon - settings.horizon_step, 0) : horizon].mean().item() <= settings.trusted
+        step_loss[max(horizon - settings.horizon_step, 0) : horizon].mean().item()
+        <= settings.trust_threshold
     )

@@ -15,7 +15,7 @@ NOISE_VARIANCE = 0.1  # of the values; the basis functions are at most 1
 WEIGHTS = "loss.actor_network.weights"
 
 
-class ConditionedLoss(nn.Module):
+class ReparameterisedLoss(nn.Module):
     r"""A loss as a function of the policy's centres and widths, and of values in place of its
     weights.
 
@@ -35,7 +35,7 @@ class ConditionedLoss(nn.Module):
         >>> from torch_pmil.experiments import load_experiment
         >>> experiment = load_experiment("double_pendulum")
         >>> policy = experiment.make_policy(torch.Generator().manual_seed(0))
-        >>> ConditionedLoss(experiment.make_loss(policy, None)).values.shape
+        >>> ReparameterisedLoss(experiment.make_loss(policy, None)).values.shape
         torch.Size([2, 100, 1])
     """
 

@@ -148,9 +148,9 @@ class TrajectoryLoss(LossModule):
         states = predict_mean_trajectory(
             start.mean, policy, self.dynamics, self.space, horizon or self.horizon
         )
-        return self._mean_costs(self.space.match(states))
+        return self._mean_costs(self.space.observe(states))
 
-    def doubt(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+    def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """How little a search should rely on each predicted marginal, (*batch, horizon); the cost
         itself. Raises PredictionError.
         """
@@ -210,7 +210,7 @@ class TrajectoryLoss(LossModule):
         """The loss has no value estimator."""
 
     def _observe(self, states: Gaussian) -> Gaussian:
-        return self.space.match.belief(states)
+        return self.space.match_space.moments(states)
 
     def _score(self, observed: Gaussian) -> Tensor:
         try:

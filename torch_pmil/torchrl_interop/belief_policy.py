@@ -72,7 +72,7 @@ class BeliefPolicy(TensorDictModuleBase):
         state = lookup_belief(tensordict, STATE_BELIEF, self.space.dim)
         if state is None:
             return self._act_on_observation(tensordict)
-        features, feature_slope = self.space.belief(state)
+        features, feature_slope = self.space.feature_moments(state)
         action, policy_slope = self.policy.controller.on_belief(features)
         written = action.mean, action.cov, feature_slope @ policy_slope, policy_slope
         for key, value in zip(self.out_keys, written, strict=False):

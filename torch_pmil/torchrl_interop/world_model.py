@@ -158,7 +158,7 @@ class GPWorldModel(TensorDictModuleBase):
             )
         slope = lookup(tensordict, self.in_keys[2], (self.obs_dim, self.action_dim))
         slope = state.cov.new_zeros(*state.mean.shape, self.action_dim) if slope is None else slope
-        features, feature_slope = self.space.belief(state)
+        features, feature_slope = self.space.feature_moments(state)
         cross_cov = self._feature_cross_cov(features, tensordict)
         if cross_cov is None:
             cross_cov = feature_slope.mT @ state.cov @ slope

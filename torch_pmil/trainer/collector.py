@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 
-from torch_pmil.control.exploration import FirstMotion, Motion
+from torch_pmil.control.exploration import Exploration, Motion
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 
@@ -54,7 +54,7 @@ class RolloutCollector(Collector):
         env: the robot.
         policy: what it executes.
         actor: inside of the policy.
-        first_motion: its rollouts and their steps.
+        exploration: its rollouts and their steps.
         horizon: steps of the other rollouts of each robot.
     """
 
@@ -66,7 +66,7 @@ class RolloutCollector(Collector):
         env: EnvBase,
         policy: TensorDictModule,
         actor: RobotActor,
-        first_motion: FirstMotion,
+        exploration: Exploration,
         horizon: int,
     ) -> None:
         settings = {"reset_at_each_iter": True, "auto_register_policy_transforms": False}
@@ -77,16 +77,16 @@ class RolloutCollector(Collector):
             total_frames=-1,
             **settings,
         )
-        self._executed, self._actor, self._first_motion = policy, actor, first_motion
+        self._executed, self._actor, self._exploration = policy, actor, exploration
 
     def rollout(self) -> TensorDictBase:
         """The next batch, (*robots, steps)."""
         if self._frames:
             return super().rollout()
         rollouts = []
-        for _ in range(self._first_motion.rollouts):
+        for _ in range(self._exploration.rollouts):
             self._actor.motion.begin()
-            rollouts.append(self.env.rollout(self._first_motion.steps, self._executed))
+            rollouts.append(self.env.rollout(self._exploration.steps, self._executed))
         return torch.cat(rollouts, -1)
 
     def iterator(self) -> Iterator[TensorDictBase]:

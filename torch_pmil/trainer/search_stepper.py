@@ -16,7 +16,7 @@ from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.policy_search import (
     SearchResult,
     SearchSettings,
-    renew_policy,
+    refit_policy,
     search_policy,
 )
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -29,7 +29,7 @@ class PolicySearchStepper(OptimizationStepper):
 
     A search starts from the policy that the last one left. Where it neither matches the whole
     horizon nor brings the loss well below the least so far, another starts from what it found,
-    renewed (:func:`renew_policy`), and where that brings no more, others start from random policies
+    renewed (:func:`refit_policy`), and where that brings no more, others start from random policies
     if the settings say so. The best one is kept.
 
     Args:
@@ -54,7 +54,7 @@ class PolicySearchStepper(OptimizationStepper):
             generator,
             report,
         )
-        self.renewed = False
+        self.refitted = False
         self._least = math.inf
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
@@ -66,12 +66,12 @@ class PolicySearchStepper(OptimizationStepper):
         self.result = search_policy(
             loss, initial, self.settings, self.report, random=self._least == math.inf
         )
-        self.renewed = not self._enough()
-        if self.renewed:
+        self.refitted = not self._enough()
+        if self.refitted:
             self._search_also(
                 loss,
                 initial,
-                lambda: renew_policy(
+                lambda: refit_policy(
                     loss, initial, self.make_policy(), self.settings, self.generator
                 ),
             )
@@ -83,8 +83,8 @@ class PolicySearchStepper(OptimizationStepper):
                     lambda: loss.actor_network.load_state_dict(self.make_policy().state_dict()),
                     random=True,
                 )
-        self._least = min(self._least, self.result.kl)
-        return TensorDict({loss.out_keys[0]: torch.tensor(self.result.kl, dtype=torch.float64)})
+        self._least = min(self._least, self.result.loss)
+        return TensorDict({loss.out_keys[0]: torch.tensor(self.result.loss, dtype=torch.float64)})
 
     def state_dict(self) -> dict[str, float]:
         """What the next search depends on, besides policy and model."""
@@ -95,7 +95,7 @@ class PolicySearchStepper(OptimizationStepper):
         self._least = state_dict["least"]
 
     def _enough(self) -> bool:
-        return self.result.complete or self.result.kl < PROGRESS * self._least
+        return self.result.complete or self.result.loss < PROGRESS * self._least
 
     def _search_also(
         self,
@@ -107,7 +107,7 @@ class PolicySearchStepper(OptimizationStepper):
         found = copy.deepcopy(loss.actor_network.state_dict())
         begin()
         second = search_policy(loss, initial, self.settings, self.report, random=random)
-        better = second if second.kl < self.result.kl else self.result
+        better = second if second.loss < self.result.loss else self.result
         if better is not second:
             loss.actor_network.load_state_dict(found)
         self.result = replace(

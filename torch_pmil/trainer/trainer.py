@@ -21,7 +21,7 @@ from torchrl.envs import EnvBase
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
 
-from torch_pmil.control.exploration import FirstMotion
+from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.experience import Experience
@@ -62,7 +62,7 @@ class PMILTrainer(Trainer):
         trials: largest number of trials.
         search: budget and horizon of each policy search.
         make_policy: a new random policy, drawn from a generator.
-        first_motion: of the robot.
+        exploration: of the robot.
         policy_generator: of new policies.
         generator: of the first motion and of the renewal of policies.
         on_trial: called with each trial when its own rollout is done.
@@ -88,7 +88,7 @@ class PMILTrainer(Trainer):
         trials: int,
         search: SearchSettings,
         make_policy: Callable[[torch.Generator], RBFPolicy],
-        first_motion: FirstMotion,
+        exploration: Exploration,
         policy_generator: torch.Generator,
         generator: torch.Generator,
         on_trial: Callable[[Trial], None] = lambda trial: None,
@@ -103,15 +103,15 @@ class PMILTrainer(Trainer):
             raise ValueError(f"confirmations must be at least 1, got {confirmations}")
         horizon = loss_module.horizon
         frames = env.batch_size.numel() * (
-            first_motion.rollouts * first_motion.steps + trials * horizon
+            exploration.rollouts * exploration.steps + trials * horizon
         )
         actor = RobotActor(
-            loss_module.actor_network, loss_module.space, first_motion.motion(generator)
+            loss_module.actor_network, loss_module.space, exploration.motion(generator)
         )
         in_keys = [key for key in ("observation", "target") if key in env.observation_spec]
         self.robot_policy = TensorDictModule(actor, in_keys=in_keys, out_keys=["action"])
         super().__init__(
-            collector=RolloutCollector(env, self.robot_policy, actor, first_motion, horizon),
+            collector=RolloutCollector(env, self.robot_policy, actor, exploration, horizon),
             total_frames=frames,
             frame_skip=1,
             optim_steps_per_batch=1,
@@ -289,7 +289,7 @@ class PMILTrainer(Trainer):
             own_success=False,
             kl=search.kl,
             horizon=search.horizon,
-            renewed=self.optimization_stepper.renewed,
+            refitted=self.optimization_stepper.refitted,
             gp_seconds=self._fit.seconds,
             search_seconds=search.seconds,
             evaluations=search.evaluations,
@@ -307,7 +307,7 @@ class PMILTrainer(Trainer):
             return None
         return {
             key: getattr(self._pending, key)
-            for key in ("horizon", "renewed", "gp_seconds", "search_seconds", "evaluations")
+            for key in ("horizon", "refitted", "gp_seconds", "search_seconds", "evaluations")
         }
 
     def _log_own_rollout(self, batch: TensorDictBase) -> dict[str, float | bool] | None:

@@ -38,7 +38,7 @@ class Trial(Measurement):
     Args:
         kl: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
         horizon: step up to which the search trusted the prediction.
-        renewed: whether a second search was made, from a renewed policy.
+        refitted: whether a second search was made, from a renewed policy.
         gp_seconds, search_seconds: wall time.
         evaluations: of the objective.
         stop_reason: why the last run of L-BFGS ended.
@@ -46,7 +46,7 @@ class Trial(Measurement):
 
     kl: float
     horizon: int
-    renewed: bool
+    refitted: bool
     gp_seconds: float
     search_seconds: float
     evaluations: int

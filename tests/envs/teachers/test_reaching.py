@@ -1,4 +1,4 @@
-"""The targets of the double pendulum's tip: their poses, the torques that hold them, and the expert
+"""The targets of the double pendulum's tip: their poses, the torques that hold them, and the teacher
 that goes there.
 """
 
@@ -18,7 +18,7 @@ from torch_pmil.envs.teachers.reaching import (
     demonstrate_reaching,
     holding_torques,
     pose_at,
-    reaching_expert,
+    reaching_teacher,
 )
 from torch_pmil.envs.teachers.swing_up import STEPS
 from torch_pmil.experiments.tasks.double_pendulum import distance_from_target
@@ -140,7 +140,7 @@ def test_another_number_of_targets_than_robots_is_refused() -> None:
 
 def test_target_that_no_plan_reaches_is_refused() -> None:
     with pytest.raises(RuntimeError, match=r"no plan found within 3.0 N·m .* to the state"):
-        reaching_expert(
+        reaching_teacher(
             torch.tensor([0.95, 0.0], dtype=torch.float64)
         )  # stretched to the side: 4.9 N·m to hold
 

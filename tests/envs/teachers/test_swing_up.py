@@ -12,7 +12,7 @@ from torch_pmil.envs.teachers.trajectory_optimization import Plan, TrackingContr
 COUNT = 40
 
 
-def lazy_expert(torque: float) -> TrackingController:
+def lazy_teacher(torque: float) -> TrackingController:
     """Always means the same torque, whatever it sees."""
     plan = Plan(np.zeros((STEPS + 1, 4)), np.full((STEPS, 2), torque), cost=0.0, converged=True)
     return TrackingController(
@@ -24,7 +24,7 @@ def record(
     seed: int, torque: float = 1.0, torque_noise: float = 0.1
 ) -> tuple[torch.Tensor, torch.Tensor]:
     env = DoublePendulumEnv(num_envs=COUNT, seed=seed)
-    return demonstrate(env, lazy_expert(torque), seed, torque_noise)
+    return demonstrate(env, lazy_teacher(torque), seed, torque_noise)
 
 
 def test_demonstrations_start_where_the_environment_does() -> None:

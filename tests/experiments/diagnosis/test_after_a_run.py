@@ -175,7 +175,7 @@ def test_search_is_stuck_where_the_kl_rises(policy: RBFPolicy, dynamics: GPDynam
     with torch.no_grad():
         kl = experiment.make_loss(policy, dynamics).per_step(experiment.initial)
     step = int(re.search(r"\(step (\d+) of 25\)", message)[1])
-    assert kl[step - 1] > experiment.search.trusted >= kl[: step - 1].max()
+    assert kl[step - 1] > experiment.search.trust_threshold >= kl[: step - 1].max()
     assert message.startswith(
         f"the KL of a step rises from {kl[step - 2]:.3g} at {0.1 * (step - 1):.2f} s to "
         f"{kl[step - 1]:.3g} nats at "
@@ -284,7 +284,7 @@ def test_failure_that_nothing_explains_is_left_to_the_criterion(
     success.
     """
     experiment = swing_up()
-    content = replace(experiment, search=replace(experiment.search, trusted=1e6))
+    content = replace(experiment, search=replace(experiment.search, trust_threshold=1e6))
     ((cause, message),) = diagnose(content, policy, dynamics).items()
     assert cause == "success criterion"
     assert f"yet {STARTS} of {STARTS} rollouts have an error above 0.25" in message

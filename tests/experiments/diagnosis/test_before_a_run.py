@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import BioRobEnv, DoublePendulumEnv
-from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_expert
+from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.experiments import EXPERIMENTS, load_experiment
 from torch_pmil.experiments.diagnosis.before_a_run import check
 from torch_pmil.experiments.diagnosis.demonstration_checks import check_jumps, check_start
@@ -109,7 +109,7 @@ def test_swing_in_half_the_time_needs_torque_that_there_is_not() -> None:
 @pytest.mark.slow
 def test_torques_of_known_swing_ups_are_found_again() -> None:
     env = DoublePendulumEnv(num_envs=5, seed=0)
-    states, torques = demonstrate(env, swing_up_expert(), 0, 0.1)
+    states, torques = demonstrate(env, swing_up_teacher(), 0, 0.1)
     found = torch.stack([env.needed_torques(each) for each in states])
     assert (found - torques).square().mean((0, 1)).sqrt().max() < 0.05 * 3.5
 

@@ -91,9 +91,9 @@ def test_single_rollout_that_strays_is_no_lack_of_experience() -> None:
 
 
 def test_search_that_is_stuck_from_the_first_step_on() -> None:
-    doubt = torch.tensor([14.0, 30.0])
-    assert first_mismatch(doubt, 3.0) == 1
-    assert check_search(doubt, 1, "KL", "nats", "most in q", [2], 0.1).message.startswith(
+    step_loss = torch.tensor([14.0, 30.0])
+    assert first_mismatch(step_loss, 3.0) == 1
+    assert check_search(step_loss, 1, "KL", "nats", "most in q", [2], 0.1).message.startswith(
         "the KL of a step is 14 nats at 0.10 s (step 1 of 2)"
     )
 

@@ -13,6 +13,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from torch_pmil import cli
 from torch_pmil.experiments.runs import sweep
 from torch_pmil.experiments.runs.sweep import (
     SweepCheck,
@@ -22,7 +23,8 @@ from torch_pmil.experiments.runs.sweep import (
     shared_folder,
 )
 
-CONFIG = Path(__file__).parents[3] / "scripts" / "config"
+ROOT = Path(__file__).parents[3]
+CONFIG = Path(cli.__file__).parent / "config"
 
 
 @pytest.fixture(autouse=True)
@@ -141,7 +143,7 @@ def test_missing_launcher_is_named_with_its_extra(
 
 def test_extras_hold_what_the_message_asks_for() -> None:
     settings = ConfigParser()
-    settings.read(CONFIG.parents[1] / "setup.cfg")
+    settings.read(ROOT / "setup.cfg")
     for module, extra in sweep.EXTRAS.items():
         assert (
             settings["options.extras_require"][extra].strip().startswith(module.replace("_", "-"))

@@ -118,7 +118,7 @@ def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> Non
         "holds_start",
     } <= settings.keys()
     assert (settings["noise_std"], settings["confirmations"]) == (0.05, 2)
-    assert settings["first_motion"] == {
+    assert settings["exploration"] == {
         "rollouts": 1,
         "steps": HORIZON,
         "random_torque": experiment.random_torque,
@@ -142,12 +142,12 @@ def test_summary_says_what_came_of_it(
         zip(space.names, by_entry.tolist(), strict=True)
     )
     errors, spread = (
-        rms_error(demonstrations, space.match(result.outcomes[0].executed)),
+        rms_error(demonstrations, space.observe(result.outcomes[0].executed)),
         demonstration_spread(demonstrations),
     )
-    assert summary["rms_error"] == dict(zip(space.match.names, errors.tolist(), strict=True))
+    assert summary["rms_error"] == dict(zip(space.match_space.names, errors.tolist(), strict=True))
     assert summary["demonstration_spread"] == dict(
-        zip(space.match.names, spread.tolist(), strict=True)
+        zip(space.match_space.names, spread.tolist(), strict=True)
     )
     assert summary["saved_trial"] in (1, 2)
     assert summary["stop_reason"] == "limit of trials"

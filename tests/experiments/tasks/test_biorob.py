@@ -64,7 +64,11 @@ def test_policy_has_the_papers_738_parameters_and_the_model_sees_state_and_torqu
     policy = experiment.make_policy(torch.Generator().manual_seed(0))
     assert sum(parameter.numel() for parameter in policy.parameters()) == 738
     assert experiment.horizon == 18
-    assert experiment.space.feature_names == experiment.space.names == experiment.space.match.names
+    assert (
+        experiment.space.feature_names
+        == experiment.space.names
+        == experiment.space.match_space.names
+    )
 
 
 def test_new_policy_holds_the_start_pose(experiment: Experiment) -> None:

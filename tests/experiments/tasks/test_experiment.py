@@ -30,8 +30,8 @@ def lifting(states: Tensor) -> Tensor:
 
 
 def test_first_motion_is_one_random_rollout_unless_it_is_said(experiment: Experiment) -> None:
-    assert experiment.first_motion == RandomTorques(experiment.u_max, 0.4, 25)
-    assert replace(experiment, pd_movements=PD_MOVEMENTS).first_motion is PD_MOVEMENTS
+    assert experiment.exploration == RandomTorques(experiment.u_max, 0.4, 25)
+    assert replace(experiment, pd_movements=PD_MOVEMENTS).exploration is PD_MOVEMENTS
 
 
 def test_new_policy_holds_the_robot_at_its_starts(experiment: Experiment) -> None:
@@ -76,4 +76,4 @@ def test_settings_say_what_the_first_policy_and_motion_are(experiment: Experimen
         WIDTHS.tolist(),
     )
     assert changed.settings["holds_start"] and not experiment.settings["holds_start"]
-    assert changed.settings["first_motion"]["gain"] == PD_MOVEMENTS.gain.tolist()
+    assert changed.settings["exploration"]["gain"] == PD_MOVEMENTS.gain.tolist()

@@ -19,11 +19,11 @@ from torch_pmil.experiments import Experiment, load_experiment, run_name
 from torch_pmil.experiments.runs.training import train
 from torch_pmil.experiments.tasks.handwriting import handwriting
 from torch_pmil.experiments.tasks.strokes import (
-    conditioned,
     distance_from_mean,
     distance_spread,
     lasa_strokes,
     placed,
+    preprocessed,
 )
 from torch_pmil.experiments.tasks.writers import WRITERS, states_of_strokes
 from torch_pmil.search.policy_search import SearchSettings
@@ -50,7 +50,7 @@ def wave(count: int = 5, steps: int = 30, spread: float = 0.01) -> Demonstration
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_placed_strokes_fill_their_box(shape: str) -> None:
-    strokes = placed(conditioned(lasa_strokes(shape), duration=3.0), extent=0.3)
+    strokes = placed(preprocessed(lasa_strokes(shape), duration=3.0), extent=0.3)
     lowest, highest = strokes.positions.amin((0, 1)), strokes.positions.amax((0, 1))
     torch.testing.assert_close((highest - lowest).max().item(), 0.3)
     torch.testing.assert_close((highest + lowest) / 2, torch.zeros(2, dtype=torch.float64))
@@ -74,7 +74,7 @@ def test_strokes_are_in_metres_and_end_at_the_origin() -> None:
 
 def test_conditioned_strokes_begin_and_end_as_the_recorded_ones_and_last_as_long_as_said() -> None:
     recordings = lasa_strokes("Sine")
-    strokes = conditioned(recordings, duration=2.0)
+    strokes = preprocessed(recordings, duration=2.0)
     assert (strokes.duration, strokes.time_step, len(strokes.positions)) == (2.0, 0.1, 7)
     recorded_ends = torch.stack(
         [torch.stack([values[0], values[-1]]) for values in recordings.values]
@@ -88,7 +88,7 @@ def test_alignment_leaves_less_spread_than_the_same_share_of_each_stroke() -> No
     shares = torch.stack(
         [values[torch.linspace(0, len(values) - 1, 31).long()] for values in plain.values]
     )
-    assert distance_spread(conditioned(recordings, duration=3.0)) < 0.8 * distance_spread(
+    assert distance_spread(preprocessed(recordings, duration=3.0)) < 0.8 * distance_spread(
         Demonstrations(shares, 0.1, ("x", "y"))
     )
 
@@ -119,7 +119,7 @@ def test_tip_of_the_demonstrated_states_is_on_the_strokes(robot: str, shape: str
     experiment = handwriting(shape=shape, robot=robot)
     positions = experiment.demonstrations.positions
     torch.testing.assert_close(
-        experiment.space.match(experiment.demonstrated_states), positions.flatten(0, 1)
+        experiment.space.observe(experiment.demonstrated_states), positions.flatten(0, 1)
     )
 
 
@@ -127,12 +127,14 @@ def test_tip_of_the_demonstrated_states_is_on_the_strokes(robot: str, shape: str
 @each_robot
 def test_poses_are_smooth_along_a_stroke(robot: str, shape: str) -> None:
     writer = WRITERS[robot]()
-    pose = writer.pose(writer.on_board(conditioned(lasa_strokes(shape), writer.duration)).positions)
+    pose = writer.pose(
+        writer.on_board(preprocessed(lasa_strokes(shape), writer.duration)).positions
+    )
     assert pose.diff(dim=1).abs().max() < 0.4
 
 
 def test_racket_is_where_mujoco_says() -> None:
-    env, match = BioRobEnv(), WRITERS["biorob"]().space.match
+    env, match_space = BioRobEnv(), WRITERS["biorob"]().space.match_space
     data, generator = mujoco.MjData(env.model), torch.Generator().manual_seed(0)
     for q in 2 * torch.rand(20, 3, dtype=torch.float64, generator=generator) - 0.7:
         for joint, angle in zip(("yaw", "shoulder", "elbow"), q, strict=True):
@@ -140,7 +142,7 @@ def test_racket_is_where_mujoco_says() -> None:
         mujoco.mj_kinematics(env.model, data)
         expected = torch.from_numpy(data.site("racket").xpos.copy())
         torch.testing.assert_close(
-            match(torch.cat([q, torch.zeros(3)])), expected, atol=1e-9, rtol=0
+            match_space(torch.cat([q, torch.zeros(3)])), expected, atol=1e-9, rtol=0
         )
 
 
@@ -154,14 +156,14 @@ def test_wrist_gives_way_by_less_than_a_millimetre() -> None:
         mujoco.mj_setState(env.model, data, physics.numpy(), mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_kinematics(env.model, data)
         assert (
-            experiment.space.match(at_rest) - torch.from_numpy(data.site("racket").xpos)
+            experiment.space.observe(at_rest) - torch.from_numpy(data.site("racket").xpos)
         ).norm() < 1e-3
 
 
 def test_pendulum_tip_is_where_the_environment_says() -> None:
     states = torch.randn(20, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(
-        WRITERS["double_pendulum"]().space.match(states), link_positions(states)[:, 2:]
+        WRITERS["double_pendulum"]().space.observe(states), link_positions(states)[:, 2:]
     )
 
 
@@ -178,13 +180,13 @@ def test_first_motion_stays_near_the_strokes(robot: str) -> None:
     experiment, writer = handwriting(wave(), robot=robot), WRITERS[robot]()
     env, motion = (
         experiment.robot(seed=0),
-        experiment.first_motion.motion(torch.Generator().manual_seed(0)),
+        experiment.exploration.motion(torch.Generator().manual_seed(0)),
     )
     state, places = env.reset(), []
-    for _ in range(experiment.first_motion.steps):
+    for _ in range(experiment.exploration.steps):
         state["action"] = motion(state["observation"])
         state = env.step(state)["next"]
-        places.append(writer.space.match(state["observation"]))
+        places.append(writer.space.observe(state["observation"]))
     centre = experiment.demonstrations.positions.mean((0, 1))
     assert (torch.stack(places) - centre).norm(dim=-1).max() < 0.35
 
@@ -193,7 +195,7 @@ def test_robot_starts_at_rest_where_the_strokes_begin() -> None:
     experiment = handwriting(wave(), robot="biorob")
     begin = experiment.demonstrations.positions[:, 0].mean(0)
     torch.testing.assert_close(
-        experiment.space.match(experiment.initial.mean), begin, atol=1e-3, rtol=0
+        experiment.space.observe(experiment.initial.mean), begin, atol=1e-3, rtol=0
     )
     assert (experiment.initial.mean[3:] == 0).all()
 
@@ -294,7 +296,7 @@ def test_a_short_run_ends_with_a_policy_and_its_ratio(
     )
     result = train(experiment, seed=0, trials=1, out=tmp_path, command="test", progress_bar=False)
     assert result.summary["experiment"] == f"handwriting_own_{robot}"
-    assert result.summary["rms_error"].keys() == set(experiment.space.match.names)
+    assert result.summary["rms_error"].keys() == set(experiment.space.match_space.names)
     assert result.summary["experience_s"] == pytest.approx((3 + 1) * 0.4)
 
 

@@ -65,10 +65,11 @@ def test_policies_have_the_parameters_of_their_basis_functions() -> None:
 def test_every_target_has_its_own_demonstrations(experiment: TargetExperiment) -> None:
     targets, sets = experiment.demonstrations.by_target()
     assert torch.equal(experiment.targets, targets) and len(targets) == S
-    assert experiment.expert.batch_shape == (S, experiment.horizon)
+    assert experiment.demonstrated.batch_shape == (S, experiment.horizon)
     for i, demonstrations in enumerate(sets):
         assert torch.equal(
-            experiment.expert.cov[i], expert_distribution(demonstrations, experiment.noise_std).cov
+            experiment.demonstrated.cov[i],
+            expert_distribution(demonstrations, experiment.noise_std).cov,
         )
 
 
@@ -141,11 +142,11 @@ def test_outcomes_are_those_of_each_target(result: RunResult) -> None:
     for i, outcome in enumerate(result.outcomes):
         assert outcome.executed.shape == (EVALUATION_STARTS, STEPS + 1, 4)
         assert (outcome.rollouts["target"] == experiment.targets[i]).all()
-        assert torch.equal(outcome.expert.mean, experiment.expert.mean[i])
+        assert torch.equal(outcome.demonstrated.mean, experiment.demonstrated.mean[i])
 
 
 def test_summary_is_the_mean_over_the_targets_and_names_each(result: RunResult) -> None:
-    summary, outcomes, match = result.summary, result.outcomes, short().space.match
+    summary, outcomes, match_space = result.summary, result.outcomes, short().space.match_space
     assert summary["settings"]["targets"] == short().targets.tolist()
     assert summary["saved_n_eval"] == S * EVALUATION_STARTS
     assert list(summary["saved_success_rate_by_target"]) == [outcome.label for outcome in outcomes]
@@ -153,7 +154,7 @@ def test_summary_is_the_mean_over_the_targets_and_names_each(result: RunResult) 
     assert summary["two_sigma_coverage"] == pytest.approx(sum(coverage) / S)
     squares = torch.stack(
         [
-            rms_error(outcome.demonstrations, match(outcome.executed)).square()
+            rms_error(outcome.demonstrations, match_space(outcome.executed)).square()
             for outcome in outcomes
         ]
     )

@@ -49,7 +49,9 @@ def test_joint_trajectories_show_what_was_demonstrated_and_begin_near_the_robot(
 ) -> None:
     angles = joint_trajectories(experiment)
     states = torch.stack([angles, torch.zeros_like(angles)], -1).flatten(-2)
-    torch.testing.assert_close(experiment.space.match(states), experiment.demonstrations.positions)
+    torch.testing.assert_close(
+        experiment.space.observe(states), experiment.demonstrations.positions
+    )
     assert (angles[:, 0] - torch.tensor([math.pi, 0.0])).abs().max() < 0.5
     assert angles.diff(dim=1).abs().max() < 1
 

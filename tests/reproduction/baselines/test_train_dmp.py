@@ -15,7 +15,7 @@ from tests.helpers.run_script import run_script
 from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil.experiments import EXPERIMENTS
 
-SCRIPT = "reproduction.baselines.train_dmp"
+SCRIPT = "reproduction/baselines/train_dmp.py"
 Script = Callable[..., None]
 
 

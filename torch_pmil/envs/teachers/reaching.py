@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv, double_pendulum_model
 from torch_pmil.envs.teachers.exact_tracking import tracking_torques
-from torch_pmil.envs.teachers.swing_up import STEPS, TORQUE_NOISE, demonstrate, expert_for
+from torch_pmil.envs.teachers.swing_up import STEPS, TORQUE_NOISE, demonstrate, teacher_for
 from torch_pmil.envs.teachers.trajectory_optimization import (
     Array,
     QuadraticCost,
@@ -81,7 +81,7 @@ def holding_torques(targets: Tensor) -> Tensor:
     )
 
 
-def reaching_expert(target: Tensor) -> TrackingController:
+def reaching_teacher(target: Tensor) -> TrackingController:
     """Plan the motion from hanging to a target and a controller that follows the plan, then holds
     the tip there.
 
@@ -104,13 +104,13 @@ def reaching_expert(target: Tensor) -> TrackingController:
         np.array(ACTION_WEIGHTS),
         hold_action=torque,
     )
-    return expert_for(cost, guess)
+    return teacher_for(cost, guess)
 
 
 def demonstrate_reaching(
     env: DoublePendulumEnv, targets: Tensor, seed: int, torque_noise: float = TORQUE_NOISE
 ) -> tuple[Tensor, Tensor]:
-    """Let the experts of N targets move N double pendulums at once, each time a little beside the
+    """Let the teachers of N targets move N double pendulums at once, each time a little beside the
     torques that they mean.
 
     Args:
@@ -132,16 +132,16 @@ def demonstrate_reaching(
             f"targets must have shape {(*env.batch_size, 2)}, one for each robot, got "
             f"{tuple(targets.shape)}"
         )
-    experts = {
-        target: reaching_expert(torch.tensor(target).double())
+    teachers = {
+        target: reaching_teacher(torch.tensor(target).double())
         for target in set(map(tuple, targets.tolist()))
     }
-    of_robot = [experts[tuple(target)] for target in targets.tolist()]
+    of_robot = [teachers[tuple(target)] for target in targets.tolist()]
 
-    def expert(step: int, states: Array) -> Array:
+    def teacher(step: int, states: Array) -> Array:
         return np.stack([own(step, state) for own, state in zip(of_robot, states, strict=True)])
 
-    return demonstrate(env, expert, seed, torque_noise)
+    return demonstrate(env, teacher, seed, torque_noise)
 
 
 def _resting_at(targets: Tensor) -> Tensor:

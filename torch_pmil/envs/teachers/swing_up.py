@@ -1,4 +1,4 @@
-"""The expert that moves the double pendulum to a pose and holds it: the swing-up (Sec. 5.1)."""
+"""The teacher that moves the double pendulum to a pose and holds it: the swing-up (Sec. 5.1)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TORQUE_NOISE = 0.1  # N·m, standard deviation of the demonstrator's imprecision
 PLANNING_TIMESTEP = 0.01  # s; five times the simulation's, exact enough to plan with
 
 
-def swing_up_expert(
+def swing_up_teacher(
     link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5
 ) -> TrackingController:
     """Plan the swing-up from hanging and a controller that follows the plan, then balances.
@@ -52,10 +52,10 @@ def swing_up_expert(
     )  # a calm teacher: speed costs, not being away
     state_weights[UPRIGHT_FROM:] = [100.0, 10.0, 100.0, 10.0]
     cost = QuadraticCost(UPRIGHT, state_weights, action_weights=np.full(2, 0.2))
-    return expert_for(cost, guess, link_masses, torque_limit)
+    return teacher_for(cost, guess, link_masses, torque_limit)
 
 
-def expert_for(
+def teacher_for(
     cost: QuadraticCost,
     guess: Array,
     link_masses: Sequence[float] = (0.5, 0.5),
@@ -96,17 +96,17 @@ def expert_for(
 
 def demonstrate(
     env: DoublePendulumEnv,
-    expert: Callable[[int, Array], Array],
+    teacher: Callable[[int, Array], Array],
     seed: int,
     torque_noise: float = TORQUE_NOISE,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Let an expert move N double pendulums at once, each time a little beside the torques that it
+    """Let a teacher move N double pendulums at once, each time a little beside the torques that it
     means.
 
     Args:
         env: the N robots, which draw the starts.
-        expert: torques (N, 2) in N·m of step (0..24) and states (N, 4), such as
-            :func:`swing_up_expert`.
+        teacher: torques (N, 2) in N·m of step (0..24) and states (N, 4), such as
+            :func:`swing_up_teacher`.
         seed: of the noise.
         torque_noise: standard deviation of what is added to the torques, drawn anew at each step,
             in N·m.
@@ -117,11 +117,11 @@ def demonstrate(
     noise = np.random.default_rng(seed).normal(size=(STEPS, *env.batch_size, 2))
     limit = env.action_spec.space.high.numpy()
 
-    def imprecise_expert(step: int, states: Array) -> Array:
-        return (expert(step, states) + torque_noise * noise[step]).clip(-limit, limit)
+    def imprecise_teacher(step: int, states: Array) -> Array:
+        return (teacher(step, states) + torque_noise * noise[step]).clip(-limit, limit)
 
     states, torques = roll_out(
-        array_dynamics(env), env.reset()["observation"].numpy(), imprecise_expert, STEPS
+        array_dynamics(env), env.reset()["observation"].numpy(), imprecise_teacher, STEPS
     )
     return torch.from_numpy(states), torch.from_numpy(torques)
 

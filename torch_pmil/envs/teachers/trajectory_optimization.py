@@ -1,4 +1,4 @@
-r"""Control-limited trajectory optimisation and tracking: the expert that demonstrates a task.
+r"""Control-limited trajectory optimisation and tracking: the teacher that demonstrates a task.
 
 Iterative LQR with the torque limits as a box at each step (Tassa, Mansard and Todorov, 2014), then
 a time-varying LQR about the plan and an infinite-horizon LQR about its target. Knows no robot:

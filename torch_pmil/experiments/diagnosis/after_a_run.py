@@ -63,15 +63,15 @@ def likely_reasons(
         return []
     outcome = outcomes[max(range(len(outcomes)), key=lambda number: failures[number].sum())]
     found = group(check(experiment))
-    doubt = loss.doubt(experiment.initial)
-    step = first_mismatch(doubt, experiment.search.trusted)
+    step_loss = loss.step_loss_for_trust(experiment.initial)
+    step = first_mismatch(step_loss, experiment.search.trust_threshold)
     led = _of_the_model(experiment, loss.dynamics, outcome, step or experiment.horizon)
     beyond = [] if led else _of_the_model(experiment, loss.dynamics, outcome, experiment.horizon)
     reasons = [
         *(reason for reason in found if reason.cause != FEW),
         *_of_the_robot(experiment, outcome),
         *led,
-        *([_of_the_search(experiment, loss, outcomes, doubt, horizons, step)] if step else []),
+        *([_of_the_search(experiment, loss, outcomes, step_loss, horizons, step)] if step else []),
         *beyond,
         *(reason for reason in found if reason.cause == FEW),
     ]
@@ -80,7 +80,7 @@ def likely_reasons(
             int(failed.sum()),
             len(failed),
             experiment.tolerance,
-            _largest(experiment, loss, outcomes, doubt),
+            _largest(experiment, loss, outcomes, step_loss),
         )
     ]
 
@@ -95,7 +95,7 @@ def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
         outcome,
         check_torques(outcome.rollouts["action"], experiment.u_max, names, needed),
         check_motion(
-            experiment.space.match(outcome.executed), outcome.demonstrations.positions, noise_std
+            experiment.space.observe(outcome.executed), outcome.demonstrations.positions, noise_std
         ),
     )
 
@@ -137,32 +137,32 @@ def _of_the_search(
     experiment: Experiment,
     loss: TrajectoryLoss,
     outcomes: Sequence[Outcome],
-    doubt: Tensor,
+    step_loss: Tensor,
     horizons: Sequence[int],
     step: int,
 ) -> Reason:
     """The step at which the newest model says that it is stuck."""
     mismatch = _mismatch(experiment, loss, outcomes, step)
     return check_search(
-        doubt, step, *_named(loss), mismatch, horizons, experiment.demonstrations.time_step
+        step_loss, step, *_named(loss), mismatch, horizons, experiment.demonstrations.time_step
     )
 
 
 def _largest(
-    experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], doubt: Tensor
+    experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], step_loss: Tensor
 ) -> str:
     """What the newest model doubts most."""
     name, unit = _named(loss)
-    step = int(doubt.argmax()) + 1
+    step = int(step_loss.argmax()) + 1
     said = (
-        f"the {name} of a step is at most {doubt[step - 1]:.3g} {unit}, at "
+        f"the {name} of a step is at most {step_loss[step - 1]:.3g} {unit}, at "
         f"{step * experiment.demonstrations.time_step:.2f} s"
     )
     return f"{said}, {_mismatch(experiment, loss, outcomes, step)}"
 
 
 def _named(loss: TrajectoryLoss) -> tuple[str, str]:
-    """What :meth:`TrajectoryLoss.doubt` is, and its unit."""
+    """What :meth:`TrajectoryLoss.step_loss_for_trust` is, and its unit."""
     return (
         (loss.label, loss.unit)
         if isinstance(loss, TrajectoryKLLoss)
@@ -178,17 +178,17 @@ def _mismatch(
     """
     if not isinstance(loss, TrajectoryKLLoss):
         return "where the prediction is too wide to be followed"
-    match, noise_std = experiment.space.match, experiment.noise_std
+    match_space, noise_std = experiment.space.match_space, experiment.noise_std
     beliefs = [
         (
-            outcome.expert[step - 1],
-            match.belief(outcome.predicted[step - 1]).add_noise(noise_std**2),
+            outcome.demonstrated[step - 1],
+            match_space.moments(outcome.predicted[step - 1]).add_noise(noise_std**2),
         )
         for outcome in outcomes
     ]
     worst = max(range(len(outcomes)), key=lambda number: gaussian_kl(*beliefs[number]).item())
     label = outcomes[worst].label
-    return worst_entry(*beliefs[worst], match.names, match.units) + (
+    return worst_entry(*beliefs[worst], match_space.names, match_space.units) + (
         f" at {label}" if label else ""
     )
 

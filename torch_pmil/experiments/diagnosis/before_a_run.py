@@ -48,7 +48,9 @@ def check(experiment: Experiment) -> list[Finding]:
         ]
     return [
         *_check_robot(experiment, noise_std),
-        *check_start(demonstrations, experiment.space.match.belief(experiment.initial), noise_std),
+        *check_start(
+            demonstrations, experiment.space.match_space.moments(experiment.initial), noise_std
+        ),
         *check_jumps(sets, numbers, noise_std),
         *check_modes(sets, numbers, noise_std),
         *check_duplicates(demonstrations, noise_std),
@@ -68,7 +70,7 @@ def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Findin
         experiment.demonstrated_states.reshape(N, samples, -1),
         experiment.first_robot(seed=0),
     )
-    findings = check_reach(demonstrations, experiment.space.match(states), noise_std)
+    findings = check_reach(demonstrations, experiment.space.observe(states), noise_std)
     if (excess := env.beyond_range(states)) is not None:
         findings += check_stops(excess, demonstrations.time_step)
     if not findings and (torques := needed_torques(experiment)) is not None:

@@ -23,7 +23,7 @@ COVERED = 0.75  # share of one-step errors within two standard deviations; learn
 FOLLOWED = 0.7
 UNKNOWN = 0.2  # share of the executed steps at which the model knows little; learned: up to 0.04
 LITTLE = 0.5  # posterior over prior standard deviation, from which on it knows little
-MISMATCH = 1.5  # largest doubt of a step over what the search trusts; learned: up to 1.31
+MISMATCH = 1.5  # largest step_loss of a step over what the search trusts; learned: up to 1.31
 NEAR_LIMIT = 0.95  # of a torque's limit
 SATURATED = 0.5  # share of the steps near the limit; learned: up to 0.38
 MOVED = 0.25  # farthest from the start, over the demonstrated; learned: 0.77 and more
@@ -88,22 +88,22 @@ def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | 
     return (int(left[0]) + 1, int(inside[left[0]].argmin())) if len(left) else None
 
 
-def first_mismatch(doubt: Tensor, trusted: float) -> int | None:
+def first_mismatch(step_loss: Tensor, trust_threshold: float) -> int | None:
     """First step t that a search does not trust, where some are far from it.
 
     Args:
-        doubt: of the steps t = 1..T, (T,): their KL.
-        trusted: by the search, in the same unit.
+        step_loss: of the steps t = 1..T, (T,): their KL.
+        trust_threshold: by the search, in the same unit.
 
     Example:
         >>> import torch
-        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 30.0]), trusted=3.0)
+        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 30.0]), trust_threshold=3.0)
         3
-        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 0.5]), trusted=3.0)
+        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 0.5]), trust_threshold=3.0)
     """
-    if doubt.amax() <= MISMATCH * trusted:
+    if step_loss.amax() <= MISMATCH * trust_threshold:
         return None
-    return int((doubt > trusted).nonzero()[0]) + 1
+    return int((step_loss > trust_threshold).nonzero()[0]) + 1
 
 
 def group(findings: Sequence[Finding]) -> list[Reason]:
@@ -187,7 +187,7 @@ def check_motion(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> R
         "robot did not move",
         f"the robot went {_percent(moved)} as far from its start as the demonstrations: torques "
         "below its weight or static friction move and teach nothing; begin at torques that hold "
-        "it (holding_torques), and let its first motion be larger (first_motion)",
+        "it (holding_torques), and let its first motion be larger (exploration)",
     )
 
 
@@ -272,7 +272,7 @@ def check_experience(unknown: Tensor, data: int, time_step: float) -> Reason | N
 
 
 def check_search(
-    doubt: Tensor,
+    step_loss: Tensor,
     step: int,
     name: str,
     unit: str,
@@ -283,34 +283,34 @@ def check_search(
     """A search that is stuck at a step.
 
     Args:
-        doubt: of the steps t = 1..T, (T,).
+        step_loss: of the steps t = 1..T, (T,).
         step: where it begins, see :func:`first_mismatch`.
-        name, unit: of the doubt.
+        name, unit: of the step_loss.
         mismatch: what does not match there, see :func:`worst_entry`.
         horizons: step up to which the search of each trial went.
         time_step: s.
 
     Example:
         >>> import torch
-        >>> doubt = torch.tensor([0.1, 0.5, 14.0, 30.0])
-        >>> check_search(doubt, 3, "KL", "nats", "most in q", [2, 2, 2, 2], 0.1).message.partition(";")[0]
+        >>> step_loss = torch.tensor([0.1, 0.5, 14.0, 30.0])
+        >>> check_search(step_loss, 3, "KL", "nats", "most in q", [2, 2, 2, 2], 0.1).message.partition(";")[0]
         'the KL of a step rises from 0.5 at 0.20 s to 14 nats at 0.30 s (step 3 of 4), most in q'
     """
     T, before = (
-        len(doubt),
-        f"rises from {doubt[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to"
+        len(step_loss),
+        f"rises from {step_loss[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to"
         if step > 1
         else "is",
     )
     return Reason(
         "search stuck",
-        f"the {name} of a step {before} {doubt[step - 1]:.3g} {unit} at {step * time_step:.2f} s "
+        f"the {name} of a step {before} {step_loss[step - 1]:.3g} {unit} at {step * time_step:.2f} s "
         f"(step {step} of {T}), {mismatch}; the last searches went up to step "
         f"{', '.join(map(str, horizons[-LATEST - 2 :]))}: "
         + (
             "more trials may lead them further"
             if _advancing(horizons)
-            else f"{LATEST} trials led them no further, so try another seed, more iterations or a larger trusted (SearchSettings), "
+            else f"{LATEST} trials led them no further, so try another seed, more iterations or a larger trust_threshold (SearchSettings), "
             "or a larger noise_std, which forgives more"
         ),
     )
@@ -322,13 +322,13 @@ def _advancing(horizons: Sequence[int]) -> bool:
 
 
 def worst_entry(
-    expert: Gaussian, predicted: Gaussian, names: Sequence[str], units: Sequence[str]
+    demonstrated: Gaussian, predicted: Gaussian, names: Sequence[str], units: Sequence[str]
 ) -> str:
     """The entry with the largest part in the KL of a step
     (:func:`~torch_pmil.search.kl.gaussian_kl_terms`), its means and standard deviations.
 
     Args:
-        expert, predicted: marginals of the step, mean (M,), observation noise included.
+        demonstrated, predicted: marginals of the step, mean (M,), observation noise included.
         names, units: of the M entries.
 
     Example:
@@ -337,11 +337,11 @@ def worst_entry(
         >>> worst_entry(at, Gaussian(torch.tensor([0.0, 1.0]), 0.04 * torch.eye(2)), ("x", "y"), ("m", "m"))
         'most in y (predicted 1.00 ± 0.20 m, demonstrated 0.00 ± 0.10 m)'
     """
-    terms = gaussian_kl_terms(expert, predicted)
+    terms = gaussian_kl_terms(demonstrated, predicted)
     worst = int((terms.mean + terms.spread).argmax())
     said = (
         f"{belief.mean[worst]:.2f} ± {belief.std[worst]:.2f} {units[worst]}"
-        for belief in (predicted, expert)
+        for belief in (predicted, demonstrated)
     )
     return "most in {} (predicted {}, demonstrated {})".format(names[worst], *said)
 

@@ -55,7 +55,7 @@ def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str,
         yield (
             "poses",
             plot_poses(
-                experiment.space.match(first.executed[0]), experiment.demonstrations.time_step
+                experiment.space.observe(first.executed[0]), experiment.demonstrations.time_step
             ),
         )
     if isinstance(experiment, Handwriting):
@@ -75,7 +75,7 @@ def _learning_curve(experiment: Experiment, result: RunResult) -> Figure:
     return plot_learning_curve(
         [t.experience_s for t in trials],
         [t.success_rate for t in trials],
-        [t.kl for t in trials],
+        [t.loss for t in trials],
         label,
     )
 
@@ -84,19 +84,27 @@ def _of_outcome(
     experiment: Experiment, result: RunResult, outcome: Outcome, number: int
 ) -> Iterator[tuple[str, Figure]]:
     """Trajectories, where their KL comes from if it is what was learned from, and the policy."""
-    match, time_step = experiment.space.match, experiment.demonstrations.time_step
+    match_space, time_step = experiment.space.match_space, experiment.demonstrations.time_step
     predicted, executed = (
-        match.belief(outcome.predicted).add_noise(experiment.noise_std**2),
-        match(outcome.executed),
+        match_space.moments(outcome.predicted).add_noise(experiment.noise_std**2),
+        match_space(outcome.executed),
     )
     yield (
         "trajectories",
         plot_distributions(
-            match.names, match.units, time_step, outcome.expert, predicted, executed[:, 1:]
+            match_space.names,
+            match_space.units,
+            time_step,
+            outcome.demonstrated,
+            predicted,
+            executed[:, 1:],
         ),
     )
     if issubclass(experiment.objective, TrajectoryKLLoss):
-        yield "kl_per_step", plot_kl_per_step(match.names, time_step, outcome.expert, predicted)
+        yield (
+            "kl_per_step",
+            plot_kl_per_step(match_space.names, time_step, outcome.demonstrated, predicted),
+        )
     planes = planes_of(experiment.space, len(experiment.u_max), outcome.executed)
     if planes:
         yield "policy", _policy(experiment, result, outcome, planes, number)

@@ -47,7 +47,7 @@ def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Pa
             print(f"there is no video, because {error}")
             return
         print(f"{path} is a sketch, because {error}")
-        positions = experiment.space.match(dense_states(env, start, actions))
+        positions = experiment.space.observe(dense_states(env, start, actions))
         write_video(
             path, SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND), FRAMES_PER_SECOND
         )

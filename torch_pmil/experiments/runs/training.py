@@ -202,7 +202,7 @@ def make_trainer(
         trials=trials,
         search=experiment.search,
         make_policy=experiment.make_policy,
-        first_motion=experiment.first_motion,
+        exploration=experiment.exploration,
         policy_generator=generators[0],
         generator=generators[1],
         on_trial=on_trial,
@@ -239,7 +239,7 @@ def _measured(
     spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in outcomes])
     errors = torch.stack(
         [
-            rms_error(outcome.demonstrations, experiment.space.match(outcome.executed))
+            rms_error(outcome.demonstrations, experiment.space.observe(outcome.executed))
             for outcome in outcomes
         ]
     )
@@ -257,9 +257,9 @@ def _measured(
             two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in outcomes
         ),
         "two_sigma_coverage_by_entry": _by_name(experiment.space.names, covered),
-        "rms_error": _by_name(experiment.space.match.names, errors.square().mean(0).sqrt()),
+        "rms_error": _by_name(experiment.space.match_space.names, errors.square().mean(0).sqrt()),
         "demonstration_spread": _by_name(
-            experiment.space.match.names, spread.square().mean(0).sqrt()
+            experiment.space.match_space.names, spread.square().mean(0).sqrt()
         ),
         "saturated": _by_name(trainer.evaluation_env.motor_names, saturated),
         "kl_per_step": _per_step(trainer, experiment),

@@ -26,7 +26,7 @@ DAMPING = (
     0.3,
 )  # N·m·s/rad: more, held for 0.1 s, makes these light joints swing from limit to limit
 # nats a step, of six dimensions; with 4.5 the search stalls where the strike begins
-SEARCH = SearchSettings(mean_iterations=0, final_iterations=160, trusted=12.0)
+SEARCH = SearchSettings(mean_iterations=0, final_iterations=160, trust_threshold=12.0)
 
 
 def biorob_space() -> StateSpace:

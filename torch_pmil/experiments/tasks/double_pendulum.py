@@ -24,7 +24,7 @@ def double_pendulum_space() -> StateSpace:
     """State [q1, dq1, q2, dq2], matched in the positions of the two link ends.
 
     Example:
-        >>> double_pendulum_space().match(torch.zeros(4, dtype=torch.float64))
+        >>> double_pendulum_space().observe(torch.zeros(4, dtype=torch.float64))
         tensor([0.0000, 0.5000, 0.0000, 1.0000], dtype=torch.float64)
     """
     absolute = torch.tensor([[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 1.0, 0.0]], dtype=torch.float64)
@@ -33,8 +33,10 @@ def double_pendulum_space() -> StateSpace:
     )  # columns: state, sin of the absolute angles, cos of them
     links[0, 4] = links[2, 4] = links[2, 5] = LINK_LENGTH
     links[1, 6] = links[3, 6] = links[3, 7] = LINK_LENGTH
-    match = MatchSpace(("x1", "y1", "x2", "y2"), ("m",) * 4, absolute, links)
-    return StateSpace(("q1", "dq1", "q2", "dq2"), ("rad", "rad/s", "rad", "rad/s"), (0, 2), match)
+    match_space = MatchSpace(("x1", "y1", "x2", "y2"), ("m",) * 4, absolute, links)
+    return StateSpace(
+        ("q1", "dq1", "q2", "dq2"), ("rad", "rad/s", "rad", "rad/s"), (0, 2), match_space
+    )
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
@@ -60,7 +62,7 @@ def distance_from_upright(states: Tensor) -> Tensor:
     + 1, 4) to (*batch).
     """
     upright = torch.tensor([0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH], dtype=states.dtype)
-    positions = double_pendulum_space().match(states[..., -FINAL_SAMPLES:, :])
+    positions = double_pendulum_space().observe(states[..., -FINAL_SAMPLES:, :])
     return (positions - upright).norm(dim=-1).amax(-1)
 
 
@@ -79,7 +81,7 @@ def distance_from_target(states: Tensor, targets: Tensor) -> Tensor:
         >>> distance_from_target(upright, torch.tensor([0.0, 0.9], dtype=torch.float64))
         tensor(0.1000, dtype=torch.float64)
     """
-    tips = double_pendulum_space().match(states[..., -FINAL_SAMPLES:, :])[..., 2:]
+    tips = double_pendulum_space().observe(states[..., -FINAL_SAMPLES:, :])[..., 2:]
     return (tips - targets[..., None, :]).norm(dim=-1).amax(-1)
 
 

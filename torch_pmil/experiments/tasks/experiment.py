@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from torch_pmil.control.exploration import FirstMotion, PDMovements, RandomTorques
+from torch_pmil.control.exploration import Exploration, PDMovements, RandomTorques
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
@@ -36,14 +36,14 @@ class Outcome:
     Args:
         label: names the target; "" where there is one task alone.
         demonstrations: of it.
-        expert: their marginals at t = 1..T, mean (T, M).
+        demonstrated: their marginals at t = 1..T, mean (T, M).
         predicted: p(x_1..T), mean (T, D).
         rollouts: from fresh starts, (N, T), as the environment gives them.
     """
 
     label: str
     demonstrations: Demonstrations
-    expert: Gaussian
+    demonstrated: Gaussian
     predicted: Gaussian
     rollouts: TensorDictBase
 
@@ -118,12 +118,12 @@ class Experiment:
         return self.demonstrations.positions.shape[1] - 1
 
     @property
-    def expert(self) -> Gaussian:
+    def demonstrated(self) -> Gaussian:
         """Demonstrated marginals at t = 1..T, observation noise included."""
         return expert_distribution(self.demonstrations, self.noise_std)
 
     @property
-    def first_motion(self) -> FirstMotion:
+    def exploration(self) -> Exploration:
         """How the robot moves before anything is learned."""
         return self.pd_movements or RandomTorques(self.u_max, self.random_torque, self.horizon)
 
@@ -144,7 +144,7 @@ class Experiment:
             "num_centres": self.num_centres,
             "noise_std": torch.as_tensor(self.noise_std, dtype=torch.float64).tolist(),
             "random_torque": self.random_torque,
-            "first_motion": self.first_motion.settings,
+            "exploration": self.exploration.settings,
             "initial_weight_std": self.initial_weight_std,
             "input_scale": self.input_scale,
             "input_widths": None if self.input_widths is None else self.input_widths.tolist(),
@@ -168,7 +168,7 @@ class Experiment:
 
     def outcomes(self, predicted: Gaussian, rollouts: TensorDictBase) -> list[Outcome]:
         """What was predicted for the robot, and rollouts of :meth:`robots`, task by task."""
-        return [Outcome("", self.demonstrations, self.expert, predicted, rollouts)]
+        return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts)]
 
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""
@@ -176,7 +176,7 @@ class Experiment:
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:
         """What the policy is searched for: the KL between demonstrated and predicted trajectories."""
-        return TrajectoryKLLoss(policy, dynamics, self.space, self.expert, self.noise_std)
+        return TrajectoryKLLoss(policy, dynamics, self.space, self.demonstrated, self.noise_std)
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near demonstrated states, small random weights; it holds the robot
@@ -229,9 +229,9 @@ def check_demonstrations(
             ", ".join(names) or "none" for names in (target_names, demonstrations.target_names)
         )
         raise DemonstrationError(f"targets of the demonstrations must be {wanted}, got {found}")
-    if demonstrations.names != space.match.names:
+    if demonstrations.names != space.match_space.names:
         raise DemonstrationError(
-            f"demonstrations must be of {', '.join(space.match.names)}, got "
+            f"demonstrations must be of {', '.join(space.match_space.names)}, got "
             f"{', '.join(demonstrations.names)}"
         )
     if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:

@@ -24,13 +24,15 @@ def gym_pendulum_space() -> StateSpace:
     """State [q, dq], q from upright, matched in the position of the tip.
 
     Example:
-        >>> gym_pendulum_space().match(torch.zeros(2, dtype=torch.float64))
+        >>> gym_pendulum_space().observe(torch.zeros(2, dtype=torch.float64))
         tensor([0., 1.], dtype=torch.float64)
     """
     tip = torch.zeros(2, 4, dtype=torch.float64)  # columns: state, sin q, cos q
     tip[0, 2] = tip[1, 3] = LENGTH
-    match = MatchSpace(("x", "y"), ("m", "m"), torch.tensor([[1.0, 0.0]], dtype=torch.float64), tip)
-    return StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), match)
+    match_space = MatchSpace(
+        ("x", "y"), ("m", "m"), torch.tensor([[1.0, 0.0]], dtype=torch.float64), tip
+    )
+    return StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), match_space)
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
@@ -48,7 +50,7 @@ def distance_from_upright(states: Tensor) -> Tensor:
     """Largest distance (m) of the tip from upright over the last 0.5 s; states (*batch, T + 1, 2)
     to (*batch).
     """
-    tip = gym_pendulum_space().match(states[..., -FINAL_SAMPLES:, :])
+    tip = gym_pendulum_space().observe(states[..., -FINAL_SAMPLES:, :])
     return (tip - torch.tensor([0.0, LENGTH], dtype=states.dtype)).norm(dim=-1).amax(-1)
 
 

@@ -19,10 +19,10 @@ from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.experiments.tasks.strokes import (
     NAMES,
     TIME_STEP,
-    conditioned,
     distance_from_mean,
     distance_spread,
     lasa_strokes,
+    preprocessed,
 )
 from torch_pmil.experiments.tasks.writers import WRITERS, Writer, states_of_strokes
 from torch_pmil.gp.gaussian import Gaussian
@@ -64,9 +64,9 @@ class Handwriting(Experiment):
 
     def writing(self, predicted: Gaussian, rollouts: TensorDictBase) -> Writing:
         """Strokes of the demonstrations, of p(x_1..T) and of rollouts (B, T), in the plane."""
-        match, up = self.space.match, self.plane.mT
-        shown, written = self.demonstrations.positions @ up, match(states_of(rollouts)) @ up
-        return Writing(shown, match.belief(predicted).affine(self.plane), written)
+        match_space, up = self.space.match_space, self.plane.mT
+        shown, written = self.demonstrations.positions @ up, match_space(states_of(rollouts)) @ up
+        return Writing(shown, match_space.moments(predicted).affine(self.plane), written)
 
 
 def handwriting(
@@ -132,7 +132,7 @@ def distance_of_tip(states: Tensor, space: StateSpace, strokes: Demonstrations) 
     """Root mean square distance (m) of the tip from the mean stroke, of states x_0..x_T (*batch, T
     + 1, D): (*batch).
     """
-    return distance_from_mean(space.match(states), strokes)
+    return distance_from_mean(space.observe(states), strokes)
 
 
 def input_widths(demonstrated: Tensor, space: StateSpace) -> Tensor:
@@ -158,7 +158,7 @@ def _strokes(
     demonstrations: Demonstrations | None, shape: str | None, writer: Writer
 ) -> Demonstrations:
     if demonstrations is None and shape is not None:
-        return conditioned(lasa_strokes(shape), writer.duration)
+        return preprocessed(lasa_strokes(shape), writer.duration)
     if demonstrations is None or shape is not None:
         raise ValueError(
             "handwriting needs a shape or demonstrations, got "

@@ -27,7 +27,7 @@ def inverted_pendulum_space() -> StateSpace:
     The pole never turns round, so its angle is an entry like the others.
 
     Example:
-        >>> inverted_pendulum_space().match(torch.zeros(4, dtype=torch.float64))
+        >>> inverted_pendulum_space().observe(torch.zeros(4, dtype=torch.float64))
         tensor([0.0000, 0.0000, 0.6000], dtype=torch.float64)
     """
     pole = torch.tensor([[0.0, 1.0, 0.0, 0.0]], dtype=torch.float64)
@@ -36,8 +36,8 @@ def inverted_pendulum_space() -> StateSpace:
     )  # columns: state, sin and cos of the pole's angle
     positions[0, 0] = positions[1, 0] = 1.0
     positions[1, 4] = positions[2, 5] = POLE_LENGTH
-    match = MatchSpace(("x_cart", "x_tip", "z_tip"), ("m",) * 3, pole, positions)
-    return StateSpace(("x", "q", "dx", "dq"), ("m", "rad", "m/s", "rad/s"), (), match)
+    match_space = MatchSpace(("x_cart", "x_tip", "z_tip"), ("m",) * 3, pole, positions)
+    return StateSpace(("x", "q", "dx", "dq"), ("m", "rad", "m/s", "rad/s"), (), match_space)
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
@@ -69,7 +69,7 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
     tip = demonstrations.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
 
     def distance_from_demonstrated(states: Tensor) -> Tensor:
-        return (space.match(states[..., -FINAL_SAMPLES:, :])[..., 1:] - tip).norm(dim=-1).amax(-1)
+        return (space.observe(states[..., -FINAL_SAMPLES:, :])[..., 1:] - tip).norm(dim=-1).amax(-1)
 
     return Experiment(
         name="inverted_pendulum",
@@ -88,6 +88,6 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
         random_torque=0.1,
         input_scale=3.0,
         search=SearchSettings(
-            trusted=1.0
+            trust_threshold=1.0
         ),  # of two dimensions in effect: the height of the tip hardly changes
     )

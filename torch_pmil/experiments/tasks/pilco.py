@@ -31,8 +31,8 @@ SEARCH = SearchSettings(
     stage_iterations=20,
     final_iterations=40,
     first_horizon=3,
-    trusted=0.025,
-    leaps=False,
+    trust_threshold=0.025,
+    skip_matched_steps=False,
     restarts=2,
 )
 

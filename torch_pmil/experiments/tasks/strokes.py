@@ -52,7 +52,7 @@ def lasa_strokes(shape: str) -> Recordings:
     return load_recordings(lasa_folder() / f"{shape}.mat")
 
 
-def conditioned(
+def preprocessed(
     recordings: Recordings, duration: float, time_step: float = TIME_STEP
 ) -> Demonstrations:
     """Strokes on one time base: each cropped to the part that moves, aligned by dynamic time

@@ -60,17 +60,17 @@ class TargetExperiment(Experiment):
         return self.demonstrations.by_target()
 
     @property
-    def expert(self) -> Gaussian:
+    def demonstrated(self) -> Gaussian:
         """Demonstrated marginals of each target at t = 1..T, mean (S, T, M), observation noise
         included.
         """
-        experts = [
+        demonstrated = [
             expert_distribution(demonstrations, self.noise_std)
             for demonstrations in self._by_target[1]
         ]
         return Gaussian(
-            torch.stack([expert.mean for expert in experts]),
-            torch.stack([expert.cov for expert in experts]),
+            torch.stack([demonstrated.mean for demonstrated in demonstrated]),
+            torch.stack([demonstrated.cov for demonstrated in demonstrated]),
         )
 
     @property
@@ -112,7 +112,7 @@ class TargetExperiment(Experiment):
         """What was predicted for the robot, (S, T), and rollouts of :meth:`robots`, target by
         target.
         """
-        names, experts = self.demonstrations.target_names, self.expert
+        names, demonstrated = self.demonstrations.target_names, self.demonstrated
         return [
             Outcome(
                 ", ".join(
@@ -120,7 +120,7 @@ class TargetExperiment(Experiment):
                     for name, value in zip(names, target.tolist(), strict=True)
                 ),
                 demonstrations,
-                experts[i],
+                demonstrated[i],
                 predicted[i],
                 of_target,
             )
@@ -132,7 +132,7 @@ class TargetExperiment(Experiment):
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> MultiTargetKLLoss:
         """Mean over the targets of the KL between demonstrated and predicted trajectories (Eq. 31)."""
         return MultiTargetKLLoss(
-            policy, dynamics, self.space, self.expert, self.targets, self.noise_std
+            policy, dynamics, self.space, self.demonstrated, self.targets, self.noise_std
         )
 
     @property

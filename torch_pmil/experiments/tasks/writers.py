@@ -76,7 +76,7 @@ class Writer:
         as it does.
         """
         positions = self.origin + placed(pen, self.extent).positions @ self.plane
-        return Demonstrations(positions, pen.time_step, self.space.match.names)
+        return Demonstrations(positions, pen.time_step, self.space.match_space.names)
 
     def positions(self, states: Tensor) -> Tensor:
         """Joint positions (*batch, J) of states (*batch, D)."""
@@ -122,16 +122,16 @@ def pendulum_writer() -> Writer:
     """The double pendulum's tip, 0.65 m below its base.
 
     Example:
-        >>> pendulum_writer().space.match.names
+        >>> pendulum_writer().space.match_space.names
         ('x', 'y')
     """
     first, both = (1, 0), (1, 1)
     tip = [LINK_LENGTH * wave(first) + LINK_LENGTH * wave(both) for wave in (sine, cosine)]
-    match = match_of(tip, ("x", "y"), ("m", "m"), dim=4, angles=(0, 2))
+    match_space = match_of(tip, ("x", "y"), ("m", "m"), dim=4, angles=(0, 2))
     return Writer(
         name="double_pendulum",
         make_env=DoublePendulumEnv,
-        space=replace(double_pendulum_space(), match=match),
+        space=replace(double_pendulum_space(), match_space=match_space),
         origin=torch.tensor([0.0, -0.65], dtype=torch.float64),
         plane=torch.eye(2, dtype=torch.float64),
         extent=0.3,
@@ -143,7 +143,7 @@ def pendulum_writer() -> Writer:
         damping=(0.6, 0.12),
         reach=1.0,
         search=SearchSettings(
-            mean_iterations=30, stage_iterations=20, final_iterations=60, trusted=1.0
+            mean_iterations=30, stage_iterations=20, final_iterations=60, trust_threshold=1.0
         ),
     )
 
@@ -155,14 +155,14 @@ def biorob_writer() -> Writer:
     with a straight wrist, whose springs give way by less than a millimetre.
 
     Example:
-        >>> biorob_writer().space.match(torch.zeros(6, dtype=torch.float64)).round(decimals=3)  # it hangs
+        >>> biorob_writer().space.observe(torch.zeros(6, dtype=torch.float64)).round(decimals=3)  # it hangs
         tensor([0.0000, 0.0000, 0.1300], dtype=torch.float64)
     """
     yaw, shoulder, both, none = (1, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 0)
     upper, lower = BIOROB_LINKS
     outwards = upper * sine(shoulder) + lower * sine(both)
     up = BIOROB_SHOULDER * cosine(none) + -upper * cosine(shoulder) + -lower * cosine(both)
-    match = match_of(
+    match_space = match_of(
         [cosine(yaw) * outwards, sine(yaw) * outwards, up],
         ("x", "y", "z"),
         ("m",) * 3,
@@ -172,7 +172,7 @@ def biorob_writer() -> Writer:
     return Writer(
         name="biorob",
         make_env=BioRobEnv,
-        space=replace(biorob_space(), match=match),
+        space=replace(biorob_space(), match_space=match_space),
         origin=torch.tensor([BOARD, 0.0, 0.9], dtype=torch.float64),
         plane=torch.tensor([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64),
         extent=0.5,
@@ -184,7 +184,7 @@ def biorob_writer() -> Writer:
         damping=(0.3, 0.5, 0.2),
         reach=1.5,
         search=SearchSettings(
-            mean_iterations=0, stage_iterations=30, final_iterations=60, trusted=2.0
+            mean_iterations=0, stage_iterations=30, final_iterations=60, trust_threshold=2.0
         ),
     )
 

@@ -152,7 +152,7 @@ def test_numbers_of_trials_and_settings_are_in_tables(tmp_path: Path) -> None:
     for row in (
         ["1", "2.5", "–", "50 %", "failed", "0.3", "iterations"],
         ["x", "0.01", "0.02"],
-        ["search.trusted", "3"],
+        ["search.trust_threshold", "3"],
         ["tau", "25 %"],
     ):
         assert row in rows

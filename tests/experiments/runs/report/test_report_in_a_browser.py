@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.run_script import run_script
+from tests.helpers.run_script import run_command
 from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil.experiments import EXPERIMENTS
 
@@ -23,7 +23,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
         quick_fits(patch)
-        run_script(patch, "pmil train", "trials=2", "seed=2", "logger=null", f"out={folder}")
+        run_command(patch, "train", "trials=2", "seed=2", "logger=null", f"out={folder}")
     return folder / "report.html"
 
 

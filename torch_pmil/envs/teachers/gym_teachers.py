@@ -1,4 +1,4 @@
-"""The experts that demonstrate the two tasks of gymnasium."""
+"""The teachers that demonstrate the two tasks of gymnasium."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TORQUE_LIMIT, PLANNED_TORQUE = (
 )  # N·m; the rest up to the limit is for feedback
 
 
-def balancing_expert() -> Callable[[int, Array], Array]:
+def balancing_teacher() -> Callable[[int, Array], Array]:
     """Infinite-horizon LQR about upright at the middle of the rail: a function of step and states
     (N, 4), to actions (N, 1).
     """
@@ -40,7 +40,7 @@ def balancing_expert() -> Callable[[int, Array], Array]:
     return lambda step, states: (-states @ gain.T).clip(-CART_LIMIT, CART_LIMIT)
 
 
-def pendulum_expert() -> TrackingController:
+def pendulum_teacher() -> TrackingController:
     """A planned swing-up of Pendulum-v1, tracked, then held: a function of step (0..39) and states
     (N, 2), to torques (N, 1) in N·m.
 

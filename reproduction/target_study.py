@@ -170,11 +170,11 @@ class TargetStudy:
         headline["max_experience_s"] = max(run["experience_s"] for run in runs)
         headline["median_learning_s"] = float(np.median([run["learning_seconds"] for run in runs]))
         measured = [{key: run[key] for key in ("seed", "training", "grid")} for run in runs]
-        kls = [[trial["kl"] for trial in run["trials"]] for run in runs]
+        losses = [[trial["loss"] for trial in run["trials"]] for run in runs]
         return Report(
             headline,
             {self.name: self._heat_maps(runs[0]["grid"], targets, picture)},
-            {"kl": kls, "measured": measured},
+            {"loss": losses, "measured": measured},
         )
 
     def _heat_maps(

@@ -79,7 +79,7 @@ def test_run_leaves_numbers_policy_figures_and_a_video(
     }
     assert len([name for name in logged if name.endswith(".torchrl")]) == 2
     assert {
-        "run/logs/double_pendulum_seed_2/scalars/kl.csv",
+        "run/logs/double_pendulum_seed_2/scalars/loss.csv",
         "run/logs/double_pendulum_seed_2/scalars/own_error.csv",
     } <= logged
     assert files - logged == {f"run/{name}" for name in FILES} | figures

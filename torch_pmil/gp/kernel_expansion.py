@@ -90,7 +90,7 @@ class KernelExpansion:
         """Weights of the two outputs of each product, (P, 1, n) or (N, P, 1, n) each: Q_ij counts
         w_i z_j times.
         """
-        w, z = self.weights[..., self.products.first, :], self.weights[..., self.products.second, :]
+        w, z = self.weights[..., self.pairs.first, :], self.weights[..., self.pairs.second, :]
         if self.gram_inverse is not None:
             one = torch.ones_like(self.weights)  # of an output with itself: see self_weights
             w, z = (torch.cat([one, weights[self.num_outputs :]]) for weights in (w, z))

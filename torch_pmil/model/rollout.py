@@ -186,7 +186,7 @@ class _MomentStep:
         leaves = [parameter.detach().requires_grad_() for parameter in parameters]
         with torch.enable_grad():
             network = self.controller.with_parameters(*leaves).network.repeated(len(states))
-            moments = moment_match(network, step.features, products=self.network.pairs)
+            moments = moment_match(network, step.features, products=self.network.products)
         return torch.autograd.grad(
             (moments.mean, moments.cov, moments.inv_cov_cross_cov), leaves, d_network
         )

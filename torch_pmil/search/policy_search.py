@@ -83,7 +83,7 @@ def search_policy(
     loss: TrajectoryLoss,
     initial: Gaussian,
     settings: SearchSettings = SearchSettings(),
-    report: Callable[[str, float], None] = lambda stage, kl: None,
+    report: Callable[[str, float], None] = lambda stage, loss: None,
     random: bool = False,
 ) -> SearchResult:
     """Minimise a loss, as Eq. 20 or 28, over its policy, following the prediction only as far as it

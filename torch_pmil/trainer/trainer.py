@@ -297,7 +297,7 @@ class PMILTrainer(Trainer):
         )
         shown = {
             key: getattr(self._pending, key)
-            for key in ("trial", "experience_s", "kl", "success_rate")
+            for key in ("trial", "experience_s", "loss", "success_rate")
         }
         return {**shown, "log_pbar": True}
 

@@ -36,7 +36,7 @@ class Trial(Measurement):
     decides nothing.
 
     Args:
-        kl: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
+        loss: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
         horizon: step up to which the search trusted the prediction.
         refitted: whether a second search was made, from a renewed policy.
         gp_seconds, search_seconds: wall time.
@@ -44,7 +44,7 @@ class Trial(Measurement):
         stop_reason: why the last run of L-BFGS ended.
     """
 
-    kl: float
+    loss: float
     horizon: int
     refitted: bool
     gp_seconds: float

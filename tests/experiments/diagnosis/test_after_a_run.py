@@ -325,7 +325,7 @@ def test_run_whose_search_has_no_budget_is_stuck(summary_of: Callable[..., dict]
     found = {reason["cause"]: reason["message"] for reason in summary["diagnosis"]}
     step = int(re.search(r"\(step (\d+) of 25\)", found["search stuck"])[1])
     assert (
-        summary["kl_per_step"][step - 1] > 3 >= max(summary["kl_per_step"][: step - 1], default=0)
+        summary["loss_per_step"][step - 1] > 3 >= max(summary["loss_per_step"][: step - 1], default=0)
     )
 
 
@@ -333,4 +333,4 @@ def test_run_whose_search_has_no_budget_is_stuck(summary_of: Callable[..., dict]
 def test_run_that_learned_has_no_diagnosis(summary_of: Callable[..., dict]) -> None:
     summary = summary_of(load_experiment("gym_pendulum"), 12, seed=2)
     assert summary["saved_success_rate"] >= LEARNED and summary["diagnosis"] == []
-    assert max(summary["kl_per_step"]) < 3 and summary["saturated"].keys() == {"0"}
+    assert max(summary["loss_per_step"]) < 3 and summary["saturated"].keys() == {"0"}

@@ -67,7 +67,7 @@ def test_instantiated_trainer_learns_logs_and_saves(
         "trial",
         "experience_s",
         "success_rate",
-        "kl",
+        "loss",
         "own_error",
         "own_success",
         "loss_kl",

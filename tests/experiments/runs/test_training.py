@@ -161,7 +161,7 @@ def test_summary_holds_every_trial_whole(summary: dict, result: RunResult) -> No
         "experience_s",
         "success_rate",
         "n_eval",
-        "kl",
+        "loss",
         "gp_seconds",
         "search_seconds",
         "evaluations",

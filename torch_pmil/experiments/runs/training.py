@@ -262,7 +262,7 @@ def _measured(
             experiment.space.match_space.names, spread.square().mean(0).sqrt()
         ),
         "saturated": _by_name(trainer.evaluation_env.motor_names, saturated),
-        "kl_per_step": _per_step(trainer, experiment),
+        "loss_per_step": _per_step(trainer, experiment),
     }
 
 

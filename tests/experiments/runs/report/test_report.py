@@ -22,7 +22,7 @@ MEASURED = {
     "own_success": False,
     "own_error": 0.3,
 }
-TRIAL = MEASURED | {"kl": None, "stop_reason": "iterations"}
+TRIAL = MEASURED | {"loss": None, "stop_reason": "iterations"}
 OLD = {  # what every summary has
     "experiment": "double_pendulum",
     "seed": 3,

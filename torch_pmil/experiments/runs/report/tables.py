@@ -13,7 +13,7 @@ from torch_pmil.experiments.runs.report.words import percent, say
 TRIAL: dict[str, tuple[str, Callable[[Any], str]]] = {
     "trial": ("trial", say),
     "experience_s": ("experience (s)", "{:.1f}".format),
-    "kl": ("objective", say),
+    "loss": ("objective", say),
     "tracking_error": ("tracking error (rad)", say),
     "success_rate": ("success rate", percent),
     "own_success": ("own rollout", lambda success: "succeeded" if success else "failed"),

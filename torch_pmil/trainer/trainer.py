@@ -287,7 +287,7 @@ class PMILTrainer(Trainer):
             n_eval=len(errors),
             own_error=float("nan"),
             own_success=False,
-            kl=search.kl,
+            loss=search.loss,
             horizon=search.horizon,
             refitted=self.optimization_stepper.refitted,
             gp_seconds=self._fit.seconds,

@@ -5,7 +5,7 @@ PYTHON ?= $(shell for p in python3.14 python3.13 python3.12 python3.11; do $$p -
 PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-user-action=ignore
 ARGS ?=
 SEEDS := 0 1 2 3 4 5 6 7 8 9
-LEARNED := $(patsubst %,results/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
+LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=
 
 .DEFAULT_GOAL := help
@@ -33,9 +33,9 @@ demonstrations: .venv/.installed  ## record the shipped demonstrations anew
 
 results: $(LEARNED)  ## learn all tasks with the seeds 0-9, resumable; -j2 for two at a time
 
-results/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summary.json)
-results/gym_pendulum/summary.json: $(SEEDS:%=runs/gym_pendulum/seed_%/summary.json)
-results/inverted_pendulum/summary.json: $(SEEDS:%=runs/inverted_pendulum/seed_%/summary.json)
+results/tasks/double_pendulum/summary.json: $(SEEDS:%=runs/double_pendulum/seed_%/summary.json)
+results/tasks/gym_pendulum/summary.json: $(SEEDS:%=runs/gym_pendulum/seed_%/summary.json)
+results/tasks/inverted_pendulum/summary.json: $(SEEDS:%=runs/inverted_pendulum/seed_%/summary.json)
 $(LEARNED):
 	@.venv/bin/pmil summarize $(^D) --out $(@D)
 
@@ -70,7 +70,7 @@ test-dist: dist  ## the fast tests against the wheel, installed into an environm
 	@$(PYTHON) -m venv build/dist/.venv
 	@cd build/dist && $(PIP) $(TORCH_ARGS) -c constraints.txt torch==2.13.0
 	@cd build/dist && $(PIP) -c constraints.txt "torch_pmil[test] @ file://$$(realpath ../../dist/*.whl)"
-	@cd build/dist && OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 README.md docs/*.md notebooks tests --pyargs torch_pmil $(ARGS)
+	@cd build/dist && OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 README.md docs/*/*.md notebooks tests --pyargs torch_pmil $(ARGS)
 
 clean:  ## remove what make and the tests built, not runs/
 	@rm -rf .venv .mypy_cache .pytest_cache .ruff_cache docs/_build build dist *.egg-info

@@ -6,7 +6,7 @@ evaluations counts for each, so that they need not add up exactly. What a part c
 ``PARTS``.
 
 Example:
-    python -m benchmarks.breakdown --sizes 50 100 200 400 --json results/prediction/breakdown.json
+    python -m benchmarks.breakdown --sizes 50 100 200 400 --json results/benchmarks/prediction/breakdown.json
 """
 
 from __future__ import annotations
@@ -58,7 +58,10 @@ def main() -> None:
         help="evaluations, of which the fastest counts",
     )
     parser.add_argument(
-        "--json", type=Path, default=ROOT / "results/prediction/breakdown.json", help="to write"
+        "--json",
+        type=Path,
+        default=ROOT / "results/benchmarks/prediction/breakdown.json",
+        help="to write",
     )
     arguments = parser.parse_args()
     torch.set_num_threads(1)

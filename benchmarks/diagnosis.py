@@ -1,7 +1,7 @@
 """What the thresholds of ``torch_pmil/experiments/diagnosis/causes.py`` come from: its measures of
 runs that learned and of runs that did not.
 
-    python benchmarks/diagnosis.py runs results/diagnosis/summary.json
+    python benchmarks/diagnosis.py runs results/benchmarks/diagnosis/summary.json
 
 reads every finished run below a folder, lets its policy run from fresh starts, and writes the
 measures of each run and, for the runs that learned, the value that comes nearest to each threshold.

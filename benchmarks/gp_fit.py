@@ -56,7 +56,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=7, help="fits of each kind")
     parser.add_argument("--seed", type=int, default=0, help="of the rollouts")
     parser.add_argument(
-        "--json", type=Path, default=Path("results/gp_fit/summary.json"), help="file to write"
+        "--json",
+        type=Path,
+        default=Path("results/benchmarks/gp_fit/summary.json"),
+        help="file to write",
     )
     arguments = parser.parse_args()
     if min(arguments.sizes) < ROLLOUT + 2 or arguments.repeats < 1:

@@ -35,7 +35,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--steps", type=int, default=10_000, help="counted for each form")
     parser.add_argument(
-        "--json", type=Path, default=Path("results/policy_step/summary.json"), help="file to write"
+        "--json",
+        type=Path,
+        default=Path("results/benchmarks/policy_step/summary.json"),
+        help="file to write",
     )
     arguments = parser.parse_args()
     if arguments.steps < 1:

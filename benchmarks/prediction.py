@@ -6,7 +6,7 @@ process of its own.
 
 Example:
     python benchmarks/prediction.py --sizes 50 100 200 400 --threads 1 --json
-    results/prediction/summary.json
+    results/benchmarks/prediction/summary.json
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument(
         "--json",
         type=Path,
-        default=ROOT / "results/prediction/summary.json",
+        default=ROOT / "results/benchmarks/prediction/summary.json",
         help="to write; the plot goes beside it",
     )
     return parser.parse_args()

@@ -48,7 +48,10 @@ def main() -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument(
-        "--json", type=Path, default=Path("results/targets/summary.json"), help="file to write"
+        "--json",
+        type=Path,
+        default=Path("results/benchmarks/targets/summary.json"),
+        help="file to write",
     )
     arguments = parser.parse_args()
     if min(*arguments.sizes, *arguments.threads, arguments.repeats) < 1:

@@ -64,7 +64,7 @@ def main() -> None:
     parser.add_argument(
         "--json",
         type=Path,
-        default=Path("results/torchrl_model/summary.json"),
+        default=Path("results/benchmarks/torchrl_model/summary.json"),
         help="file to write",
     )
     arguments = parser.parse_args()

@@ -115,7 +115,7 @@ def learning_run(root: Path, experiment: Experiment, seed: int, trials: int = 12
 
 def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[Path, Report]:
     """Learn what has not been learned yet, then write ``summary.json`` and the figures to
-    ``results/NAME``.
+    ``results/paper/NAME``.
 
     A quick reproduction has runs and results of its own, in ``runs/quick`` and ``results/quick``.
 
@@ -131,11 +131,11 @@ def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[P
         RunError: runs failed, or the report found something else than they leave.
         OSError: the results cannot be written.
     """
-    source, aside = provenance(command), ("quick",) if quick else ()
-    runs = experiment.runs(Path("runs", *aside), quick)
+    source = provenance(command)
+    runs = experiment.runs(Path("runs", *(("quick",) if quick else ())), quick)
     finish(runs, command)
     report = experiment.report([run.out for run in runs], quick)
-    out = Path("results", *aside, experiment.name)
+    out = Path("results", "quick" if quick else "paper", experiment.name)
     out.mkdir(parents=True, exist_ok=True)
     for name, figure in report.figures.items():
         save_figure(figure, out / f"{name}.png")

@@ -1,7 +1,7 @@
 """Draw the BioRob: at its start, whole and its drives, and with the balls of several targets.
 
 Example:
-    MUJOCO_GL=egl python scripts/draw_biorob.py docs/biorob.png docs/biorob_targets.png
+    MUJOCO_GL=egl python scripts/draw_biorob.py docs/figures/biorob.png docs/figures/biorob_targets.png
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ OF_ANOTHER = re.compile(
 NO_TEXT = re.compile(
     r"^\s*(>>>|\.\.\.)|\S {2,}\S"
 )  # code, or a row of a table, whose columns have their widths
-PAGE = "method"
+PAGE = "start/method"
 
 
 def name_targets(app: Sphinx, doctree: nodes.document) -> None:

@@ -1,4 +1,4 @@
-"""Draw the picture of docs/demonstrations.md: swing-ups with artificial timing, before and after
+"""Draw the picture of docs/how_to/demonstrations.md: swing-ups with artificial timing, before and after
 their alignment.
 
 Example:

@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/demonstrations.md: what each step makes of strokes that a camera
+"""Draw the pictures of docs/how_to/demonstrations.md: what each step makes of strokes that a camera
 tracked, with jumps, noise and pixels.
 
 The strokes are drawn at random, an arc of 0.8 s at 60 pictures a second; no recording is needed.

@@ -25,7 +25,7 @@ import torch
 from tests.helpers.run_script import ROOT, run_command
 from torch_pmil.cli.draw import LARGEST_BODY, DrawingServer
 from torch_pmil.demonstrations import load_demonstrations, load_recordings
-from torch_pmil.demonstrations.preparation.drawing import SIDE
+from torch_pmil.demonstrations.preparation.drawing import SIDE, DrawingError
 
 STROKE = [[10 * k, 0.2 + 0.01 * k, 0.5 + 0.2 * math.sin(k / 8)] for k in range(51)]
 BODY = json.dumps(5 * [STROKE]).encode()

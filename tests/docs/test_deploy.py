@@ -18,7 +18,7 @@ from torch_pmil.control.policy_file import load_policy, save_policy
 from torch_pmil.experiments import load_experiment
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "deploy.md").read_text()
+PAGE = (ROOT / "docs" / "how_to" / "deploy.md").read_text()
 BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
 COMMANDS = re.findall(r"^    pmil (.*)$", PAGE, flags=re.MULTILINE)
 RUN = Path("runs/double_pendulum/seed_0")
@@ -90,7 +90,7 @@ def test_exported_program_gives_the_torque_of_the_policy(namespace: dict) -> Non
 def test_table_holds_the_numbers_of_the_benchmark_and_none_reaches_a_millisecond_in_the_median() -> (
     None
 ):
-    rows = json.loads((ROOT / "results" / "policy_step" / "summary.json").read_text())["rows"]
+    rows = json.loads((ROOT / "results" / "benchmarks" / "policy_step" / "summary.json").read_text())["rows"]
     for row in rows:
         numbers = [
             row[name]

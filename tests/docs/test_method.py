@@ -9,12 +9,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 import torch_pmil
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "method.md").read_text()
+PAGE = (ROOT / "docs" / "start" / "method.md").read_text()
 SHOWN = [int(number) for number in re.findall(r"\\tag\{(\d+)\}", PAGE)]
 LINK = r"\{code\}`([\w.]+)`"
 LINKED = re.findall(LINK, PAGE)
@@ -36,7 +34,8 @@ def numbers(text: str) -> set[int]:
 
 def docstrings() -> Iterator[str]:
     """Of all modules, classes and functions of the package."""
-    for path in Path(torch_pmil.__file__).parent.rglob("*.py"):
+    package = Path(torch_pmil.__file__).parent
+    for path in (*package.rglob("*.py"), *(ROOT / "reproduction").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
                 yield ast.get_docstring(node) or ""
@@ -58,20 +57,17 @@ def test_no_equation_is_shown_twice() -> None:
     assert len(SHOWN) == len(set(SHOWN))
 
 
-@pytest.mark.parametrize("path", LINKED)
-def test_linked_code_is_there(path: str) -> None:
-    assert pkgutil.resolve_name(path)
+def test_linked_code_is_there() -> None:
+    assert all(pkgutil.resolve_name(path) for path in LINKED)
 
 
-def test_most_links_say_their_equations() -> None:
+def test_linked_code_cites_the_equations_that_the_page_says_it_computes() -> None:
     assert len(TOLD) > 20
-
-
-@pytest.mark.parametrize(("path", "equations"), TOLD)
-def test_linked_code_cites_the_equations_that_the_page_says_it_computes(
-    path: str, equations: str
-) -> None:
-    code = pkgutil.resolve_name(path)
-    assert numbers(equations) <= numbers(
-        f"{inspect.getdoc(code)} {inspect.getdoc(inspect.getmodule(code))}"
-    )
+    uncited = [
+        (path, equations)
+        for path, equations in TOLD
+        for code in [pkgutil.resolve_name(path)]
+        if not numbers(equations)
+        <= numbers(f"{inspect.getdoc(code)} {inspect.getdoc(inspect.getmodule(code))}")
+    ]
+    assert uncited == []

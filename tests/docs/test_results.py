@@ -4,47 +4,55 @@ from __future__ import annotations
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "results.md").read_text()
-README = (ROOT / "README.md").read_text()
-VALUE_AND_ENTRY = re.compile(
-    r"\| ([\d.]+)( %)?[^|`\n]*\| `(\w+)/([\w.]+)` (?=\|)"
-)  # | value unit | `NAME/entry` |
-QUOTED = VALUE_AND_ENTRY.findall(PAGE)
+PAGE = ROOT / "docs" / "results" / "results.md"
+README = ROOT / "README.md"
+# | value unit | `NAME/entry` |
+VALUE_AND_ENTRY = re.compile(r"\| ([\d.]+)( %)?[^|`\n]*\| `(\w+)/([\w.]+)` (?=\|)")
 
 
-def test_there_are_quoted_numbers() -> None:
-    assert len(QUOTED) > 20
-    assert len(VALUE_AND_ENTRY.findall(README)) > 10
+def quoted(page: Path) -> list[tuple[str, ...]]:
+    return VALUE_AND_ENTRY.findall(page.read_text())
 
 
-@pytest.mark.parametrize(
-    ("told", "percent", "name", "entry"), QUOTED + VALUE_AND_ENTRY.findall(README)
-)
-def test_quoted_number_is_that_of_the_summary(
-    told: str, percent: str, name: str, entry: str
-) -> None:
-    value = json.loads((ROOT / "results" / name / "summary.json").read_text())["headline"][entry]
+@cache
+def summary_of(name: str) -> dict:
+    """The results of that name, whichever folder of results holds them."""
+    (path,) = (ROOT / "results").glob(f"*/{name}/summary.json")
+    return json.loads(path.read_text())
+
+
+def as_told(value: float, told: str, percent: str) -> str:
+    """A value with as many decimals as the page gives it."""
     decimals = len(told.partition(".")[2])
-    assert told == f"{abs(value) * (100 if percent else 1):.{decimals}f}"
+    return f"{abs(value) * (100 if percent else 1):.{decimals}f}"
 
 
-@pytest.mark.parametrize("page", [PAGE, README], ids=["results.md", "README.md"])
-def test_every_number_that_names_its_source_is_checked(page: str) -> None:
-    assert len(VALUE_AND_ENTRY.findall(page)) == len(re.findall(r"`\w+/[\w.]+` \|", page))
+def test_quoted_numbers_are_those_of_the_summaries() -> None:
+    assert len(quoted(PAGE)) > 20 and len(quoted(README)) > 10
+    wrong = [
+        (told, name, entry)
+        for told, percent, name, entry in quoted(PAGE) + quoted(README)
+        if told != as_told(summary_of(name)["headline"][entry], told, percent)
+    ]
+    assert wrong == []
 
 
-@pytest.mark.parametrize("path", re.findall(r"!\[[^]]*\]\(([^)]+)\)", PAGE))
-def test_shown_figure_is_there(path: str) -> None:
-    assert (ROOT / "docs" / path).resolve().is_file()
+def test_every_number_that_names_its_source_is_checked() -> None:
+    for page in (PAGE, README):
+        assert len(quoted(page)) == len(re.findall(r"`\w+/[\w.]+` \|", page.read_text()))
 
 
-@pytest.mark.parametrize("name", sorted({name for *_, name, _ in QUOTED}))
-def test_results_are_of_the_full_size_and_of_the_command_on_the_page(name: str) -> None:
-    summary = json.loads((ROOT / "results" / name / "summary.json").read_text())
-    assert summary["quick"] is False
-    assert f"    {summary['command']}\n" in PAGE
+def test_shown_figures_are_there() -> None:
+    shown = re.findall(r"!\[[^]]*\]\(([^)]+)\)", PAGE.read_text())
+    assert [path for path in shown if not (PAGE.parent / path).resolve().is_file()] == []
+
+
+def test_results_are_of_the_full_size_and_of_the_command_on_the_page() -> None:
+    summaries = {name: summary_of(name) for *_, name, _ in quoted(PAGE)}
+    assert [name for name, summary in summaries.items() if summary["quick"] is not False] == []
+    text = PAGE.read_text()
+    assert [name for name, s in summaries.items() if f"    {s['command']}\n" not in text] == []

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).parents[2] / "docs" / "your_robot.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "your_robot.md"
 
 
 @pytest.mark.slow

@@ -44,7 +44,7 @@ def test_headline_and_files_are_told(
     script("figure6")
     assert (
         capsys.readouterr().out
-        == "pi: 3.142\nquick: 0\nsee results/figure6/summary.json, results/figure6/empty.png\n"
+        == "pi: 3.142\nquick: 0\nsee results/paper/figure6/summary.json, results/paper/figure6/empty.png\n"
     )
     script("figure6", "--quick")
     assert "quick: 1\nsee results/quick/figure6/summary.json" in capsys.readouterr().out
@@ -57,7 +57,9 @@ def test_what_never_came_about_is_told_and_written_as_such(
     script("figure6")
     assert "experience_to_95: never\n" in capsys.readouterr().out
     assert (
-        json.loads(Path("results/figure6/summary.json").read_text())["headline"]["experience_to_95"]
+        json.loads(Path("results/paper/figure6/summary.json").read_text())["headline"][
+            "experience_to_95"
+        ]
         is None
     )
 

@@ -77,8 +77,8 @@ def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("one_process")
 def test_results_hold_headline_details_figures_and_where_all_comes_from() -> None:
     out, report = reproduce(TOY, False, COMMAND)
-    assert (out, report.headline) == (Path("results/toy"), {"runs": 2})
-    summary = json.loads(Path("results/toy/summary.json").read_text())
+    assert (out, report.headline) == (Path("results/paper/toy"), {"runs": 2})
+    summary = json.loads(Path("results/paper/toy/summary.json").read_text())
     assert {"date", "commit", "versions"} <= summary.keys()
     assert (summary["experiment"], summary["command"], summary["quick"]) == ("toy", COMMAND, False)
     assert (summary["headline"], summary["seeds"]) == ({"runs": 2}, [0, 1])
@@ -86,7 +86,7 @@ def test_results_hold_headline_details_figures_and_where_all_comes_from() -> Non
         ("runs/seed_0", 0, COMMAND),
         ("runs/seed_1", 1, COMMAND),
     ]
-    assert Path("results/toy/empty.png").read_bytes().startswith(b"\x89PNG")
+    assert Path("results/paper/toy/empty.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.usefixtures("one_process")

@@ -30,7 +30,12 @@ def write(folder: Path, training: list[float], joint: list[float], **changes: ob
         name: {"success": joint if name == "joint" else [0.0] * G, "value": [0.1] * G}
         for name in METHODS
     }
-    run = {"seed": 0, "experience_s": 20.0, "trials": [{"loss": 9.0}] * 4, "learning_seconds": 100.0}
+    run = {
+        "seed": 0,
+        "experience_s": 20.0,
+        "trials": [{"loss": 9.0}] * 4,
+        "learning_seconds": 100.0,
+    }
     folder.mkdir()
     (folder / "summary.json").write_text(
         json.dumps(

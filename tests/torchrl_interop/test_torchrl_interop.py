@@ -609,9 +609,11 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_the_code_of_the_page_runs() -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs/torchrl.md").read_text(), re.DOTALL)
+    blocks = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs/how_to/torchrl.md").read_text(), re.DOTALL
+    )
     assert blocks
-    exec(compile("\n".join(blocks), "docs/torchrl.md", "exec"), {})
+    exec(compile("\n".join(blocks), "docs/how_to/torchrl.md", "exec"), {})
 
 
 def run(*command: str) -> subprocess.CompletedProcess[str]:

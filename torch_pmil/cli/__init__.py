@@ -23,7 +23,7 @@ examples:
   pmil train -m "seed=range(10)"         ten seeds, as many at once as there are cores
   pmil resume runs/double_pendulum/seed_0
 
-documentation: docs/quickstart.md of the source, or the pages that `make docs` builds"""
+documentation: docs/start/quickstart.md of the source, or the pages that `make docs` builds"""
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ Example:
     pmil align tracked.csv demonstrations.npz --fastest 5 --smooth 0.2 --draw steps.png \\
         --marker 105 912 0 0 --marker 1480 905 1 0 --marker 1466 130 1 0.5 --marker 118 121 0 0.5
 
-The recording is of any format that docs/demonstrations.md lists; a CSV file has the columns
+The recording is of any format that docs/how_to/demonstrations.md lists; a CSV file has the columns
 demonstration,time,NAME,... and, if there are several targets, "target NAME",... for what each
 demonstration was for. Its demonstrations may differ in length, and their samples may be uneven. In
 this order, and only as told: pixels become metres, jumps are left out, the rest is smoothed,

@@ -2,7 +2,7 @@
 rate over experience.
 
 Example:
-    pmil summarize runs/double_pendulum --out results/double_pendulum
+    pmil summarize runs/double_pendulum --out results/tasks/double_pendulum
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ class StatePolicy(nn.Module):
         """The policy of TorchRL's environments and collectors: from ``"observation"``, and
         ``"target"`` of targets, to ``"action"``.
 
-        Example: see ``docs/deploy.md``.
+        Example: see ``docs/how_to/deploy.md``.
         """
         return TensorDictModule(
             self,
@@ -133,7 +133,7 @@ class StatePolicy(nn.Module):
             ValueError: the file has another ending.
             OSError: the file cannot be written.
 
-        Example: see ``docs/deploy.md``.
+        Example: see ``docs/how_to/deploy.md``.
         """
         path = Path(path)
         if path.suffix != ".pt2":

@@ -48,7 +48,7 @@ class BioRobEnv(MujocoRobotEnv):
     A hit ends nothing.
 
     Stated in the paper: the structure, the joints and what is controlled, the control rate.
-    Estimates: all numbers of the model, see its file and docs/biorob.md, and the start.
+    Estimates: all numbers of the model, see its file and docs/results/biorob.md, and the start.
 
     Args:
         ball: where the ball hangs, (3,) for all robots or (num_envs, 3) one for each, in m; x

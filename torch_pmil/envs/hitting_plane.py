@@ -29,7 +29,7 @@ def ball_at(targets: Tensor) -> Tensor:
     one target at its top, in a grid that reaches beyond it by 0.1 m to the left and right and by
     0.08 m upwards and downwards. A strike of the demonstrated style (``Strike.towards``) hits all
     of it, with motor torques within the limits, while the strike towards the nearest training
-    target misses balls between and beyond; docs/biorob.md has the numbers.
+    target misses balls between and beyond; docs/results/biorob.md has the numbers.
 
     Args:
         targets: [y, z] in the plane, (*batch, 2), m.

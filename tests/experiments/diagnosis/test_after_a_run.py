@@ -325,7 +325,9 @@ def test_run_whose_search_has_no_budget_is_stuck(summary_of: Callable[..., dict]
     found = {reason["cause"]: reason["message"] for reason in summary["diagnosis"]}
     step = int(re.search(r"\(step (\d+) of 25\)", found["search stuck"])[1])
     assert (
-        summary["loss_per_step"][step - 1] > 3 >= max(summary["loss_per_step"][: step - 1], default=0)
+        summary["loss_per_step"][step - 1]
+        > 3
+        >= max(summary["loss_per_step"][: step - 1], default=0)
     )
 
 

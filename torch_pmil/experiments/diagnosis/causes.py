@@ -2,7 +2,7 @@
 knows no robot.
 
 A threshold lies beyond what was measured of any run that learned; the comments say the nearest
-value, of ``results/diagnosis/summary.json`` (``benchmarks/diagnosis.py``).
+value, of ``results/benchmarks/diagnosis/summary.json`` (``benchmarks/diagnosis.py``).
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ from torch_pmil.trainer import search_stepper
 COMMAND = "train"
 UNKNOWN = f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}"
 FILES = {
+    "run.json",
     "metrics.csv",
     "summary.json",
     "policy.pt",

@@ -167,10 +167,10 @@ def test_policy_that_matches_is_searched_on_the_whole_kl_alone(found: Trajectory
 
 
 @pytest.mark.parametrize(
-    ("leaps", "random", "expected"),
+    ("skip_matched_steps", "random", "expected"),
     [(False, True, [2, 4, 6]), (False, False, []), (True, True, [])],
 )
-def test_random_policy_that_is_trusted_throughout_grows_step_by_step_if_the_horizon_does_not_leap(
+def test_random_policy_that_is_trusted_throughout_grows_step_by_step_unless_matched_steps_are_skipped(
     found: TrajectoryKLLoss, skip_matched_steps: bool, random: bool, expected: list[int]
 ) -> None:
     settings = SearchSettings(
@@ -185,15 +185,15 @@ def test_random_policy_that_is_trusted_throughout_grows_step_by_step_if_the_hori
     assert horizons(search(found, settings, random), "mean") == expected
 
 
-@pytest.mark.parametrize(("leaps", "expected"), [(True, [2, 6]), (False, [2, 3, 4, 5, 6])])
-def test_horizon_that_leaps_passes_over_what_is_trusted(
+@pytest.mark.parametrize(("skip_matched_steps", "expected"), [(True, [2, 6]), (False, [2, 3, 4, 5, 6])])
+def test_horizon_that_skips_matched_steps_begins_where_they_end(
     loss: TrajectoryKLLoss,
     monkeypatch: pytest.MonkeyPatch,
     skip_matched_steps: bool,
     expected: list[int],
 ) -> None:
     doubts = iter([torch.full((HORIZON,), 9.0), *[torch.zeros(HORIZON)] * 10])
-    monkeypatch.setattr(loss, "doubt", lambda *_: next(doubts))
+    monkeypatch.setattr(loss, "step_loss_for_trust", lambda *_: next(doubts))
     settings = SearchSettings(
         1,
         1,

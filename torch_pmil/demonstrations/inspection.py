@@ -73,8 +73,7 @@ def advice(
     if late and len(recordings.labels) > 1:
         named = [recordings.names[column] for column in velocities]
         command = [
-            "python",
-            ALIGN,
+            *ALIGN.split(),
             path,
             "demonstrations.npz",
             "--time-step",

@@ -80,6 +80,7 @@ def test_run_leaves_these_files_and_no_temporary_ones(result: RunResult, folder:
         "figures",
         "metrics.csv",
         "policy.pt",
+        "run.json",
         "summary.json",
     ]
     assert os.listdir(folder / "figures") == []

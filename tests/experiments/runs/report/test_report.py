@@ -146,7 +146,7 @@ def test_numbers_of_trials_and_settings_are_in_tables(tmp_path: Path) -> None:
         "demonstration_spread": {"x": 0.02},
         "saturated": {"tau": 0.25},
     }
-    summary = OLD | {"settings": {"horizon": 25, "search": {"trusted": 3.0}}} | shares
+    summary = OLD | {"settings": {"horizon": 25, "search": {"trust_threshold": 3.0}}} | shares
     page = page_of(run_of(tmp_path / "run", summary))
     rows = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", page)]
     for row in (

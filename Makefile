@@ -7,9 +7,12 @@ ARGS ?=
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=
+NUMERICAL := tests/gp tests/control tests/model tests/search tests/trainer tests/test_reference.py \
+  tests/envs/teachers/test_trajectory_optimization.py
+PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Nehalem
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-all lint demonstrations results reproduce docs benchmark benchmark-steps dist test-dist clean
+.PHONY: help train test test-ci test-portable test-all lint demonstrations results reproduce docs benchmark benchmark-steps dist test-dist clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -17,10 +20,16 @@ help:  ## this list
 train: .venv/.installed  ## learn the double pendulum task into runs/double_pendulum; settings through ARGS="..."
 	@.venv/bin/pmil train experiment=double_pendulum $(ARGS)
 
-test: .venv/.installed  ## the tests but the slow ones
+test: .venv/.installed  ## the tests of the mathematics, the trainer and the commands
 	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 $(ARGS)
 
-test-all: .venv/.installed  ## all tests
+test-ci: .venv/.installed  ## what CI runs besides: robots, the paper's experiments, documents and notebooks
+	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 -m "(robot or docs or browser) and not slow" $(ARGS)
+
+test-portable: .venv/.installed  ## the numerical tests as a processor without AVX computes them
+	@OMP_NUM_THREADS=1 $(PORTABLE) .venv/bin/python -m pytest -n 2 $(NUMERICAL) $(ARGS)
+
+test-all: .venv/.installed  ## all tests, the slow ones too
 	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 -m "" $(ARGS)
 
 lint: .venv/.installed  ## check style, formatting and types

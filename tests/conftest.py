@@ -1,9 +1,10 @@
-"""Fixtures that several tests share."""
+"""Fixtures that several tests share, and which tests are left to CI."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +13,32 @@ from tests.helpers.draws import Draws
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
+
+ROOT = Path(__file__).parents[1]
+PARTS = {  # by folder; the first that fits
+    "tests/experiments/runs/report/test_report_in_a_browser.py": "browser",
+    "tests/benchmarks": "docs",
+    "tests/docs": "docs",
+    "docs": "docs",
+    "notebooks": "docs",
+    "README.md": "docs",
+    "tests/envs/teachers/test_trajectory_optimization.py": "",  # knows no robot
+    "tests/envs": "robot",
+    "tests/experiments/tasks": "robot",
+    "tests/reproduction": "robot",
+    "tests/scripts": "robot",
+}
+
+
+@pytest.hookimpl(tryfirst=True)  # before markers leave tests out
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of some folders, so that ``make test`` can leave them to CI."""
+    for item in items:
+        path = item.path.relative_to(ROOT)
+        folders = (str(folder) for folder in (path, *path.parents))
+        marker = next((PARTS[folder] for folder in folders if folder in PARTS), "")
+        if marker:
+            item.add_marker(marker)
 
 
 @pytest.fixture

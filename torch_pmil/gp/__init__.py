@@ -1,3 +1,1 @@
-"""Gaussian beliefs, Gaussian processes and RBF networks: exact moments and their derivatives (Eqs.
-5-7, 14-18).
-"""
+"""Gaussian beliefs, GPs and RBF networks: exact moments and their derivatives (Eqs. 5-7, 14-18)."""

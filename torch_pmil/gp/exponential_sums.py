@@ -1,5 +1,6 @@
-r"""Sums of exponentials over all pairs of data, the O(n^2) work of moment matching, done in pieces
-that stay in the cache.
+r"""Sums of exponentials over all pairs of data: the O(n^2) work of moment matching.
+
+It is done in pieces that stay in the cache.
 """
 
 from __future__ import annotations
@@ -11,18 +12,15 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-CACHED_NUMBERS = (
-    2**16
-    # of the array that a thread works on at a time: half a megabyte, which the level-2 cache holds
-    # beside the rest
-)
+# numbers in the array that a thread works on at a time: half a megabyte, which the level-2 cache
+# holds beside the rest
+CACHED_NUMBERS = 2**16
 
 
 def pairwise_kernel_sums(
     left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    r"""Products of thin matrices with :math:`Q_{ij} = \exp(l_i^\top r_j)`, from the left and from
-    the right.
+    r"""Products w Q and Q z of thin matrices with :math:`Q_{ij} = \exp(l_i^\top r_j)`.
 
     Args:
         left, right: (N, P, d, n), for N beliefs and P pairs of outputs.
@@ -34,12 +32,9 @@ def pairwise_kernel_sums(
         w Q, (N, P, k, n), and Q z, (N, P, n, k').
     """
     N, P, _, n = left.shape
-    pieces = _pieces(
-        N,
-        P,
-        0 if M is None else len(M),
-        max(1, CACHED_NUMBERS // (n * n)) * torch.get_num_threads(),
-    )
+    own = 0 if M is None else len(M)
+    largest = max(1, CACHED_NUMBERS // (n * n)) * torch.get_num_threads()
+    pieces = _pieces(N, P, own, largest)
     sizes = [size for size, _ in pieces]
     operands = zip(*(t.flatten(0, 1).split(sizes) for t in (left.mT, right, w, z)), strict=True)
     products = [
@@ -57,8 +52,10 @@ def pairwise_kernel_sums(
 
 
 def _pieces(N: int, P: int, own: int, largest: int) -> list[tuple[int, int | None]]:
-    """How many Q to work on at a time, one piece after the other, and which element of M belongs to
-    the first of them.
+    """Sizes of the batches of Q that are worked on together, each with its first element of M.
+
+    At most ``largest`` Q make a batch. The first ``own`` of every belief's P pairs have factors M;
+    the element is None for the other pairs.
     """
     if own == 0:
         return [(min(largest, N * P - start), None) for start in range(0, N * P, largest)]
@@ -70,7 +67,7 @@ def _pieces(N: int, P: int, own: int, largest: int) -> list[tuple[int, int | Non
 def _multiply(
     left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """The products for a few Q; by rows of these where even one is larger than the cache."""
+    """Products w Q and Q z of a few Q, by blocks of rows where one Q is larger than the cache."""
     n = right.shape[-1]
     if n * n <= 4 * CACHED_NUMBERS:
         return _products_with(torch.bmm(left, right), w, z, M)
@@ -103,19 +100,22 @@ def _products_with(
 def products_for_gradient(
     left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """What :class:`ExponentialSum` and its gradient are made of, (N, P, d, n) and (N, P, n, d); the
-    work is all in here.
+    """The two arrays from which :class:`ExponentialSum` and its gradient follow with O(n) work.
+
+    They are (w l) Q, (N, P, d, n), and Q (z r)', (N, P, n, d).
     """
     return pairwise_kernel_sums(left, right, w * left, (z * right).mT, M)
 
 
 class ExponentialSum(torch.autograd.Function):
-    r"""S = sum_ij w_i M_ij z_j exp(l_i . r_j) for every belief and pair, (N, P); its gradient keeps
-    thin products instead of n^2 numbers.
+    r"""The sum S = sum_ij w_i M_ij z_j exp(l_i . r_j) for every belief and pair, (N, P).
 
-    Arguments as in :func:`pairwise_kernel_sums`, but with a single row w and z of each pair, (P, 1, n) or
-    (N, P, 1, n); the entry ``one`` of every l_i and the last of every r_j must be 1. ``products``
-    are :func:`products_for_gradient` of the same arguments, if they are known.
+    Its gradient keeps thin products instead of n^2 numbers.
+
+    Arguments as in :func:`pairwise_kernel_sums`, but with a single row w and z of each pair, (P, 1,
+    n) or (N, P, 1, n); the entry ``one`` of every l_i and the last of every r_j must be 1.
+    ``products`` are :func:`products_for_gradient` of the same arguments, if they are known.
+
     """
 
     @staticmethod
@@ -155,9 +155,7 @@ class ExponentialSum(torch.autograd.Function):
 
 
 def _sum_of_Q(left: Tensor, right: Tensor, w: Tensor, z: Tensor, scale: Tensor, own: int) -> Tensor:
-    """w_i z_j exp(l_i . r_j) of the first ``own`` pairs, times a factor for each belief and summed
-    over these, (own, n, n).
-    """
+    """Sum over beliefs of scale w_i z_j exp(l_i . r_j) for the first ``own`` pairs, (own, n, n)."""
     beliefs = zip(*(t[:, :own].unbind(0) for t in (left, right, scale)), strict=True)
     return (
         w[:own].mT

@@ -12,8 +12,9 @@ from torch import Tensor
 
 
 class NotPositiveDefiniteError(ValueError):
-    """A matrix that must be positive definite has no Cholesky factor; ``element`` is its index in
-    the batch.
+    """A matrix that must be positive definite has no Cholesky factor.
+
+    Its index in the batch is ``element``.
     """
 
     def __init__(self, message: str, element: tuple[int, ...] = ()) -> None:
@@ -22,12 +23,12 @@ class NotPositiveDefiniteError(ValueError):
 
 
 def symmetric(matrix: Tensor) -> Tensor:
-    """The symmetric part of (*batch, D, D)."""
+    """Symmetric part of a matrix (*batch, D, D)."""
     return (matrix + matrix.mT) / 2
 
 
 def cholesky(matrix: Tensor, name: str) -> Tensor:
-    """Lower Cholesky factor of (*batch, D, D), without jitter.
+    """Lower Cholesky factor of a matrix (*batch, D, D), without jitter.
 
     Raises:
         NotPositiveDefiniteError: says which matrix (``name``), which batch element, and its extreme
@@ -55,8 +56,9 @@ def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> st
 
 @lru_cache
 def _triangle(dim: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Where the lower triangle's entries stand in a flattened matrix, and where each entry of a
-    symmetric one stands in the triangle.
+    """Index of each entry of the lower triangle in a flattened matrix, and the inverse of this map.
+
+    The inverse says for each entry of a symmetric matrix where it stands in the triangle.
     """
     rows, columns = torch.tril_indices(dim, dim, device=device)
     position = torch.empty(dim, dim, dtype=torch.long, device=device)
@@ -109,15 +111,16 @@ class Gaussian:
 
     @property
     def flattened(self) -> Gaussian:
-        """The same beliefs with a single batch dimension."""
+        """These beliefs with a single batch dimension."""
         if self.mean.ndim == 2:
             return self
         return Gaussian(self.mean.reshape(-1, self.dim), self.cov.reshape(-1, self.dim, self.dim))
 
     @property
     def flat(self) -> Tensor:
-        """Mean and lower triangle of the covariance in one vector, (*batch, D + D(D+1)/2); see
-        :meth:`from_flat`.
+        """Mean and lower triangle of the covariance in one vector, (*batch, D + D(D+1)/2).
+
+        :meth:`from_flat` is the inverse.
         """
         lower, _ = _triangle(self.dim, self.mean.device)
         return torch.cat([self.mean, self.cov.flatten(-2).index_select(-1, lower)], -1)
@@ -131,23 +134,22 @@ class Gaussian:
 
     @staticmethod
     def flat_cotangent(d_mean: Tensor, d_cov: Tensor) -> Tensor:
-        """Cotangent of :attr:`flat` from those of mean and covariance, the latter symmetric."""
+        """Cotangent of :attr:`flat` from the cotangents of mean and (symmetric) covariance."""
         return Gaussian(d_mean, 2 * d_cov - torch.diag_embed(d_cov.diagonal(dim1=-2, dim2=-1))).flat
 
     @classmethod
     def cotangent_from_flat(cls, vector: Tensor, dim: int) -> tuple[Tensor, Tensor]:
-        """Cotangents of mean and covariance, the latter symmetric, from that of :attr:`flat`."""
+        """Cotangents of mean and (symmetric) covariance from the cotangent of :attr:`flat`."""
         cotangent = cls.from_flat(vector, dim)
-        return cotangent.mean, (
-            cotangent.cov + torch.diag_embed(cotangent.cov.diagonal(dim1=-2, dim2=-1))
-        ) / 2
+        diagonal = torch.diag_embed(cotangent.cov.diagonal(dim1=-2, dim2=-1))
+        return cotangent.mean, (cotangent.cov + diagonal) / 2
 
     def __getitem__(self, index: Any) -> Gaussian:
         """Part of the batch; the variable's axes stay as they are."""
         return Gaussian(self.mean[index], self.cov[index])
 
     def detach(self) -> Gaussian:
-        """The same belief without its graph."""
+        """This belief without its graph."""
         return Gaussian(self.mean.detach(), self.cov.detach())
 
     def marginal(self, index: Tensor) -> Gaussian:
@@ -160,13 +162,11 @@ class Gaussian:
 
     def add_noise(self, variance: Tensor | float) -> Gaussian:
         """Belief over x plus independent noise of the given variance, a number or (*batch, D)."""
-        noise = torch.as_tensor(variance, dtype=self.mean.dtype, device=self.mean.device).expand(
-            self.mean.shape
-        )
-        return Gaussian(self.mean, self.cov + torch.diag_embed(noise))
+        noise = torch.as_tensor(variance, dtype=self.mean.dtype, device=self.mean.device)
+        return Gaussian(self.mean, self.cov + torch.diag_embed(noise.expand(self.mean.shape)))
 
     def sample(self, count: int, generator: torch.Generator | None = None) -> Tensor:
-        """Draws, (count, *batch, D); also from a singular cov, through its eigenvectors.
+        """Draws, (count, *batch, D), also from a singular covariance, through its eigenvectors.
 
         Example:
             >>> belief = Gaussian(torch.ones(2), torch.zeros(2, 2))
@@ -181,8 +181,9 @@ class Gaussian:
 
 
 def normal(shape: Sequence[int], like: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """Standard normal draws on the device of the generator, with the dtype and on the device of
-    another tensor.
+    """Standard normal draws with the dtype and on the device of the tensor ``like``.
+
+    They are drawn on the device of the generator.
     """
     device = like.device if generator is None else generator.device
     return torch.randn(*shape, dtype=like.dtype, device=device, generator=generator).to(like.device)
@@ -197,8 +198,7 @@ def joint(x: Gaussian, y: Gaussian, cross_cov: Tensor) -> Gaussian:
 def apply(
     function: type[torch.autograd.Function], *arguments: object
 ) -> Tensor | tuple[Tensor, ...]:
-    """``function.apply``; where no graph is recorded its forward pass alone, which small tensors
-    notice.
+    """``function.apply``, or its forward pass alone where no graph is recorded, to save overhead.
 
     The function must have a ``setup_context``, so that its ``forward`` takes no context.
     """

@@ -1,6 +1,4 @@
-r"""Gaussian integrals of one squared-exponential kernel, or of the product of two: what Eqs. 15 and
-17 have in common.
-"""
+r"""Gaussian integrals of a squared-exponential kernel (Eq. 15) or of a product of two (Eq. 17)."""
 
 from __future__ import annotations
 
@@ -17,19 +15,20 @@ from torch_pmil.gp.kernel_expansion import KernelExpansion
 
 @dataclass(frozen=True)
 class GaussianIntegrals:
-    r"""The integrals of the E kernels and of their P = E(E+1)/2 products over N beliefs.
+    r"""Integrals of the E kernels and of their P = E(E+1)/2 products over N beliefs.
 
     With :math:`\nu_i = x_i - \mu`, the precision P of the kernel (:math:`\Lambda_a^{-1}`, or of a
     product :math:`\Lambda_a^{-1} + \Lambda_b^{-1}`) and :math:`B = (\Sigma + P^{-1})^{-1}`,
 
     .. math::
         \log q_i &= \log \alpha_a^2 - \tfrac12 \log |I + \Sigma P| - \tfrac12 \nu_i^\top B \nu_i \\
-        \log Q_{ij} &= \log \alpha_a^2 \alpha_b^2 - \tfrac12 \log |I + \Sigma P| - \tfrac12 \nu_{ij}^\top B \nu_{ij}
+        \log Q_{ij} &= \log \alpha_a^2 \alpha_b^2 - \tfrac12 \log |I + \Sigma P|
+            - \tfrac12 \nu_{ij}^\top B \nu_{ij}
             - \tfrac12 (x_i - x_j)^\top (\Lambda_a + \Lambda_b)^{-1} (x_i - x_j)
 
-    where :math:`\nu_{ij} = P^{-1} (\Lambda_a^{-1} \nu_i + \Lambda_b^{-1} \nu_j)` is where the
-    product of the two kernels has its centre; this is Eq. 17 with the squares completed. All
-    outputs share the inputs, so that all quadratic forms are one matrix product.
+    where :math:`\nu_{ij} = P^{-1} (\Lambda_a^{-1} \nu_i + \Lambda_b^{-1} \nu_j)` is the centre of
+    the product of the two kernels; this is Eq. 17 with the squares completed. All outputs share
+    the inputs, so that all quadratic forms are one matrix product.
 
     Args:
         nu1: nu, and a last row of ones, (N, D + 1, n).
@@ -47,47 +46,35 @@ class GaussianIntegrals:
 
     @classmethod
     def of(cls, f: KernelExpansion, belief: Gaussian) -> GaussianIntegrals:
-        """For N beliefs, mean (N, D).
+        """Integrals of the kernels of ``f`` over N beliefs, mean (N, D).
 
         Raises:
             ValueError: the belief is not over the inputs of ``f``.
             NotPositiveDefiniteError: its covariance has a clearly negative eigenvalue, or is not
                 finite.
         """
-        D, E, products = f.num_inputs, f.num_outputs, f.pairs
+        D, E, pairs = f.num_inputs, f.num_outputs, f.pairs
         if belief.dim != D:
             raise ValueError(f"belief must have the model's {D} inputs, got {belief.dim}")
         nu1, squares = centred(f, belief.mean)
-        B, half_log_det = apply(
-            _RegularisedPrecision, belief.cov, products.precision, products.root
-        )
-        P = len(products.first)
-        forms = torch.addcmul(
-            products.constant, products.factor, B.index_select(1, products.integrals)
-        )
+        B, half_log_det = apply(_RegularisedPrecision, belief.cov, pairs.precision, pairs.root)
+        P = len(pairs.first)
+        forms = torch.addcmul(pairs.constant, pairs.factor, B.index_select(1, pairs.integrals))
         own_forms, cross_forms = forms.split([E + 2 * P, P], 1)
-        constant = torch.nn.functional.linear(
-            half_log_det, products.minus_log_det, products.log_factor
-        )
-        log_q, i_terms, j_terms = torch.baddbmm(
-            constant[:, :, None], own_forms.flatten(2), squares
-        )[:, :, None].split([E, P, P], 1)
+        constant = torch.nn.functional.linear(half_log_det, pairs.minus_log_det, pairs.log_factor)
+        exponents = torch.baddbmm(constant[:, :, None], own_forms.flatten(2), squares)
+        log_q, i_terms, j_terms = exponents[:, :, None].split([E, P, P], 1)
         repeated = nu1[:, None].expand(-1, P, -1, -1)
         left = torch.cat([repeated, i_terms], 2)
-        right = torch.cat(
-            [
-                (cross_forms.flatten(1, 2) @ nu1[:, :D]).unflatten(1, (P, D)),
-                j_terms,
-                repeated[:, :, D:],
-            ],
-            2,
-        )
+        cross_terms = (cross_forms.flatten(1, 2) @ nu1[:, :D]).unflatten(1, (P, D))
+        right = torch.cat([cross_terms, j_terms, repeated[:, :, D:]], 2)
         return cls(nu1, B, log_q.exp().squeeze(2), left, right)
 
 
 def centred(f: KernelExpansion, mean: Tensor) -> tuple[Tensor, Tensor]:
-    """For means (N, D): nu and a last row of ones, (N, D + 1, n), and the outer products of nu with
-    itself, (N, D * D, n).
+    """The centred inputs nu with a last row of ones, (N, D + 1, n), and their outer squares.
+
+    The second array holds the outer products of nu with itself, (N, D * D, n); means are (N, D).
     """
     nu1 = f.inputs_and_one - torch.nn.functional.pad(mean, (0, 1))[:, :, None]
     nu = nu1[:, :-1]
@@ -95,10 +82,11 @@ def centred(f: KernelExpansion, mean: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class _RegularisedPrecision(torch.autograd.Function):
-    r"""B = (Sigma + P^-1)^-1 and log|I + Sigma P| / 2 for each diagonal P, a row of ``precision``
-    (K, D); exact at Sigma = 0.
+    r"""The matrices B = (Sigma + P^-1)^-1 and log|I + Sigma P| / 2, exact at Sigma = 0.
 
-    ``root`` holds the outer products of the roots of P, (K, D, D). With dB = -B (dSigma + dP^-1) B.
+    Each diagonal P is a row of ``precision`` (K, D); ``root`` holds the outer products of the roots
+    of P, (K, D, D). The adjoint follows from dB = -B (dSigma + dP^-1) B.
+
     """
 
     @staticmethod
@@ -106,9 +94,8 @@ class _RegularisedPrecision(torch.autograd.Function):
         scaled = root * cov[:, None]
         scaled.diagonal(dim1=-2, dim2=-1).add_(1)
         factor = cholesky(scaled, "I + Sigma P (last element: kernel, then pair of kernels)")
-        return torch.cholesky_inverse(factor) * root, factor.diagonal(dim1=-2, dim2=-1).log().sum(
-            -1
-        )
+        half_log_det = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        return torch.cholesky_inverse(factor) * root, half_log_det
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: tuple[Tensor, ...]) -> None:

@@ -1,8 +1,7 @@
-"""Hyper-parameters of one Gaussian process by maximum marginal likelihood: PILCO's starts,
-penalties, L-BFGS.
+"""Hyper-parameters of one Gaussian process by maximum marginal likelihood.
 
-All are logarithms, in one vector (D + 2,): of the D lengthscales, of the signal variance and of the
-noise variance.
+Starting points and penalties are PILCO's; the optimiser is L-BFGS. All parameters are logarithms,
+in one vector (D + 2,): of the D lengthscales, of the signal variance and of the noise variance.
 """
 
 from __future__ import annotations
@@ -18,25 +17,21 @@ from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.lbfgs import MinimiseResult, NotFiniteError, minimise
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
 
-MAX_SIGNAL_TO_NOISE = 500.0  # PILCO's penalties: beyond this ratio of standard deviations, and
-MAX_LENGTHSCALE_RATIO = (
-    100.0  # beyond this factor from the inputs' spread, the likelihood is bent down
-)
+# PILCO's penalties lower the likelihood beyond this ratio of standard deviations, and beyond this
+# factor between a lengthscale and the spread of its input
+MAX_SIGNAL_TO_NOISE = 500.0
+MAX_LENGTHSCALE_RATIO = 100.0
 PENALTY_POWER = 30
-NOISE_RATIOS = (
-    0.1,
-    0.01,
-)  # noise std over signal std at PILCO's start, and at a second one that explains less by noise
-FEW_DATA = (
-    100  # fewer than these have several optima: there are starts of twice the lengthscales too
-)
-CONSTANT = (
-    1e-9  # a column whose std is less than this part of its size never changes but by rounding
-)
-# nats for a factor e; with the next, searches of some hundred data end within 1e-5 nats of an
-# optimum
+# noise std over signal std at PILCO's start, and at a second start that explains less by noise
+NOISE_RATIOS = (0.1, 0.01)
+# fewer data than this have several optima: starts with twice the lengthscales are tried too
+FEW_DATA = 100
+# a column whose std is less than this part of its size changes by rounding only
+CONSTANT = 1e-9
+# tolerances of L-BFGS: nats for a factor e, and nats an iteration; with both, searches of some
+# hundred data end within 1e-5 nats of an optimum
 SMALL_GRADIENT = 1e-3
-SMALL_CHANGE = 1e-6  # nats an iteration
+SMALL_CHANGE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -46,7 +41,7 @@ class Optimum:
     Args:
         log_parameters: (D + 2,).
         negative_log_likelihood: nats, without the penalties.
-        evaluations: over all starts.
+        evaluations: of the objective, over all starts.
         stop_reason: why the best search ended, as in ``MinimiseResult``.
     """
 
@@ -59,16 +54,15 @@ class Optimum:
 def find_hyperparameters(
     inputs: Tensor, target: Tensor, starts: Sequence[Tensor], max_iterations: int
 ) -> Optimum:
-    """Minimise the negative log marginal likelihood with its penalties by L-BFGS, and keep the best
-    of several starts.
+    """Minimise the penalised negative log marginal likelihood by L-BFGS from several starts.
 
-    A start at which the likelihood has no value is passed over.
+    The best result is kept. A start at which the likelihood has no value is passed over.
 
     Args:
         inputs: (n, D).
         target: one output, (n,).
         starts: log parameters, (D + 2,) each.
-        max_iterations: of L-BFGS, for each start.
+        max_iterations: limit of L-BFGS for each start.
 
     Raises:
         NotPositiveDefiniteError, NotFiniteError: the likelihood has no value at any start; the
@@ -76,7 +70,8 @@ def find_hyperparameters(
 
     Example:
         >>> x = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
-        >>> find_hyperparameters(x, x[:, 0].sin(), pilco_starts(x, x[:, 0].sin()), max_iterations=100).stop_reason
+        >>> y = x[:, 0].sin()
+        >>> find_hyperparameters(x, y, pilco_starts(x, y), max_iterations=100).stop_reason
         'no further progress'
     """
     log_spread = _log_spread(inputs)
@@ -101,10 +96,11 @@ def find_hyperparameters(
 
 
 def pilco_starts(inputs: Tensor, target: Tensor) -> list[Tensor]:
-    """Lengthscales std(input), signal std(target), noise one of ``NOISE_RATIOS`` times that; log
-    parameters (D + 2,) each.
+    """Log parameters (D + 2,) of the starting points of the search, as in PILCO.
 
-    For few data the same again with twice the lengthscales.
+    The lengthscales are std(input), the signal is std(target), and the noise one of
+    ``NOISE_RATIOS`` times that. Few data have further starts with twice the lengthscales.
+
     """
     log_signal, log_spread = 2 * _log_spread(target), _log_spread(inputs)
     variances = [
@@ -117,14 +113,12 @@ def pilco_starts(inputs: Tensor, target: Tensor) -> list[Tensor]:
 
 
 def penalty(log_parameters: Tensor, log_spread: Tensor) -> Tensor:
-    """Nats by which the likelihood is bent down, next to none inside PILCO's bounds; log parameters
-    (..., D + 2).
+    """Nats by which PILCO's penalties lower the log likelihood, next to none inside the bounds.
+
+    Log parameters are (..., D + 2).
     """
-    log_lengthscales, log_signal, log_noise = (
-        log_parameters[..., :-2],
-        log_parameters[..., -2],
-        log_parameters[..., -1],
-    )
+    log_lengthscales = log_parameters[..., :-2]
+    log_signal, log_noise = log_parameters[..., -2], log_parameters[..., -1]
     ratio = (log_signal - log_noise) / 2 / math.log(MAX_SIGNAL_TO_NOISE)
     length = (log_lengthscales - log_spread) / math.log(MAX_LENGTHSCALE_RATIO)
     return ratio**PENALTY_POWER + (length**PENALTY_POWER).sum(-1)
@@ -134,21 +128,21 @@ def _search(
     objective: Callable[[Tensor], Tensor], start: Tensor, max_iterations: int
 ) -> tuple[Tensor, MinimiseResult]:
     parameters = nn.Parameter(start.clone())
-    survives = (NotPositiveDefiniteError,)
     result = minimise(
         [parameters],
         lambda: objective(parameters),
         max_iterations,
-        survives,
-        SMALL_GRADIENT,
-        SMALL_CHANGE,
+        survives=(NotPositiveDefiniteError,),
+        tolerance_grad=SMALL_GRADIENT,
+        tolerance_change=SMALL_CHANGE,
     )
     return parameters.detach(), result
 
 
 def _log_spread(values: Tensor) -> Tensor:
-    """Log standard deviations of columns (n, ...); where one never changes, log of its size, or 0
-    if that is zero.
+    """Log standard deviations of columns (n, ...).
+
+    A column that never changes has the log of its size instead, or 0 if its size is zero.
     """
     std, size = values.std(0), values.square().mean(0).sqrt()
     return torch.where(std > CONSTANT * size, std, torch.where(size > 0, size, 1.0)).log()

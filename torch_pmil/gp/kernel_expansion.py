@@ -1,6 +1,4 @@
-"""Weighted sums of squared exponentials: what a Gaussian process's posterior mean and an RBF
-network have in common.
-"""
+"""Weighted sums of squared exponentials: posterior means of Gaussian processes and RBF networks."""
 
 from __future__ import annotations
 
@@ -21,7 +19,8 @@ from torch_pmil.gp.kernel_pairs import KernelPairs
 class KernelExpansion:
     r"""E functions :math:`f_a(x) = c_a + \sum_i \beta_{ai} k_a(x, x_i)` with the kernel of Eq. 5.
 
-    .. math:: k_a(x, x') = \alpha_a^2 \exp\left(-\tfrac12 (x - x')^\top \Lambda_a^{-1} (x - x')\right)
+    .. math::
+        k_a(x, x') = \alpha_a^2 \exp\left(-\tfrac12 (x - x')^\top \Lambda_a^{-1} (x - x')\right)
 
     A GP posterior has :math:`\beta_a = K_a^{-1} (y_a - c_a)` and the inverse Gram matrix (which
     holds the noise); an RBF network has its weights for :math:`\beta` and no Gram matrix: it is a
@@ -29,8 +28,8 @@ class KernelExpansion:
 
     Args:
         inputs: (n, D).
-        weights: beta, (E, n); of a deterministic function also (N, E, n), its own for each of the N
-            points or beliefs that it is asked at.
+        weights: beta, (E, n); a deterministic function may also have (N, E, n), other weights for
+            each of the N points or beliefs at which it is evaluated.
         lengthscales: square roots of the diagonal of Lambda_a, (E, D), in the units of the inputs.
         signal_variance: alpha_a^2, (E,), in the squared units of the outputs.
         gram_inverse: K_a^-1, (E, n, n), or None for a deterministic function.
@@ -38,7 +37,8 @@ class KernelExpansion:
         offset: c_a, (E,), or 0.
 
     Example:
-        >>> f = KernelExpansion(torch.zeros(1, 2), torch.ones(1, 1), torch.ones(1, 2), torch.ones(1))
+        >>> one = torch.ones(1)
+        >>> f = KernelExpansion(torch.zeros(1, 2), one[None], torch.ones(1, 2), one)
         >>> f.mean(torch.zeros(2))
         tensor([1.])
     """
@@ -53,22 +53,22 @@ class KernelExpansion:
 
     @property
     def num_outputs(self) -> int:
-        """E."""
+        """Number of outputs E."""
         return self.weights.shape[-2]
 
     @property
     def num_inputs(self) -> int:
-        """D."""
+        """Number of inputs D."""
         return self.inputs.shape[-1]
 
     @cached_property
     def precision(self) -> Tensor:
-        """Diagonals of Lambda_a^-1, (E, D)."""
+        """Diagonals of the inverse squared lengthscales Lambda_a^-1, (E, D)."""
         return self.lengthscales.square().reciprocal()
 
     @cached_property
     def log_signal_variance(self) -> Tensor:
-        """log alpha_a^2, (E,)."""
+        """Logarithms of the signal variances alpha_a^2, (E,)."""
         return self.signal_variance.log()
 
     @cached_property
@@ -77,18 +77,19 @@ class KernelExpansion:
 
     @cached_property
     def pairs(self) -> KernelPairs:
-        """The pairs of outputs, and the precisions of their kernels' products."""
+        """Pairs of outputs, and the precisions of their kernels' products."""
         return KernelPairs.of(self.precision, self.log_signal_variance)
 
     @cached_property
     def inputs_and_one(self) -> Tensor:
-        """The inputs as columns, and a last row of ones, (D + 1, n)."""
+        """Inputs as columns, with a last row of ones, (D + 1, n)."""
         return torch.cat([self.inputs.mT, torch.ones_like(self.inputs[:, :1].mT)])
 
     @cached_property
     def pair_weights(self) -> tuple[Tensor, Tensor]:
-        """Weights of the two outputs of each product, (P, 1, n) or (N, P, 1, n) each: Q_ij counts
-        w_i z_j times.
+        """Weights w and z of the two outputs of each product, (P, 1, n) or (N, P, 1, n) each.
+
+        They multiply Q_ij as w_i z_j.
         """
         w, z = self.weights[..., self.pairs.first, :], self.weights[..., self.pairs.second, :]
         if self.gram_inverse is not None:
@@ -98,8 +99,9 @@ class KernelExpansion:
 
     @cached_property
     def self_weights(self) -> Tensor | None:
-        """beta_a beta_a' - K_a^-1, (E, n, n): how often Q counts in an output's own variance (Eq.
-        16); None without Gram matrix.
+        """Weights of Q in an output's own variance (Eq. 16): beta_a beta_a' - K_a^-1, (E, n, n).
+
+        None without a Gram matrix.
         """
         if self.gram_inverse is None:
             return None
@@ -114,8 +116,9 @@ class KernelExpansion:
 
     @property
     def noise(self) -> Tensor:
-        """Noise variance of an observation, (E,). Raises ValueError for a deterministic function,
-        which has none.
+        """Noise variance of an observation, (E,).
+
+        Raises ValueError for a deterministic function, which has none.
         """
         if self.noise_variance is None:
             raise ValueError(
@@ -125,16 +128,16 @@ class KernelExpansion:
 
     @cached_property
     def observed_prior_cov(self) -> Tensor:
-        """:attr:`prior_cov` of noisy observations (Eq. 5)."""
+        """Prior covariance of noisy observations of the outputs at one input (Eq. 5), (E, E)."""
         return torch.diag_embed(self.signal_variance + self.noise)
 
     def kernel(self, x: Tensor) -> Tensor:
-        """k_a(x, x_i) at points x (*batch, D): (*batch, E, n)."""
+        """Kernel values k_a(x, x_i), (*batch, E, n), at points x (*batch, D)."""
         squares = (self.inputs.mT - x[..., None]).square()  # (*batch, D, n)
         return torch.exp(self._minus_half_precision @ squares + self.log_signal_variance[:, None])
 
     def mean(self, x: Tensor) -> Tensor:
-        """Posterior mean (Eq. 6) at points x (*batch, D): (*batch, E)."""
+        """Posterior mean (Eq. 6), (*batch, E), at points x (*batch, D)."""
         return (self.kernel(x) * self.weights).sum(-1) + self.offset
 
     def mean_and_gradient(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -145,8 +148,9 @@ class KernelExpansion:
         return total + self.offset, gradient
 
     def predict(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Posterior mean (Eq. 6) and variance (Eq. 7, without observation noise) at points x
-        (*batch, D): both (*batch, E).
+        """Posterior mean (Eq. 6) and variance (Eq. 7) at points x (*batch, D), both (*batch, E).
+
+        The variance does not include observation noise.
         """
         k = self.kernel(x)
         mean = (k * self.weights).sum(-1) + self.offset
@@ -156,14 +160,14 @@ class KernelExpansion:
         return mean, self.signal_variance - explained
 
     def at_known(self, known: Tensor) -> KernelExpansion:
-        r"""A deterministic function of the first D - K inputs, the last K being known: N functions,
-        for known inputs (N, K).
+        r"""Functions of the first D - K inputs, one for each known value (N, K) of the others.
 
-        Without variance they take no part in any integral: :math:`\beta_{ai} \exp(-\tfrac12 \sum_k
-        (\eta_k - x_{ik})^2 / \Lambda_{ak})` are weights.
+        The known inputs have no variance and take no part in any integral: :math:`\beta_{ai}
+        \exp(-\tfrac12 \sum_k (\eta_k - x_{ik})^2 / \Lambda_{ak})` are weights.
 
         Example:
-            >>> f = KernelExpansion(torch.zeros(1, 2), torch.ones(1, 1), torch.ones(1, 2), torch.ones(1))
+            >>> one = torch.ones(1)
+            >>> f = KernelExpansion(torch.zeros(1, 2), one[None], torch.ones(1, 2), one)
             >>> f.at_known(torch.tensor([[0.0], [9.0]])).mean(torch.zeros(2, 1)).round()
             tensor([[1.],
                     [0.]])
@@ -181,16 +185,14 @@ class KernelExpansion:
         )
 
     def repeated(self, times: int) -> KernelExpansion:
-        """The same for N points or beliefs, and the same N again, so many times."""
-        return (
-            self
-            if self.weights.ndim == 2
-            else replace(self, weights=self.weights.repeat(times, 1, 1))
-        )
+        """This expansion with its N sets of weights, if any, repeated so many times."""
+        if self.weights.ndim == 2:
+            return self
+        return replace(self, weights=self.weights.repeat(times, 1, 1))
 
     @classmethod
     def from_exact_gp(cls, model: gpytorch.models.ExactGP) -> KernelExpansion:
-        """The posterior of a GPyTorch model, differentiable in its hyper-parameters and data.
+        """Posterior of a GPyTorch model, differentiable in its hyper-parameters and data.
 
         Args:
             model: an ``ExactGP`` with ``ScaleKernel(RBFKernel)`` (ARD or not), a zero or constant
@@ -232,8 +234,9 @@ class KernelExpansion:
         noise_variance: Tensor,
         offset: Tensor | float = 0.0,
     ) -> KernelExpansion:
-        r"""The posterior given data: :math:`\beta_a = K_a^{-1} (y_a - c_a)` and :math:`K_a^{-1}`
-        from one Cholesky factor.
+        r"""Posterior given data, from one Cholesky factor of each output's Gram matrix.
+
+        It has :math:`\beta_a = K_a^{-1} (y_a - c_a)` and :math:`K_a^{-1}`.
 
         Args:
             inputs: (n, D), or (E, n, D) where the outputs have inputs of their own: the expansion
@@ -246,10 +249,8 @@ class KernelExpansion:
             NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
         """
         scaled = (inputs - inputs.mean(-2, keepdim=True)) / lengthscales[:, None, :]
-        half_square, one = (
-            scaled.square().sum(-1, keepdim=True) / -2,
-            torch.ones_like(scaled[..., :1]),
-        )
+        half_square = scaled.square().sum(-1, keepdim=True) / -2
+        one = torch.ones_like(half_square)
         left = torch.cat([scaled, half_square + signal_variance.log()[:, None, None], one], -1)
         gram = torch.exp(left @ torch.cat([scaled, one, half_square], -1).mT)
         gram = gram.diagonal_scatter(
@@ -257,17 +258,14 @@ class KernelExpansion:
         )
         factor = cholesky(gram, "Gram matrix of the outputs (element: output)")
         del gram
-        centred = targets - torch.as_tensor(
-            offset, dtype=targets.dtype, device=targets.device
-        ).reshape(-1, 1)
+        offsets = torch.as_tensor(offset, dtype=targets.dtype, device=targets.device)
+        centred = targets - offsets.reshape(-1, 1)
         weights = torch.cholesky_solve(centred[..., None], factor)[..., 0]
         inverse = torch.cholesky_inverse(factor)
         if inputs.ndim == 3:
             own = torch.eye(len(inputs), dtype=inputs.dtype, device=inputs.device)
-            inputs, weights = (
-                inputs.flatten(0, 1),
-                torch.einsum("ea,an->ean", own, weights).flatten(1),
-            )
+            inputs = inputs.flatten(0, 1)
+            weights = torch.einsum("ea,an->ean", own, weights).flatten(1)
             inverse = torch.einsum("ea,eb,anm->eanbm", own, own, inverse).flatten(3).flatten(1, 2)
         return cls(inputs, weights, lengthscales, signal_variance, inverse, noise_variance, offset)
 

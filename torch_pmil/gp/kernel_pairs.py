@@ -10,22 +10,24 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class KernelPairs:
-    """Which kernels moment matching integrates: the E single ones, then the P = E(E+1)/2 products
-    of two, of each output with itself first.
+    """The E kernels and their P = E(E+1)/2 pairwise products that moment matching integrates.
+
+    The products of each kernel with itself come first.
 
     Args:
         first, second: the two outputs of each product, (P,).
         position: where the product of outputs a and b stands among the products, (E * E,).
         precision: summed precisions, (E + P, D).
-        root: outer products of the square roots of these, (E + P, D, D).
-        shares: what the first and the second factor have of the sum, (2, P, D).
-        forms: quadratic forms of one belief: of x_i for the single kernels; of x_i, of x_j, and of
-            both for the products. They are ``constant + factor * B``, (E + 3P, D, D), with B of the
-            integral ``integrals`` (E + 3P,).
-        constant, factor, integrals: see above.
+        root: outer products of the square roots of the precisions, (E + P, D, D).
+        shares: the fractions of the first and of the second factor in the sum, (2, P, D).
+        constant, factor, integrals: parts of the quadratic forms of one belief, which are
+            ``constant + factor * B``, (E + 3P, D, D), with B of the integral ``integrals``
+            (E + 3P,). They are forms of x_i for the single kernels; of x_i, of x_j, and of both
+            for the products.
         log_factor: log alpha^2 of each single kernel, then of the first and of the second factor of
             each product, (E + 2P,).
-        minus_log_det: where -log|I + Sigma P| / 2 counts among these, (E + 2P, E + P).
+        minus_log_det: matrix that adds -log|I + Sigma P| / 2 of each integral to the entries of
+            ``log_factor``, (E + 2P, E + P).
     """
 
     first: Tensor
@@ -42,7 +44,7 @@ class KernelPairs:
 
     @classmethod
     def of(cls, precision: Tensor, log_signal_variance: Tensor) -> KernelPairs:
-        """Built from the diagonals of Lambda_a^-1, (E, D), and log alpha_a^2, (E,)."""
+        """Pairs built from the diagonals of Lambda_a^-1, (E, D), and log alpha_a^2, (E,)."""
         E, D = precision.shape
         outputs = torch.arange(E, device=precision.device)
         a, b = torch.triu_indices(E, E, offset=1, device=precision.device)

@@ -17,7 +17,7 @@ class NotFiniteError(ValueError):
 
 @dataclass(frozen=True)
 class MinimiseResult:
-    """What one run of L-BFGS did.
+    """Outcome of one run of L-BFGS.
 
     ``stop_reason`` is one of "iteration limit", "gradient is small", "no further progress",
     "numerical failure".
@@ -39,24 +39,24 @@ def minimise(
     tolerance_grad: float = 1e-5,
     tolerance_change: float = 1e-10,
 ) -> MinimiseResult:
-    """Minimise with ``torch.optim.LBFGS`` and strong Wolfe; the parameters end at the best point
-    that was seen.
+    """Minimise with ``torch.optim.LBFGS`` and a strong Wolfe line search.
 
-    A point where the objective raises one of the errors to survive, or is not finite in value or
-    gradient, counts as a large loss without gradient: the line search steps back from it.
+    The parameters end at the best point that was seen. A point where the objective raises one of
+    the errors in ``survives``, or is not finite in value or gradient, counts as a large loss
+    without gradient: the line search steps back from it.
 
     Args:
         parameters: changed in place.
         objective: a scalar with a graph.
-        max_iterations: of L-BFGS; each takes one to a few evaluations.
-        survives: errors of the objective that say no more than that it has no value at this point.
-        tolerance_grad: largest gradient entry at which the search ends.
-        tolerance_change: change of the loss, and of every parameter, in an iteration below which
-            the search ends.
+        max_iterations: limit of L-BFGS; each iteration takes one to a few evaluations.
+        survives: errors by which the objective says that it has no value at a point.
+        tolerance_grad: the search ends when no gradient entry is larger than this.
+        tolerance_change: the search ends when the loss, or every parameter, changes by less than
+            this in an iteration.
 
     Raises:
-        NotFiniteError: at the starting point, where there is nothing to step back to; an error of
-            ``survives`` likewise.
+        NotFiniteError: the objective is not finite at the starting point, where there is nothing
+            to step back to. An error of ``survives`` at the starting point is raised as well.
 
     Example:
         >>> x = nn.Parameter(torch.tensor([3.0, -1.0], dtype=torch.float64))
@@ -115,10 +115,8 @@ class _Guard:
                 raise
             self.failures += 1
             self.last_failed = True
-            loss, gradients = (
-                torch.tensor(self._rejected_loss()),
-                tuple(torch.zeros_like(p) for p in self.parameters),
-            )
+            loss = torch.tensor(self._rejected_loss())
+            gradients = tuple(torch.zeros_like(p) for p in self.parameters)
         for parameter, gradient in zip(self.parameters, gradients, strict=True):
             parameter.grad = gradient.contiguous()
         return loss
@@ -143,8 +141,9 @@ class _Guard:
         return loss.detach(), gradients
 
     def _rejected_loss(self) -> float:
-        """Worse than all that counts, yet finite (inf would freeze the line search) and near enough
-        for a fair step back.
+        """A loss worse than the best by a margin, finite since inf would freeze the line search.
+
+        It is near enough to the best loss for a fair step back.
         """
         return self.best_loss + 10 * (1 + abs(self.best_loss))
 

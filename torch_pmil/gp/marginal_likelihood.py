@@ -1,12 +1,11 @@
-"""Marginal likelihood of a Gaussian process with the kernel of Eq. 5, and its gradient in closed
-form.
+"""Marginal likelihood of a Gaussian process with the kernel of Eq. 5; its gradient in closed form.
 
 ==================  ========================================================================
 paper symbol        name
 ==================  ========================================================================
 Lambda              squared ``exp(log_parameters[:D])``, lengthscales in units of the inputs
 alpha^2             ``exp(log_parameters[D])``, signal variance in squared units of the target
-sigma_eps^2         ``exp(log_parameters[D + 1])``, noise variance, likewise
+sigma_eps^2         ``exp(log_parameters[D + 1])``, noise variance in squared units of the target
 ==================  ========================================================================
 """
 
@@ -23,10 +22,10 @@ from torch_pmil.gp.gaussian import cholesky
 
 
 def negative_log_likelihood(inputs: Tensor, target: Tensor, log_parameters: Tensor) -> Tensor:
-    r"""Negative log marginal likelihood of one output with zero prior mean (Rasmussen and Williams
-    2006, Eq. 2.30).
+    r"""Negative log marginal likelihood of one output with zero prior mean.
 
-    .. math:: -\log p(y | X) = \tfrac12 y^\top K^{-1} y + \tfrac12 \log |K| + \tfrac{n}{2} \log 2 \pi,
+    .. math::
+        -\log p(y | X) = \tfrac12 y^\top K^{-1} y + \tfrac12 \log |K| + \tfrac{n}{2} \log 2 \pi,
         \qquad K = K_f + \sigma_\epsilon^2 I
 
     The gradient is a closed form of the same Cholesky factor. There is no second derivative, and
@@ -45,9 +44,12 @@ def negative_log_likelihood(inputs: Tensor, target: Tensor, log_parameters: Tens
         NotPositiveDefiniteError: the Gram matrix has no Cholesky factor; nothing is added to its
             diagonal.
 
+    Source: Rasmussen and Williams (2006), Eq. 2.30.
+
     Example:
         >>> x = torch.zeros(1, 1, dtype=torch.float64)
-        >>> negative_log_likelihood(x, x[0], torch.tensor([0.0, 0.0, -100.0], dtype=torch.float64))  # that of N(0, 1) at 0
+        >>> standard = torch.tensor([0.0, 0.0, -100.0], dtype=torch.float64)  # N(0, 1)
+        >>> negative_log_likelihood(x, x[0], standard)  # log(2 pi) / 2
         tensor(0.9189, dtype=torch.float64)
     """
     return _NegativeLogLikelihood.apply(inputs, target, log_parameters)
@@ -78,16 +80,17 @@ class _NegativeLogLikelihood(torch.autograd.Function):
 
 
 def _signal_gram(z: Tensor, log_signal: Tensor) -> Tensor:
-    """K_f at scaled inputs z (n, D)."""
+    """Noise-free Gram matrix K_f at scaled inputs z (n, D)."""
     half = z.square().sum(-1) / 2 - log_signal / 2
     return torch.addmm(half[:, None] + half, z, z.mT, beta=-1).exp_()
 
 
 def _gradient(z: Tensor, gram: Tensor, inverse: Tensor, beta: Tensor, log_noise: Tensor) -> Tensor:
-    r"""dL/dtheta = tr((K^-1 - beta beta') dK/dtheta) / 2 (Rasmussen and Williams, Eq. 5.9) for all
-    log parameters.
+    r"""Gradient dL/dtheta = tr((K^-1 - beta beta') dK/dtheta) / 2 in all log parameters.
 
-    With W = (K^-1 - beta beta') ∘ K_f and its row sums r, that of a lengthscale is
+    Source: Rasmussen and Williams (2006), Eq. 5.9.
+
+    With W = (K^-1 - beta beta') ∘ K_f and its row sums r, the entry of a lengthscale is
     sum_ij W_ij (z_id - z_jd)^2 / 2 = r' z_d^2 - z_d' W z_d, without an array of shape (n, n, D).
     Overwrites ``inverse``.
     """

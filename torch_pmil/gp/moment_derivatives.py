@@ -1,4 +1,4 @@
-r"""Moment matching with all its derivatives by the belief, from the same sums over the data.
+r"""Moment matching with all its derivatives by the belief, from sums over the data.
 
 For a Gaussian input a derivative by the covariance is half a second derivative by the mean (Price's
 theorem). Each integral (:class:`GaussianIntegrals`) is a sum of terms :math:`W e^{-\nu^\top B \nu /
@@ -7,8 +7,8 @@ theorem). Each integral (:class:`GaussianIntegrals`) is a sum of terms :math:`W 
 .. math::
     \nabla s = B \sum W \nu, \qquad \nabla^2 s = B \Big(\sum W \nu \nu^\top\Big) B - s B
 
-and the third, needed since :math:`\Sigma^{-1} \operatorname{cov}(x, f)` is itself the gradient of
-the mean.
+The third derivative follows in the same way. It is needed since :math:`\Sigma^{-1}
+\operatorname{cov}(x, f)` is itself the gradient of the mean.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import Moments, combine, first_slope
 
 Part = TypeVar("Part", "MomentTerms", "MomentSums")
-KEPT_NUMBERS = 2**16  # of arrays as long as the data, before they are summed up: half a megabyte
+# numbers of arrays as long as the data that are kept before they are summed: half a megabyte
+KEPT_NUMBERS = 2**16
 
 
 class RecordedMoments:
-    """:func:`moment_match` of one expansion without a graph, which keeps what its derivatives at
-    all those beliefs are made of.
+    """:func:`moment_match` without a graph, which keeps what the derivatives at its beliefs need.
 
     Args:
-        f: the expansion.
+        f: the expansion whose moments are computed.
         observation_noise: as in :func:`moment_match`.
-        keep_products: whether to keep what :func:`moment_match` takes for ``products``: for
-            gradients in the expansion itself.
+        keep_products: whether to keep the ``products`` of :func:`moment_match`, for gradients in
+            the expansion itself.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class RecordedMoments:
 
     @torch.no_grad()
     def __call__(self, belief: Gaussian) -> Moments:
-        """Moments at N beliefs, the same number in all calls."""
+        """Moments at N beliefs; N must be the same in all calls."""
         integrals = GaussianIntegrals.of(self.f, belief)
         if self.keep_products:
             whole = products_for_gradient(
@@ -62,9 +62,9 @@ class RecordedMoments:
             thin = whole[0][:, :, :-1], whole[1][..., -1:]
         else:
             thin = MomentTerms.needed(self.f, integrals)
-        products, moments = MomentTerms.at(self.f, belief, integrals, thin, self.observation_noise)
-        self._pending.append(products)
-        if len(self._pending) * products.left.numel() > KEPT_NUMBERS:
+        terms, moments = MomentTerms.at(self.f, belief, integrals, thin, self.observation_noise)
+        self._pending.append(terms)
+        if len(self._pending) * terms.left.numel() > KEPT_NUMBERS:
             self._sum_up()
         return moments
 
@@ -75,26 +75,25 @@ class RecordedMoments:
 
     @cached_property
     def products(self) -> tuple[Tensor, Tensor]:
-        """Those of all T calls, which were kept."""
+        """The kept ``products`` of :func:`moment_match` at the T N beliefs of all T calls."""
         left_Q, Q_right = (torch.cat(parts) for parts in zip(*self._kept, strict=True))
         return left_Q, Q_right
 
     @cached_property
     def derivatives(self) -> MomentDerivatives:
-        """The moments at the beliefs of all T calls, T N of them, to first order around them."""
+        """Moments at the T N beliefs of all T calls, and their Jacobian in these beliefs."""
         self._sum_up()
         return MomentDerivatives(self.f, _concatenated(self._sums), self.observation_noise)
 
 
 @dataclass(frozen=True)
 class MomentTerms:
-    """What moment matching of N beliefs gives on the way, besides the moments: arrays as long as
-    the data.
+    """Intermediate results of moment matching at N beliefs: arrays as long as the data.
 
     Args:
-        mean: of the beliefs, (N, D).
+        mean: means of the beliefs, (N, D).
         precision: B of :class:`GaussianIntegrals`, (N, E + P, D, D).
-        beta_q: (N, E, n).
+        beta_q: beta_i q_i of each output, (N, E, n).
         left: sum_i w_i [nu_i, 1] Q_ij z_j of each pair of outputs, (N, P, D + 1, n).
         right: sum_j w_i Q_ij z_j, (N, P, n).
     """
@@ -107,7 +106,7 @@ class MomentTerms:
 
     @staticmethod
     def needed(f: KernelExpansion, integrals: GaussianIntegrals) -> tuple[Tensor, Tensor]:
-        """sum_i w_i [nu_i, 1] Q_ij, (N, P, D + 1, n), and sum_j Q_ij z_j, (N, P, n, 1)."""
+        """Sums sum_i w_i [nu_i, 1] Q_ij, (N, P, D + 1, n), and sum_j Q_ij z_j, (N, P, n, 1)."""
         w, z = f.pair_weights
         columns = z.mT.expand(len(integrals.nu1), -1, -1, -1)
         return pairwise_kernel_sums(
@@ -123,8 +122,9 @@ class MomentTerms:
         thin: tuple[Tensor, Tensor],
         observation_noise: bool,
     ) -> tuple[MomentTerms, Moments]:
-        """For N beliefs from what :meth:`needed` gives, with the moments as :func:`moment_match`
-        gives them.
+        """Terms and moments at N beliefs, from the two sums ``thin`` that :meth:`needed` gives.
+
+        The moments are those of :func:`moment_match`.
         """
         (w, z), nu1, (left_Q, Q_z) = f.pair_weights, integrals.nu1, thin
         beta_q = f.weights * integrals.q
@@ -138,18 +138,18 @@ class MomentTerms:
 
 @dataclass(frozen=True)
 class MomentSums:
-    """Sums over the data at N beliefs, from which the moments and their derivatives follow: a few
-    kB a belief, whatever n.
+    """Sums over the data at N beliefs, from which the moments and their derivatives follow.
 
-    With W_ij the weighted Q_ij of a pair of outputs, w_i = beta_i q_i of a single one, and the
-    terms of :class:`GaussianIntegrals`:
+    They take a few kB a belief, whatever n. W_ij is the weighted Q_ij of a pair of outputs, w_i =
+    beta_i q_i the weight of a single one; the other symbols are those of
+    :class:`GaussianIntegrals`.
 
     Args:
         precision: B, (N, E + P, D, D).
         single: sum_i w_i [nu_i, 1], (N, E, D + 1).
         pair: sum_ij W_ij [nu_i, 1] [nu_j, 1]', (N, P, D + 1, D + 1).
-        squares: (N, E + 2P, D, D), of each output sum_i w_i nu_i nu_i', then of each pair sum_ij
-            W_ij nu_i nu_i', and with nu_j nu_j'.
+        squares: sum_i w_i nu_i nu_i' of each output, then of each pair sum_ij W_ij nu_i nu_i', then
+            sum_ij W_ij nu_j nu_j', (N, E + 2P, D, D).
         cubes: sum_i w_i nu_i nu_i nu_i, (N, E, D, D, D).
     """
 
@@ -161,7 +161,7 @@ class MomentSums:
 
     @classmethod
     def of(cls, f: KernelExpansion, products: MomentTerms) -> MomentSums:
-        """Summed over the data."""
+        """Sums over the data of the terms at N beliefs."""
         D, E = f.num_inputs, f.num_outputs
         nu1, squares = centred(f, products.mean)
         weighted_nu = (products.beta_q[:, :, None] * nu1[:, None, :D]).flatten(1, 2)
@@ -177,7 +177,7 @@ class MomentSums:
 
 
 def _concatenated(parts: Sequence[Part]) -> Part:
-    """Those of all beliefs, one after the other."""
+    """The parts' fields, concatenated along the beliefs."""
     kind = type(parts[0])
     return kind(
         *(torch.cat([getattr(part, field.name) for part in parts]) for field in fields(kind))
@@ -185,11 +185,11 @@ def _concatenated(parts: Sequence[Part]) -> Part:
 
 
 class MomentDerivatives:
-    """Moments at N beliefs and their Jacobian in these.
+    """Moments at N beliefs and their Jacobian in these beliefs.
 
     Args:
-        f: the expansion.
-        sums: over its data.
+        f: the expansion whose moments they are.
+        sums: its sums over the data at the beliefs.
         observation_noise: as in :func:`moment_match`.
     """
 
@@ -208,8 +208,9 @@ class MomentDerivatives:
     def adjoint(
         self, d_mean: Tensor, d_cov: Tensor, d_inv_cov_cross_cov: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Cotangents of the beliefs, (N, C, D) and (N, C, D, D), from C cotangents of each belief's
-        moments; covariances are symmetric.
+        """Cotangents of the beliefs, (N, C, D) and (N, C, D, D), from C cotangents of the moments.
+
+        Cotangents of covariances are symmetric.
         """
         d_single = d_mean - 2 * (d_cov @ self.mean[:, None, :, None]).squeeze(-1)
         first, second = self.f.pairs.first, self.f.pairs.second
@@ -219,12 +220,13 @@ class MomentDerivatives:
 
 
 def _derivatives(f: KernelExpansion, sums: MomentSums) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Value (N, E + P), gradient (.., D) and Hessian (.., D, D) by the mean of all integrals; third
-    derivatives of the single ones.
+    """Value (N, E + P), gradient (.., D) and Hessian (.., D, D) by the mean of all integrals.
+
+    The last result is the third derivative of the E single integrals, (N, E, D, D, D).
     """
-    E, D, products = f.num_outputs, f.num_inputs, f.pairs
-    B, (i_share, j_share) = sums.precision, products.shares
-    own, of_i, of_j = sums.squares.split([E, len(products.first), len(products.first)], 1)
+    E, D, P = f.num_outputs, f.num_inputs, len(f.pairs.first)
+    B, (i_share, j_share) = sums.precision, f.pairs.shares
+    own, of_i, of_j = sums.squares.split([E, P, P], 1)
     first_pair = i_share * sums.pair[..., :D, D] + j_share * sums.pair[..., D, :D]
     mixed = i_share[:, :, None] * j_share[:, None] * sums.pair[..., :D, :D]
     own_pair = (
@@ -239,7 +241,7 @@ def _derivatives(f: KernelExpansion, sums: MomentSums) -> tuple[Tensor, Tensor, 
 
 
 def _third_derivative(B: Tensor, gradient: Tensor, cubes: Tensor) -> Tensor:
-    """Of the single integrals by the mean, (N, E, D, D, D)."""
+    """Third derivative of the single integrals by the mean, (N, E, D, D, D)."""
     raised = B[:, :, None] @ (B @ cubes.flatten(3)).unflatten(3, cubes.shape[3:]) @ B[:, :, None]
     product = gradient[..., :, None, None] * B[..., None, :, :]
     return raised - product - product.transpose(-3, -2) - product.transpose(-3, -1)

@@ -1,14 +1,15 @@
-r"""Exact moments of squared-exponential expansions at a Gaussian input (Eqs. 14-18), for GPs and
-RBF networks alike.
+r"""Exact moments of GPs and RBF networks at a Gaussian input (Eqs. 14-18).
 
-==========================================  ===========================================
-paper                                       here
-==========================================  ===========================================
-:math:`\nu_i = x_i - \mu`                   ``nu1`` of :class:`GaussianIntegrals`, with a last row of ones
-:math:`q_i` (Eq. 15)                        ``q`` of these
-:math:`Q_{ij}` (Eq. 17)                     exp(left_i . right_j) of these, never kept
-:math:`\beta, K^{-1}`                       ``weights``, ``gram_inverse`` of the expansion
-==========================================  ===========================================
+The symbols are those of a squared-exponential expansion:
+
+==========================  ==================================================================
+paper                       here
+==========================  ==================================================================
+:math:`\nu_i = x_i - \mu`   ``nu1`` of :class:`GaussianIntegrals`, with a last row of ones
+:math:`q_i` (Eq. 15)        ``q`` of :class:`GaussianIntegrals`
+:math:`Q_{ij}` (Eq. 17)     exp(left_i . right_j) of :class:`GaussianIntegrals`, never kept
+:math:`\beta, K^{-1}`       ``weights``, ``gram_inverse`` of :class:`KernelExpansion`
+==========================  ==================================================================
 """
 
 from __future__ import annotations
@@ -46,18 +47,17 @@ class Moments:
         return Gaussian(self.mean, self.cov)
 
     def unflatten(self, batch_shape: torch.Size) -> Moments:
-        """With the batch shape in place of a single batch dimension."""
+        """These moments with the batch shape in place of their single batch dimension."""
         if len(batch_shape) == 1:
             return self
-        return Moments(
-            *(
-                t.reshape(*batch_shape, *t.shape[1:])
-                for t in (self.mean, self.cov, self.inv_cov_cross_cov)
-            )
-        )
+        flat = self.mean, self.cov, self.inv_cov_cross_cov
+        return Moments(*(t.reshape(*batch_shape, *t.shape[1:]) for t in flat))
 
     def cross_cov(self, belief: Gaussian) -> Tensor:
-        """cov(x, f), (*batch, D, E), for the ``belief`` over x that these moments were computed at."""
+        """Input-output covariance cov(x, f), (*batch, D, E).
+
+        ``belief`` is the belief over x at which these moments were computed.
+        """
         return belief.cov @ self.inv_cov_cross_cov
 
 
@@ -67,21 +67,20 @@ def moment_match(
     observation_noise: bool = False,
     products: tuple[Tensor, Tensor] | None = None,
 ) -> Moments:
-    r"""Mean, covariance and input-output covariance of a GP or an RBF network at an uncertain input
-    (Eqs. 14-18).
+    r"""Mean, covariance and input-output covariance of a GP or RBF network at a Gaussian input.
 
-    Exact, no sampling: the true distribution of f(x) is not Gaussian, its first two moments are
-    these. Differentiable in the belief, the data and the hyper-parameters (once).
+    Exact (Eqs. 14-18), without sampling: the distribution of f(x) is not Gaussian, but its first
+    two moments are these. Differentiable in the belief, the data and the hyper-parameters (once).
 
     Args:
         model: a trained GPyTorch ``ExactGP`` (``ScaleKernel(RBFKernel)``, zero or constant mean, E
             outputs as its batch), or a :class:`KernelExpansion`, which keeps its Cholesky factors'
             results between calls.
-        belief: over the input, D entries, any batch shape; its covariance may be singular or zero.
-        observation_noise: add the likelihood's noise to the variances (Eq. 5), as for the
+        belief: belief over the D inputs, any batch shape; its covariance may be singular or zero.
+        observation_noise: whether to add the likelihood's noise to the variances (Eq. 5), for the
             distribution of an observation.
-        products: those that :class:`RecordedMoments` kept of the same model at the same beliefs,
-            which saves nearly all of the work.
+        products: ``RecordedMoments.products`` of the same model at the same beliefs, which save
+            nearly all of the work.
 
     Returns:
         Moments in the units of the outputs.
@@ -94,7 +93,8 @@ def moment_match(
     Source: Deisenroth (2010), section 2.3.
 
     Example:
-        >>> f = KernelExpansion(torch.zeros(1, 2), torch.ones(1, 1), torch.ones(1, 2), torch.ones(1))
+        >>> one = torch.ones(1)
+        >>> f = KernelExpansion(torch.zeros(1, 2), one[None], torch.ones(1, 2), one)
         >>> moment_match(f, Gaussian(torch.zeros(2), torch.zeros(2, 2))).mean
         tensor([1.])
     """
@@ -105,13 +105,13 @@ def moment_match(
     second = ExponentialSum.apply(
         integrals.left, integrals.right, *f.pair_weights, f.self_weights, f.num_inputs, products
     )
-    return combine(
-        f, sums[..., -1], first_slope(integrals.precision, sums), second, observation_noise
-    ).unflatten(belief.batch_shape)
+    slope = first_slope(integrals.precision, sums)
+    moments = combine(f, sums[..., -1], slope, second, observation_noise)
+    return moments.unflatten(belief.batch_shape)
 
 
 def first_slope(precision: Tensor, sums: Tensor) -> Tensor:
-    r"""Sigma^-1 cov(x, f), (N, E, D), which is the gradient of the mean: B sum_i beta_i q_i nu_i.
+    r"""Gradient of the mean, Sigma^-1 cov(x, f) = B sum_i beta_i q_i nu_i, (N, E, D).
 
     Args:
         precision: B of all integrals, (N, E + P, D, D).
@@ -123,12 +123,12 @@ def first_slope(precision: Tensor, sums: Tensor) -> Tensor:
 def combine(
     f: KernelExpansion, mean: Tensor, slope: Tensor, second: Tensor, observation_noise: bool
 ) -> Moments:
-    r"""Covariance (Eq. 16) and offsets, for N beliefs.
+    r"""Moments at N beliefs from uncentred second moments (Eq. 16), with the offsets added.
 
     Args:
-        f: the expansion.
-        mean: without offsets (Eq. 14), (N, E).
-        slope: (N, E, D).
+        f: the expansion whose moments they are.
+        mean: means without offsets (Eq. 14), (N, E).
+        slope: Sigma^-1 cov(x, f) as in :func:`first_slope`, (N, E, D).
         second: E[f_a f_b] of each pair of outputs, without offsets and prior variance, (N, P).
         observation_noise: as in :func:`moment_match`.
     """

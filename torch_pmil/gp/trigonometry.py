@@ -31,10 +31,10 @@ def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, 
     r"""Belief over :math:`[Px, \sin(Ax), \cos(Ax)]` when x is Gaussian: exact mean and covariance.
 
     Args:
-        belief: over x, D entries; those that A combines in rad.
-        plain: the matrix P, (K_p, D), of what is kept as it is.
-        angles: the matrix A, (K, D), of what becomes sin and cos (a row with a single 1 picks an
-            entry).
+        belief: belief over the D entries of x; those that A combines are in rad.
+        plain: the matrix P, (K_p, D), of the combinations that are kept as they are.
+        angles: the matrix A, (K, D), of the combinations that become sin and cos (a row with a
+            single 1 picks an entry).
 
     Returns:
         The belief of K_p + 2K entries, and :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cdot)`,
@@ -52,37 +52,37 @@ def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """:func:`augment` for many beliefs: everything linear in x by one matrix, the last entries then
-    through the cosine.
+    """:func:`augment` prepared for many beliefs.
+
+    One matrix gives all that is linear in x; its last entries then go through the cosine.
     """
 
     rows: Tensor  # P, A and A again, (K_p + 2K, D)
-    # turns the first copy of the angles to phases of which the cosine is their sine, (K_p + 2K,)
+    # -pi/2 at the first copy of the angles, whose cosine is then their sine, else 0, (K_p + 2K,)
     turns: Tensor
     kept: int  # K_p
 
     @classmethod
     def of(cls, plain: Tensor, angles: Tensor) -> Augmentation:
-        """From the matrices P and A of :func:`augment`."""
+        """Prepared from the matrices P and A of :func:`augment`."""
         turns = angles.new_zeros(len(plain) + 2 * len(angles))
         turns[len(plain) : len(plain) + len(angles)] = -QUARTER_TURN
         return cls(torch.cat([plain, angles, angles]), turns, len(plain))
 
     def to(self, other: Tensor) -> Augmentation:
-        """With the dtype and on the device of another tensor."""
+        """This augmentation with the dtype and on the device of another tensor."""
         same = (self.rows.dtype, self.rows.device) == (other.dtype, other.device)
         return self if same else Augmentation(self.rows.to(other), self.turns.to(other), self.kept)
 
     def __call__(self, belief: Gaussian) -> tuple[Gaussian, Tensor]:
-        """As :func:`augment`."""
+        """Belief and covariance with x as :func:`augment` returns them."""
         mean, cov, slope = apply(_Augment, belief.mean, belief.cov, self)
         return Gaussian(mean, cov), slope
 
     def linear(self, belief_mean: Tensor, belief_cov: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and covariance of [Px, phases]."""
-        return torch.nn.functional.linear(
-            belief_mean, self.rows, self.turns
-        ), self.rows @ belief_cov @ self.rows.mT
+        mean = torch.nn.functional.linear(belief_mean, self.rows, self.turns)
+        return mean, self.rows @ belief_cov @ self.rows.mT
 
 
 class _Augment(torch.autograd.Function):
@@ -92,7 +92,8 @@ class _Augment(torch.autograd.Function):
     def forward(
         mean: Tensor, cov: Tensor, augmentation: Augmentation
     ) -> tuple[Tensor, Tensor, Tensor]:
-        kept, (mean, cov) = augmentation.kept, augmentation.linear(mean, cov)
+        kept = augmentation.kept
+        mean, cov = augmentation.linear(mean, cov)
         cosine, cosine_cov, slope = _Cosines.forward(mean[..., kept:], cov[..., kept:, kept:])
         gain = _gain(slope, kept)
         cov = gain.mT * cov * gain
@@ -110,9 +111,8 @@ class _Augment(torch.autograd.Function):
         ctx: Any, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
     ) -> tuple[Tensor, Tensor, None]:
         mean, cov = ctx.saved_tensors
-        return *augment_adjoint(
-            ctx.augmentation, mean, cov, d_mean, symmetric(d_cov), d_slope
-        ), None
+        adjoint = augment_adjoint(ctx.augmentation, mean, cov, d_mean, symmetric(d_cov), d_slope)
+        return *adjoint, None
 
 
 def augment_adjoint(
@@ -123,10 +123,10 @@ def augment_adjoint(
     d_cov: Tensor,
     d_slope: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Cotangents of the mean and of the covariance from those of what :class:`Augmentation` gives;
-    ``d_cov`` is symmetric.
+    """Cotangents of the mean and covariance of x from those of :class:`Augmentation`'s results.
 
-    The cotangents may have more batch dimensions than the belief, which broadcasts.
+    ``d_cov`` is symmetric. The cotangents may have more batch dimensions than the belief, which
+    broadcasts.
     """
     rows, kept = augmentation.rows, augmentation.kept
     phase, linear_cov = augmentation.linear(mean, cov)
@@ -144,7 +144,7 @@ def augment_adjoint(
 
 
 def _gain(slope: Tensor, kept: int) -> Tensor:
-    """Mean slope of every entry by its linear part, as a row (*batch, 1, K_p + 2K)."""
+    """Mean slope of every entry in its linear part, as a row (*batch, 1, K_p + 2K)."""
     return torch.nn.functional.pad(slope, (kept, 0), value=1.0)[..., None, :]
 
 
@@ -152,7 +152,7 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
     r"""Belief over :math:`u_{\max} \sin(v)` when v is Gaussian (Eq. 27): exact mean and covariance.
 
     Args:
-        belief: over the unsquashed action v, F entries.
+        belief: belief over the F entries of the unsquashed action v.
         u_max: torque limits (F,), in the unit of the action.
 
     Returns:
@@ -171,8 +171,9 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
 def squash_adjoint(
     belief: Gaussian, u_max: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Cotangents of the mean and of the covariance of ``belief`` from those of what :func:`squash`
-    gives; ``d_cov`` is symmetric.
+    """Cotangents of the mean and covariance of ``belief`` from those of :func:`squash`'s results.
+
+    ``d_cov`` is symmetric.
     """
     return cosines_adjoint(
         belief.mean - QUARTER_TURN,
@@ -184,8 +185,9 @@ def squash_adjoint(
 
 
 class _Cosines(torch.autograd.Function):
-    r"""Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases, and the
-    mean slope -E sin (*batch, K).
+    r"""Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases.
+
+    The third result is the mean slope -E sin (*batch, K).
     """
 
     @staticmethod
@@ -208,8 +210,9 @@ class _Cosines(torch.autograd.Function):
 def cosines_adjoint(
     m: Tensor, V: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Cotangents of phases' mean and covariance from those of their cosines' mean, covariance
-    (symmetric) and mean slope.
+    """Cotangents of phases' mean and covariance from those of their cosines' moments.
+
+    The latter are mean, covariance (symmetric) and mean slope.
     """
     decay, even, odd = _coefficients(V)
     cos, sin = m.cos(), m.sin()
@@ -218,16 +221,16 @@ def cosines_adjoint(
         (d_cov * part * values[..., None, :]).sum(-1) for part, values in ((even, cos), (odd, sin))
     )
     d_m = 2 * (cos * by_sin - sin * by_cos) - decay * (d_mean * sin + d_slope * cos)
-    d_variance = (d_cov * (even * cos_cos + odd * sin_sin)).sum(-1) + decay * (
-        d_mean * cos - d_slope * sin
-    ) / 2
+    by_decay = decay * (d_mean * cos - d_slope * sin) / 2
+    d_variance = (d_cov * (even * cos_cos + odd * sin_sin)).sum(-1) + by_decay
     return d_m, d_cov * (odd * cos_cos + level * sin_sin) - torch.diag_embed(d_variance)
 
 
 def _coefficients(V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    r""":math:`e^{-V_{ii}/2}`, and what multiplies the products of cosines and of sines:
-    :math:`\cosh V_{ij} - 1` and :math:`\sinh V_{ij}`, each times :math:`e^{-(V_{ii} + V_{jj})/2}`.
-    No exponential overflows, however large the variance.
+    r"""The factor :math:`e^{-V_{ii}/2}`, and the factors of the products of cosines and of sines.
+
+    The latter are :math:`\cosh V_{ij} - 1` and :math:`\sinh V_{ij}`, each times :math:`e^{-(V_{ii}
+    + V_{jj})/2}`. No exponential overflows, however large the variance.
     """
     exponent, size = V.diagonal(dim1=-2, dim2=-1)[..., None] / -2, V.abs()
     growth = torch.exp(size + exponent + exponent.mT) * torch.expm1(-2 * size)
@@ -236,5 +239,5 @@ def _coefficients(V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _square(vector: Tensor) -> Tensor:
-    """Outer product of (*batch, K) with itself."""
+    """Outer product of a vector (*batch, K) with itself."""
     return vector[..., :, None] * vector[..., None, :]

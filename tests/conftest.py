@@ -24,6 +24,7 @@ PARTS = {  # by folder; the first that fits
     "README.md": "docs",
     "tests/envs/teachers/test_trajectory_optimization.py": "",  # knows no robot
     "tests/envs": "robot",
+    "tests/cli/test_train_gym.py": "robot",
     "tests/experiments/tasks": "robot",
     "tests/reproduction": "robot",
     "tests/scripts": "robot",

@@ -37,7 +37,7 @@ STOPS = (
     ("renaming", 3),
     ("fit", 4 * TRIALS + 1),  # all trials are done, the best policy is chosen
 )
-FEW = (STOPS[1], STOPS[3], STOPS[6], STOPS[7], STOPS[-1])
+FEW = (STOPS[1], STOPS[6], STOPS[7], STOPS[-1])  # one of each phase that writes no file
 
 
 class Stopped(BaseException):
@@ -147,8 +147,10 @@ def test_run_with_noisy_sensors_goes_on_with_the_same_noise(
     assert_same_end(tmp_path / "stopped", tmp_path / "whole")
 
 
-@pytest.mark.parametrize(("phase", "count"), [("fit", 1), ("search", 5)], ids=str)
-def test_run_with_a_first_motion_of_its_own_goes_on_too(
+@pytest.mark.parametrize(
+    ("phase", "count"), [("fit", 1), pytest.param("search", 5, marks=pytest.mark.slow)], ids=str
+)
+def test_run_with_an_exploration_of_its_own_goes_on_too(
     phase: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     experiment = replace(load_experiment("double_pendulum"), pd_movements=PD_MOVEMENTS)
@@ -199,7 +201,14 @@ def test_resuming_where_nothing_was_saved_is_a_new_run(whole: Path, tmp_path: Pa
     assert_same_end(tmp_path / "run", whole)
 
 
-@pytest.mark.parametrize("flaw", ["cut short", "one byte", "empty", "not an archive"])
+@pytest.mark.parametrize(
+    "flaw",
+    [
+        "cut short",
+        "one byte",
+        *(pytest.param(flaw, marks=pytest.mark.slow) for flaw in ("empty", "not an archive")),
+    ],
+)
 def test_damaged_newest_checkpoint_falls_back_to_the_one_before(
     flaw: str, whole: Path, stopped: Path
 ) -> None:

@@ -1,6 +1,4 @@
-"""Demonstrations: observed trajectories, without actions. Load them from what people and robots
-recorded, check, save.
-"""
+"""Demonstrations: observed trajectories, without actions, loaded, checked and saved."""
 
 from torch_pmil.demonstrations.dataset import Demonstrations
 from torch_pmil.demonstrations.errors import DemonstrationError

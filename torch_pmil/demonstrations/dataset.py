@@ -20,8 +20,7 @@ TIME_STEP_TOLERANCE = 1e-6  # relative difference between two time steps that co
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
-    """Observed trajectories of N demonstrations of one task, sampled at the same times, time 0
-    included.
+    """Observed trajectories of N demonstrations of one task, sampled at the same times from 0 on.
 
     Attributes:
         positions: what was observed, (N, T+1, M), float64; for the double pendulum [x1, y1, x2, y2]
@@ -98,27 +97,25 @@ class Demonstrations:
             )
 
     def by_target(self) -> tuple[Tensor, tuple[Demonstrations, ...]]:
-        """The S different targets (S, K), in the order in which they came, and the demonstrations
-        of each.
+        """The S different targets (S, K), in the order in which they came, and the sets of each.
 
         Raises:
             DemonstrationError: they have no targets.
 
         Example:
             >>> two = torch.tensor([[0.0], [0.0], [1.0], [1.0]])
-            >>> targets, sets = Demonstrations(torch.zeros(4, 26, 1), 0.1, ("x",), two, ("place",)).by_target()
+            >>> shown = Demonstrations(torch.zeros(4, 26, 1), 0.1, ("x",), two, ("place",))
+            >>> targets, sets = shown.by_target()
             >>> targets.tolist(), sets[1].positions.shape
             ([[0.0], [1.0]], torch.Size([2, 26, 1]))
         """
         if self.targets is None:
             raise DemonstrationError("demonstrations must have targets, got none")
-        distinct = torch.tensor(
-            list(dict.fromkeys(map(tuple, self.targets.tolist()))), dtype=torch.float64
-        )
+        in_order = list(dict.fromkeys(map(tuple, self.targets.tolist())))
+        distinct = torch.tensor(in_order, dtype=torch.float64)
         of_target = [self.positions[(self.targets == target).all(-1)] for target in distinct]
-        return distinct, tuple(
-            Demonstrations(positions, self.time_step, self.names) for positions in of_target
-        )
+        sets = tuple(Demonstrations(shown, self.time_step, self.names) for shown in of_target)
+        return distinct, sets
 
     def _check_shapes(self) -> None:
         shape = tuple(self.positions.shape)
@@ -143,8 +140,9 @@ class Demonstrations:
         return self.time_step * (self.positions.shape[1] - 1)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an NPZ file with positions, time_step, names, and targets and target_names if there
-        are any: wholly or not at all.
+        """Write an NPZ file, wholly or not at all.
+
+        It holds positions, time_step, names, and targets and target_names if there are any.
 
         Args:
             path: of the file; one that is there is replaced.

@@ -1,4 +1,4 @@
-"""From aligned demonstrations to the demonstrated trajectory distribution (Eqs. 9-12)."""
+"""The demonstrated trajectory distribution (Eqs. 9-12), estimated from aligned demonstrations."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from torch_pmil.gp.gaussian import Gaussian, symmetric
 
 
 def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tensor) -> Gaussian:
-    r"""Marginals :math:`\mathcal N(\hat\mu_t^{\exp}, \hat\Sigma_t^{\exp} + \sigma_{\mathrm{obs}}^2
-    I)` at t = 1..T, unbiased (Eqs. 10-12).
+    r"""Demonstrated marginals at t = 1..T, unbiased, observation noise included (Eqs. 10-12).
+
+    .. math:: \mathcal N(\hat\mu_t^{\exp}, \hat\Sigma_t^{\exp} + \sigma_{\mathrm{obs}}^2 I)
 
     A few demonstrations have a singular sample covariance, and positions of links lie on circles:
     the observation noise :math:`\sigma_{\mathrm{obs}}` is therefore part of the model, and the same
@@ -30,7 +31,8 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tenso
 
     Example:
         >>> positions = torch.tensor([[[0.0], [1.0]], [[0.0], [3.0]]], dtype=torch.float64)
-        >>> demonstrated = expert_distribution(Demonstrations(positions, 0.1, ("x",)), noise_std=0.5)
+        >>> shown = Demonstrations(positions, 0.1, ("x",))
+        >>> demonstrated = expert_distribution(shown, noise_std=0.5)
         >>> demonstrated.mean.item(), demonstrated.cov.item()
         (2.0, 2.25)
     """
@@ -50,8 +52,9 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tenso
 
 
 def rms_error(demonstrations: Demonstrations, executed: Tensor) -> Tensor:
-    r"""Root mean square distance of rollouts from the demonstrated mean (Eq. 10), over rollouts and
-    t = 1..T, for each observed entry.
+    r"""Root mean square distance of rollouts from the demonstrated mean (Eq. 10) in each entry.
+
+    The mean is over rollouts and t = 1..T.
 
     .. math:: \sqrt{\frac{1}{N T} \sum_{n, t} (z_{nt} - \hat\mu_t^{\exp})^2}
 
@@ -72,8 +75,7 @@ def rms_error(demonstrations: Demonstrations, executed: Tensor) -> Tensor:
 
 
 def demonstration_spread(demonstrations: Demonstrations) -> Tensor:
-    r"""What :func:`rms_error` may be compared with: the demonstrations' own standard deviation (Eq.
-    11) over t = 1..T, for each entry.
+    r"""Standard deviation of the demonstrations (Eq. 11) over t = 1..T, for each entry.
 
     .. math:: \sqrt{\frac{1}{T} \sum_t \hat\Sigma_{t, jj}^{\exp}}
 

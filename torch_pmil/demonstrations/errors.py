@@ -1,4 +1,4 @@
-"""What is wrong with a file, in one line."""
+"""The error for malformed demonstrations, which says in one line what is wrong with a file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
-# what parsers raise at bytes that make no sense; UnicodeDecodeError is a ValueError,
+# errors that parsers raise at bytes that make no sense; UnicodeDecodeError is a ValueError,
 # NotImplementedError a RuntimeError
 DAMAGE = (
     OSError,
@@ -23,9 +23,7 @@ DAMAGE = (
 
 
 class DemonstrationError(ValueError):
-    """Demonstrations are malformed; the message says where, what was expected and what came, in one
-    line.
-    """
+    """Demonstrations are malformed: one line says where, what was expected and what came."""
 
 
 @contextmanager
@@ -40,10 +38,12 @@ def readable(kind: str, *failures: type[Exception]) -> Iterator[None]:
         DemonstrationError: one of those was raised, or a common one.
 
     Example:
-        >>> with readable("number"):
-        ...     float("five")
-        Traceback (most recent call last):
-        torch_pmil.demonstrations.errors.DemonstrationError: not a readable number (could not convert string to float: 'five')
+        >>> try:
+        ...     with readable("number"):
+        ...         float("five")
+        ... except DemonstrationError as error:
+        ...     print(error)
+        not a readable number (could not convert string to float: 'five')
     """
     damage: tuple[type[Exception], ...] = (*DAMAGE, *failures)
     try:
@@ -60,10 +60,12 @@ def within(where: object) -> Iterator[None]:
     """Say in which file something is wrong.
 
     Example:
-        >>> with within("walks.csv"):
-        ...     raise DemonstrationError("row 3 must have 4 columns, got 3")
-        Traceback (most recent call last):
-        torch_pmil.demonstrations.errors.DemonstrationError: walks.csv: row 3 must have 4 columns, got 3
+        >>> try:
+        ...     with within("walks.csv"):
+        ...         raise DemonstrationError("row 3 must have 4 columns, got 3")
+        ... except DemonstrationError as error:
+        ...     print(error)
+        walks.csv: row 3 must have 4 columns, got 3
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""What was understood of a recording, and what is left to do before training."""
+"""A summary of recordings, and advice on what to do before training."""
 
 from __future__ import annotations
 
@@ -18,13 +18,16 @@ AGREEMENT = 0.3  # relative error of a rate of change that counts as the velocit
 
 
 def describe(recordings: Recordings) -> str:
-    """Format, number, lengths, rate, entries with their ranges and spread, and targets of
-    recordings, in some lines.
+    """A summary of recordings in some lines.
+
+    It says format, number, lengths, rate, the entries with their ranges and spread, and the
+    targets.
 
     Example:
         >>> import torch
         >>> time = torch.linspace(0, 1, 11, dtype=torch.float64)
-        >>> print(describe(Recordings(("1", "2"), (time, time), (time[:, None], 2 * time[:, None]), ("x",), format="CSV")))
+        >>> values = (time[:, None], 2 * time[:, None])
+        >>> print(describe(Recordings(("1", "2"), (time, time), values, ("x",), format="CSV")))
         format          CSV
         demonstrations  2
         samples         11
@@ -36,16 +39,16 @@ def describe(recordings: Recordings) -> str:
         x      ?     0      2        0.409
         <BLANKLINE>
         spread: standard deviation between demonstrations of one duration, root mean square over time
-    """
+    """  # noqa: E501
     steps = [times.diff() for times in recordings.times]
     even = all(_is_even(one.numpy()) for one in steps)
+    rate = f"{_range([1 / one.median().item() for one in steps if len(one)])} Hz"
     lines = {
         "format": recordings.format,
         "demonstrations": str(len(recordings.labels)),
         "samples": _range([len(times) for times in recordings.times]),
         "duration": f"{_range(recordings.durations)} s",
-        "rate": f"{_range([1 / one.median().item() for one in steps if len(one)])} Hz"
-        + ("" if even else ", steps uneven"),
+        "rate": rate if even else f"{rate}, steps uneven",
         "targets": _targets(recordings),
     }
     summary = [f"{name:<16}{text}" for name, text in lines.items()]
@@ -59,7 +62,7 @@ def describe(recordings: Recordings) -> str:
 def advice(
     recordings: Recordings, path: str, control_period: float, options: Sequence[str] = ()
 ) -> list[str]:
-    """What is missing for training, a line each.
+    """The steps that are still missing for training, a line each.
 
     Args:
         recordings: of the file.
@@ -72,17 +75,11 @@ def advice(
     velocities = velocities_of(recordings)
     if late and len(recordings.labels) > 1:
         named = [recordings.names[column] for column in velocities]
-        command = [
-            *ALIGN.split(),
-            path,
-            "demonstrations.npz",
-            "--time-step",
-            f"{control_period:g}",
-            *options,
-        ]
-        found.append(
-            f"align them: {shlex.join([*command, *(['--velocities', *named] if named else [])])}"
-        )
+        step = ["--time-step", f"{control_period:g}"]
+        command = [*ALIGN.split(), path, "demonstrations.npz", *step, *options]
+        if named:
+            command += ["--velocities", *named]
+        found.append(f"align them: {shlex.join(command)}")
     if not velocities:
         found.append(
             "positions alone, no velocities: enough where the match space observes positions"
@@ -91,24 +88,23 @@ def advice(
 
 
 def spread(recordings: Recordings) -> np.ndarray:
-    """Standard deviation between demonstrations (of one target), each stretched to one duration,
-    (M,), root mean square over time.
+    """Standard deviation between demonstrations (of one target) in each entry, (M,).
+
+    Each demonstration is stretched to one duration; the result is the root mean square over time.
 
     It is NaN where no two demonstrations are for the same target.
     """
     stretched = _stretched(recordings)  # (N, SAMPLES, M)
-    targets = (
-        np.zeros((len(stretched), 1)) if recordings.targets is None else recordings.targets.numpy()
-    )
+    targets = np.zeros((len(stretched), 1))
+    if recordings.targets is not None:
+        targets = recordings.targets.numpy()
     owners = np.unique(targets, axis=0, return_inverse=True)[1]
     parts = [stretched[owners == owner] for owner in np.unique(owners)]
     squares = sum(((part - part.mean(0)) ** 2).sum(0) for part in parts)
     freedom = len(stretched) - len(parts)
-    return (
-        np.sqrt((squares / freedom).mean(0))
-        if freedom
-        else np.full(len(recordings.names), math.nan)
-    )
+    if not freedom:
+        return np.full(len(recordings.names), math.nan)
+    return np.sqrt((squares / freedom).mean(0))
 
 
 def velocities_of(recordings: Recordings) -> dict[int, int]:
@@ -123,9 +119,8 @@ def velocities_of(recordings: Recordings) -> dict[int, int]:
     rate = np.concatenate([CubicSpline(times, values)(times, 1) for times, values in samples])
     value = np.concatenate([values for _, values in samples])
     size = np.sqrt((value**2).mean(0))
-    error = np.sqrt(
-        ((rate[:, :, None] - value[:, None, :]) ** 2).mean(0)
-    )  # of position i and velocity j
+    # error of the rate of position i as velocity j
+    error = np.sqrt(((rate[:, :, None] - value[:, None, :]) ** 2).mean(0))
     fits = (error < AGREEMENT * size) & (size > 0)
     return {
         int(velocity): int(error[:, velocity].argmin()) for velocity in np.flatnonzero(fits.any(0))
@@ -150,15 +145,15 @@ def _timing(recordings: Recordings, control_period: float) -> Iterator[str]:
     steps = np.concatenate([times.diff().numpy() for times in recordings.times])
     if not _is_even(steps):
         yield f"time steps differ: {_range(steps)} s"
-    if len(steps) and not math.isclose(
-        np.median(steps), control_period, rel_tol=TIME_STEP_TOLERANCE
-    ):
-        slower = (
-            "; what is between samples will be interpolated"
-            if np.median(steps) > control_period
-            else ""
+    if not len(steps):
+        return
+    step = np.median(steps)
+    if not math.isclose(step, control_period, rel_tol=TIME_STEP_TOLERANCE):
+        slower = "; what is between samples will be interpolated" if step > control_period else ""
+        yield (
+            f"sampled every {step:.4g} s, the robot is controlled every {control_period:.4g} s"
+            f"{slower}"
         )
-        yield f"sampled every {np.median(steps):.4g} s, the robot is controlled every {control_period:.4g} s{slower}"
 
 
 def _stretched(recordings: Recordings) -> np.ndarray:
@@ -202,7 +197,5 @@ def _targets(recordings: Recordings) -> str:
 
 
 def _range(numbers: Sequence[float] | np.ndarray) -> str:
-    least, largest = (
-        f"{number:.4g}" for number in (min(numbers, default=0), max(numbers, default=0))
-    )
+    least, largest = f"{min(numbers, default=0):.4g}", f"{max(numbers, default=0):.4g}"
     return least if least == largest else f"{least} to {largest}"

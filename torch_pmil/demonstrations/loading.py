@@ -41,8 +41,9 @@ def load_recordings(
     names: Sequence[str] = (),
     time_step: float | None = None,
 ) -> Recordings:
-    """Load what was recorded, with any number of samples at any times; never actions, and nothing
-    in the file is executed.
+    """Load recordings with any number of samples at any times.
+
+    Actions are never read, and nothing in the file is executed.
 
     Args:
         path: a file or folder: NPZ as ``Demonstrations.save`` writes it; CSV, a file with the
@@ -79,15 +80,15 @@ def load_demonstrations(
     keys: Sequence[str] = (),
     names: Sequence[str] = (),
 ) -> Demonstrations:
-    """Load demonstrations from any file that :func:`load_recordings` reads, if all have equally
-    many samples at one time step.
+    """Load demonstrations that all have equally many samples at one time step.
+
+    The file is of any kind that :func:`load_recordings` reads.
 
     Args:
         path: of the file or folder.
         time_step: seconds between samples that the file must have, or has if it holds no times;
             None takes what the file says.
-        keys: as there.
-        names: as there.
+        keys, names: as for :func:`load_recordings`.
 
     Returns:
         The demonstrations of the file.
@@ -103,9 +104,8 @@ def load_demonstrations(
         if path.suffix == ".npz":
             demonstrations = load_npz(path, keys)
         else:
-            demonstrations = _read(
-                path, keys, time_step if _reader(path) is read_hdf5 else None
-            ).demonstrations()
+            told = time_step if _reader(path) is read_hdf5 else None
+            demonstrations = _read(path, keys, told).demonstrations()
         if time_step is not None and not math.isclose(
             demonstrations.time_step, time_step, rel_tol=TIME_STEP_TOLERANCE
         ):

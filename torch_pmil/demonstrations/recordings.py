@@ -34,7 +34,8 @@ class Recordings:
 
     Example:
         >>> time = torch.arange(3, dtype=torch.float64)
-        >>> Recordings(("1", "2"), (0.1 * time, 0.2 * time), (time[:, None], time[:, None]), ("x",)).durations
+        >>> values = (time[:, None], time[:, None])
+        >>> Recordings(("1", "2"), (0.1 * time, 0.2 * time), values, ("x",)).durations
         [0.2, 0.4]
     """
 
@@ -83,19 +84,17 @@ class Recordings:
 
     @property
     def durations(self) -> list[float]:
-        """From the first to the last sample of each, in s."""
+        """Duration of each demonstration from its first to its last sample, in s."""
         return [(times[-1] - times[0]).item() for times in self.times]
 
     def place(self, demonstration: int, sample: int) -> str:
-        """What a message calls a sample."""
-        return (
-            self.places[demonstration][sample]
-            if self.places
-            else f"demonstration {self.labels[demonstration]}, sample {sample}"
-        )
+        """The words with which a message names a sample."""
+        if self.places:
+            return self.places[demonstration][sample]
+        return f"demonstration {self.labels[demonstration]}, sample {sample}"
 
     def demonstrations(self) -> Demonstrations:
-        """The same as demonstrations, where they have one length and one time step.
+        """The recordings as demonstrations, if they have one length and one time step.
 
         Raises:
             DemonstrationError: they have not, or there are fewer than two (of each target).
@@ -127,9 +126,8 @@ class Recordings:
 
     def _check_steps(self, steps: Tensor) -> None:
         expected = steps[0, 0].item()
-        for demonstration, step in (
-            ((steps - expected).abs() > TIME_STEP_TOLERANCE * expected).nonzero().tolist()[:1]
-        ):
+        wrong = (steps - expected).abs() > TIME_STEP_TOLERANCE * expected
+        for demonstration, step in wrong.nonzero().tolist()[:1]:
             raise DemonstrationError(
                 f"{self.place(demonstration, step + 1)}, time must follow the sample before it by "
                 f"{expected:g} s, got {steps[demonstration, step].item():g} s; {ALIGN} makes steps "

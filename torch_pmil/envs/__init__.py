@@ -4,9 +4,8 @@ import ctypes.util
 import os
 
 if "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
-    os.environ.setdefault(
-        "MUJOCO_GL", "egl"
-    )  # headless pictures; MuJoCo reads it when it is first imported
+    # pictures without a display; MuJoCo reads this when it is first imported
+    os.environ.setdefault("MUJOCO_GL", "egl")
 
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.biorob import BioRobEnv

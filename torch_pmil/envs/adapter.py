@@ -1,12 +1,11 @@
-"""Any TorchRL environment with continuous actions and a real vector observation, made such as the
-learning needs it.
-"""
+"""Any TorchRL environment with continuous actions and a vector observation, as a robot."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -37,8 +36,9 @@ class CosSin:
 
 
 class AdaptedEnv(RobotEnv):
-    """A robot made of a TorchRL environment: float64, torques around zero, episodes that do not
-    end, starts of its own seed.
+    """A robot made of a TorchRL environment, in float64 and with starts of its own seed.
+
+    Torques are centred around zero, and episodes do not end.
 
     Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all
     float64, and with ``from_pixels`` also ``"pixels"``. The action is the difference to the middle
@@ -71,7 +71,8 @@ class AdaptedEnv(RobotEnv):
     Example:
         >>> from functools import partial
         >>> from torch_pmil.envs import DoublePendulumEnv
-        >>> env = AdaptedEnv(partial(DoublePendulumEnv, torque_limit=2.0), control_period=0.1, num_envs=3, seed=0)
+        >>> make_env = partial(DoublePendulumEnv, torque_limit=2.0)
+        >>> env = AdaptedEnv(make_env, control_period=0.1, num_envs=3, seed=0)
         >>> env.rollout(5)["next", "observation"].shape
         torch.Size([3, 5, 4])
     """
@@ -93,12 +94,8 @@ class AdaptedEnv(RobotEnv):
                 f"control_period must be positive and finite, in seconds, got {control_period}"
             )
         check_num_envs(num_envs)
-        pictures = {"from_pixels": True} if from_pixels else {}
-        env = (
-            make_env(**pictures)
-            if num_envs is None
-            else SerialEnv(num_envs, lambda: make_env(**pictures))
-        )
+        make = partial(make_env, **({"from_pixels": True} if from_pixels else {}))
+        env = make() if num_envs is None else SerialEnv(num_envs, make)
         super().__init__(env.batch_size, float(control_period), from_pixels, seed)
         self.__dict__["base_env"] = env  # no submodule: its state is not ours to save
         self.angles, self._observation, self._action = tuple(angles), observation, action
@@ -155,9 +152,7 @@ class AdaptedEnv(RobotEnv):
         """Observations with angles, each of them the one nearest to that of the step before."""
         if not self.angles:
             return shown
-        cosines, sines = (
-            [getattr(angle, name) for angle in self.angles] for name in ("cos", "sin")
-        )
+        cosines, sines = [angle.cos for angle in self.angles], [angle.sin for angle in self.angles]
         change = torch.atan2(shown[..., sines], shown[..., cosines]) - self._turned
         self._turned = self._turned + torch.atan2(change.sin(), change.cos())
         state = shown.clone()
@@ -186,10 +181,8 @@ def _vector(specs: Composite, key: NestedKey, role: str, batch_dims: int) -> Ten
 
 def _box(specs: Composite, key: NestedKey, batch_dims: int) -> TensorSpec:
     spec = _vector(specs, key, "action", batch_dims)
-    if (
-        not isinstance(spec, Bounded)
-        or not (spec.space.low.isfinite() & spec.space.high.isfinite()).all()
-    ):
+    bounded = isinstance(spec, Bounded)
+    if not (bounded and spec.space.low.isfinite().all() and spec.space.high.isfinite().all()):
         raise ValueError(
             f"the environment's action {key!r} must have finite limits, got {type(spec).__name__}"
         )

@@ -1,6 +1,4 @@
-"""The BioRob of Sec. 5.2: a light arm whose motors pull it by elastic cables, a racket, and a ball
-on a string.
-"""
+"""The BioRob of Sec. 5.2: a light arm with elastic cables, a racket, and a ball on a string."""
 
 from __future__ import annotations
 
@@ -31,8 +29,7 @@ SCENE = Path(__file__).parent / "assets" / "biorob" / "scene.xml"
 
 
 class BioRobEnv(MujocoRobotEnv):
-    """The compliant, tendon-driven BioRob X4 with a table-tennis racket, in MuJoCo, at 10 Hz (Sec.
-    5.2).
+    """The compliant, tendon-driven BioRob X4 with a racket, in MuJoCo, at 10 Hz (Sec. 5.2).
 
     The state is x = [q, dq] of yaw, shoulder and elbow (rad, rad/s): positions first. Yaw turns to
     the left; with shoulder and elbow at 0 the arm hangs, and positive angles lift it forwards. The
@@ -43,12 +40,12 @@ class BioRobEnv(MujocoRobotEnv):
 
     ``("info", "racket_ball_distance")`` (*batch, 1), float64, is the least distance between the
     surfaces of racket and ball over the simulation time steps of the last step (m; at a reset: the
-    distance now), ``("info", "centre_distance")`` the same from the blade's centre to the ball's,
-    ``("info", "hit")`` (*batch, 1), bool, whether the racket has touched the ball since the reset.
-    A hit ends nothing.
+    distance now), ``("info", "centre_distance")`` the least distance of the blade's centre from the
+    ball's, ``("info", "hit")`` (*batch, 1), bool, whether the racket has touched the ball since the
+    reset. A hit ends nothing.
 
     Stated in the paper: the structure, the joints and what is controlled, the control rate.
-    Estimates: all numbers of the model, see its file and docs/results/biorob.md, and the start.
+    Estimates: the start and all numbers of the model, which its file explains.
 
     Args:
         ball: where the ball hangs, (3,) for all robots or (num_envs, 3) one for each, in m; x
@@ -113,10 +110,8 @@ class BioRobEnv(MujocoRobotEnv):
         return Equilibrium(self.model, JOINTS, ROTORS, HELD)
 
     def _physics_from_state(self, state: Tensor, models: Sequence[mujoco.MjModel]) -> Tensor:
-        physics, arm = (
-            super()._physics_from_state(state, models),
-            self.model.joint("ball").qposadr[0],
-        )
+        physics = super()._physics_from_state(state, models)
+        arm = self.model.joint("ball").qposadr[0]  # the number of entries of the arm in qpos
         positions, velocities = state.to(torch.float64).numpy().reshape(-1, 2, 3).swapaxes(0, 1)
         speeds = state_columns(self.model, ROTORS, positions_first=True)[len(ROTORS) :]
         physics[:, 1 : 1 + arm] = torch.from_numpy(self._equilibrium(positions)[0])[:, :arm]
@@ -126,8 +121,9 @@ class BioRobEnv(MujocoRobotEnv):
     def _inverse_dynamics(
         self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray
     ) -> np.ndarray:
-        """As if the cables kept their length from the equilibrium on: the rotors move along with
-        the joints.
+        """Motor torques of a motion in which the cables keep their length from the equilibrium on.
+
+        The rotors then move along with the joints.
         """
         return self._equilibrium.moving_torques(positions, velocities, accelerations)
 
@@ -146,10 +142,8 @@ class BioRobEnv(MujocoRobotEnv):
         return super()._reset(tensordict, **kwargs)
 
     def _measure(self, sensors: Tensor) -> TensorDictBase:
-        distance, contact = (
-            sensors[..., self.model.sensor(f"racket_ball_{name}").adr[0]]
-            for name in ("distance", "contact")
-        )
+        distance = sensors[..., self.model.sensor("racket_ball_distance").adr[0]]
+        contact = sensors[..., self.model.sensor("racket_ball_contact").adr[0]]
         self._hit = self._hit | (contact > 0).any(-1)
         first = self.model.sensor("ball_from_racket").adr[0]
         between = sensors[..., first : first + 3].norm(dim=-1)
@@ -169,9 +163,7 @@ class BioRobEnv(MujocoRobotEnv):
 def _models(
     ball: Sequence[float] | Tensor, num_envs: int | None
 ) -> mujoco.MjModel | list[mujoco.MjModel]:
-    """One model, or one for each robot where ``ball`` says a place for each; equal places share
-    theirs.
-    """
+    """One model, or one for each robot where ``ball`` gives each a place; equal places share."""
     places = torch.as_tensor(ball, dtype=torch.float64)
     if places.ndim != 2:
         return biorob_model(ball)
@@ -209,8 +201,9 @@ def biorob_model(ball: Sequence[float] | Tensor = BALL) -> mujoco.MjModel:
 
 
 def holding_torques(q: Tensor) -> Tensor:
-    """Motor torques that hold the arm in a pose, against gravity; friction aside, which would hold
-    it too within its bounds.
+    """Motor torques that hold the arm in a pose against gravity.
+
+    Friction is not included; it would hold the arm too, within its bounds.
 
     Args:
         q: [yaw, shoulder, elbow], (*batch, 3) in rad.

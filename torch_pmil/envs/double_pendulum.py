@@ -1,4 +1,4 @@
-"""The double pendulum of Sec. 5.1: two uniform rods, a motor in each joint, swing up and balance."""
+"""The double pendulum of Sec. 5.1: two uniform rods with a motor in each joint."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class DoublePendulumEnv(MujocoRobotEnv):
 
 
 def link_positions(state: Tensor) -> Tensor:
-    """Where the two link ends are.
+    """Positions of the two link ends.
 
     Args:
         state: [q1, dq1, q2, dq2], (*batch, 4).
@@ -127,17 +127,11 @@ def double_pendulum_model(link_masses: Sequence[float] = (0.5, 0.5)) -> mujoco.M
         raise ValueError(
             f"link_masses must be two positive finite numbers in kg, got {link_masses}"
         )
-    spec = mujoco.MjSpec.from_string(
-        resources.files("torch_pmil.envs")
-        .joinpath("assets", "double_pendulum.xml")
-        .read_text(encoding="utf-8")
-    )
+    asset = resources.files("torch_pmil.envs").joinpath("assets", "double_pendulum.xml")
+    spec = mujoco.MjSpec.from_string(asset.read_text(encoding="utf-8"))
     for name, mass in zip(("link1", "link2"), masses, strict=True):
         inertia = mass * LINK_LENGTH**2 / 12
         spec.body(name).mass = mass
-        spec.body(name).inertia = [
-            inertia,
-            inertia,
-            inertia / 100,
-        ]  # about the rod's own axis: any, it never turns
+        # the third is about the rod's own axis, around which it never turns: any number
+        spec.body(name).inertia = [inertia, inertia, inertia / 100]
     return spec.compile()

@@ -17,8 +17,9 @@ DIFFERENCE_STEP = 1e-7  # rad
 
 
 class Equilibrium:
-    r"""Where everything is while the driven joints are held still by their rotors, and the torques
-    which that takes.
+    r"""Static equilibrium of a robot whose driven joints are held still by their rotors.
+
+    It says where rotors and passive joints are, and the torques of the rotors.
 
     At rest the generalised forces obey :math:`\tau(q) = g(q) - f(q)`, with gravity g and the pull f
     of cables and springs. Found by Newton's method are the positions of the rotors and of the
@@ -49,13 +50,13 @@ class Equilibrium:
         self._model = copy.copy(model)
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._data = mujoco.MjData(self._model)
-        self._driven, self._rotors, self._passive = (
-            [model.joint(name) for name in names] for names in (driven, rotors, passive)
-        )
+        self._driven = [model.joint(name) for name in driven]
+        self._rotors = [model.joint(name) for name in rotors]
+        self._passive = [model.joint(name) for name in passive]
         self.ratio = _ratio(model, _dofs(self._driven), _dofs(self._rotors))  # (F, F)
 
     def __call__(self, positions: Array) -> tuple[Array, Array]:
-        """Everything's place, and the torques that hold it there.
+        """Positions of all joints at equilibrium, and the torques that hold them there.
 
         Args:
             positions: of the driven joints, (N, F).
@@ -71,8 +72,7 @@ class Equilibrium:
         return np.array(places), np.array(torques)
 
     def moving_torques(self, positions: Array, velocities: Array, accelerations: Array) -> Array:
-        """Torques of the rotors with which the robot moves as if its cables did not stretch from
-        their equilibrium on.
+        """Torques of the rotors in a motion in which the cables keep their length at equilibrium.
 
         Args:
             positions, velocities, accelerations: of the driven joints, (N, F).
@@ -85,14 +85,11 @@ class Equilibrium:
         """
         model, data, places = self._model, self._data, self(positions)[0]
         along = np.zeros((model.nv, len(self._driven)))  # how all move with the driven joints
-        along[_dofs(self._driven)], along[_dofs(self._rotors)] = (
-            np.eye(len(self._driven)),
-            self.ratio,
-        )
+        along[_dofs(self._driven)] = np.eye(len(self._driven))
+        along[_dofs(self._rotors)] = self.ratio
         torques = np.empty_like(positions)
-        for row, (place, velocity, acceleration) in enumerate(
-            zip(places, velocities, accelerations, strict=True)
-        ):
+        motion = zip(places, velocities, accelerations, strict=True)
+        for row, (place, velocity, acceleration) in enumerate(motion):
             data.qpos[:], data.qvel[:], data.qacc[:] = place, along @ velocity, along @ acceleration
             mujoco.mj_inverse(model, data)
             torques[row] = np.linalg.solve(self.ratio.T, along.T @ data.qfrc_inverse)
@@ -126,12 +123,11 @@ def _dofs(joints: Sequence) -> list[int]:
 
 
 def _ratio(model: mujoco.MjModel, driven: list[int], rotors: list[int]) -> Array:
-    """How far the rotors turn for each driven joint while no cable changes its length, (F, F)."""
+    """Turn of the rotors for each driven joint while no cable changes its length, (F, F)."""
     moments = np.zeros((model.ntendon, model.nv))
     for tendon in range(model.ntendon):
-        for wrap in range(
-            model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon]
-        ):
+        first = model.tendon_adr[tendon]
+        for wrap in range(first, first + model.tendon_num[tendon]):
             if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
                 moments[tendon, model.jnt_dofadr[model.wrap_objid[wrap]]] = model.wrap_prm[wrap]
     return np.linalg.lstsq(moments[:, rotors], -moments[:, driven])[0]

@@ -64,15 +64,19 @@ def gym_pendulum_env(
 
 
 def cart_dynamics() -> partial[Array]:
-    """One control period of InvertedPendulum-v5 as a function of arrays: states (N, 4), actions (N,
-    1) to states (N, 4).
+    """One control period of InvertedPendulum-v5 as a function of arrays.
+
+    It takes states [x, q, dx, dq] (N, 4) and actions (N, 1) to states (N, 4).
     """
     _check_gymnasium()
     return partial(_simulate_cart, gymnasium.make("InvertedPendulum-v5").unwrapped)
 
 
 def pendulum_dynamics() -> partial[Array]:
-    """The same of Pendulum-v1 at 10 Hz: states [q, dq] (N, 2), torques (N, 1) to states (N, 2)."""
+    """One control period of Pendulum-v1 at 10 Hz as a function of arrays.
+
+    It takes states [q, dq] (N, 2) and torques (N, 1) to states (N, 2).
+    """
     _check_gymnasium()
     return partial(_simulate_pendulum, gymnasium.make("Pendulum-v1").unwrapped)
 
@@ -84,9 +88,8 @@ class HangingStart(Wrapper):
         """Start hanging."""
         _, info = self.env.reset(**kwargs)
         robot = self.env.unwrapped
-        robot.state = np.array(HANGING_MEAN) + np.array(HANGING_STD) * robot.np_random.normal(
-            size=2
-        )
+        noise = robot.np_random.normal(size=2)
+        robot.state = np.array(HANGING_MEAN) + np.array(HANGING_STD) * noise
         return robot._get_obs(), info
 
 

@@ -15,8 +15,7 @@ from torch_pmil.envs.robot import Array
 
 
 class GymnasiumRobot(gymnasium.Env):
-    """A simulated robot: the same physics and, with the same seed, the same starts as its TorchRL
-    environment.
+    """A simulated robot, with the physics and, for one seed, the starts of its TorchRL environment.
 
     Observations and actions are those of that environment, float64 in its units. The reward is
     zero, as imitation has none, and an episode ends by its time limit alone.
@@ -63,8 +62,9 @@ class GymnasiumRobot(gymnasium.Env):
         return self._state.numpy().copy(), 0.0, False, False, {}
 
     def render(self) -> np.ndarray | None:
-        """A picture (height, width, 3), uint8, with render_mode "rgb_array". Raises RuntimeError
-        without OpenGL.
+        """A picture (height, width, 3), uint8, with render_mode "rgb_array".
+
+        Raises RuntimeError without OpenGL.
         """
         return None if self.render_mode is None else self._robot.render(self._state)
 

@@ -1,6 +1,4 @@
-"""Where balls hang that one policy is to hit: a vertical plane in front of the BioRob (Section
-5.2.5, Figure 11).
-"""
+"""The vertical plane in front of the BioRob in which the balls hang (Sec. 5.2.5, Figure 11)."""
 
 from __future__ import annotations
 
@@ -10,18 +8,16 @@ from torch import Tensor
 from torch_pmil.envs.biorob import BALL
 
 TARGET_NAMES = ("y", "z")
-TRAINING_TARGETS = torch.tensor(
-    [[0.0, 0.0], [0.2, -0.16], [-0.2, -0.16]], dtype=torch.float64
-)  # (3, 2), m, chosen
+# (3, 2), m, chosen
+TRAINING_TARGETS = torch.tensor([[0.0, 0.0], [0.2, -0.16], [-0.2, -0.16]], dtype=torch.float64)
 COLUMNS = (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3)  # y of the grid's columns, m, chosen
 ROWS = (-0.24, -0.16, -0.08, 0.0, 0.08)  # z of its rows
-GRID = torch.tensor(
-    [[y, z] for z in ROWS for y in COLUMNS], dtype=torch.float64
-)  # (35, 2), row by row, the lowest first
+# (35, 2), row by row, the lowest first
+GRID = torch.tensor([[y, z] for z in ROWS for y in COLUMNS], dtype=torch.float64)
 
 
 def ball_at(targets: Tensor) -> Tensor:
-    """Where the ball of each target hangs.
+    """Position of the ball of each target.
 
     The plane is perpendicular to x, through the ball of the experiment with one target, which is
     the origin: y is to the left, z up. Stated in the paper: three training targets, a grid of 7 x 5
@@ -29,7 +25,7 @@ def ball_at(targets: Tensor) -> Tensor:
     one target at its top, in a grid that reaches beyond it by 0.1 m to the left and right and by
     0.08 m upwards and downwards. A strike of the demonstrated style (``Strike.towards``) hits all
     of it, with motor torques within the limits, while the strike towards the nearest training
-    target misses balls between and beyond; docs/results/biorob.md has the numbers.
+    target misses balls between and beyond.
 
     Args:
         targets: [y, z] in the plane, (*batch, 2), m.

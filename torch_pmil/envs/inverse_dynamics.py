@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 def inverse_dynamics(
     model: mujoco.MjModel, positions: Array, velocities: Array, accelerations: Array
 ) -> Array:
-    """Generalised forces (S, V) under which a model moves so, limits or not.
+    """Generalised forces (S, V) under which a model moves as given, limits or not.
 
     Args:
         model: of hinge and slide joints alone.

@@ -1,5 +1,6 @@
-"""A MuJoCo robot as a TorchRL environment: float64, zero-order hold, seeded Gaussian starts. Knows
-no robot.
+"""A MuJoCo robot as a TorchRL environment: float64, zero-order hold, seeded Gaussian starts.
+
+This module knows no particular robot.
 """
 
 from __future__ import annotations
@@ -104,22 +105,18 @@ class MujocoRobotEnv(RobotEnv):
         dim = 2 * len(joints)
         self.initial_mean = _state_vector("initial_mean", initial_mean, dim)
         self.initial_std = _deviations("initial_std", initial_std, dim)
-        self.observation_std = (
-            None
-            if observation_std is None
-            else _deviations("observation_std", observation_std, dim)
-        )
+        self.observation_std = None
+        if observation_std is not None:
+            self.observation_std = _deviations("observation_std", observation_std, dim)
         self.targets = None if targets is None else _targets(targets, self.batch_size)
-        self.register_buffer(
-            "_physics",
-            self._physics_from_state(self.initial_mean.expand(num_envs or 1, -1), self._models),
-        )
+        starts = self.initial_mean.expand(num_envs or 1, -1)
+        self.register_buffer("_physics", self._physics_from_state(starts, self._models))
         self._make_specs()
         if from_pixels:
             self._open_renderer()
 
     def simulate(self, state: Tensor, action: Tensor, robot: int = 0) -> Tensor:
-        """States one control period later; the environment itself stays where it is.
+        """States one control period later; the environment's own state does not change.
 
         Args:
             state: state vectors (N, D); what they do not say is as after a reset.
@@ -133,13 +130,13 @@ class MujocoRobotEnv(RobotEnv):
             RuntimeError: a simulation diverged.
         """
         models = self._models[robot : robot + 1]
-        return self.state_of(
-            self._integrate(self._physics_from_state(state, models), action, models)[0][:, -1]
-        )
+        physics, _ = self._integrate(self._physics_from_state(state, models), action, models)
+        return self.state_of(physics[:, -1])
 
     def substates(self, state: Tensor, action: Tensor, count: int, robot: int = 0) -> Tensor:
-        """States at ``count`` equal steps inside one control period; the environment itself stays
-        where it is.
+        """States at ``count`` equal steps inside one control period.
+
+        The environment's own state does not change.
 
         Args:
             state: state vector (D,); what it does not say is as after a reset.
@@ -157,8 +154,9 @@ class MujocoRobotEnv(RobotEnv):
         return self.state_of(self.replay(state, action[None], count, robot)[1:])
 
     def replay(self, start: Tensor, actions: Tensor, count: int, robot: int = 0) -> Tensor:
-        """Full simulation states along a rollout from a reset; the environment itself stays where
-        it is.
+        """Full simulation states along a rollout from a reset.
+
+        The environment's own state does not change.
 
         They are those that the environment went through, what its state vector does not say
         included.
@@ -185,9 +183,8 @@ class MujocoRobotEnv(RobotEnv):
         stride, models = self.substeps // count, self._models[robot : robot + 1]
         physics = [self._physics_from_state(start[None], models)]
         for action in actions:
-            physics.append(
-                self._integrate(physics[-1][-1:], action[None], models)[0][0, stride - 1 :: stride]
-            )
+            after, _ = self._integrate(physics[-1][-1:], action[None], models)
+            physics.append(after[0, stride - 1 :: stride])
         return torch.cat(physics)
 
     def state_of(self, physics: Tensor) -> Tensor:
@@ -196,20 +193,20 @@ class MujocoRobotEnv(RobotEnv):
 
     @property
     def motor_names(self) -> tuple[str, ...]:
-        """Of the actuators, as the model names them.
+        """Names of the actuators, as the model has them.
 
         Example:
             >>> from torch_pmil.envs import DoublePendulumEnv
             >>> DoublePendulumEnv().motor_names
             ('tau1', 'tau2')
         """
-        return tuple(
-            self.model.actuator(number).name or str(number) for number in range(self.model.nu)
-        )
+        motors = range(self.model.nu)
+        return tuple(self.model.actuator(number).name or str(number) for number in motors)
 
     def needed_torques(self, states: Tensor) -> Tensor | None:
-        """Torques that lead along a motion, limits or not, by inverse dynamics of a cubic spline
-        through the positions.
+        """Torques that lead along a motion, limits or not, by inverse dynamics.
+
+        The motion is a cubic spline through the positions.
 
         The samples must resolve the motion. Those of the double pendulum's swing-ups do, and their
         torques are met to 5 % of the limit (rms); where a joint turns by a radian and more from
@@ -224,24 +221,21 @@ class MujocoRobotEnv(RobotEnv):
         """
         times = self.control_period * np.arange(len(states))
         motion = CubicSpline(times, states[:, self._position_entries].numpy())
-        between = (
-            times[:-1, None] + self.control_period * (np.arange(MOMENTS) + 0.5) / MOMENTS
-        ).ravel()
+        moments = self.control_period * (np.arange(MOMENTS) + 0.5) / MOMENTS
+        between = (times[:-1, None] + moments).ravel()
         torques = self._inverse_dynamics(motion(between), motion(between, 1), motion(between, 2))
-        return (
-            None
-            if torques is None
-            else torch.from_numpy(torques.reshape(len(times) - 1, MOMENTS, -1).mean(1))
-        )
+        if torques is None:
+            return None
+        return torch.from_numpy(torques.reshape(len(times) - 1, MOMENTS, -1).mean(1))
 
     def beyond_range(self, states: Tensor) -> Tensor:
-        """How far the joints would be beyond their stops in states (*batch, D): (*batch, J), 0
-        within, rad or m.
+        """Distance of the joints beyond their stops, in rad or m, 0 within: (*batch, J).
+
+        States are (*batch, D).
         """
         joints = [self.model.joint(name) for name in self._joints]
-        stops = np.array(
-            [joint.range if joint.limited[0] else (-np.inf, np.inf) for joint in joints]
-        )
+        unlimited = (-np.inf, np.inf)
+        stops = np.array([joint.range if joint.limited[0] else unlimited for joint in joints])
         low, high = torch.from_numpy(stops).unbind(-1)
         positions = states[..., self._position_entries]
         return torch.maximum(positions - high, low - positions).clamp_min(0)
@@ -254,16 +248,16 @@ class MujocoRobotEnv(RobotEnv):
     def _inverse_dynamics(
         self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray
     ) -> np.ndarray | None:
-        """Torques (S, F) of joints (S, J) that move so; None where the motors do not move them
-        directly.
+        """Torques (S, F) of a motion of the joints (S, J).
+
+        None where the motors do not move the joints directly.
         """
         if not self.model.nu == self.model.nv == len(self._joints):
             return None
         dofs = [self.model.joint(name).dofadr[0] for name in self._joints]
-        in_model_order = (
-            part[:, np.argsort(dofs)] for part in (positions, velocities, accelerations)
-        )
-        return inverse_dynamics(self.model, *in_model_order)[:, dofs]
+        order = np.argsort(dofs)  # that of the model
+        motion = positions[:, order], velocities[:, order], accelerations[:, order]
+        return inverse_dynamics(self.model, *motion)[:, dofs]
 
     def render(self, state: Tensor, robot: int = 0) -> np.ndarray:
         """Draw the robot in one state, seen by the fixed camera, without shadows.
@@ -280,13 +274,13 @@ class MujocoRobotEnv(RobotEnv):
             RuntimeError: OpenGL is not available.
         """
         state = _state_vector("state", state, self._state_columns.numel())
-        return self.draw(
-            self._physics_from_state(state[None], self._models[robot : robot + 1])[0], robot
-        )
+        physics = self._physics_from_state(state[None], self._models[robot : robot + 1])
+        return self.draw(physics[0], robot)
 
     def draw(self, physics: Tensor, robot: int = 0) -> np.ndarray:
-        """Draw a robot in a full simulation state (P,): a picture (height, width, 3), uint8. Raises
-        RuntimeError without OpenGL.
+        """A picture (height, width, 3), uint8, of a robot in a full simulation state (P,).
+
+        Raises RuntimeError without OpenGL.
         """
         renderer = self._open_renderer()
         mujoco.mj_setState(self._models[robot], self._data, physics.numpy(), FULL_PHYSICS)
@@ -302,13 +296,13 @@ class MujocoRobotEnv(RobotEnv):
         super().close(**kwargs)
 
     def _physics_from_state(self, state: Tensor, models: Sequence[mujoco.MjModel]) -> Tensor:
-        """Full simulation state (N, P) at time 0 of robots, of N models or one, whose states are
-        (N, D); other joints at rest.
+        """Full simulation states (N, P) at time 0 of robots in states (N, D), other joints at rest.
+
+        There are N models, or one for all.
         """
         at_rest = {model: _at_rest(model) for model in set(models)}
-        physics = (
-            torch.stack([at_rest[model] for model in models]).expand(state.shape[0], -1).clone()
-        )
+        physics = torch.stack([at_rest[model] for model in models])
+        physics = physics.expand(state.shape[0], -1).clone()
         physics[:, self._state_columns] = state.to(torch.float64)
         return physics
 
@@ -332,20 +326,20 @@ class MujocoRobotEnv(RobotEnv):
         if mask is not None:
             physics = torch.where(mask.reshape(-1, 1), physics, self._physics)
         self._physics = physics
-        return self._measure(
-            self._simulate(physics, torch.zeros(1, self.model.nu), 1, self._models)[1]
-        )
+        _, sensors = self._simulate(physics, torch.zeros(1, self.model.nu), 1, self._models)
+        return self._measure(sensors)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        physics, sensors = self._integrate(
-            self._physics, self._check_torque(tensordict["action"]), self._models
-        )
+        torque = self._check_torque(tensordict["action"])
+        physics, sensors = self._integrate(self._physics, torque, self._models)
         self._physics = physics[:, -1].clone()
         return self._without_reward(self._measure(sensors))
 
     def _measure(self, sensors: Tensor) -> TensorDictBase:
-        """What is observed now, also from the values (N, K, S) of the model's sensors at all times
-        since the last measurement.
+        """The observation now, given the sensors' values (N, K, S) since the last measurement.
+
+        Args: sensors, the values (N, K, S) of the model's sensors at all times since the last
+        measurement.
         """
         state = self.state_of(self._physics).reshape(*self.batch_size, -1)
         measured = {"observation": state}
@@ -355,21 +349,14 @@ class MujocoRobotEnv(RobotEnv):
         if self.targets is not None:
             measured["target"] = self.targets.clone()
         if self.from_pixels:
-            pixels = np.stack(
-                [self.draw(physics, robot) for robot, physics in enumerate(self._physics)]
-            )
-            measured["pixels"] = torch.from_numpy(pixels).reshape(
-                *self.batch_size, *self.pixel_size, 3
-            )
+            pictures = [self.draw(physics, robot) for robot, physics in enumerate(self._physics)]
+            pixels = torch.from_numpy(np.stack(pictures))
+            measured["pixels"] = pixels.reshape(*self.batch_size, *self.pixel_size, 3)
         return TensorDict(measured, batch_size=self.batch_size)
 
     def _draw_starts(self) -> Tensor:
-        noise = torch.randn(
-            self._physics.shape[0],
-            self.initial_mean.numel(),
-            generator=self._generator,
-            dtype=torch.float64,
-        )
+        shape = (self._physics.shape[0], self.initial_mean.numel())
+        noise = torch.randn(shape, generator=self._generator, dtype=torch.float64)
         return self.initial_mean + self.initial_std * noise
 
     def _check_starts(self, state: Tensor) -> Tensor:
@@ -391,23 +378,23 @@ class MujocoRobotEnv(RobotEnv):
     def _integrate(
         self, physics: Tensor, torque: Tensor, models: Sequence[mujoco.MjModel]
     ) -> tuple[Tensor, Tensor]:
-        """A control period of robots, of N models or one, under the torques (N, F).
+        """Simulate a control period of robots, of N models or one, under the torques (N, F).
 
         Returns:
             Full simulation states (N, substeps, P) after each time step, and sensor values (N,
             substeps + 1, S) at both ends of each.
         """
-        after, sensors = self._simulate(
-            physics, torque, self.substeps + 1, models
-        )  # MuJoCo senses before a step: one more for the end
+        # MuJoCo senses before a step, so that it takes one more to sense at the end
+        after, sensors = self._simulate(physics, torque, self.substeps + 1, models)
         self._check_physics(physics, after[:, -2])
         return after[:, :-1], sensors
 
     def _simulate(
         self, physics: Tensor, torque: Tensor, steps: int, models: Sequence[mujoco.MjModel]
     ) -> tuple[Tensor, Tensor]:
-        """Full simulation states (N, steps, P) after, and sensor values (N, steps, S) before each
-        time step, the torques held.
+        """Full simulation states (N, steps, P) after each time step, under held torques.
+
+        The sensor values (N, steps, S) are those before each time step.
         """
         states, sensors = rollout.rollout(
             models, self._data, physics.numpy(), torque[:, None].numpy(), nstep=steps
@@ -431,7 +418,7 @@ class MujocoRobotEnv(RobotEnv):
 
 
 def open_renderer(model: mujoco.MjModel, pixel_size: tuple[int, int]) -> mujoco.Renderer:
-    """A renderer of pictures of a height and width. Raises RuntimeError without OpenGL."""
+    """A renderer of pictures of this height and width. Raises RuntimeError without OpenGL."""
     model.vis.global_.offheight, model.vis.global_.offwidth = pixel_size
     try:
         return mujoco.Renderer(model, *pixel_size)
@@ -458,7 +445,7 @@ def _limited_models(
     torque_limit: float | Sequence[float],
     count: int,
 ) -> tuple[mujoco.MjModel, ...]:
-    """Limited copies, one for each of ``count`` robots; what is one model stays one."""
+    """Copies with limited torques, one for each of ``count`` robots; equal models share one."""
     models = [models] * count if isinstance(models, mujoco.MjModel) else list(models)
     if len(models) != count:
         raise ValueError(
@@ -492,27 +479,22 @@ def _at_rest(model: mujoco.MjModel) -> Tensor:
 
 
 def state_columns(model: mujoco.MjModel, joints: Sequence[str], positions_first: bool) -> Tensor:
-    """Columns of the joints' positions and velocities in MuJoCo's full state [time, qpos, qvel,
-    ...].
+    """Columns of the joints' positions and velocities in MuJoCo's full state.
+
+    That state is [time, qpos, qvel, ...].
     """
     observed = [model.joint(name) for name in joints]
-    columns = torch.tensor(
-        [[1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]] for joint in observed]
-    )
+    pairs = [[1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]] for joint in observed]
+    columns = torch.tensor(pairs)
     return (columns.T if positions_first else columns).flatten()
 
 
 def _targets(values: Tensor, batch: Sequence[int]) -> Tensor:
     targets = torch.as_tensor(values, dtype=torch.float64).clone()
-    if (
-        targets.shape[:-1] != tuple(batch)
-        or targets.ndim != len(batch) + 1
-        or targets.shape[-1] < 1
-    ):
-        raise ValueError(
-            f"targets must have shape ({', '.join(map(str, [*batch, 'entries']))}), got "
-            f"{tuple(targets.shape)}"
-        )
+    shape = tuple(targets.shape)
+    if len(shape) != len(batch) + 1 or shape[:-1] != tuple(batch) or shape[-1] < 1:
+        wanted = ", ".join(map(str, [*batch, "entries"]))
+        raise ValueError(f"targets must have shape ({wanted}), got {shape}")
     if not targets.isfinite().all():
         raise ValueError(f"targets must be finite, got {targets.tolist()}")
     return targets

@@ -10,15 +10,14 @@ try:
 except ModuleNotFoundError:  # an optional extra
     gymnasium = None
 
-ROBOTS = {
-    "DoublePendulum-v0": (DoublePendulumEnv, 25),
-    "BioRob-v0": (BioRobEnv, 18),
-}  # the environment, and the steps of an episode
+# the environment, and the steps of an episode
+ROBOTS = {"DoublePendulum-v0": (DoublePendulumEnv, 25), "BioRob-v0": (BioRobEnv, 18)}
 
 
 def register_robots() -> None:
-    """Make each robot known to ``gymnasium.make`` under ``torch_pmil/NAME``, once, where gymnasium
-    is installed.
+    """Register each robot with gymnasium under ``torch_pmil/NAME``, once.
+
+    Without gymnasium this does nothing.
     """
     if gymnasium is None:
         return

@@ -1,4 +1,4 @@
-"""What the environments of robots have in common, whatever moves them."""
+"""The common base of the environments of robots, whatever moves them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ Array = NDArray[np.floating]
 
 
 class RobotEnv(EnvBase):
-    """A robot in float64 with starts of its own seed, torques around zero, no reward, and episodes
-    that do not end.
+    """A robot in float64 with starts of its own seed, torques around zero, and no reward.
+
+    Episodes do not end.
 
     Args:
         batch_size: of the robots.
@@ -48,18 +49,20 @@ class RobotEnv(EnvBase):
 
     @property
     def motor_names(self) -> tuple[str, ...]:
-        """One for each torque: its number, unless the robot's model names it."""
+        """Name of the motor of each torque: its number, unless the robot's model names it."""
         return tuple(str(number) for number in range(self.action_spec.shape[-1]))
 
     def needed_torques(self, states: Tensor) -> Tensor | None:
-        """Torques (T, F) of each control period on the way through states x_0..x_T, (T + 1, D);
+        """Torques (T, F) of each control period on the way through states x_0..x_T, (T + 1, D).
+
         None where the model is not known.
         """
         return None
 
     def beyond_range(self, states: Tensor) -> Tensor | None:
-        """How far the joints would be beyond their stops in states (*batch, D): (*batch, J), 0
-        within; None where that is not known.
+        """Distance of the joints beyond their stops, 0 within, in states (*batch, D): (*batch, J).
+
+        None where the stops are not known.
         """
         return None
 
@@ -70,9 +73,7 @@ class RobotEnv(EnvBase):
             self._generator.manual_seed(seed)
 
     def _set_specs(self, dim: int, limit: Tensor, more: Mapping[str, TensorSpec]) -> None:
-        """Of a state vector (*batch, dim), actions within ±limit (*batch, F), and what else is
-        observed.
-        """
+        """Set the specs of states (*batch, dim), actions within ±limit (*batch, F), and more."""
         batch = self.batch_size
         self.observation_spec = Composite(
             {"observation": Unbounded((*batch, dim), dtype=torch.float64), **more}, shape=batch
@@ -81,13 +82,13 @@ class RobotEnv(EnvBase):
         self.reward_spec = Unbounded((*batch, 1), dtype=torch.float64)
 
     def _without_reward(self, measured: TensorDictBase) -> TensorDictBase:
-        """What a step gives: the measurement, no reward, and no end."""
+        """The result of a step: the measurement, no reward, and no end."""
         measured["reward"] = torch.zeros(*self.batch_size, 1, dtype=torch.float64)
         measured["done"] = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
         return measured
 
 
 def check_num_envs(num_envs: int | None) -> None:
-    """Raise ValueError unless it is None, for one robot, or a number of robots."""
+    """Raise ValueError unless ``num_envs`` is None, for one robot, or a number of robots."""
     if num_envs is not None and num_envs < 1:
         raise ValueError(f"num_envs must be None or at least 1, got {num_envs}")

@@ -11,13 +11,14 @@ from torch import Tensor
 
 
 def states_of(rollout: TensorDictBase) -> Tensor:
-    """States x_0..x_T of rollouts (*batch, T), as the robot's sensors say: (*batch, T + 1, D)."""
+    """States x_0..x_T of rollouts (*batch, T), as the robot's sensors tell: (*batch, T + 1, D)."""
     return torch.cat([rollout["observation"][..., :1, :], rollout["next", "observation"]], -2)
 
 
 def rollout_of(states: Tensor) -> TensorDict:
-    """The rollouts (*batch, T) of which :func:`states_of` gives these states x_0..x_T, (*batch, T +
-    1, D); nothing else is known of them.
+    """Rollouts (*batch, T) that hold the states x_0..x_T, (*batch, T + 1, D), and nothing else.
+
+    :func:`states_of` gives the states back.
 
     Example:
         >>> states_of(rollout_of(torch.zeros(7, 26, 4))).shape
@@ -39,8 +40,9 @@ def without_sensor_noise(rollout: TensorDictBase) -> TensorDictBase:
 
 
 def of_states(error: Callable[[Tensor], Tensor]) -> Callable[[TensorDictBase], Tensor]:
-    """An error of rollouts (*batch, T) that is a function of their states x_0..x_T, (*batch, T + 1,
-    D) to (*batch).
+    """An error of rollouts, (*batch, T) to (*batch), made of an error of their states.
+
+    That one takes x_0..x_T, (*batch, T + 1, D), to (*batch).
 
     Example:
         >>> last = of_states(lambda states: states[..., -1, :].norm(dim=-1))

@@ -115,7 +115,7 @@ def _columns(header: list[str], keys: Sequence[str]) -> tuple[list[str], list[st
 def _targets(
     columns: Sequence[np.ndarray], parts: Sequence[Sequence[_Row]], names: Sequence[str]
 ) -> Tensor:
-    """The target of each demonstration (N, K), of columns (T_n, K) that must each hold one number."""
+    """Targets (N, K) of demonstrations, from columns (T_n, K) that must each hold one number."""
     for rows, part in zip(columns, parts, strict=True):
         for sample, entry in np.argwhere(rows != rows[0])[:1]:
             raise DemonstrationError(

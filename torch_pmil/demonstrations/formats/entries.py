@@ -1,4 +1,4 @@
-"""What a file's entries are called, and which of them are read."""
+"""The names of a file's entries, and the choice of those that are read."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ Groups = Mapping[str, Sequence[str]]  # names of the entries that a key of a fil
 
 
 class Entry(NamedTuple):
-    """One number of each sample: the key that it stands under in the file, its place there, and its
-    name.
-    """
+    """One number of each sample: its key in the file, its column under that key, and its name."""
 
     key: str
     column: int
@@ -45,7 +43,8 @@ def choose(groups: Groups, keys: Sequence[str], default: Sequence[str]) -> list[
         DemonstrationError: a key is not there, or nothing is asked for and there is no default.
 
     Example:
-        >>> [entry.name for entry in choose({"pos": ("x", "y"), "vel": ("dx", "dy")}, ["vel", "x"], ())]
+        >>> groups = {"pos": ("x", "y"), "vel": ("dx", "dy")}
+        >>> [entry.name for entry in choose(groups, ["vel", "x"], ())]
         ['dx', 'dy', 'x']
     """
     entries = {
@@ -79,10 +78,8 @@ def natural_order(name: str) -> list[tuple[int, str]]:
 
 
 def _listed(groups: Groups) -> str:
-    return (
-        ", ".join(
-            key if tuple(names) == (key,) else f"{key} ({', '.join(names)})"
-            for key, names in groups.items()
-        )
-        or "nothing"
-    )
+    listed = [
+        key if tuple(names) == (key,) else f"{key} ({', '.join(names)})"
+        for key, names in groups.items()
+    ]
+    return ", ".join(listed) or "nothing"

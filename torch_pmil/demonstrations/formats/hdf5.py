@@ -27,8 +27,9 @@ MINARI = _Layout("Minari", "/", "episode_", "observations")
 
 
 def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = None) -> Recordings:
-    """What was observed in a robomimic file (``data/demo_N/obs``) or a Minari data set
-    (``episode_N/observations``).
+    """The observations of a robomimic file or of a Minari data set.
+
+    They lie in ``data/demo_N/obs`` and in ``episode_N/observations``.
 
     Args:
         path: of the file, or the folder of a Minari data set.
@@ -53,11 +54,8 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
         )
         step = time_step if time_step is not None else _time_step(root)
         observed = [_datasets(root[label].get(layout.observed, {})) for label in labels]
-        entries = choose(
-            {key: names_of(key, data.shape) for key, data in observed[0].items()},
-            keys,
-            _only(observed[0]),
-        )
+        groups = {key: names_of(key, data.shape) for key, data in observed[0].items()}
+        entries = choose(groups, keys, _only(observed[0]))
         needed = sorted({entry.key for entry in entries})
         arrays = [
             _arrays(label, data, needed, observed[0])
@@ -98,7 +96,7 @@ def _layout(content: Any) -> _Layout:
 
 
 def _time_step(root: Any) -> float:
-    """What a robomimic file says of its environment."""
+    """Seconds between samples, by the control frequency that a robomimic file states."""
     try:
         return 1 / json.loads(root.attrs["env_args"])["env_kwargs"]["control_freq"]
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:

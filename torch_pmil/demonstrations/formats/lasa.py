@@ -1,5 +1,6 @@
-"""The LASA handwriting set: MATLAB files of strokes that people drew on a tablet (Khansari-Zadeh
-and Billard 2011).
+"""The LASA handwriting set: MATLAB files of strokes that people drew on a tablet.
+
+Source: Khansari-Zadeh and Billard 2011.
 """
 
 from __future__ import annotations
@@ -48,15 +49,14 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
     labels = tuple(str(number) for number in range(1, len(strokes) + 1))
     read = sorted({"pos", *(entry.key for entry in entries)})
     arrays = [_stroke(label, stroke, read) for label, stroke in zip(labels, strokes, strict=True)]
+    values = [
+        METRES * np.stack([stroke[entry.key][entry.column] for entry in entries], 1)
+        for stroke in arrays
+    ]
     return Recordings(
         labels,
         tuple(torch.from_numpy(stroke["t"]) for stroke in arrays),
-        tuple(
-            torch.from_numpy(
-                METRES * np.stack([stroke[entry.key][entry.column] for entry in entries], 1)
-            )
-            for stroke in arrays
-        ),
+        tuple(map(torch.from_numpy, values)),
         tuple(entry.name for entry in entries),
         units=tuple(UNITS[entry.key] for entry in entries),
         format="LASA handwriting",

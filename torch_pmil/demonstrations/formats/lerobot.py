@@ -21,7 +21,7 @@ TOLERANCE = 1e-4
 
 
 def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
-    """What was observed in the episodes of a LeRobot data set, version 2 or 3.
+    """The observations in the episodes of a LeRobot data set, version 2 or 3.
 
     Args:
         path: the folder with ``meta/info.json`` and ``data/chunk-*/*.parquet``, or a single Parquet
@@ -36,11 +36,9 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
         OSError: a file cannot be read.
     """
     info = _info(path) if path.is_dir() else {}
-    files = (
-        sorted(path.glob("data/*/*.parquet"), key=lambda file: natural_order(str(file)))
-        if path.is_dir()
-        else [path]
-    )
+    files = [path]
+    if path.is_dir():
+        files = sorted(path.glob("data/*/*.parquet"), key=lambda file: natural_order(str(file)))
     if not files:
         raise DemonstrationError(
             "a LeRobot data set must hold files data/chunk-*/*.parquet, found none"
@@ -51,11 +49,10 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
         raise DemonstrationError(f"row {row}, column episode_index must hold a number, got none")
     entries = choose(_groups(frames, info), keys, ["observation.state"])
     values, labels = columns_of(frames, entries), np.unique(episodes)
+    times = [_times(stamps[episodes == label], info.get("fps")) for label in labels]
     return Recordings(
         tuple(f"{label:.0f}" for label in labels),
-        tuple(
-            torch.from_numpy(_times(stamps[episodes == label], info.get("fps"))) for label in labels
-        ),
+        tuple(map(torch.from_numpy, times)),
         tuple(torch.from_numpy(values[episodes == label]) for label in labels),
         tuple(entry.name for entry in entries),
         format="LeRobot",
@@ -124,20 +121,21 @@ def _array(name: str, column: Any) -> np.ndarray:
 
 
 def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The same columns of all files, one after the other."""
+    """Columns that all files have in one shape, the rows of the files one after the other."""
+    widths = [{name: column.shape[1:] for name, column in table.items()} for table in tables]
     shared = [
         name
-        for name in tables[0]
-        if all(
-            name in table and table[name].shape[1:] == tables[0][name].shape[1:] for table in tables
-        )
+        for name, width in widths[0].items()
+        if all(other.get(name) == width for other in widths)
     ]
     return {name: np.concatenate([table[name] for table in tables]) for name in shared}
 
 
 def _groups(frames: dict[str, np.ndarray], info: dict[str, Any]) -> dict[str, Sequence[str]]:
-    """Names of the entries of each column: those that the data set gives, if they are one for each
-    and no other column has them.
+    """Names of the entries of each column.
+
+    They are those that the data set gives, if there is one for each entry and no other column has
+    it.
     """
     groups: dict[str, Sequence[str]] = {}
     taken: set[str] = set()

@@ -46,11 +46,10 @@ def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
         arrays = {name: archive[name] for name in archive.files}
     _check(arrays)
     names, targets = arrays["names"].tolist(), arrays.get("targets")
-    columns = (
-        [names.index(entry.name) for entry in choose({name: [name] for name in names}, keys, ())]
-        if keys
-        else slice(None)
-    )
+    columns: slice | list[int] = slice(None)
+    if keys:
+        entries = choose({name: [name] for name in names}, keys, ())
+        columns = [names.index(entry.name) for entry in entries]
     return Demonstrations(
         torch.from_numpy(arrays["positions"])[..., columns],
         arrays["time_step"].item(),
@@ -68,8 +67,7 @@ def _check(arrays: dict[str, np.ndarray]) -> None:
         raise DemonstrationError("arrays positions and time_step must hold real numbers")
     if arrays["time_step"].shape != () or arrays["names"].ndim != 1:
         raise DemonstrationError("array time_step must be one number and names a list")
-    targets = arrays.get("targets")
-    if (targets is not None and targets.dtype.kind not in "fiu") or arrays.get(
-        "target_names", np.array([])
-    ).ndim != 1:
+    targets, target_names = arrays.get("targets"), arrays.get("target_names", np.array([]))
+    real = targets is None or targets.dtype.kind in "fiu"
+    if not real or target_names.ndim != 1:
         raise DemonstrationError("array targets must hold real numbers and target_names be a list")

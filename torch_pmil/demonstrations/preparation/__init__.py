@@ -1,1 +1,1 @@
-"""What makes demonstrations of recordings: alignment, smoothing, jumps, a camera's view, drawings."""
+"""From recordings to demonstrations: alignment, smoothing, jumps, camera pixels, drawings."""

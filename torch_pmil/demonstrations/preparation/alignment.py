@@ -1,5 +1,4 @@
-r"""Time alignment of demonstrations: people are never on time, and half the spread of what they
-show is timing.
+r"""Time alignment of demonstrations: half the spread of what people show is timing.
 
 Dynamic time warping (Sakoe and Chiba 1978, dtaidistance) says which moment of one demonstration
 corresponds to which of another; what lies before and after it prepares a recording: even samples
@@ -23,7 +22,7 @@ PENALTY = 0.05
 
 
 class AlignmentError(ValueError):
-    """Trajectories cannot be aligned; the message says in one line what was expected and what came."""
+    """Trajectories cannot be aligned; one line says what was expected and what came."""
 
 
 def align(
@@ -83,14 +82,12 @@ def align(
     positions = _positions(velocities, values[0].shape[1])
     lengths = np.array([len(one) - 1 for one in values])
     refinement = max(1, round(RESOLUTION / lengths.max()))
-    compared = _in_units_of_spread(
-        [_refined(one[:, positions], refinement) for one in values], isotropic
-    )
+    refined = [_refined(one[:, positions], refinement) for one in values]
+    compared = _in_units_of_spread(refined, isotropic)
     settings = {"window": max(2, round(window * refinement * lengths.max())), "penalty": PENALTY}
     template = compared[_medoid(compared, settings) if reference is None else reference]
-    knots = (
-        np.stack([_matched_times(template, one, settings) for one in compared]) / refinement
-    )  # (N, KNOTS + 2), samples
+    matched = [_matched_times(template, one, settings) for one in compared]
+    knots = np.stack(matched) / refinement  # (N, KNOTS + 2), samples
     knots[:, -1] = lengths
     common = knots.mean(0) if reference is None else knots[reference]
     steps = round(common[-1])
@@ -103,8 +100,9 @@ def align(
 
 
 def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
-    """Values at even times from the first one on, through a cubic spline; sampling noise stays,
-    nothing is smoothed.
+    """Values at even times from the first one on, by a cubic spline.
+
+    Nothing is smoothed: sampling noise stays.
 
     Args:
         values: (*batch, T, M).
@@ -134,8 +132,8 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
     duration = (times[-1] - times[0]).item()
     if not 0 < time_step <= duration * (1 + 1e-9):
         raise AlignmentError(
-            f"time_step must be positive and at most the duration, {duration:g} s, got {time_step} "
-            "s"
+            f"time_step must be positive and at most the duration, {duration:g} s, "
+            f"got {time_step} s"
         )
     even = times[0].item() + time_step * np.arange(int(duration / time_step + 1e-6) + 1)
     spline = CubicSpline(times.numpy(), values.numpy(), axis=-2)
@@ -159,8 +157,7 @@ def crop(
     velocities: Sequence[int] = (),
     isotropic: bool = False,
 ) -> Tensor:
-    """The part that moves: from the last sample at rest before the motion to the first one after
-    it.
+    """The part of a trajectory that moves, with one sample at rest before and after it.
 
     Args:
         trajectory: at one time step, (T, M).
@@ -168,7 +165,7 @@ def crop(
             units of their spread.
         velocities: columns that are rates of change, which say nothing of where the motion begins:
             their noise is larger.
-        isotropic: the positions share one spread, as in ``align``.
+        isotropic: whether the positions share one spread, as coordinates of one place do.
 
     Returns:
         Some consecutive samples of it, (T', M).
@@ -184,9 +181,8 @@ def crop(
     _check_trajectory("the trajectory", trajectory)
     if not 0 <= threshold < 1:
         raise AlignmentError(f"threshold must be in [0, 1), got {threshold}")
-    (scaled,) = _in_units_of_spread(
-        [trajectory[:, _positions(velocities, trajectory.shape[1])].double().numpy()], isotropic
-    )
+    positions = trajectory[:, _positions(velocities, trajectory.shape[1])].double().numpy()
+    (scaled,) = _in_units_of_spread([positions], isotropic)
     speed = np.linalg.norm(np.diff(scaled, axis=0), axis=1)
     moving = np.flatnonzero(speed > threshold * speed.max())
     return trajectory[moving[0] : moving[-1] + 2]
@@ -195,22 +191,18 @@ def crop(
 def _matched_times(
     reference: np.ndarray, other: np.ndarray, settings: dict[str, float]
 ) -> np.ndarray:
-    """Samples of the other that correspond to those of the reference: at its start, at the middles
-    of ``KNOTS`` parts, at its end.
+    """Samples of the other trajectory that correspond to moments of the reference.
+
+    The moments are its start, the middles of ``KNOTS`` parts, and its end.
     """
-    path = np.array(
-        dtw.warping_path_fast(
-            *(np.squeeze(one, 1) if one.shape[1] == 1 else one for one in (reference, other)),
-            **settings,
-        )
-    )
+    pair = [np.squeeze(one, 1) if one.shape[1] == 1 else one for one in (reference, other)]
+    path = np.array(dtw.warping_path_fast(*pair, **settings))
     matched = np.bincount(path[:, 0], path[:, 1]) / np.bincount(path[:, 0])  # the mean of a jump
     edges = np.linspace(0, len(matched) - 1, KNOTS + 1)
     cumulative = CubicSpline(np.arange(len(matched)), matched).antiderivative()
     middles = np.diff(cumulative(edges)) / np.diff(edges)
-    return np.concatenate(
-        [[0.0], np.maximum.accumulate(np.clip(middles, 0, len(other) - 1)), [len(other) - 1.0]]
-    )
+    inner = np.maximum.accumulate(np.clip(middles, 0, len(other) - 1))
+    return np.concatenate([[0.0], inner, [len(other) - 1.0]])
 
 
 def _warped(
@@ -234,14 +226,14 @@ def _medoid(trajectories: Sequence[np.ndarray], settings: dict[str, float]) -> i
 
 def _refined(trajectory: np.ndarray, refinement: int) -> np.ndarray:
     steps = len(trajectory) - 1
-    return CubicSpline(np.arange(steps + 1), trajectory)(
-        np.linspace(0, steps, refinement * steps + 1)
-    )
+    fine = np.linspace(0, steps, refinement * steps + 1)
+    return CubicSpline(np.arange(steps + 1), trajectory)(fine)
 
 
 def _in_units_of_spread(trajectories: Sequence[np.ndarray], isotropic: bool) -> list[np.ndarray]:
-    """Coordinates over their spread in all trajectories together, or over the one of all
-    coordinates; those that never change are zero.
+    """Coordinates in units of their standard deviation over all trajectories, each or all together.
+
+    Coordinates that never change are zero.
     """
     everything = np.concatenate(trajectories)
     mean, spread = everything.mean(0), everything.std(0)

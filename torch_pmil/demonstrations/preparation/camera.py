@@ -1,4 +1,4 @@
-"""From pixels to metres: where in a plane the points are that a camera saw in it."""
+"""Places in a plane, in metres, from the pixels of a camera that saw it."""
 
 from __future__ import annotations
 
@@ -8,19 +8,18 @@ from torch import Tensor
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError
 
 FEWEST_MARKERS = 4  # that determine a homography
-# of the narrowest direction among markers beside the widest, below which they lie on one line
+# ratio of the 8th to the first singular value below which three markers lie on one line
 LEAST_AREA = 1e-3
 
 
 def plane_coordinates(pixels: Tensor, markers: Tensor, places: Tensor) -> Tensor:
-    r"""Places in the plane of a motion, from a picture taken from anywhere, by a homography
-    (Hartley and Zisserman 2004, Algorithm 4.2).
+    r"""Places in the plane of a motion, from a picture taken from anywhere, by a homography.
 
     .. math:: w\,[x, y, 1]^\top = H\,[p_x, p_y, 1]^\top
 
     H is fitted to four markers or more, as the corners of a sheet of paper in the plane, whose
-    places are known. Pixels count downwards and the camera may be tilted; both are in H. The lens
-    must show straight lines as straight.
+    places are known (Hartley and Zisserman 2004, Algorithm 4.2). Pixels count downwards and the
+    camera may be tilted; both are in H. The lens must show straight lines as straight.
 
     Args:
         pixels: (*batch, 2).
@@ -51,26 +50,23 @@ def plane_coordinates(pixels: Tensor, markers: Tensor, places: Tensor) -> Tensor
         )
     if pixels.shape[-1:] != (2,):
         raise AlignmentError(f"pixels must be (*batch, 2), got {tuple(pixels.shape)}")
-    seen, known = _normalisation(markers.double()), _normalisation(places.double())
-    H = torch.linalg.solve(
-        known,
-        _homography(_applied(seen, markers.double()), _applied(known, places.double())) @ seen,
-    )
+    markers, places = markers.double(), places.double()
+    seen, known = _normalisation(markers), _normalisation(places)
+    normalised = _homography(_applied(seen, markers), _applied(known, places))
+    H = torch.linalg.solve(known, normalised @ seen)
     return _applied(H, pixels.double())
 
 
 def _homography(seen: Tensor, known: Tensor) -> Tensor:
-    """H (3, 3) that maps seen (K, 2) to known (K, 2): two linear equations a marker in its nine
-    entries, in least squares.
+    """The matrix H (3, 3) that maps seen (K, 2) to known (K, 2) in least squares.
+
+    Each marker gives two linear equations in the nine entries of H.
     """
-    ones, zeros = (
-        torch.ones(len(seen), 1, dtype=torch.float64),
-        torch.zeros(len(seen), 3, dtype=torch.float64),
-    )
-    p = torch.cat([seen, ones], -1)
-    rows = torch.cat(
-        [torch.cat([p, zeros, -known[:, :1] * p], -1), torch.cat([zeros, p, -known[:, 1:] * p], -1)]
-    )
+    p = torch.cat([seen, torch.ones_like(seen[:, :1])], -1)
+    zeros = torch.zeros_like(p)
+    first = torch.cat([p, zeros, -known[:, :1] * p], -1)
+    second = torch.cat([zeros, p, -known[:, 1:] * p], -1)
+    rows = torch.cat([first, second])  # (2 K, 9)
     _, spread, directions = torch.linalg.svd(rows)
     if spread[7] < LEAST_AREA * spread[0]:
         raise AlignmentError("markers must determine the plane: no three of the four on one line")
@@ -78,18 +74,14 @@ def _homography(seen: Tensor, known: Tensor) -> Tensor:
 
 
 def _normalisation(points: Tensor) -> Tensor:
-    """Similarity (3, 3) that centres points (K, 2) and gives them unit spread: pixels and metres
-    differ by orders of magnitude.
+    """Similarity (3, 3) that centres points (K, 2) and gives them unit spread.
+
+    Pixels and metres differ by orders of magnitude.
     """
-    scale = 1 / (points - points.mean(0)).norm(dim=-1).mean().clamp_min(
-        torch.finfo(torch.float64).tiny
-    )
-    return torch.cat(
-        [
-            torch.cat([scale * torch.eye(2).double(), -scale * points.mean(0)[:, None]], 1),
-            torch.eye(3).double()[2:],
-        ]
-    )
+    centre, tiny = points.mean(0), torch.finfo(torch.float64).tiny
+    scale = 1 / (points - centre).norm(dim=-1).mean().clamp_min(tiny)
+    upper = torch.cat([scale * torch.eye(2).double(), -scale * centre[:, None]], 1)
+    return torch.cat([upper, torch.eye(3).double()[2:]])
 
 
 def _applied(H: Tensor, points: Tensor) -> Tensor:

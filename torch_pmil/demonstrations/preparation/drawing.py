@@ -1,5 +1,4 @@
-"""Strokes that a person drew on a page become demonstrations: checked, brought to one timing, saved
-with what was recorded.
+"""Strokes that a person drew on a page, checked and brought to one timing as demonstrations.
 
 A page tells where the pen was in fractions of a square and when; the square stands for ``SIDE``
 metres, x points right and y up from its lower left corner.
@@ -36,9 +35,7 @@ REST = 0.1  # of the largest speed: below it a pen trembles
 
 
 class DrawingError(ValueError):
-    """Strokes are not as they must be; the message says in one line which one, what was expected
-    and what came.
-    """
+    """Strokes are malformed; one line says which stroke, what was expected and what came."""
 
 
 def read_strokes(text: str | bytes) -> Recordings:
@@ -100,7 +97,8 @@ def drawn_demonstrations(strokes: Recordings, time_step: float = 0.1) -> Demonst
     Example:
         >>> moments = torch.linspace(0, 1, 61, dtype=torch.float64)
         >>> path = 0.2 * torch.stack([moments, moments.square()], 1)
-        >>> drawn_demonstrations(Recordings(("1", "2"), (moments, 1.2 * moments), (path, path), NAMES)).positions.shape
+        >>> strokes = Recordings(("1", "2"), (moments, 1.2 * moments), (path, path), NAMES)
+        >>> drawn_demonstrations(strokes).positions.shape
         torch.Size([2, 12, 2])
     """
     check_time_step(time_step)
@@ -117,8 +115,9 @@ def drawn_demonstrations(strokes: Recordings, time_step: float = 0.1) -> Demonst
 def save_drawing(
     path: str | os.PathLike[str], strokes: Recordings, time_step: float = 0.1
 ) -> Demonstrations:
-    """Write demonstrations to an NPZ file, and beside it, ending in .csv, what was recorded: both
-    wholly, or neither.
+    """Write demonstrations to an NPZ file and their recorded strokes to a CSV file beside it.
+
+    Both are written wholly, or neither.
 
     Args:
         path: of the NPZ file.
@@ -147,8 +146,9 @@ def save_drawing(
 
 
 def check_time_step(time_step: float) -> None:
-    """Raises DrawingError unless strokes can have this time step, in s: no finer than they are
-    compared at, no longer than they may be.
+    """Raise DrawingError unless strokes can have this time step, in s.
+
+    It may be no finer than strokes are compared at, and no longer than the shortest stroke.
     """
     if not STEP <= time_step <= SHORTEST:
         raise DrawingError(
@@ -216,9 +216,8 @@ def _moving(label: str, times: Tensor, values: Tensor) -> Tensor:
     """
     even = np.linspace(0, times[-1].item(), round(times[-1].item() / STEP) + 1)
     sampled = PchipInterpolator(times.numpy(), values.numpy())(even)
-    smooth = torch.from_numpy(
-        sosfiltfilt(butter(2, CUTOFF, fs=1 / STEP, output="sos"), sampled, axis=0).copy()
-    )
+    low_pass = butter(2, CUTOFF, fs=1 / STEP, output="sos")
+    smooth = torch.from_numpy(sosfiltfilt(low_pass, sampled, axis=0).copy())
     moving = crop(smooth, REST, isotropic=True)
     duration = STEP * (len(moving) - 1)
     if duration < SHORTEST:

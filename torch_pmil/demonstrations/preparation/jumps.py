@@ -8,14 +8,12 @@ from torch import Tensor
 
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError
 
-MOST_DROPPED = (
-    0.5  # of the samples; where more contradict each other nobody knows which half is right
-)
+# share of the samples; where more contradict each other nobody knows which half is right
+MOST_DROPPED = 0.5
 
 
 def without_jumps(values: Tensor, times: Tensor, fastest: float | Tensor) -> tuple[Tensor, Tensor]:
-    """The samples that one motion can have passed through, given that no column changes faster than
-    ``fastest``.
+    """The samples of one motion whose columns change no faster than ``fastest``.
 
     Kept are as many as possible of which any two, and so all, are reached from one another within
     that speed: a longest chain. One sample beside the track is left out, as is a stretch of them,
@@ -64,19 +62,15 @@ def without_jumps(values: Tensor, times: Tensor, fastest: float | Tensor) -> tup
 
 
 def _longest_chain(places: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Indices of the longest sequence of samples of which each is at most 1 a second away from the
-    one before.
-    """
+    """Indices of the longest chain of samples with a speed of at most 1 from each to the next."""
     length, before = np.ones(len(times), dtype=int), np.full(len(times), -1)
     for now in range(1, len(times)):
-        reached = np.abs(places[now] - places[:now]).max(1) <= (times[now] - times[:now]) * (
-            1 + 1e-9
-        )
+        distance = np.abs(places[now] - places[:now]).max(1)
+        reached = distance <= (times[now] - times[:now]) * (1 + 1e-9)
         chains = np.where(reached, length[:now], 0)
         if reached.any():
-            before[now] = (
-                now - 1 - int(chains[::-1].argmax())
-            )  # of equally long ones, the one that ends last
+            # of equally long chains, the one that ends last
+            before[now] = now - 1 - int(chains[::-1].argmax())
             length[now] = chains.max() + 1
     chain = [int(length.argmax())]
     while before[chain[-1]] >= 0:

@@ -1,10 +1,10 @@
 r"""Smoothing of recorded positions, and the velocities that no sensor recorded.
 
 A cubic smoothing spline (Reinsch 1967) minimises :math:`\int (y - f)^2 \, dt + \lambda \int \ddot
-f^2 \, dt` over the recording. What oscillates with period :math:`P` passes it with the gain
-:math:`1 / (1 + \lambda (2 \pi / P)^4)`, whatever the rate of the samples. The rule is therefore a
-period in seconds, of what passes at half its height, :math:`\lambda = (\text{period} / 2 \pi)^4`:
-of what takes twice as long 94 % pass, of what takes half as long 6 %.
+f^2 \, dt` over the recording. An oscillation of period :math:`P` passes it with the gain
+:math:`1 / (1 + \lambda (2 \pi / P)^4)`, whatever the sampling rate. The setting is therefore the
+period in seconds that passes with the gain 1/2, :math:`\lambda = (\text{period} / 2 \pi)^4`: twice
+that period passes with the gain 0.94, half of it with 0.06.
 """
 
 from __future__ import annotations
@@ -42,8 +42,10 @@ def smooth(values: Tensor, times: Tensor, period: float) -> Tensor:
     Example:
         >>> import torch
         >>> times = torch.arange(200, dtype=torch.float64) / 100
-        >>> noise = 0.01 * torch.randn(200, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-        >>> bool((smooth(times[:, None] + noise, times, 0.3) - times[:, None]).std() < 0.5 * noise.std())
+        >>> generator = torch.Generator().manual_seed(0)
+        >>> noise = 0.01 * torch.randn(200, 1, generator=generator, dtype=torch.float64)
+        >>> error = smooth(times[:, None] + noise, times, 0.3) - times[:, None]
+        >>> bool(error.std() < 0.5 * noise.std())
         True
     """
     return from_numpy(_spline(values, times, period)(times.double().numpy()))
@@ -79,13 +81,10 @@ def velocities(values: Tensor, times: Tensor, period: float) -> Tensor:
 def _spline(values: Tensor, times: Tensor, period: float) -> BSpline:
     _check(values, times, period)
     t = times.double().numpy()
-    each = np.diff(t) / 2
-    share = np.concatenate([each, [0.0]]) + np.concatenate(
-        [[0.0], each]
-    )  # of the integral over time, trapezoidal
-    return make_smoothing_spline(
-        t, values.double().numpy(), w=share, lam=(period / (2 * math.pi)) ** 4
-    )
+    half = np.diff(t) / 2
+    weights = np.concatenate([half, [0.0]]) + np.concatenate([[0.0], half])  # trapezoidal rule
+    penalty = (period / (2 * math.pi)) ** 4
+    return make_smoothing_spline(t, values.double().numpy(), w=weights, lam=penalty)
 
 
 def _check(values: Tensor, times: Tensor, period: float) -> None:

@@ -1,1 +1,1 @@
-"""What records demonstrations in simulation: planned and tracked motions, and kinesthetic teaching."""
+"""Teachers that demonstrate in simulation: planned, tracked and hand-led motions."""

@@ -1,6 +1,4 @@
-"""The torques with which a robot would move exactly as another one did, by MuJoCo's inverse
-dynamics.
-"""
+"""Torques with which a robot would move exactly as another one did, by inverse dynamics."""
 
 from __future__ import annotations
 
@@ -29,7 +27,8 @@ def motion_of(
 
     Example:
         >>> from torch_pmil.envs import DoublePendulumEnv
-        >>> _, accelerations, _ = motion_of(DoublePendulumEnv(seed=0), torch.zeros(2, 4), torch.zeros(1, 2))
+        >>> env = DoublePendulumEnv(seed=0)
+        >>> _, accelerations, _ = motion_of(env, torch.zeros(2, 4), torch.zeros(1, 2))
         >>> accelerations.shape, bool((accelerations == 0).all())
         (torch.Size([50, 2]), True)
     """
@@ -43,8 +42,9 @@ def motion_of(
 
 
 def accelerations_of(model: mujoco.MjModel, states: Tensor, torques: Tensor) -> Tensor:
-    """Joint accelerations (S, D/2) in states (S, D) under torques (S, F); every joint has its motor
-    and is in the state.
+    """Joint accelerations (S, D/2) in states (S, D) under torques (S, F).
+
+    Every joint has its motor and is in the state.
     """
     data, result = mujoco.MjData(model), np.empty((len(states), model.nv))
     for row, (state, torque) in enumerate(zip(states.numpy(), torques.numpy(), strict=True)):
@@ -55,7 +55,7 @@ def accelerations_of(model: mujoco.MjModel, states: Tensor, torques: Tensor) -> 
 
 
 def tracking_torques(model: mujoco.MjModel, states: Tensor, accelerations: Tensor) -> Tensor:
-    """Torques (S, F), N·m, with which a robot has given accelerations, limits or not.
+    """Torques (S, F), N·m, with which a robot has these accelerations, limits or not.
 
     Args:
         model: of the robot, each joint with its motor.
@@ -64,12 +64,11 @@ def tracking_torques(model: mujoco.MjModel, states: Tensor, accelerations: Tenso
 
     Example:
         >>> from torch_pmil.envs.double_pendulum import double_pendulum_model
-        >>> stretched = torch.tensor([[torch.pi / 2, 0.0, 0.0, 0.0]], dtype=torch.float64)  # both links lie to the right
-        >>> tracking_torques(double_pendulum_model((0.5, 0.5)), stretched, torch.zeros(1, 2)).round(decimals=3)
+        >>> model = double_pendulum_model((0.5, 0.5))
+        >>> to_the_right = torch.tensor([[torch.pi / 2, 0.0, 0.0, 0.0]], dtype=torch.float64)
+        >>> tracking_torques(model, to_the_right, torch.zeros(1, 2)).round(decimals=3)
         tensor([[-4.9050, -1.2260]], dtype=torch.float64)
     """
-    return torch.from_numpy(
-        inverse_dynamics(
-            model, states[:, ::2].numpy(), states[:, 1::2].numpy(), accelerations.numpy()
-        )
-    )
+    positions, velocities = states[:, ::2].numpy(), states[:, 1::2].numpy()
+    forces = inverse_dynamics(model, positions, velocities, accelerations.numpy())
+    return torch.from_numpy(forces)

@@ -1,5 +1,6 @@
-"""Kinesthetic teaching of the BioRob (Section 5.2.2): a person leads the racket by hand, the motors
-are limp, states are recorded.
+"""Kinesthetic teaching of the BioRob: a person leads the racket by hand (Section 5.2.2).
+
+The motors are limp and the states are recorded.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ NEAR = 1e-9  # m, from where the racket is to be
 
 @dataclass(frozen=True)
 class Strike:
-    """Back, then fast up through the ball, then rest: what the teacher has in mind, unless told
-    with the ball at ``BALL``.
+    """The strike that the teacher means: back, then fast up through the ball, then rest.
+
+    Unless told otherwise, the ball is at ``BALL``.
 
     Angles of [yaw, shoulder, elbow] in rad, times in s after the start of the recording.
 
@@ -53,22 +55,21 @@ class Strike:
     duration: float = 1.8
 
     def path(self) -> BPoly:
-        """Angles over time, (3,) at each: at rest at the start, drawn back and in the end; smooth
-        in the acceleration between these.
+        """Angles over time, (3,) at each.
+
+        The arm is at rest at the start, drawn back, and in the end; between these the acceleration
+        is smooth.
         """
         still = [0.0, 0.0, 0.0]
         knots = [-SETTLING, 0.0, *self.times, max(self.duration, self.times[-1]) + 0.1]
-        rests = [
-            [pose, still, still]
-            for pose in (self.start, self.start, self.back, self.stop, self.stop)
-        ]
-        return BPoly.from_derivatives(
-            knots, [*rests[:3], [self.hit, self.hit_velocity], *rests[3:]]
-        )
+        before = [[pose, still, still] for pose in (self.start, self.start, self.back)]
+        after = [[self.stop, still, still]] * 2
+        return BPoly.from_derivatives(knots, [*before, [self.hit, self.hit_velocity], *after])
 
     def towards(self, ball: Sequence[float] | Array, model: mujoco.MjModel) -> Strike:
-        """The same strike at a ball elsewhere: a smooth function of its place, and this strike
-        itself if it is at ``BALL``.
+        """This strike, moved to a ball elsewhere: a smooth function of the ball's place.
+
+        It is this strike itself if the ball is at ``BALL``.
 
         The racket meets the ball as it did, by inverse kinematics of its centre; where the arm is
         drawn back to turns along with the yaw, and where it comes to rest moves along in all
@@ -98,7 +99,7 @@ class Strike:
 
 @dataclass(frozen=True)
 class Variation:
-    """How much a person varies from one demonstration to the next: standard deviations.
+    """Standard deviations of what a person varies from one demonstration to the next.
 
     Args:
         start, rest: of each angle at the start, and where the arm is drawn back and comes to rest,
@@ -115,7 +116,7 @@ class Variation:
     speed: float = 0.08
 
     def of(self, strike: Strike, model: mujoco.MjModel, generator: np.random.Generator) -> Strike:
-        """A strike near the one that was meant."""
+        """A random strike near the one that is meant."""
         draw = generator.normal
         return replace(
             strike,
@@ -130,7 +131,7 @@ class Variation:
 
 @dataclass(frozen=True)
 class RecordedStrike:
-    """What was recorded at every time step of the simulation.
+    """The recording of a strike at every time step of the simulation.
 
     Args:
         time_step: s.
@@ -169,15 +170,11 @@ def record_strike(model: mujoco.MjModel, strike: Strike) -> RecordedStrike:
     led = _racket_path(model, strike.path()(np.arange(steps + 1) * model.opt.timestep - SETTLING))
     speeds = np.gradient(led, model.opt.timestep, axis=0)
     _set_angles(data, JOINTS, strike.start)
-    _set_angles(
-        data, ROTORS, Equilibrium(model, JOINTS, ROTORS).ratio @ strike.start
-    )  # the two cables of each joint pull alike
+    ratio = Equilibrium(model, JOINTS, ROTORS).ratio
+    _set_angles(data, ROTORS, ratio @ strike.start)  # the two cables of each joint pull alike
     joints = [data.joint(name) for name in JOINTS]
-    states, touched, physics = (
-        [],
-        [],
-        np.empty((steps + 1, mujoco.mj_stateSize(model, FULL_PHYSICS))),
-    )
+    physics = np.empty((steps + 1, mujoco.mj_stateSize(model, FULL_PHYSICS)))
+    states, touched = [], []
     for place, velocity, now in zip(led, speeds, physics, strict=True):
         mujoco.mj_getState(model, data, now, FULL_PHYSICS)
         mujoco.mj_step1(model, data)
@@ -201,12 +198,10 @@ def _pull(model: mujoco.MjModel, data: mujoco.MjData, place: Array, velocity: Ar
     racket = data.site("racket")
     jacobian = np.empty((3, model.nv))
     mujoco.mj_jacSite(model, data, jacobian, None, racket.id)
-    force = HAND_STIFFNESS * (place - racket.xpos) + HAND_DAMPING * (
-        velocity - jacobian @ data.qvel
-    )
-    data.qfrc_applied[:] = (
-        jacobian.T @ force * (HAND_FORCE / max(float(np.linalg.norm(force)), HAND_FORCE))
-    )
+    slip = velocity - jacobian @ data.qvel
+    force = HAND_STIFFNESS * (place - racket.xpos) + HAND_DAMPING * slip
+    limited = HAND_FORCE / max(float(np.linalg.norm(force)), HAND_FORCE)
+    data.qfrc_applied[:] = jacobian.T @ force * limited
 
 
 def _set_angles(
@@ -217,7 +212,7 @@ def _set_angles(
 
 
 def _racket_path(model: mujoco.MjModel, angles: Array) -> Array:
-    """Where the racket's centre is, (n, 3) in m, at angles (n, 3)."""
+    """Places of the racket's centre, (n, 3) in m, at angles (n, 3)."""
     data, path = mujoco.MjData(model), []
     for each in angles:
         _set_angles(data, JOINTS, each)
@@ -237,17 +232,15 @@ def _angles_for(model: mujoco.MjModel, angles: tuple[float, ...], shift: Array) 
 
 
 def _angles_at(model: mujoco.MjModel, near: tuple[float, ...], place: Array) -> Array:
-    """Angles (3,) at which the racket's centre is at ``place`` (3,), m: Newton's method from
-    ``near``.
+    """Angles (3,) at which the racket's centre is at ``place`` (3,), m.
+
+    Newton's method starts from ``near``.
     """
-    angles, limits = np.array(near), np.array([model.joint(name).range for name in JOINTS])
+    angles = np.array(near)
+    low, high = np.array([model.joint(name).range for name in JOINTS]).T
     for _ in range(MAX_ITERATIONS):
         rest = place - _racket_path(model, angles[None])[0]
-        if (
-            np.linalg.norm(rest) < NEAR
-            and (limits[:, 0] <= angles).all()
-            and (angles <= limits[:, 1]).all()
-        ):
+        if np.linalg.norm(rest) < NEAR and ((low <= angles) & (angles <= high)).all():
             return angles
         angles += _angles_for(model, tuple(angles), rest)
     raise ValueError(

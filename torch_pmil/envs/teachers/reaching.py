@@ -25,24 +25,20 @@ from torch_pmil.envs.teachers.trajectory_optimization import (
     TrackingController,
 )
 
-TRAINING_TARGETS = torch.tensor(
-    [[0.1, -0.6], [0.5, -0.6], [0.3, -0.4]], dtype=torch.float64
-)  # (3, 2), m
+# (3, 2), m
+TRAINING_TARGETS = torch.tensor([[0.1, -0.6], [0.5, -0.6], [0.3, -0.4]], dtype=torch.float64)
 COLUMNS = torch.arange(0, 7, dtype=torch.float64) / 10  # x of the test targets, m
 ROWS = torch.arange(-7, -2, dtype=torch.float64) / 10  # y of the test targets, m
 TEST_TARGETS = torch.cartesian_prod(ROWS, COLUMNS).flip(-1)  # (35, 2), m; row by row from below
-STATE_WEIGHTS = (
-    10.0,
-    2.0,
-    10.0,
-    2.0,
-)  # of the plan at each step: it goes there at once, and is there after about 1.5 s
+# of the plan at each step: it goes there at once, and is there after about 1.5 s
+STATE_WEIGHTS = (10.0, 2.0, 10.0, 2.0)
 ACTION_WEIGHTS = (0.5, 0.5)  # of the torques beside those that hold the target
 
 
 def pose_at(targets: Tensor) -> Tensor:
-    """Angles [q1, q2] with which the tip is at the targets, the elbow on their left seen from the
-    base, hence q2 < 0.
+    """Angles [q1, q2] with which the tip is at the targets.
+
+    Seen from the base the elbow is on their left, hence q2 < 0.
 
     Args:
         targets: [x, y] of the tip, (*batch, 2), m.
@@ -54,7 +50,8 @@ def pose_at(targets: Tensor) -> Tensor:
         ValueError: a target is the base itself or farther away than the arm is long.
 
     Example:
-        >>> pose_at(torch.tensor([0.5, -0.5], dtype=torch.float64))  # link 1 hangs, link 2 points to the right
+        >>> target = torch.tensor([0.5, -0.5], dtype=torch.float64)
+        >>> pose_at(target)  # link 1 hangs, link 2 points to the right
         tensor([ 3.1416, -1.5708], dtype=torch.float64)
     """
     reach = targets.norm(dim=-1)
@@ -76,14 +73,12 @@ def holding_torques(targets: Tensor) -> Tensor:
         >>> holding_torques(TEST_TARGETS).abs().amax(0)
         tensor([2.3395, 1.2263], dtype=torch.float64)
     """
-    return tracking_torques(
-        double_pendulum_model(), _resting_at(targets), torch.zeros(len(targets), 2)
-    )
+    still = torch.zeros(len(targets), 2)
+    return tracking_torques(double_pendulum_model(), _resting_at(targets), still)
 
 
 def reaching_teacher(target: Tensor) -> TrackingController:
-    """Plan the motion from hanging to a target and a controller that follows the plan, then holds
-    the tip there.
+    """Plan the motion from hanging to a target, and a controller that tracks it and holds there.
 
     Args:
         target: [x, y] of the tip, (2,), m.
@@ -110,8 +105,7 @@ def reaching_teacher(target: Tensor) -> TrackingController:
 def demonstrate_reaching(
     env: DoublePendulumEnv, targets: Tensor, seed: int, torque_noise: float = TORQUE_NOISE
 ) -> tuple[Tensor, Tensor]:
-    """Let the teachers of N targets move N double pendulums at once, each time a little beside the
-    torques that they mean.
+    """Let the teachers of N targets move N double pendulums at once, with noise on their torques.
 
     Args:
         env: the N robots, which draw the starts.

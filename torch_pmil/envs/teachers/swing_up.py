@@ -1,4 +1,4 @@
-"""The teacher that moves the double pendulum to a pose and holds it: the swing-up (Sec. 5.1)."""
+"""The teacher that swings the double pendulum up, or to another pose, and holds it (Sec. 5.1)."""
 
 from __future__ import annotations
 
@@ -47,9 +47,8 @@ def swing_up_teacher(
         RuntimeError: the plan does not reach the upright position within the torque limit.
     """
     guess = np.random.default_rng(0).normal(size=(5, 2)).repeat(5, axis=0)
-    state_weights = np.tile(
-        [0.001, 0.05, 0.001, 0.05], (STEPS + 1, 1)
-    )  # a calm teacher: speed costs, not being away
+    # a calm teacher: speed costs, not being away
+    state_weights = np.tile([0.001, 0.05, 0.001, 0.05], (STEPS + 1, 1))
     state_weights[UPRIGHT_FROM:] = [100.0, 10.0, 100.0, 10.0]
     cost = QuadraticCost(UPRIGHT, state_weights, action_weights=np.full(2, 0.2))
     return teacher_for(cost, guess, link_masses, torque_limit)
@@ -61,8 +60,7 @@ def teacher_for(
     link_masses: Sequence[float] = (0.5, 0.5),
     torque_limit: float = 3.5,
 ) -> TrackingController:
-    """Plan how to come from hanging to a pose, and a controller that follows the plan, then holds
-    the pose.
+    """Plan the motion from hanging to a pose, and a controller that tracks it and holds there.
 
     Args:
         cost: of the motion; its target is the pose at rest, its ``hold_action`` the torques (2,)
@@ -100,8 +98,7 @@ def demonstrate(
     seed: int,
     torque_noise: float = TORQUE_NOISE,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Let a teacher move N double pendulums at once, each time a little beside the torques that it
-    means.
+    """Let a teacher move N double pendulums at once, with noise on its torques.
 
     Args:
         env: the N robots, which draw the starts.
@@ -120,9 +117,8 @@ def demonstrate(
     def imprecise_teacher(step: int, states: Array) -> Array:
         return (teacher(step, states) + torque_noise * noise[step]).clip(-limit, limit)
 
-    states, torques = roll_out(
-        array_dynamics(env), env.reset()["observation"].numpy(), imprecise_teacher, STEPS
-    )
+    starts = env.reset()["observation"].numpy()
+    states, torques = roll_out(array_dynamics(env), starts, imprecise_teacher, STEPS)
     return torch.from_numpy(states), torch.from_numpy(torques)
 
 
@@ -144,8 +140,9 @@ def planning_dynamics(
 
 
 def array_dynamics(env: MujocoRobotEnv) -> Dynamics:
-    """One control period of an environment as a function of arrays: states (N, D), actions (N, F)
-    to states (N, D).
+    """One control period of an environment as a function of arrays.
+
+    It takes states (N, D) and actions (N, F) to states (N, D).
     """
 
     def dynamics(states: Array, actions: Array) -> Array:

@@ -37,8 +37,9 @@ MU_MIN, MU_MAX, MU_FACTOR = 1e-8, 1e8, 4.0
 
 @dataclass(frozen=True)
 class QuadraticCost:
-    """Cost of a trajectory: half the sum of state_weights (x - target)² and action_weights (u -
-    hold_action)².
+    """Quadratic cost of a trajectory's distance from a target state and a holding action.
+
+    Half the sum of state_weights (x - target)² and action_weights (u - hold_action)².
 
     Attributes:
         target: state to reach, (D,).
@@ -53,11 +54,10 @@ class QuadraticCost:
     hold_action: Array | float = 0.0
 
     def __call__(self, states: Array, actions: Array) -> Array:
-        """Costs (*batch,) of trajectories with states (*batch, T+1, D) and actions (*batch, T, F)."""
+        """Costs (*batch,) of states (*batch, T+1, D) and actions (*batch, T, F)."""
         state_cost = (self.state_weights * (states - self.target) ** 2).sum((-2, -1))
-        return (
-            state_cost + (self.action_weights * (actions - self.hold_action) ** 2).sum((-2, -1))
-        ) / 2
+        action_cost = (self.action_weights * (actions - self.hold_action) ** 2).sum((-2, -1))
+        return (state_cost + action_cost) / 2
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,8 @@ class TrackingController:
     def __call__(self, step: int, states: Array) -> Array:
         """Actions (N, F) at a step for states (N, D)."""
         if step < self.hold_from:
-            actions = (
-                self.plan.actions[step] - (states - self.plan.states[step]) @ self.gains[step].T
-            )
+            feedback = (states - self.plan.states[step]) @ self.gains[step].T
+            actions = self.plan.actions[step] - feedback
         else:
             actions = self.hold_action - (states - self.target) @ self.hold_gain.T
         return actions.clip(-self.action_limit, self.action_limit)
@@ -138,24 +137,17 @@ def plan_trajectory(
         The plan; its ``converged`` says whether the tolerance was met.
     """
     guess = initial_actions.clip(-action_limit, action_limit)
-    states, actions = (
-        part[0] for part in roll_out(dynamics, start[None], lambda t, _: guess[t, None], len(guess))
-    )
+    rollouts = roll_out(dynamics, start[None], lambda t, _: guess[t, None], len(guess))
+    states, actions = rollouts[0][0], rollouts[1][0]
     best, mu = float(cost(states, actions)), 1.0
     A, B = linearize(dynamics, states[:-1], actions)
     for _ in range(max_iterations):
         k, K, _ = _backward(A, B, states, actions, cost, action_limit, mu)
-        new_states, new_actions, new_cost = _line_search(
-            dynamics, states, actions, k, K, cost, action_limit
-        )
-        if new_cost < best:
-            improvement = best - new_cost
-            states, actions, best, mu = (
-                new_states,
-                new_actions,
-                new_cost,
-                max(mu / MU_FACTOR, MU_MIN),
-            )
+        found = _line_search(dynamics, states, actions, k, K, cost, action_limit)
+        improvement = best - found[-1]
+        if improvement > 0:
+            states, actions, best = found
+            mu = max(mu / MU_FACTOR, MU_MIN)
             A, B = linearize(dynamics, states[:-1], actions)
         else:
             improvement = _backward(A, B, states, actions, cost, action_limit, mu=0.0)[2]
@@ -177,8 +169,9 @@ def tracking_controller(
     action_limit: Array,
     hold_action: Array | float = 0.0,
 ) -> TrackingController:
-    """Time-varying LQR about a plan, then infinite-horizon LQR about the target, an equilibrium
-    under ``hold_action``.
+    """Time-varying LQR about a plan, then infinite-horizon LQR about the target.
+
+    The target is an equilibrium under ``hold_action``.
 
     Args:
         dynamics: states (N, D) and actions (N, F) to next states (N, D).
@@ -199,9 +192,8 @@ def tracking_controller(
     Q, R = np.diag(state_weights), np.diag(action_weights)
     hold_gain, P = linear_regulator(dynamics, target, state_weights, action_weights, hold_action)
     gains = []
-    for A, B in reversed(
-        list(zip(*linearize(dynamics, plan.states[:-1], plan.actions), strict=True))
-    ):
+    derivatives = zip(*linearize(dynamics, plan.states[:-1], plan.actions), strict=True)
+    for A, B in reversed(list(derivatives)):
         gains.append(_lqr_gain(A, B, P, R))
         P = Q + A.T @ P @ (A - B @ gains[-1])
     return TrackingController(
@@ -216,8 +208,9 @@ def linear_regulator(
     action_weights: Array,
     hold_action: Array | float = 0.0,
 ) -> tuple[Array, Array]:
-    """Infinite-horizon LQR about a target that is an equilibrium under an action: the feedback gain
-    (F, D) and the cost to go (D, D).
+    """Infinite-horizon LQR about a target that is an equilibrium under an action.
+
+    Returns the feedback gain (F, D) and the cost to go (D, D).
 
     Args:
         dynamics: states (N, D) and actions (N, F) to next states (N, D).
@@ -229,12 +222,8 @@ def linear_regulator(
         numpy.linalg.LinAlgError: the dynamics about the target cannot be stabilised.
     """
     Q, R = np.diag(state_weights), np.diag(action_weights)
-    A, B = (
-        part[0]
-        for part in linearize(
-            dynamics, target[None], np.full((1, len(action_weights)), hold_action)
-        )
-    )
+    action = np.full((1, len(action_weights)), hold_action)
+    (A,), (B,) = linearize(dynamics, target[None], action)
     P = solve_discrete_are(A, B, Q, R)
     return _lqr_gain(A, B, P, R), P
 
@@ -242,8 +231,9 @@ def linear_regulator(
 def roll_out(
     dynamics: Dynamics, starts: Array, controller: Callable[[int, Array], Array], steps: int
 ) -> tuple[Array, Array]:
-    """States (N, T+1, D) and actions (N, T, F) from the starts (N, D), under actions (N, F) of step
-    and states.
+    """States (N, T+1, D) and actions (N, T, F) from the starts (N, D) under a controller.
+
+    The controller takes step and states to actions (N, F).
     """
     states, actions = [starts], []
     for t in range(steps):
@@ -253,8 +243,9 @@ def roll_out(
 
 
 def linearize(dynamics: Dynamics, states: Array, actions: Array) -> tuple[Array, Array]:
-    """Derivatives of the next states, (T, D, D) by state and (T, D, F) by action, from central
-    differences.
+    """Derivatives of the next states, (T, D, D) by state and (T, D, F) by action.
+
+    They are central differences.
     """
     dim = states.shape[1]
     points = np.concatenate([states, actions], axis=1)  # (T, D+F)
@@ -275,8 +266,9 @@ def _backward(
     action_limit: Array,
     mu: float,
 ) -> tuple[Array, Array, float]:
-    """Changes k (T, F) and gains K (T, F, D) of the actions that minimise the local model within
-    the limits, and what k gains there.
+    """Changes k (T, F) and gains K (T, F, D) that minimise the local model within the limits.
+
+    Also returns what k gains there.
     """
     gradients, R = cost.state_weights * (states - cost.target), np.diag(cost.action_weights)
     excess = actions - cost.hold_action
@@ -298,9 +290,7 @@ def _backward(
 def _box_minimum(
     hessian: Array, gradient: Array, lower: Array, upper: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Minimum of x·gradient + x·hessian·x/2 in a box, (F,), and which coordinates are off its
-    walls, (F,).
-    """
+    """Minimum of x·gradient + x·hessian·x/2 in a box, (F,), and which entries are off its walls."""
     L = np.linalg.cholesky(hessian)
     # A torque may already be at its limit: the box needs an inside.
     result = lsq_linear(
@@ -318,8 +308,9 @@ def _line_search(
     cost: QuadraticCost,
     action_limit: Array,
 ) -> tuple[Array, Array, float]:
-    """The cheapest of the trajectories that go a part LINE_SEARCH of the way, all simulated at
-    once.
+    """The cheapest of the trajectories that go a part LINE_SEARCH of the way.
+
+    All are simulated at once.
     """
 
     def changed(t: int, new_states: Array) -> Array:

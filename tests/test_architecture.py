@@ -165,6 +165,26 @@ def test_no_two_files_have_one_name_in_one_role() -> None:
     assert [name for name, count in counted.items() if count > 1] == []
 
 
+def holds_tensors(node: ast.ClassDef) -> bool:
+    fields = [
+        ast.unparse(field.annotation) for field in node.body if isinstance(field, ast.AnnAssign)
+    ]
+    return any("Tensor" in kind and "Callable" not in kind for kind in fields)
+
+
+def test_dataclasses_that_hold_tensors_are_compared_by_identity() -> None:
+    """Equality of tensors is a tensor, of which a dataclass asks whether it is true."""
+    compared = [
+        (name, node.name)
+        for name, path in FILES.items()
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.ClassDef) and holds_tensors(node)
+        for decorator in map(ast.unparse, node.decorator_list)
+        if decorator.startswith("dataclass") and "eq=False" not in decorator
+    ]
+    assert compared == []
+
+
 def test_every_room_says_what_it_is_for() -> None:
     rooms = [path for path in PACKAGE.rglob("__init__.py") if path.parent != PACKAGE]
     assert [name_of(path) for path in rooms if not ast.get_docstring(tree_of(path))] == []

@@ -35,7 +35,7 @@ PANELS = 16  # of the quadrature, for each duration
 NODES = 16  # of Gauss and Legendre, in each panel
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DMP:
     r"""A motion of D joints.
 

@@ -28,7 +28,7 @@ Controller = Callable[
 ]  # torques (*batch, F) at a step of the feedback in states (*batch, D)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Motion:
     """What a robot did, at its control steps.
 

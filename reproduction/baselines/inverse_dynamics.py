@@ -79,7 +79,7 @@ class InverseDynamics:
         return torch.cat([self.space.features(states), next_states - states, accelerations], -1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reference:
     """What the robot is to do: a motion at the control steps, and between them.
 

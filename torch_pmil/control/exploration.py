@@ -1,4 +1,4 @@
-"""How a robot moves before anything is learned: what its first model is made of."""
+"""Exploration: how a robot moves before anything is learned, for the data of its first model."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ class Motion(Protocol):
     """Torques (*batch, F), N·m, at states (*batch, D), called once for each control step."""
 
     def begin(self) -> None:
-        """A new rollout begins."""
+        """Start a new rollout."""
 
     def __call__(self, state: Tensor) -> Tensor:
-        """Torques of the next step."""
+        """Torques of the next step, (*batch, F), N·m, at states (*batch, D)."""
 
 
 class Exploration(Protocol):
-    """What an experiment says of it: the number of rollouts, their steps, and what moves the robot."""
+    """An experiment's exploration: number and length of its rollouts, and the robot's motion."""
 
     @property
     def rollouts(self) -> int:
-        """How often the robot starts."""
+        """Number of rollouts."""
 
     @property
     def steps(self) -> int:
@@ -35,20 +35,21 @@ class Exploration(Protocol):
 
     @property
     def settings(self) -> dict[str, object]:
-        """Numbers that a run depends on, as JSON can say them."""
+        """Numbers on which a run depends, in types that JSON has."""
 
     def motion(self, generator: torch.Generator) -> Motion:
-        """What moves the robot, drawing from a generator."""
+        """Motion of the robot, which draws from a generator."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RandomTorques:
-    """A rollout of independent torques, uniform within a fraction of the limits.
+    """Rollouts of independent torques, uniform within a fraction of the limits.
 
     Args:
         u_max: torque limits (F,), N·m.
-        fraction: of them.
-        steps: of the rollout.
+        fraction: fraction of the limits up to which torques are drawn.
+        steps: control steps of each rollout.
+        rollouts: number of rollouts.
 
     Example:
         >>> torques = RandomTorques(torch.tensor([3.5, 3.5]), fraction=0.4, steps=25)
@@ -67,7 +68,7 @@ class RandomTorques:
         return {"rollouts": self.rollouts, "steps": self.steps, "random_torque": self.fraction}
 
     def motion(self, generator: torch.Generator) -> Motion:
-        """What moves the robot, drawing from a generator."""
+        """Motion of independent torques, drawn from a generator."""
         return _Uniform(self.fraction * self.u_max.double(), generator)
 
 
@@ -76,16 +77,15 @@ class _Uniform:
         self.limit, self.generator = limit, generator
 
     def begin(self) -> None:
-        """Each step is independent of the others."""
+        """Nothing to do: each step is independent of the others."""
 
     def __call__(self, state: Tensor) -> Tensor:
         shape = (*state.shape[:-1], len(self.limit))
-        return self.limit * (
-            2 * torch.rand(shape, dtype=torch.float64, generator=self.generator) - 1
-        )
+        uniform = torch.rand(shape, dtype=torch.float64, generator=self.generator)
+        return self.limit * (2 * uniform - 1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PDMovements:
     r"""Simple movements of a PD controller around a pose (Section 5.2.4).
 
@@ -100,7 +100,7 @@ class PDMovements:
             those of the velocities.
         u_max: torque limits (F,), N·m.
         hold: control steps for which a target stays.
-        rollouts, steps: number of rollouts and control steps of each.
+        rollouts, steps: number of rollouts, and control steps of each.
         feedforward: torques (*batch, F) at states (*batch, D), which carry the robot's weight.
 
     Raises:
@@ -109,7 +109,8 @@ class PDMovements:
 
     Example:
         >>> still, gain = torch.zeros(2), torch.tensor([[5.0, 1.0]])
-        >>> pd = PDMovements(still, torch.tensor([0.4, 0.0]), gain, torch.tensor([3.0]), 5, 3, 20, lambda state: state[..., :1])
+        >>> reach, u_max = torch.tensor([0.4, 0.0]), torch.tensor([3.0])
+        >>> pd = PDMovements(still, reach, gain, u_max, 5, 3, 20, lambda state: state[..., :1])
         >>> pd.motion(torch.Generator().manual_seed(0))(still).abs().item() <= 5 * 0.4
         True
     """
@@ -144,12 +145,12 @@ class PDMovements:
 
     @property
     def settings(self) -> dict[str, object]:
-        """All numbers."""
+        """Numbers on which a run depends, in types that JSON has."""
         counts = {"rollouts": self.rollouts, "steps": self.steps, "hold": self.hold}
         return counts | {name: getattr(self, name).tolist() for name in ("pose", "reach", "gain")}
 
     def motion(self, generator: torch.Generator) -> Motion:
-        """What moves the robot, drawing from a generator."""
+        """Motion of the PD controller, with targets drawn from a generator."""
         return _PDControl(self, generator)
 
 
@@ -159,7 +160,7 @@ class _PDControl:
         self.begin()
 
     def begin(self) -> None:
-        """The first target is drawn at the next step."""
+        """Start a new rollout, whose first target is drawn at the next step."""
         self.step = 0
 
     def __call__(self, state: Tensor) -> Tensor:

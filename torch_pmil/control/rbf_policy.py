@@ -1,12 +1,11 @@
-r"""The policy: an RBF network squashed to the torque limits (Eqs. 25-27), on a state and on a
-belief.
+r"""The policy: an RBF network squashed to the torque limits (Eqs. 25-27), of states and of beliefs.
 
 ====================  ===========================================
 paper                 here
 ====================  ===========================================
 c_i (Eq. 26)          ``centres`` (m, D'), shared by the outputs
 w_i (Eq. 25)          ``weights`` (m, F)
-gamma (Eq. 26)        ``exp(log_widths)`` (F, D'), each output its own
+gamma (Eq. 26)        ``exp(log_widths)`` (F, D'), a row for each output
 u_max (Eq. 27)        ``u_max`` (F,)
 ====================  ===========================================
 """
@@ -24,22 +23,22 @@ from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import Moments, moment_match
 from torch_pmil.gp.trigonometry import squash
 
-MAX_SINE = (
-    0.999  # of a torque that is taken back through Eq. 27: at the limit itself its slope is zero
-)
+# bound of torque over limit when Eq. 27 is inverted: at the limit itself its slope is zero
+MAX_SINE = 0.999
 
 
 class Policy(Protocol):
-    """What a prediction takes for a policy."""
+    """Anything that gives a controller to a prediction."""
 
     @property
     def controller(self) -> Controller:
-        """Of the features of a state, or of N of them if it is of N targets."""
+        """Controller at the features of a state, or of N states if the policy is for N targets."""
 
 
 class RBFPolicy(nn.Module):
-    r""":math:`\pi(x) = u_{\max} \sin(\sum_i w_i \exp(-\tfrac12 (x - c_i)^\top \Gamma^{-1} (x -
-    c_i)))` (Eqs. 25-27).
+    r"""RBF network whose output is squashed to the torque limits (Eqs. 25-27).
+
+    :math:`\pi(x) = u_{\max} \sin(\sum_i w_i \exp(-\tfrac12 (x - c_i)^\top \Gamma^{-1} (x - c_i)))`
 
     Inputs are divided by ``scale`` first, so that parameters of all inputs are of order one; the
     policy has m (D' + F) + F D' parameters.
@@ -50,7 +49,8 @@ class RBFPolicy(nn.Module):
         scale: typical size of each input (D',), in its unit.
 
     Example:
-        >>> policy = RBFPolicy(torch.zeros(100, 6), u_max=torch.tensor([3.5, 3.5]), scale=torch.ones(6))
+        >>> u_max = torch.tensor([3.5, 3.5])
+        >>> policy = RBFPolicy(torch.zeros(100, 6), u_max, scale=torch.ones(6))
         >>> sum(p.numel() for p in policy.parameters())
         812
         >>> policy(torch.zeros(6)).shape
@@ -77,8 +77,9 @@ class RBFPolicy(nn.Module):
 
     @property
     def controller(self) -> Controller:
-        """The policy as a function of its present parameters, with their graph: build it once for a
-        rollout.
+        """The policy as a function of its present parameters, with their graph.
+
+        Building it costs time: build it once for a rollout.
         """
         network = KernelExpansion(
             inputs=self.centres * self.scale,
@@ -94,8 +95,7 @@ class RBFPolicy(nn.Module):
 
     @torch.no_grad()
     def fit_weights(self, features: Tensor, actions: Tensor, ridge: float = 0.1) -> None:
-        """Set the weights so that the policy acts as told: ridge regression around the present
-        weights (Eq. 25).
+        """Fit the weights to given actions by ridge regression around the present weights (Eq. 25).
 
         Args:
             features: (S, D').
@@ -109,24 +109,23 @@ class RBFPolicy(nn.Module):
             0.5
         """
         basis = self.controller.network.kernel(features.double()).transpose(0, 1)  # (F, S, m)
-        raw = torch.asin((actions / self.u_max).clamp(-MAX_SINE, MAX_SINE)).mT[
-            ..., None
-        ]  # (F, S, 1)
+        sines = (actions / self.u_max).clamp(-MAX_SINE, MAX_SINE)
+        raw = torch.asin(sines).mT[..., None]  # (F, S, 1)
         weights = self.weights.mT[..., None]
         gram = basis.mT @ basis + ridge * torch.eye(len(self.centres)).to(basis)
-        change = torch.cholesky_solve(
-            basis.mT @ (raw - basis @ weights), torch.linalg.cholesky(gram)
-        )
+        factor = torch.linalg.cholesky(gram)
+        change = torch.cholesky_solve(basis.mT @ (raw - basis @ weights), factor)
         self.weights.copy_((weights + change)[..., 0].mT)
 
     @torch.no_grad()
     def for_target(self, target: Tensor) -> RBFPolicy:
-        """The policy of the features alone that acts as this one does for a target (K,), the last
-        of its inputs (Eq. 31).
+        """The policy for one target (K,), a function of the features alone (Eq. 31).
+
+        The target is the last K of this policy's inputs; the actions are those of this policy.
 
         Example:
-            >>> policy = RBFPolicy(torch.zeros(5, 8), torch.ones(3), torch.ones(8)).for_target(torch.zeros(2))
-            >>> policy(torch.zeros(6)).shape
+            >>> policy = RBFPolicy(torch.zeros(5, 8), torch.ones(3), torch.ones(8))
+            >>> policy.for_target(torch.zeros(2))(torch.zeros(6)).shape
             torch.Size([3])
         """
         D = len(self.scale) - len(target)
@@ -137,16 +136,15 @@ class RBFPolicy(nn.Module):
         return policy
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PolicyAtTargets:
-    """A policy whose last K inputs are a target, at N targets: row i of a batch of N states is for
-    target i.
+    """A policy whose last K inputs are a target, at N targets (Eq. 31).
 
-    A target is known exactly, so it has no variance and its part of the network is a factor of the
-    weights (Eq. 31).
+    Row i of a batch of N states is for target i. A target is known exactly, so it has no variance
+    and its part of the network is a factor of the weights.
 
     Args:
-        policy: sees the features of the state, then the target.
+        policy: a policy that sees the features of the state, then the target.
         targets: (N, K).
     """
 
@@ -155,14 +153,14 @@ class PolicyAtTargets:
 
     @property
     def controller(self) -> Controller:
-        """Of the features of N states."""
+        """Controller at the features of N states, one for each target."""
         controller = self.policy.controller
         return Controller(controller.network.at_known(self.targets), controller.u_max)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Controller:
-    """An RBF network and the torque limits that its output is squashed to (Eq. 27)."""
+    """An RBF network and the torque limits to which its output is squashed (Eq. 27)."""
 
     network: KernelExpansion
     u_max: Tensor
@@ -173,19 +171,19 @@ class Controller:
 
     @property
     def parameters(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D') of the network, in the
-        units of its inputs.
+        """Centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D') of the network.
+
+        Centres and widths are in the units of its inputs.
         """
         return self.network.inputs, self.network.weights, self.network.lengthscales
 
     def with_parameters(self, centres: Tensor, weights: Tensor, widths: Tensor) -> Controller:
-        """The same with another network."""
-        return Controller(
-            KernelExpansion(centres, weights, widths, self.network.signal_variance), self.u_max
-        )
+        """This controller with other parameters of its network."""
+        network = KernelExpansion(centres, weights, widths, self.network.signal_variance)
+        return Controller(network, self.u_max)
 
     def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
-        """Exact moments of the network at an uncertain input, then of its squashing.
+        """Exact moments of the action at a belief over the features: of the network, then squashed.
 
         Args:
             features: belief over the policy's inputs.
@@ -196,6 +194,6 @@ class Controller:
         return self.squashed(moment_match(self.network, features))
 
     def squashed(self, raw: Moments) -> tuple[Gaussian, Tensor]:
-        """As :meth:`on_belief`, from the moments of the network."""
+        """Results of :meth:`on_belief`, from the moments of the network."""
         action, slope = squash(raw.gaussian, self.u_max)
         return action, raw.inv_cov_cross_cov * slope[..., None, :]

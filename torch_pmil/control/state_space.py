@@ -1,5 +1,6 @@
-"""What the entries of a state mean: which are angles, what models and policies see of it, and where
-trajectories are matched.
+"""Meaning of a state's entries: its angles, its features, and its match space.
+
+Models and policies see the features; trajectories are compared in the match space.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.trigonometry import Augmentation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MatchSpace:
-    r"""The space in which demonstrations were observed: affine in the state and in sin/cos of
-    linear combinations of it.
+    r"""The space in which demonstrations were observed.
+
+    It is affine in the state and in the sines and cosines of linear combinations of the state.
 
     .. math:: z = B\,[x, \sin(Ax), \cos(Ax)]
 
@@ -28,7 +30,8 @@ class MatchSpace:
         weights: B, (M, D + 2K).
 
     Example:
-        >>> tip = MatchSpace(("x", "y"), ("m", "m"), torch.ones(1, 1), torch.tensor([[0.0, 0.5, 0.0], [0.0, 0.0, 0.5]]))
+        >>> weights = torch.tensor([[0.0, 0.5, 0.0], [0.0, 0.0, 0.5]])
+        >>> tip = MatchSpace(("x", "y"), ("m", "m"), torch.ones(1, 1), weights)
         >>> tip(torch.zeros(1))
         tensor([0.0000, 0.5000])
     """
@@ -48,7 +51,7 @@ class MatchSpace:
 
     @property
     def dim(self) -> int:
-        """Number M of observed entries."""
+        """Number of observed entries M."""
         return len(self.names)
 
     def __call__(self, states: Tensor) -> Tensor:
@@ -62,25 +65,26 @@ class MatchSpace:
 
     @cached_property
     def _augmentation(self) -> Augmentation:
-        return Augmentation.of(
-            torch.eye(self.angles.shape[-1], dtype=torch.float64), self.angles.double()
-        )
+        plain = torch.eye(self.angles.shape[-1], dtype=torch.float64)
+        return Augmentation.of(plain, self.angles.double())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StateSpace:
     """A robot's state: names and units of its D entries, which are angles, and its match space.
 
-    Models and policies see the other entries as they are and sin and cos in place of each angle (D'
-    = D + number of angles).
+    Models and policies see sin and cos in place of each angle, and the other entries as they are,
+    D' = D + number of angles in all.
+
 
     Args:
         names, units: one for each entry.
         angles: indices of the entries that are angles (rad) and wrap around.
-        match_space: where predictions are compared with demonstrations.
+        match_space: the space in which predictions are compared with demonstrations.
 
     Example:
-        >>> space = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s")))
+        >>> names, units = ("q", "dq"), ("rad", "rad/s")
+        >>> space = StateSpace(names, units, (0,), joint_match(names, units))
         >>> space.feature_names
         ('dq', 'sin q', 'cos q')
         >>> space.features(torch.zeros(2))
@@ -93,22 +97,23 @@ class StateSpace:
     match_space: MatchSpace
 
     def __post_init__(self) -> None:
-        if len(self.units) != self.dim or self.match_space.angles.shape[-1] != self.dim:
+        matched = self.match_space.angles.shape[-1]
+        if len(self.units) != self.dim or matched != self.dim:
             raise ValueError(
                 f"units and the match space must be for the {self.dim} entries of {self.names}, "
-                f"got {len(self.units)} units and a match space of {self.match_space.angles.shape[-1]}"
+                f"got {len(self.units)} units and a match space of {matched}"
             )
         if not set(self.angles) <= set(range(self.dim)):
             raise ValueError(f"angles must be indices below {self.dim}, got {self.angles}")
 
     @property
     def dim(self) -> int:
-        """Number D of entries."""
+        """Number of entries D."""
         return len(self.names)
 
     @property
     def plain(self) -> tuple[int, ...]:
-        """Indices of the entries that are no angles."""
+        """Indices of the entries that are not angles."""
         return tuple(i for i in range(self.dim) if i not in self.angles)
 
     @property
@@ -118,32 +123,32 @@ class StateSpace:
         return (*(self.names[i] for i in self.plain), *sines, *cosines)
 
     def observe(self, states: Tensor) -> Tensor:
-        """What is observed of states (*batch, D) in the match space: (*batch, M)."""
+        """Observations (*batch, M) of states (*batch, D) in the match space."""
         return self.match_space(states)
 
     def features(self, states: Tensor) -> Tensor:
-        """What models and policies see of states (*batch, D): (*batch, D')."""
+        """Features (*batch, D') of states (*batch, D), which models and policies see."""
         selected = states @ self.augmentation.to(states).rows.mT
-        plain, for_sine, for_cosine = selected.split(
-            [len(self.plain), len(self.angles), len(self.angles)], -1
-        )
+        sizes = [len(self.plain), len(self.angles), len(self.angles)]
+        plain, for_sine, for_cosine = selected.split(sizes, -1)
         return torch.cat([plain, for_sine.sin(), for_cosine.cos()], -1)
 
     def feature_moments(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
-        """Exact moments of the features of an uncertain state, and Sigma_x^-1 cov(x, features),
-        (*batch, D, D').
+        """Exact moments of the features of an uncertain state.
+
+        The second result is Sigma_x^-1 cov(x, features), (*batch, D, D').
         """
         return self.augmentation.to(state.mean)(state)
 
     @cached_property
     def augmentation(self) -> Augmentation:
-        """What makes the features of an uncertain state."""
+        """The map from the moments of a state to those of its features."""
         identity = torch.eye(self.dim, dtype=torch.float64)
         return Augmentation.of(identity[list(self.plain)], identity[list(self.angles)])
 
 
 def joint_match(names: tuple[str, ...], units: tuple[str, ...]) -> MatchSpace:
-    """The match space that is the state itself.
+    """Match space that is the state itself.
 
     Example:
         >>> joint_match(("q",), ("rad",))(torch.ones(1))

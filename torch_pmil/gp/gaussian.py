@@ -66,7 +66,7 @@ def _triangle(dim: int, device: torch.device) -> tuple[Tensor, Tensor]:
     return rows * dim + columns, position.flatten()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gaussian:
     """A Gaussian N(mean, cov), or a batch of them.
 

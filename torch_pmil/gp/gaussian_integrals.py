@@ -13,7 +13,7 @@ from torch_pmil.gp.gaussian import Gaussian, apply, cholesky, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GaussianIntegrals:
     r"""Integrals of the E kernels and of their P = E(E+1)/2 products over N beliefs.
 

@@ -34,7 +34,7 @@ SMALL_GRADIENT = 1e-3
 SMALL_CHANGE = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Optimum:
     """Hyper-parameters of one output, and how they were found.
 

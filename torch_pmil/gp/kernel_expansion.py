@@ -15,7 +15,7 @@ from torch_pmil.gp.gaussian import cholesky
 from torch_pmil.gp.kernel_pairs import KernelPairs
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KernelExpansion:
     r"""E functions :math:`f_a(x) = c_a + \sum_i \beta_{ai} k_a(x, x_i)` with the kernel of Eq. 5.
 

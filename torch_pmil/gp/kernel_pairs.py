@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KernelPairs:
     """The E kernels and their P = E(E+1)/2 pairwise products that moment matching integrates.
 

@@ -86,7 +86,7 @@ class RecordedMoments:
         return MomentDerivatives(self.f, _concatenated(self._sums), self.observation_noise)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MomentTerms:
     """Intermediate results of moment matching at N beliefs: arrays as long as the data.
 
@@ -136,7 +136,7 @@ class MomentTerms:
         return cls(belief.mean, integrals.precision, beta_q, left_Q * z, row_sums), moments
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MomentSums:
     """Sums over the data at N beliefs, from which the moments and their derivatives follow.
 

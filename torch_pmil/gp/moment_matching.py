@@ -26,7 +26,7 @@ from torch_pmil.gp.gaussian_integrals import GaussianIntegrals
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Moments:
     """Moments of f(x) when x is Gaussian and f an expansion of E outputs.
 

@@ -50,7 +50,7 @@ def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, 
     return Augmentation.of(plain, angles)(belief)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Augmentation:
     """:func:`augment` prepared for many beliefs.
 

@@ -1,6 +1,4 @@
-"""The robot's forward model: one exact GP for each entry of the state (Eqs. 2-7), learned with
-GPyTorch.
-"""
+"""The robot's forward model: one exact GP for each entry of the state (Eqs. 2-7), with GPyTorch."""
 
 from __future__ import annotations
 
@@ -22,9 +20,8 @@ from torch_pmil.gp.lbfgs import NotFiniteError
 
 Targets = Literal["difference", "successor"]
 
-RESTART_GROWTH = (
-    1.25  # growth of the data after which hyper-parameters are searched from all starts again
-)
+# growth of the data after which hyper-parameters are searched from all starts again
+RESTART_GROWTH = 1.25
 
 
 class _BatchGP(gpytorch.models.ExactGP):
@@ -49,15 +46,15 @@ class _BatchGP(gpytorch.models.ExactGP):
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitResult:
-    """How the hyper-parameters were found.
+    """Outcome of a fit of the hyper-parameters.
 
     Args:
-        negative_log_likelihood: of each output, (E,), nats, without PILCO's penalties.
-        evaluations: of the likelihood of one output, over all outputs and starts.
+        negative_log_likelihood: nats of each output, (E,), without PILCO's penalties.
+        evaluations: number of evaluations of one output's likelihood, over all outputs and starts.
         seconds: wall time.
-        stop_reason: why the best search of each output ended, one of those in ``MinimiseResult``.
+        stop_reason: why the best search of each output ended, as in ``MinimiseResult``.
     """
 
     negative_log_likelihood: Tensor
@@ -74,10 +71,10 @@ class GPDynamics(nn.Module):
     ``noise`` of the GPyTorch model ``gp``.
 
     Args:
-        num_inputs: D' + F, features and actions.
-        num_outputs: D, entries of the state.
-        targets: "difference" learns x_{t+1} - x_t (the prior then means "stays where it is"),
-            "successor" x_{t+1} (Eq. 2).
+        num_inputs: number D' + F of features and actions.
+        num_outputs: number D of entries of the state.
+        targets: "difference" to learn x_{t+1} - x_t (the prior mean is then that the state stays
+            where it is), or "successor" to learn x_{t+1} (Eq. 2).
 
     Example:
         >>> X = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
@@ -102,15 +99,15 @@ class GPDynamics(nn.Module):
         ).double()
         self.register_buffer("train_inputs", torch.zeros(0, num_inputs, dtype=torch.float64))
         self.register_buffer("train_targets", torch.zeros(0, num_outputs, dtype=torch.float64))
-        self.register_buffer(
-            "searched_size", torch.tensor(0)
-        )  # number of data at the last fit from all starts
+        # number of data at the last fit from all starts
+        self.register_buffer("searched_size", torch.tensor(0))
         self._expansion: KernelExpansion | None = None
 
     @property
     def expansion(self) -> KernelExpansion:
-        """The posterior with its cached K^-1 and beta; constant, without a graph. Raises
-        RuntimeError before any data.
+        """The posterior with its cached K^-1 and beta; constant, without a graph.
+
+        Raises RuntimeError before any data.
         """
         if self._expansion is None:
             if len(self.train_inputs) == 0:
@@ -141,21 +138,22 @@ class GPDynamics(nn.Module):
         self._expansion = None
 
     def fit(self, inputs: Tensor, targets: Tensor, max_iterations: int = 100) -> FitResult:
-        """Maximise the marginal likelihood of the data, each output by an L-BFGS of its own, and
-        keep the best of several starts.
+        """Maximise the marginal likelihood of the data, each output by an L-BFGS of its own.
 
-        Starts are the last optimum and PILCO's: lengthscales std(input), signal std(target), noise
-        a tenth or a hundredth of it, and where data are few the same with twice the lengthscales.
-        PILCO's penalties keep the signal-to-noise ratio below about 500 and the lengthscales within
-        a factor 100 of std(input). Few data have several optima, and one of them may explain all
-        motion as noise. Later, when many data have come rollout by rollout, the other starts hardly
-        ever lead further than the last optimum: it is the only one while the data begin with those
-        of the last fit from all starts, and are less than ``RESTART_GROWTH`` times as many.
+        The best of several starts is kept: the last optimum and PILCO's starts, which are
+        lengthscales std(input), signal std(target), noise a tenth or a hundredth of it, and for few
+        data the same with twice the lengthscales. PILCO's penalties keep the signal-to-noise ratio
+        below about 500 and the lengthscales within a factor 100 of std(input).
+
+        Few data have several optima, and one of them may explain all motion as noise. Later, when
+        many data have come rollout by rollout, the other starts hardly ever lead further than the
+        last optimum: it is the only start while the data begin with those of the last fit from all
+        starts, and are less than ``RESTART_GROWTH`` times as many.
 
         Args:
             inputs: features and actions (n, D' + F).
-            targets: differences or successors (n, D), as the class was told.
-            max_iterations: of L-BFGS, for each start.
+            targets: differences or successors (n, D), see the argument ``targets`` of the class.
+            max_iterations: limit of L-BFGS for each start.
 
         Raises:
             ValueError: shapes do not fit, or an entry is not finite, or fewer than two data.
@@ -183,14 +181,14 @@ class GPDynamics(nn.Module):
         )
 
     def _find(self, output: int, fitted: bool, restarted: bool, max_iterations: int) -> Optimum:
-        """Hyper-parameters of one output: from the last ones alone where those do, else from
-        PILCO's starts too.
+        """Hyper-parameters of one output, searched from the last ones or from PILCO's starts too.
+
+        The last ones are the only start unless ``restarted``, or unless they fail at the new data.
         """
         target, last = self.train_targets[:, output].contiguous(), self._log_parameters()[output]
         if not restarted:
-            with contextlib.suppress(
-                NotPositiveDefiniteError, NotFiniteError
-            ):  # new data may contradict the last model
+            # new data may contradict the last model
+            with contextlib.suppress(NotPositiveDefiniteError, NotFiniteError):
                 return find_hyperparameters(self.train_inputs, target, [last], max_iterations)
         starts = ([last] if fitted else []) + pilco_starts(self.train_inputs, target)
         return find_hyperparameters(self.train_inputs, target, starts, max_iterations)
@@ -198,26 +196,28 @@ class GPDynamics(nn.Module):
     def _continued_by(self, inputs: Tensor, targets: Tensor) -> bool:
         """Whether new data begin with the present ones."""
         n = len(self.train_inputs)
-        return torch.equal(inputs[:n], self.train_inputs) and torch.equal(
-            targets[:n], self.train_targets
-        )
+        same_inputs = torch.equal(inputs[:n], self.train_inputs)
+        return same_inputs and torch.equal(targets[:n], self.train_targets)
 
     def _raw_parameters(self) -> list[Tensor]:
-        """Logarithms of lengthscales, signal and noise variances, (E, D), (E, 1) and (E, 1); they
-        share the model's memory.
+        """Logarithms of lengthscales (E, D), signal variances (E, 1) and noise variances (E, 1).
+
+        They share the model's memory.
         """
         kernel, noise = self.gp.covar_module, self.gp.likelihood.noise_covar
         raw = kernel.base_kernel.raw_lengthscale, kernel.raw_outputscale, noise.raw_noise
         return [parameter.detach().view(self.num_outputs, -1) for parameter in raw]
 
     def _log_parameters(self) -> Tensor:
-        """Of every output, (E, D + 2), in the order of :mod:`torch_pmil.gp.hyperparameters`."""
+        """Log parameters of every output, (E, D + 2).
+
+        The order is that of :mod:`torch_pmil.gp.hyperparameters`.
+        """
         return torch.cat(self._raw_parameters(), -1)
 
     def _set_log_parameters(self, values: Tensor) -> None:
-        for parameter, value in zip(
-            self._raw_parameters(), values.split([self.num_inputs, 1, 1], -1), strict=True
-        ):
+        parts = values.split([self.num_inputs, 1, 1], -1)
+        for parameter, value in zip(self._raw_parameters(), parts, strict=True):
             parameter.copy_(value)
 
     def _check_data(self, inputs: Tensor, targets: Tensor) -> None:
@@ -240,10 +240,8 @@ class GPDynamics(nn.Module):
         return super()._apply(function, recurse)
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
-        inputs, targets = (
-            state_dict.get(prefix + "train_inputs"),
-            state_dict.get(prefix + "train_targets"),
-        )
+        inputs = state_dict.get(prefix + "train_inputs")
+        targets = state_dict.get(prefix + "train_targets")
         if inputs is not None and targets is not None and len(inputs):
             self.set_data(inputs, targets)
         super()._load_from_state_dict(state_dict, prefix, *args)

@@ -1,5 +1,6 @@
-r"""At which rate to sample a robot, so that a model of it learns most: cross-validated likelihood
-over frequencies (Eq. 30, Figure 9).
+r"""Choice of the sampling frequency at which a model of a robot learns most (Eq. 30, Figure 9).
+
+Frequencies are compared by cross-validated likelihood.
 
 =========================  ==================================================================
 paper symbol               name
@@ -33,11 +34,11 @@ CONFIDENCE = 0.95
 
 
 class Recording(NamedTuple):
-    """What a robot did without interruption, at a high rate.
+    """Motion of a robot without interruption, sampled at a high rate.
 
     Args:
         states: (T + 1, D).
-        actions: between them, (T, F).
+        actions: actions between the states, (T, F).
     """
 
     states: Tensor
@@ -57,7 +58,7 @@ class Interval(NamedTuple):
 
     @classmethod
     def of(cls, values: Tensor) -> Interval:
-        """From independent values (n,); of one value alone the width is not a number."""
+        """Interval of the mean of independent values (n,); its width is NaN for a single value."""
         quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1))
         return cls(values.mean().item(), quantile * values.std().item() / len(values) ** 0.5)
 
@@ -68,8 +69,8 @@ class FrequencyScore:
 
     Args:
         frequency: f_s, Hz.
-        transitions: number of them, n.
-        log_likelihood: of each fold and output, nats for each transition, (k, D); a density in the
+        transitions: number n of transitions.
+        log_likelihood: nats a transition for each fold and output, (k, D); of a density in the
             units of the state.
         spread: standard deviation of the state's increments, in its units, (D,).
     """
@@ -81,20 +82,22 @@ class FrequencyScore:
 
     @property
     def raw(self) -> Interval:
-        """How sharply the next state is predicted, in its units. The shorter the step the less can
-        happen in it: it rises with frequency.
+        """How sharply the next state is predicted, in its units: nats a transition and output.
 
-        Of nats for each transition and output, over the folds, which share training data: take the
-        interval as a guide.
+        The shorter the step the less can happen in it, so this rises with frequency. The interval
+        is over the folds, which share training data: take it as a guide.
+
         """
         return Interval.of(self.log_likelihood.mean(1))
 
     @property
     def standardised(self) -> Interval:
-        """How much of what changes is predicted: increments in units of their spread, so that
-        frequencies can be compared.
+        """How much of what changes is predicted, in nats a transition and output.
 
-        As the raw one; a model that knows nothing but mean and spread has about -1.42.
+        Increments are in units of their spread, so that frequencies can be compared. A model that
+        knows nothing but mean and spread has about -1.42. The interval is over the folds, which
+        share training data: take it as a guide.
+
         """
         return Interval.of((self.log_likelihood + self.spread.log()).mean(1))
 
@@ -114,15 +117,15 @@ def score_frequencies(
     answers, ``FrequencyScore.raw`` and ``FrequencyScore.standardised``.
 
     Args:
-        recordings: of the robot; no transition leads from one to another.
-        time_step: between two samples of them, s.
-        frequencies: in Hz; the interval of each is a whole number of time steps.
-        space: of the robot: which entries are angles.
-        folds: k.
-        max_iterations: of L-BFGS, for each fit and start.
+        recordings: recordings of one robot; no transition leads from one to another.
+        time_step: time between two samples of the recordings, s.
+        frequencies: frequencies in Hz; the interval of each is a whole number of time steps.
+        space: the robot's state space, which says which entries are angles.
+        folds: number k of folds.
+        max_iterations: limit of L-BFGS for each fit and start.
 
     Returns:
-        One for each frequency, in their order.
+        A score for each frequency, in their order.
 
     Raises:
         ValueError: shapes do not fit, a number is not finite, a frequency does not divide the
@@ -131,9 +134,10 @@ def score_frequencies(
 
     Example:
         >>> from torch_pmil.control.state_space import joint_match
-        >>> time, q = 0.05 * torch.arange(121).double(), ("q",)
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> time = 0.05 * torch.arange(121).double()
         >>> recording = Recording(time.sin()[:, None], time.cos()[:-1, None])
-        >>> (score,) = score_frequencies([recording], 0.05, [4.0], StateSpace(q, ("rad",), (), joint_match(q, ("rad",))))
+        >>> (score,) = score_frequencies([recording], 0.05, [4.0], space)
         >>> score.transitions, score.log_likelihood.shape
         (24, torch.Size([5, 1]))
     """
@@ -165,21 +169,23 @@ def held_out_log_likelihood(
 ) -> Tensor:
     r"""Joint predictive log-density of each fold, from a GP that is fitted to the others (Eq. 30).
 
-    .. math:: \log p(y_i | X, y_{-i}) = -\tfrac12 \log |\Sigma_i| - \tfrac{D}{2} \log 2 \pi
-        - \tfrac12 (y_i - \mu_i)^\top \Sigma_i^{-1} (y_i - \mu_i) = \log p(y | X) - \log p(y_{-i} | X)
+    .. math::
+        \log p(y_i | X, y_{-i}) = -\tfrac12 \log |\Sigma_i| - \tfrac{D}{2} \log 2 \pi
+        - \tfrac12 (y_i - \mu_i)^\top \Sigma_i^{-1} (y_i - \mu_i)
+        = \log p(y | X) - \log p(y_{-i} | X)
 
     The right-hand side, with hyper-parameters of the training folds, has the whole predictive
-    covariance :math:`\Sigma_i` in it, noise included: a model whose errors go together is not
+    covariance :math:`\Sigma_i` in it, noise included: a model whose errors are correlated is not
     rewarded for each of them.
 
     Folds are contiguous. Neighbours in time are nearly equal, the more so the higher the frequency:
-    with folds at random the model would be asked of what it had seen a moment before and after.
+    with random folds the model would be tested on what it had seen a moment before and after.
 
     Args:
-        inputs: in the order in which they came, (n, D').
+        inputs: inputs in the order of their recording, (n, D').
         targets: (n, E).
-        folds: k.
-        max_iterations: of L-BFGS, for each fit and start.
+        folds: number k of folds.
+        max_iterations: limit of L-BFGS for each fit and start.
 
     Returns:
         Nats for each target, (k, E).
@@ -193,18 +199,13 @@ def held_out_log_likelihood(
         torch.Size([5, 1])
     """
     inputs, targets = inputs.double(), targets.double()
-    rows = torch.arange(len(inputs)).tensor_split(folds)
-    return torch.stack(
-        [
-            torch.stack(
-                [
-                    _held_out(inputs, target, held, max_iterations)
-                    for target in targets.mT.contiguous()
-                ]
-            )
-            for held in rows
-        ]
-    )
+    outputs = targets.mT.contiguous()
+    values = [
+        _held_out(inputs, target, held, max_iterations)
+        for held in torch.arange(len(inputs)).tensor_split(folds)
+        for target in outputs
+    ]
+    return torch.stack(values).view(folds, len(outputs))
 
 
 @torch.no_grad()
@@ -213,19 +214,16 @@ def _held_out(inputs: Tensor, target: Tensor, held: Tensor, max_iterations: int)
     training[held] = False
     known, seen = inputs[training], target[training]
     with torch.enable_grad():
-        parameters = find_hyperparameters(
-            known, seen, pilco_starts(known, seen), max_iterations
-        ).log_parameters
-    of_all, of_known = (
-        negative_log_likelihood(x, y, parameters) for x, y in ((inputs, target), (known, seen))
-    )
+        optimum = find_hyperparameters(known, seen, pilco_starts(known, seen), max_iterations)
+    of_all = negative_log_likelihood(inputs, target, optimum.log_parameters)
+    of_known = negative_log_likelihood(known, seen, optimum.log_parameters)
     return (of_known - of_all) / len(held)
 
 
 def _transitions(
     recordings: Sequence[Recording], steps: int, space: StateSpace
 ) -> tuple[Tensor, Tensor]:
-    """Inputs (n, D' + F) and differences (n, D) of what is sampled every so many time steps."""
+    """Inputs (n, D' + F) and differences (n, D) of recordings at every ``steps``-th sample."""
     inputs, targets = [], []
     for states, actions in recordings:
         sampled, count = states[::steps].double(), len(actions) // steps
@@ -253,15 +251,11 @@ def _check_recordings(recordings: Sequence[Recording], space: StateSpace, time_s
     if not (math.isfinite(time_step) and time_step > 0):
         raise ValueError(f"time_step must be positive and finite, in s, got {time_step}")
     for number, (states, actions) in enumerate(recordings):
-        first = recordings[0].actions
-        if (
-            states.shape != (len(actions) + 1, space.dim)
-            or actions.ndim != 2
-            or actions.shape[1] != first.shape[-1]
-        ):
+        T, F = len(actions), recordings[0].actions.shape[-1]
+        if states.shape != (T + 1, space.dim) or actions.shape != (T, F):
             raise ValueError(
                 f"recording {number} must have states (T + 1, {space.dim}) and actions (T, "
-                f"{first.shape[-1]}), got {tuple(states.shape)} and {tuple(actions.shape)}"
+                f"{F}), got {tuple(states.shape)} and {tuple(actions.shape)}"
             )
         if not (states.isfinite().all() and actions.isfinite().all()):
             raise ValueError(f"recording {number} must be finite")

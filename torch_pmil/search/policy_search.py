@@ -1,5 +1,6 @@
-"""Search for the policy of least predicted loss (Eqs. 1 and 22), over a horizon that grows as far
-as the prediction can be trusted.
+"""Search for the policy of least predicted loss (Eqs. 1 and 22) over a growing horizon.
+
+The horizon grows as far as the prediction can be trusted.
 """
 
 from __future__ import annotations
@@ -20,29 +21,30 @@ from torch_pmil.search.reparameterisation import ReparameterisedLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 REFIT_SAMPLES = 20  # states a time step
-WORTHWHILE = 0.9  # of the loss at its start: what a run must come to for another one to follow
+WORTHWHILE = 0.9  # another run follows one that brought the loss below this fraction of its start
 
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Budget and horizon of a search.
+    """Budget and horizon of a policy search.
 
     Args:
-        mean_iterations: of L-BFGS on the mean alone, for each horizon; 0 begins with the loss.
-        stage_iterations: on the loss, for each horizon; as many again while its last steps are not
-            trusted and each time lowers the loss by a tenth.
-        final_iterations: on the loss, at the last horizon.
+        mean_iterations: L-BFGS iterations on the mean alone, for each horizon; with 0 a search
+            begins with the loss.
+        stage_iterations: L-BFGS iterations on the loss, for each horizon. They are repeated while
+            the last steps are not trusted and each run lowers the loss by a tenth.
+        final_iterations: L-BFGS iterations on the loss at the last horizon.
         first_horizon: least number of steps of the first horizon.
         horizon_step: steps by which the horizon grows.
-        trust_threshold: mean step_loss of the last steps (:meth:`TrajectoryLoss.step_loss_for_trust`) above which the
-            prediction is not followed further. For the KL it is in nats a step, about 3 in four
-            dimensions.
-        skip_matched_steps: whether the horizon leaps to where the prediction ceases to be trusted: right for the
-            KL, which is trusted where it matches. A motion that is predicted well may be no good
-            for another loss; then the horizon grows step by step, and from the first one on for a
-            random policy.
-        restarts: searches from random policies, one after the other, while none has brought enough
-            (:class:`PolicySearchStepper`).
+        trust_threshold: the horizon stops growing when the mean loss of its last steps
+            (:meth:`TrajectoryLoss.step_loss_for_trust`) exceeds this. For the KL it is in nats a
+            step, about 3 in four dimensions.
+        skip_matched_steps: whether the horizon jumps to the first step whose loss exceeds the
+            threshold. That is right for the KL, which is below it where the prediction matches. For
+            another loss a motion may be predicted well and be no good; then the horizon grows by
+            ``horizon_step`` only, and from ``first_horizon`` on for a random policy.
+        restarts: largest number of searches from random policies, made one after the other while
+            none has brought enough (:class:`PolicySearchStepper`).
     """
 
     mean_iterations: int = 60
@@ -55,13 +57,14 @@ class SearchSettings:
     restarts: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SearchResult:
-    """What a policy search did.
+    """Outcome of a policy search.
 
-    ``loss`` is the loss (KL or cost) over the whole horizon T, ``per_step`` its summands; ``horizon``
-    is the last one that was searched, ``converged`` whether all its steps are trusted;
-    ``stop_reason`` says why the last run of L-BFGS ended.
+    ``loss`` is the loss (KL or cost) over the whole horizon T, ``per_step`` its summands;
+    ``horizon`` is the last one that was searched, ``converged`` says whether its last steps are
+    trusted, and ``stop_reason`` why the last run of L-BFGS ended.
+
     """
 
     loss: float
@@ -75,7 +78,7 @@ class SearchResult:
 
     @property
     def complete(self) -> bool:
-        """Whether the whole horizon T is matched."""
+        """Whether the search converged at the whole horizon T."""
         return self.converged and self.horizon == len(self.per_step)
 
 
@@ -86,15 +89,15 @@ def search_policy(
     report: Callable[[str, float], None] = lambda stage, loss: None,
     random: bool = False,
 ) -> SearchResult:
-    """Minimise a loss, as Eq. 20 or 28, over its policy, following the prediction only as far as it
-    can be trusted.
+    """Minimise a loss over its policy, at horizons up to which the prediction can be trusted.
 
-    The far, unpredictable part of a trajectory would pull the policy away from the near part that
-    is right already. So the horizon starts where the present policy stops matching, and grows; at
-    each horizon the mean alone is searched first (a policy that only widens the prediction is no
-    optimum there), then the loss. It stops growing where the loss falls no more and the step_loss of
-    the last steps is still more than ``settings.trust_threshold`` each. A policy whose every step is
-    trusted already is searched on the loss of the whole horizon alone.
+    The loss is, for example, Eq. 20 or 28. The far, unpredictable part of a trajectory would pull
+    the policy away from the near part that is right already. So the horizon starts where the
+    present policy stops matching, and grows; at each horizon the mean alone is searched first (a
+    policy that only widens the prediction is no optimum there), then the loss. The horizon stops
+    growing when the loss falls no more and the mean loss of its last steps still exceeds
+    ``settings.trust_threshold``. A policy whose every step is trusted already is searched on the
+    loss of the whole horizon alone.
 
     Args:
         loss: objective with the policy (changed in place) and the model.
@@ -109,11 +112,9 @@ def search_policy(
     search = _Search(loss, initial, settings, report)
     step_loss = _evaluate(loss.step_loss_for_trust, initial, loss.horizon)
     from_first = random and not settings.skip_matched_steps
-    horizon = (
-        min(settings.first_horizon, loss.horizon)
-        if from_first
-        else _first_untrusted(step_loss, settings)
-    )
+    horizon = min(settings.first_horizon, loss.horizon)
+    if not from_first:
+        horizon = _first_untrusted(step_loss, settings)
     growing = from_first or bool((step_loss > settings.trust_threshold).any())
     while growing:
         begun = search.stage(horizon)
@@ -121,11 +122,8 @@ def search_policy(
         growing = begun and horizon < loss.horizon and _trusted(step_loss, horizon, settings)
         if growing:
             horizon = min(horizon + settings.horizon_step, loss.horizon)
-            horizon = (
-                max(horizon, _first_untrusted(step_loss, settings))
-                if settings.skip_matched_steps
-                else horizon
-            )
+            if settings.skip_matched_steps:
+                horizon = max(horizon, _first_untrusted(step_loss, settings))
     horizon = min(horizon, int(step_loss.isfinite().sum()))
     search.run(loss.label, loss.per_step, horizon, settings.final_iterations)
     return search.result(horizon)
@@ -149,56 +147,48 @@ class _Search:
     def run(
         self, name: str, per_step: Callable[[Gaussian, int], Tensor], horizon: int, iterations: int
     ) -> None:
-        """Minimise the sum of the steps up to a horizon."""
-        failures = (PredictionError, NotPositiveDefiniteError)
+        """Minimise the sum of the steps up to a horizon by one run of L-BFGS."""
         reparameterised = ReparameterisedLoss(self.loss)
-        self.runs.append(
-            minimise(
-                reparameterised.variables,
-                lambda: reparameterised.total(per_step, self.initial, horizon),
-                iterations,
-                failures,
-            )
+        result = minimise(
+            reparameterised.variables,
+            lambda: reparameterised.total(per_step, self.initial, horizon),
+            iterations,
+            survives=(PredictionError, NotPositiveDefiniteError),
         )
+        self.runs.append(result)
         reparameterised.write()
-        self.report(f"{name} {horizon}/{self.loss.horizon}", self.runs[-1].loss)
+        self.report(f"{name} {horizon}/{self.loss.horizon}", result.loss)
 
     def stage(self, horizon: int) -> bool:
-        """Search the mean, then the loss. Where one cannot begin, the policy is what it was before,
-        and the answer False.
+        """Search the mean, then the loss, at one horizon; return whether both could begin.
+
+        Where one could not, the policy is restored.
         """
         before = [parameter.detach().clone() for parameter in self.parameters]
+        loss, settings = self.loss, self.settings
         try:
-            if self.settings.mean_iterations:
-                self.run("mean", self.loss.mean_per_step, horizon, self.settings.mean_iterations)
-            self.run(self.loss.label, self.loss.per_step, horizon, self.settings.stage_iterations)
+            if settings.mean_iterations:
+                self.run("mean", loss.mean_per_step, horizon, settings.mean_iterations)
+            self.run(loss.label, loss.per_step, horizon, settings.stage_iterations)
             while self._worth_more(horizon):
-                self.run(
-                    self.loss.label, self.loss.per_step, horizon, self.settings.stage_iterations
-                )
+                self.run(loss.label, loss.per_step, horizon, settings.stage_iterations)
         except (PredictionError, NotFiniteError):
             restore(self.parameters, before)
             return False
         return True
 
     def _worth_more(self, horizon: int) -> bool:
-        """Whether the last steps are not trusted yet, and the last run might have come further with
-        more iterations.
-        """
+        """Whether the last steps are not trusted yet and more iterations may lower the loss."""
         last = self.runs[-1]
-        unfinished = (
-            last.stop_reason == "iteration limit" and last.loss < WORTHWHILE * last.initial_loss
-        )
-        return unfinished and not _trusted(
-            _evaluate(self.loss.step_loss_for_trust, self.initial, horizon), horizon, self.settings
-        )
+        if last.stop_reason != "iteration limit" or last.loss >= WORTHWHILE * last.initial_loss:
+            return False
+        step_loss = _evaluate(self.loss.step_loss_for_trust, self.initial, horizon)
+        return not _trusted(step_loss, horizon, self.settings)
 
     def result(self, horizon: int) -> SearchResult:
-        """What the policy has come to."""
-        per_step, step_loss = (
-            _evaluate(of, self.initial, self.loss.horizon)
-            for of in (self.loss.per_step, self.loss.step_loss_for_trust)
-        )
+        """Outcome of the search with the policy as it is now, after a last run at ``horizon``."""
+        per_step = _evaluate(self.loss.per_step, self.initial, self.loss.horizon)
+        step_loss = _evaluate(self.loss.step_loss_for_trust, self.initial, self.loss.horizon)
         return SearchResult(
             loss=per_step.sum().item(),
             per_step=per_step,
@@ -219,19 +209,19 @@ def refit_policy(
     settings: SearchSettings,
     generator: torch.Generator,
 ) -> None:
-    """Give the policy of ``loss`` the new policy's centres and widths, and weights that act as it
-    did where it is trusted.
+    """Give the policy of ``loss`` the new policy's centres and widths, and refit the weights.
 
-    Searches on early, poor models may drive widths and centres to extremes from which no later
-    search returns. A new network that was fitted to the old one's actions keeps what was learned,
-    and can be searched well.
+    The refitted policy acts as the old one did where its prediction is trusted. Searches on early,
+    poor models may drive widths and centres to extremes from which no later search returns. A new
+    network that is fitted to the old one's actions keeps what was learned, and can be searched
+    well.
 
     Args:
         loss: objective with the policy (changed in place) and the newest model.
         initial: p(x_0).
         new: a random policy of the same shape; changed in place.
-        settings: says up to which step the prediction is trusted.
-        generator: of the states, drawn from the prediction, at which the actions are compared.
+        settings: settings that say up to which step the prediction is trusted.
+        generator: source of the states, drawn from the prediction, at which actions are compared.
     """
     step_loss = _evaluate(loss.step_loss_for_trust, initial, loss.horizon)
     trusted = min(_first_untrusted(step_loss, settings) - 1, int(step_loss.isfinite().sum()))
@@ -248,9 +238,7 @@ def refit_policy(
 def _evaluate(
     of_steps: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
 ) -> Tensor:
-    """Cost or step_loss of each step, (horizon,); infinite from the step on at which the prediction
-    fails.
-    """
+    """Loss of each step, (horizon,), infinite from the first step on whose prediction fails."""
     try:
         return of_steps(initial, horizon)
     except PredictionError as error:

@@ -53,7 +53,7 @@ class Trial(Measurement):
     stop_reason: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """A policy that ran on the robot: its parameters and the error of its own rollout."""
 

@@ -29,8 +29,10 @@ def lifting(states: Tensor) -> Tensor:
     return torch.stack([1.5 + 0.3 * states[..., 1], -0.8 + 0.2 * states[..., 3]], -1)
 
 
-def test_first_motion_is_one_random_rollout_unless_it_is_said(experiment: Experiment) -> None:
-    assert experiment.exploration == RandomTorques(experiment.u_max, 0.4, 25)
+def test_exploration_is_one_random_rollout_unless_it_is_said(experiment: Experiment) -> None:
+    exploration = experiment.exploration
+    assert isinstance(exploration, RandomTorques) and exploration.u_max is experiment.u_max
+    assert exploration.settings == {"rollouts": 1, "steps": 25, "random_torque": 0.4}
     assert replace(experiment, pd_movements=PD_MOVEMENTS).exploration is PD_MOVEMENTS
 
 

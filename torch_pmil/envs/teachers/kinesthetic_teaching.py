@@ -129,7 +129,7 @@ class Variation:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RecordedStrike:
     """The recording of a strike at every time step of the simulation.
 

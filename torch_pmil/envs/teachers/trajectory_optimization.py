@@ -35,7 +35,7 @@ DIFFERENCE_STEP = 1e-5
 MU_MIN, MU_MAX, MU_FACTOR = 1e-8, 1e8, 4.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class QuadraticCost:
     """Quadratic cost of a trajectory's distance from a target state and a holding action.
 
@@ -60,7 +60,7 @@ class QuadraticCost:
         return (state_cost + action_cost) / 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plan:
     """An optimised trajectory.
 
@@ -77,7 +77,7 @@ class Plan:
     converged: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrackingController:
     """Follows a plan by linear feedback, then holds its target; the torques stay within the limits.
 

@@ -1,6 +1,4 @@
-"""Several runs of one experiment: what their folders hold, and their mean success rate over
-experience.
-"""
+"""The folders of several runs of one experiment, and their mean success rate over experience."""
 
 from __future__ import annotations
 
@@ -25,7 +23,7 @@ class RunError(ValueError):
     """A run's folder does not hold what a run leaves; the message names it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SuccessCurve:
     """Mean success rate over runs.
 
@@ -43,8 +41,9 @@ class SuccessCurve:
     upper: np.ndarray
 
     def at(self, experience_s: float) -> float:
-        """Mean success rate with that much experience: of the last measurement up to then, or of
-        the first one.
+        """Mean success rate with that much experience.
+
+        It is that of the last measurement up to then, or of the first one.
         """
         return self.mean[
             max(int(np.searchsorted(self.experience_s, experience_s, side="right")) - 1, 0)
@@ -78,7 +77,7 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
 
 
 def is_finished(folder: Path) -> bool:
-    """Whether the run came to its end: it wrote its summary."""
+    """Whether the run came to its end, that is, wrote its summary."""
     return (folder / "summary.json").is_file()
 
 
@@ -101,9 +100,7 @@ def read_summary(folder: Path) -> dict:
 
 
 def _check_summary(summary: dict) -> None:
-    """Raises KeyError, ValueError or TypeError unless all is there that tables and curves are made
-    of.
-    """
+    """Raise KeyError, ValueError or TypeError unless a summary has all that tables and curves need."""
     if not summary["trials"]:
         raise ValueError("it has no trial")
     measured = [summary | {"success_rate": summary["saved_success_rate"]}, *summary["trials"]]
@@ -141,8 +138,9 @@ def count_trials(folder: Path) -> int:
 
 
 def success_over_experience(runs: Sequence[dict]) -> SuccessCurve:
-    """Mean success rate of what the runs had learned, at each second of experience at which one of
-    them was measured.
+    """Mean success rate of several runs over seconds of experience.
+
+    It is told at each time at which one of the runs was measured.
 
     Between two measurements a run counts with its last one. A run that ended early is carried
     forward with its saved policy's rate, which was measured anew from starts that no trial saw; so
@@ -172,8 +170,9 @@ def success_over_experience(runs: Sequence[dict]) -> SuccessCurve:
 
 
 def _measurements(run: dict) -> tuple[np.ndarray, np.ndarray]:
-    """When a run was measured, in seconds of experience, and its success rates; the saved policy's
-    is the last one.
+    """Times at which a run was measured, in seconds of experience, and its success rates.
+
+    The saved policy's rate is the last one.
     """
     measured = {round(trial["experience_s"], 6): trial["success_rate"] for trial in run["trials"]}
     measured[round(run["experience_s"], 6)] = run["saved_success_rate"]

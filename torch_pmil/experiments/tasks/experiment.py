@@ -1,6 +1,4 @@
-"""What an experiment is: a robot, its demonstrations, the settings of the method, and when a
-rollout succeeds.
-"""
+"""An experiment: a robot, its demonstrations, the method's settings, and what a success is."""
 
 from __future__ import annotations
 
@@ -28,10 +26,9 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 HELD_STARTS = 200  # at which a new policy is told to hold the robot
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a policy was predicted to do and did, beside what was demonstrated; of one target if
-    there are several.
+    """Predicted and executed trajectories of a policy beside the demonstrations of one target.
 
     Args:
         label: names the target; "" where there is one task alone.
@@ -53,7 +50,7 @@ class Outcome:
         return states_of(self.rollouts)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """An imitation task.
 
@@ -124,13 +121,14 @@ class Experiment:
 
     @property
     def exploration(self) -> Exploration:
-        """How the robot moves before anything is learned."""
+        """The robot's motion before anything is learned."""
         return self.pd_movements or RandomTorques(self.u_max, self.random_torque, self.horizon)
 
     @property
     def limits(self) -> Tensor:
-        """Largest absolute values of the state (D,) that the model learns from: three times the
-        demonstrated, angles without limit.
+        """Largest absolute values of the state (D,) in the data of the model.
+
+        They are three times the demonstrated ones; angles have no limit.
         """
         limits = 3 * self.demonstrated_states.abs().amax(0)
         limits[list(self.space.angles)] = torch.inf
@@ -159,7 +157,7 @@ class Experiment:
         return self.make_env(seed=seed)
 
     def robots(self, starts: int, seed: int) -> MujocoRobotEnv | AdaptedEnv:
-        """Robots to measure a policy on, from so many fresh starts."""
+        """Robots to measure a policy on, one for each of ``starts`` fresh starts."""
         return self.make_env(num_envs=starts, seed=seed)
 
     def first_robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
@@ -167,7 +165,7 @@ class Experiment:
         return self.make_env(seed=seed)
 
     def outcomes(self, predicted: Gaussian, rollouts: TensorDictBase) -> list[Outcome]:
-        """What was predicted for the robot, and rollouts of :meth:`robots`, task by task."""
+        """The outcome of each task: its part of the prediction and of rollouts of :meth:`robots`."""
         return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts)]
 
     def make_dynamics(self) -> GPDynamics:
@@ -175,18 +173,20 @@ class Experiment:
         return GPDynamics(len(self.space.feature_names) + len(self.u_max), self.space.dim)
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:
-        """What the policy is searched for: the KL between demonstrated and predicted trajectories."""
+        """The loss of the policy search: the KL between demonstrated and predicted trajectories."""
         return TrajectoryKLLoss(policy, dynamics, self.space, self.demonstrated, self.noise_std)
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
-        """A new policy: centres near demonstrated states, small random weights; it holds the robot
-        at the start if the experiment can.
+        """A new policy with centres near demonstrated states and small random weights.
+
+        It holds the robot at the start if the experiment knows the torques for it.
         """
         return self.policy_near(self.demonstrated_inputs, generator)
 
     def policy_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
-        """As :meth:`make_policy`: centres near some of the inputs (S, D'), widths those of all
-        unless the experiment says them.
+        """A new policy with centres near some of the inputs (S, D'), otherwise like :meth:`make_policy`.
+
+        Its widths are the standard deviations of all inputs, unless the experiment gives them.
         """
         std = inputs.std(0)
         chosen = torch.randint(len(inputs), (self.num_centres,), generator=generator)
@@ -200,18 +200,16 @@ class Experiment:
         return policy
 
     def widths(self, std: Tensor) -> Tensor:
-        """Of a new policy's basis functions (D'), from the standard deviations of its demonstrated
-        inputs.
-        """
+        """Widths of a new policy's basis functions (D'), given the standard deviations of its inputs."""
         return self.input_scale * std if self.input_widths is None else self.input_widths
 
     @property
     def demonstrated_inputs(self) -> Tensor:
-        """What a policy sees of the demonstrated states, (S, D')."""
+        """Inputs of a policy in the demonstrated states, (S, D')."""
         return self.space.features(self.demonstrated_states)
 
     def start_inputs(self, starts: Tensor) -> Tensor:
-        """What a policy sees of starts (S, D): (S, D')."""
+        """Inputs of a policy (S, D') in starts (S, D)."""
         return self.space.features(starts)
 
 
@@ -221,9 +219,7 @@ def check_demonstrations(
     env: MujocoRobotEnv | AdaptedEnv,
     target_names: tuple[str, ...] = (),
 ) -> None:
-    """Raise DemonstrationError unless the demonstrations are of the match space and these targets,
-    at the robot's control rate.
-    """
+    """Raise DemonstrationError unless demonstrations fit match space, targets and control rate."""
     if demonstrations.target_names != target_names:
         wanted, found = (
             ", ".join(names) or "none" for names in (target_names, demonstrations.target_names)

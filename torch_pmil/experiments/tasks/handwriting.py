@@ -1,6 +1,4 @@
-"""Handwriting: a robot's tip writes what a person wrote, from a few strokes of the pen, without
-forces.
-"""
+"""Handwriting: a robot's tip writes what a person wrote, from a few strokes of the pen."""
 
 from __future__ import annotations
 
@@ -37,7 +35,7 @@ SPEED_WIDTH, ANGLE_WIDTH = 1.8, 0.42  # rad/s, rad: of a policy's basis function
 
 
 class Writing(NamedTuple):
-    """What was written, m, in the plane: x to the right, y up.
+    """Strokes in the plane of writing, in m, x to the right and y up.
 
     Args:
         shown: strokes of people, (N, T + 1, 2).
@@ -50,9 +48,9 @@ class Writing(NamedTuple):
     written: Tensor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Handwriting(Experiment):
-    """An imitation task in a plane.
+    """An imitation task in a plane: an :class:`Experiment` whose match space holds the tip's place.
 
     As :class:`Experiment`; its match space holds the tip's place.
 
@@ -72,8 +70,9 @@ class Handwriting(Experiment):
 def handwriting(
     demonstrations: Demonstrations | None = None, shape: str | None = None, robot: str | None = None
 ) -> Handwriting:
-    """A shape of the LASA handwriting set, or one's own strokes, written by a robot: 0.3 m large in
-    3 s (the BioRob: 0.5 m in 2 s).
+    """A shape of the LASA handwriting set, or one's own strokes, written by a robot.
+
+    The double pendulum writes 0.3 m large in 3 s, the BioRob 0.5 m large in 2 s.
 
     A rollout's error is its root mean square distance from the mean stroke; it succeeds up to 1.25
     times the writers' own spread.
@@ -124,20 +123,22 @@ def handwriting(
 
 
 def handwriting_name(shape: str | None, robot: str | None) -> str:
-    """Names the experiment by its shape, or own, and its robot."""
+    """The name of the experiment: its shape, or own, and its robot."""
     return f"handwriting_{shape or 'own'}_{robot or ROBOT}"
 
 
 def distance_of_tip(states: Tensor, space: StateSpace, strokes: Demonstrations) -> Tensor:
-    """Root mean square distance (m) of the tip from the mean stroke, of states x_0..x_T (*batch, T
-    + 1, D): (*batch).
+    """Root mean square distance (m) of the tip from the mean stroke.
+
+    States x_0..x_T are (*batch, T + 1, D), distances (*batch).
     """
     return distance_from_mean(space.observe(states), strokes)
 
 
 def input_widths(demonstrated: Tensor, space: StateSpace) -> Tensor:
-    """Widths (D',) of a new policy's basis functions: two standard deviations of the demonstrated
-    features, or more.
+    """Widths (D',) of a new policy's basis functions: twice the features' spread, or more.
+
+    The spread is the standard deviation of the demonstrated features.
 
     Slow strokes in a small place would make narrow functions, beyond whose reach a policy is
     nothing.
@@ -176,9 +177,7 @@ def _strokes(
 
 
 def _start(states: Tensor, writer: Writer) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviations (D,) of x_0: at rest, in the mean of the poses in which the
-    strokes begin.
-    """
+    """Mean and standard deviations (D,) of x_0: at rest, in the mean pose of the strokes' starts."""
     begin = writer.positions(states[:, 0]).mean(0)
     position_std, velocity_std = (torch.full_like(begin, std) for std in START_STD)
     return writer.state(begin, torch.zeros_like(begin)), writer.state(position_std, velocity_std)

@@ -1,5 +1,6 @@
-"""PILCO, the baseline of Section 5.1.1: the same robot, model, policy and search, but a cost in
-place of the demonstrations.
+"""PILCO, the baseline of Section 5.1.1: a cost in place of the demonstrations.
+
+Robot, model, policy and search are those of the imitation.
 """
 
 from __future__ import annotations
@@ -37,10 +38,9 @@ SEARCH = SearchSettings(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PilcoExperiment(Experiment):
-    """A task learned from the expected saturating cost of not being at a target (Eq. 28), without
-    regard to the demonstrations.
+    """A task learned from the expected saturating cost of not being at a target (Eq. 28).
 
     These give the number of steps and are drawn beside the prediction, nothing more: the policy's
     centres are spread over the state space, and what is too fast to learn from is told by the
@@ -69,9 +69,7 @@ class PilcoExperiment(Experiment):
 
     @property
     def limits(self) -> Tensor:
-        """Largest absolute values of the state (D,) that the model learns from, angles without
-        limit.
-        """
+        """Largest absolute values of the state (D,) in the data of the model; angles have no limit."""
         limits = torch.full_like(self.initial.mean, self.velocity_limit)
         limits[list(self.space.angles)] = torch.inf
         return limits
@@ -87,7 +85,7 @@ class PilcoExperiment(Experiment):
         return super().settings | {"target": self.target.tolist(), **own}
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> ExpectedSaturatingCost:
-        """What the policy is searched for: the expected cost of not being at the target."""
+        """The loss of the policy search: the expected cost of not being at the target."""
         return ExpectedSaturatingCost(
             policy, dynamics, self.space, self.target, self.cost_width, self.horizon
         )
@@ -100,8 +98,9 @@ class PilcoExperiment(Experiment):
 
 
 def random_states(space: StateSpace, velocity_std: float, generator: torch.Generator) -> Tensor:
-    """States all over the state space, (S, D): angles uniform, the other entries normal with that
-    standard deviation.
+    """States all over the state space, (S, D).
+
+    Angles are uniform, the other entries normal with standard deviation ``velocity_std``.
     """
     states = velocity_std * torch.randn(SPREAD, space.dim, dtype=torch.float64, generator=generator)
     angles = list(space.angles)
@@ -111,8 +110,9 @@ def random_states(space: StateSpace, velocity_std: float, generator: torch.Gener
 
 
 def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> PilcoExperiment:
-    """The swing-up of Section 5.1 by PILCO; arguments and errors are those of
-    :func:`double_pendulum`.
+    """The swing-up of Section 5.1 by PILCO.
+
+    Arguments and errors are those of :func:`double_pendulum`.
 
     The model learns from states up to half a turn in a control step: of faster ones the samples do
     not tell how far a joint turned.

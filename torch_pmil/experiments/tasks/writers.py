@@ -28,7 +28,7 @@ HOLD, ROLLOUTS = 5, 3  # control steps of a target, rollouts of the first motion
 BOARD = 0.6  # m in front of the BioRob's shoulder
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Writer:
     """A robot whose tip writes in a vertical plane.
 
@@ -72,8 +72,9 @@ class Writer:
         return torch.stack([positions, velocities], -1).flatten(-2)
 
     def on_board(self, pen: Demonstrations) -> Demonstrations:
-        """Strokes of a pen, [x, y] in m, in the match space: where this robot writes them, as large
-        as it does.
+        """Strokes of a pen, [x, y] in m, moved and scaled to where this robot writes them.
+
+        They are in the match space then.
         """
         positions = self.origin + placed(pen, self.extent).positions @ self.plane
         return Demonstrations(positions, pen.time_step, self.space.match_space.names)
@@ -83,17 +84,16 @@ class Writer:
         return states[..., : states.shape[-1] // 2] if self.positions_first else states[..., ::2]
 
     def holding_torques(self, states: Tensor) -> Tensor:
-        """Torques (*batch, F), N·m, that hold the joints where they are in states (*batch, D),
-        against gravity.
-        """
+        """Torques (*batch, F), N·m, that hold the joints against gravity in states (*batch, D)."""
         positions = self.positions(states.double()).detach()
         flat = positions.reshape(-1, positions.shape[-1])
         still = torch.zeros_like(flat)
         return self.torques(flat, still, still).reshape(positions.shape)
 
     def movements(self, states: Tensor, u_max: Tensor, steps: int) -> PDMovements:
-        """The robot's first motion: simple movements all over the demonstrated states (S, D),
-        gravity compensated (Section 5.2.4).
+        """Exploration by simple movements all over the demonstrated states (S, D).
+
+        Gravity is compensated (Section 5.2.4).
         """
         lowest, highest = (getattr(self.positions(states), end)(0) for end in ("amin", "amax"))
         pose, reach = (
@@ -193,8 +193,9 @@ WRITERS = {"biorob": biorob_writer, "double_pendulum": pendulum_writer}
 
 
 def biorob_pose(places: Tensor) -> Tensor:
-    """Yaw, shoulder and elbow (*batch, 3), rad, with the racket's centre at [x, y, z] (*batch, 3),
-    m, the elbow below.
+    """Yaw, shoulder and elbow (*batch, 3), rad, with the racket's centre at [x, y, z] (*batch, 3), m.
+
+    The elbow is below.
 
     Raises:
         ValueError: a place is out of the arm's reach.
@@ -222,8 +223,9 @@ def biorob_pose(places: Tensor) -> Tensor:
 
 
 def states_of_strokes(writer: Writer, strokes: Demonstrations) -> Tensor:
-    """States (N, T + 1, D) with the tip on the strokes: poses by inverse kinematics, velocities by
-    central differences.
+    """States (N, T + 1, D) with the tip on the strokes, by inverse kinematics.
+
+    Velocities are central differences.
 
     Args:
         writer: the robot.
@@ -263,5 +265,5 @@ def _pendulum_torques(positions: Tensor, velocities: Tensor, accelerations: Tens
 
 
 def _biorob_torques(positions: Tensor, velocities: Tensor, accelerations: Tensor) -> Tensor:
-    """Against gravity alone: what elastic cables and friction take beside that is not known."""
+    """Torques against gravity alone: what cables and friction take beside them is not known."""
     return holding_torques(positions)

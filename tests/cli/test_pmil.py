@@ -1,0 +1,126 @@
+"""The command ``pmil``: its help, its errors, and that it works wherever it is called."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.run_script import ROOT, run_command
+from tests.helpers.short_run import quick_fits, short_experiment
+from torch_pmil import cli
+from torch_pmil.cli.resume import overrides
+from torch_pmil.experiments import EXPERIMENTS
+from torch_pmil.experiments.runs.run_folder import write_origin
+from torch_pmil.experiments.runs.summaries import RunError
+from torch_pmil.search import policy_search
+
+Printed = pytest.CaptureFixture[str]
+
+
+@pytest.mark.parametrize("arguments", [(), ("--help",), ("-h",)])
+def test_help_is_one_screen_with_all_commands(
+    monkeypatch: pytest.MonkeyPatch, capsys: Printed, arguments: tuple[str, ...]
+) -> None:
+    run_command(monkeypatch, *arguments)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 24 and max(map(len, lines)) <= 110
+    named = {line.split()[0] for line in lines if line.startswith("  ") and "  pmil" not in line}
+    assert named == set(cli.COMMANDS)
+
+
+def test_every_file_of_the_folder_is_a_command() -> None:
+    files = {path.stem for path in Path(cli.__file__).parent.glob("*.py")} - {"__init__"}
+    assert files == set(cli.COMMANDS)
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_command_has_help(
+    monkeypatch: pytest.MonkeyPatch, capsys: Printed, command: str
+) -> None:
+    try:
+        run_command(monkeypatch, command, "--help")
+    except SystemExit as ended:
+        assert not ended.code
+    assert f"pmil {command}" in capsys.readouterr().out
+
+
+def test_unknown_command_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run_command(monkeypatch, "learn")
+    assert str(ended.value).startswith("error: the command must be one of inspect, align, ")
+    assert str(ended.value).endswith("got 'learn'")
+
+
+def test_command_is_installed_and_is_the_module_too(tmp_path: Path) -> None:
+    (command,) = entry_points(group="console_scripts", name="pmil")
+    assert command.load() is cli.main
+    module = [sys.executable, "-m", "torch_pmil", "--version"]
+    printed = subprocess.run(module, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert printed.stdout.startswith("pmil ")
+
+
+def test_package_is_found_beside_a_clone_of_its_name(tmp_path: Path) -> None:
+    """A folder without ``__init__.py`` is a package of that name too, unless another is found."""
+    (tmp_path / "torch_pmil").symlink_to(ROOT)
+    code = [sys.executable, "-c", "import torch_pmil; print(torch_pmil.__file__)"]
+    printed = subprocess.run(code, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert printed.stdout.endswith("/torch_pmil/__init__.py\n")
+
+
+def test_stopped_run_is_resumed_by_its_folder(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Printed
+) -> None:
+    short = short_experiment(4)
+    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
+    monkeypatch.chdir(tmp_path)
+    quick_fits(monkeypatch)
+
+    def interrupted(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        patch.setattr(policy_search, "minimise", interrupted)
+        run_command(patch, "train", "trials=1", "seed=7", "out=here it is", "logger=null")
+    run_command(monkeypatch, "resume", "here it is")
+    summary = json.loads((tmp_path / "here it is" / "summary.json").read_text())
+    assert (summary["seed"], summary["settings"]["trials"]) == (7, 1)
+    assert "policy of trial 1" in capsys.readouterr().out
+
+
+def test_changed_settings_take_the_place_of_those_of_the_run(tmp_path: Path) -> None:
+    folder = tmp_path / "it's"
+    folder.mkdir()
+    write_origin(folder, {"command": "pmil train trials=3 seed=1 out=elsewhere resume=true"})
+    quoted = str(folder).replace("'", "\\'")
+    assert overrides(folder, ["trials=9"]) == [
+        "seed=1",
+        "trials=9",
+        f"out='{quoted}'",
+        "resume=true",
+    ]
+
+
+def test_run_of_another_command_is_not_resumed(tmp_path: Path) -> None:
+    write_origin(tmp_path, {"command": "python scripts/reproduce.py figure6"})
+    with pytest.raises(RunError, match=r"begun by python scripts/reproduce.py figure6, not by"):
+        overrides(tmp_path, [])
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"command": '])
+def test_damaged_origin_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: str
+) -> None:
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(SystemExit, match=r"^error: .*run.json is damaged"):
+        run_command(monkeypatch, "resume", tmp_path)
+
+
+def test_folder_that_is_no_run_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for command in ("resume", "report"):
+        with pytest.raises(SystemExit, match=r"^error: .*(run|summary)\.json"):
+            run_command(monkeypatch, command, tmp_path)

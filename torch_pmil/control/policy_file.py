@@ -1,20 +1,22 @@
-"""The file of a learned policy: its parameters, and what they are to be used with.
+"""The file of a learned policy: its parameters, and the state space and period they are for.
 
-==================  ==================================================================================
+==================  ==============================================================================
 entry               holds
-==================  ==================================================================================
+==================  ==============================================================================
 ``format``          ``"torch_pmil policy"``
-``version``         of the format, 1
-``torch_pmil``      version of the package that wrote it
-``names``           of the D entries of the state
-``units``           of the same
-``angles``          indices of the entries that are angles (rad), which the policy sees by sin and cos
-``control_period``  for which the robot holds a torque, s
-``target_names``    names of the K entries of a target, which the policy sees after the features; absent if it has none
-``parameters``      ``RBFPolicy.state_dict()``: float64 tensors ``centres`` (m, D' + K) and ``log_widths`` (F, D' + K)
-                    in multiples of ``scale`` (D' + K,), ``weights`` (m, F), torque limits ``u_max``
-                    (F,) in N·m
-==================  ==================================================================================
+``version``         version of the format, 1
+``torch_pmil``      version of the package that wrote the file
+``names``           names of the D entries of the state
+``units``           units of the D entries of the state
+``angles``          indices of the entries that are angles (rad), of which the policy sees sin and
+                    cos
+``control_period``  time for which the robot holds a torque, s
+``target_names``    names of the K entries of a target, which the policy sees after the features;
+                    absent if it has none
+``parameters``      ``RBFPolicy.state_dict()``: float64 tensors ``centres`` (m, D' + K) and
+                    ``log_widths`` (F, D' + K) in multiples of ``scale`` (D' + K,), ``weights``
+                    (m, F), torque limits ``u_max`` (F,) in N·m
+==================  ==============================================================================
 """
 
 from __future__ import annotations
@@ -39,8 +41,9 @@ LISTS = {"names": str, "units": str, "angles": int, "target_names": str}
 
 
 class PolicyFileError(ValueError):
-    """A file holds no policy that can be used; the message says where, what was expected and what
-    came, in one line.
+    """A file holds no policy that can be used.
+
+    The message says in one line where, what was expected and what came.
     """
 
 
@@ -51,13 +54,13 @@ def save_policy(
     control_period: float,
     target_names: Sequence[str] = (),
 ) -> None:
-    """Write a policy and what it needs to act, wholly or not at all.
+    """Write a policy and the data that it needs to act, wholly or not at all.
 
     Args:
-        path: of the file; one that is there is replaced.
-        policy: sees the features of the state, then the target if there is one.
+        path: the file to write; an existing file is replaced.
+        policy: a policy that sees the features of the state, then the target if there is one.
         space: names, units and angles of the state. The match space is not saved.
-        control_period: for which the robot holds a torque, s.
+        control_period: time for which the robot holds a torque, s.
         target_names: names of the K entries of a target.
 
     Raises:
@@ -84,15 +87,16 @@ def save_policy(
 
 
 def load_policy(path: Path | str) -> StatePolicy:
-    """Load a policy that :func:`save_policy` or ``pmil train`` wrote. Nothing that the file carries
-    is executed.
+    """Load a policy that :func:`save_policy` or ``pmil train`` wrote.
+
+    Nothing that the file carries is executed.
 
     Args:
-        path: of the file.
+        path: the file to read.
 
     Returns:
-        The policy of a state, on the CPU, its parameters without gradient. Its match space is the
-        state itself.
+        The policy as a function of the state, on the CPU, its parameters without gradient. Its
+        match space is the state itself.
 
     Raises:
         PolicyFileError: the file is damaged, of another kind or version, or its entries do not fit
@@ -102,8 +106,10 @@ def load_policy(path: Path | str) -> StatePolicy:
     Example:
         >>> import tempfile
         >>> path = Path(tempfile.mkdtemp()) / "policy.pt"
-        >>> space = StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s")))
-        >>> save_policy(path, RBFPolicy(torch.zeros(5, 3), torch.ones(1), torch.ones(3)), space, control_period=0.1)
+        >>> names, units = ("q", "dq"), ("rad", "rad/s")
+        >>> space = StateSpace(names, units, (0,), joint_match(names, units))
+        >>> policy = RBFPolicy(torch.zeros(5, 3), torch.ones(1), torch.ones(3))
+        >>> save_policy(path, policy, space, control_period=0.1)
         >>> load_policy(path)(torch.zeros(2))
         tensor([0.], dtype=torch.float64)
     """
@@ -172,7 +178,7 @@ def _check_entries(content: object) -> None:
 
 
 def _network(parameters: dict[str, Tensor], inputs: int) -> RBFPolicy:
-    """The policy of given parameters, which sees so many features."""
+    """The policy with the given parameters, which sees ``inputs`` features."""
     m, outputs = (*getattr(parameters.get("weights"), "shape", ()), 0, 0)[:2]
     shapes = {
         "centres": (m, inputs),

@@ -1,5 +1,6 @@
-"""A learned policy as the robot needs it: from the measured state to the torque, in NumPy, PyTorch,
-TensorDict, or exported.
+"""A learned policy as the robot needs it: from the measured state to the torque.
+
+It is a function of NumPy arrays, PyTorch tensors or TensorDicts, and can be exported.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ State = TypeVar("State", np.ndarray, Tensor)
 
 
 class StatePolicy(nn.Module):
-    """Torques (*batch, F), N·m, at states (*batch, D): NumPy arrays for NumPy arrays, tensors for
-    tensors, always float64.
+    """Policy that maps states (*batch, D) to torques (*batch, F), N·m.
 
-    Integers and floats of any precision are taken; a tensor must be on the device of the policy,
-    and its gradient passes. A policy of targets is called with these too, (*batch, K):
-    ``policy(state, target)``.
+    It returns NumPy arrays for NumPy arrays and tensors for tensors, always float64. Integers and
+    floats of any precision are taken; a tensor must be on the device of the policy, and its
+    gradient passes. A policy of targets is called with these too, (*batch, K): ``policy(state,
+    target)``.
 
     Args:
-        policy: sees the features of the state, then the target if there is one.
+        policy: a policy that sees the features of the state, then the target if there is one.
         space: names, units and angles of the state.
-        control_period: for which the robot holds a torque, s.
+        control_period: time for which the robot holds a torque, s.
         target_names: names of the K entries of a target.
 
     Raises:
@@ -47,7 +48,8 @@ class StatePolicy(nn.Module):
         >>> from torch_pmil.control.state_space import joint_match
         >>> names, units = ("q", "dq"), ("rad", "rad/s")
         >>> space = StateSpace(names, units, (0,), joint_match(names, units))
-        >>> policy = StatePolicy(RBFPolicy(torch.zeros(5, 3), torch.ones(1), torch.ones(3)), space, control_period=0.1)
+        >>> network = RBFPolicy(torch.zeros(5, 3), torch.ones(1), torch.ones(3))
+        >>> policy = StatePolicy(network, space, control_period=0.1)
         >>> policy(np.zeros(2))
         array([0.])
         >>> policy(torch.zeros(7, 2)).shape
@@ -72,32 +74,22 @@ class StatePolicy(nn.Module):
             raise ValueError(
                 f"control_period must be positive and finite, in seconds, got {control_period}"
             )
-        self.policy, self.space, self.control_period, self.target_names = (
-            policy,
-            space,
-            control_period,
-            tuple(target_names),
-        )
+        self.policy, self.space = policy, space
+        self.control_period, self.target_names = control_period, tuple(target_names)
 
     def extra_repr(self) -> str:
         """State, torque limits and control period, in their units."""
-        state = ", ".join(
-            f"{name} ({unit})"
-            for name, unit in zip(self.space.names, self.space.units, strict=True)
-        )
+        entries = zip(self.space.names, self.space.units, strict=True)
+        state = ", ".join(f"{name} ({unit})" for name, unit in entries)
         limits = ", ".join(f"{limit:g}" for limit in self.policy.u_max)
         target = f"; target {', '.join(self.target_names)}" if self.target_names else ""
         return f"state {state}{target}; torques up to {limits} N·m; every {self.control_period:g} s"
 
     def forward(self, state: State, target: State | None = None) -> State:
-        """Torques (*batch, F), N·m, at states (*batch, D), for targets (*batch, K) if the policy is
-        of targets.
-        """
+        """Torques (*batch, F), N·m, at states (*batch, D) and, if any, for targets (*batch, K)."""
         if (target is None) == bool(self.target_names):
-            raise TypeError(
-                "policy must be called with a "
-                f"state{' and a target' if self.target_names else ' alone'}"
-            )
+            wanted = "a state and a target" if self.target_names else "a state alone"
+            raise TypeError(f"policy must be called with {wanted}")
         inputs = self.space.features(self._checked("state", state, self.space.names))
         if target is not None:
             known = self._checked("target", target, self.target_names)
@@ -106,16 +98,14 @@ class StatePolicy(nn.Module):
         return torque.detach().cpu().numpy() if isinstance(state, np.ndarray) else torque
 
     def as_tensordict_module(self) -> TensorDictModule:
-        """The policy of TorchRL's environments and collectors: from ``"observation"``, and
-        ``"target"`` of targets, to ``"action"``.
+        """The policy as a module for TorchRL's environments and collectors.
+
+        It reads ``"observation"``, and ``"target"`` if it has targets, and writes ``"action"``.
 
         Example: see ``docs/how_to/deploy.md``.
         """
-        return TensorDictModule(
-            self,
-            in_keys=["observation", "target"][: 1 + bool(self.target_names)],
-            out_keys=["action"],
-        )
+        in_keys = ["observation", "target"] if self.target_names else ["observation"]
+        return TensorDictModule(self, in_keys=in_keys, out_keys=["action"])
 
     def export(self, path: Path | str, batch: bool = False) -> None:
         """Write a program that ``torch.export.load`` reads where there is nothing but PyTorch.
@@ -125,9 +115,9 @@ class StatePolicy(nn.Module):
         shape or dtype, and at a number that is not finite.
 
         Args:
-            path: of the file, ending in .pt2.
-            batch: whether the program takes states (N, D), any N, and not one state (D,); targets
-                alike.
+            path: the file to write, ending in .pt2.
+            batch: whether the program takes states (N, D) and targets (N, K), any N, and not one
+                state (D,) and target (K,).
 
         Raises:
             ValueError: the file has another ending.
@@ -140,20 +130,19 @@ class StatePolicy(nn.Module):
             raise ValueError(f"an exported policy must be a .pt2 file, got {path}")
         program = _Program(_constant(self.policy.controller), self.space)
         dims = [self.space.dim, *([len(self.target_names)] if self.target_names else [])]
-        examples = tuple(
-            torch.zeros((2, dim) if batch else dim, dtype=torch.float64) for dim in dims
-        )
-        program(
-            *examples
-        )  # what space and network keep from their first call must not come from the tracer
+        shape = (2,) if batch else ()
+        examples = tuple(torch.zeros(*shape, dim, dtype=torch.float64) for dim in dims)
+        # space and network cache tensors in their first call, which must not come from the tracer
+        program(*examples)
         shapes = tuple({0: torch.export.Dim("N", min=0)} for _ in dims) if batch else None
         exported = torch.export.export(program, examples, dynamic_shapes=shapes)
         with replacing(path) as temporary, temporary.open("wb") as file:
             torch.export.save(exported, file)
 
     def _checked(self, what: str, state: np.ndarray | Tensor, names: Sequence[str]) -> Tensor:
-        """The state or the target, of these entries, as the policy takes it: float64, on its
-        device.
+        """The state or the target, after checks, as float64 tensor on the policy's device.
+
+        The entries are named ``names``; ``what`` is the argument's name for errors.
         """
         dim, device = len(names), self.policy.u_max.device
         if not isinstance(state, np.ndarray | Tensor):
@@ -189,7 +178,7 @@ def _is_real(state: np.ndarray | Tensor) -> bool:
 
 
 def _constant(controller: Controller) -> Controller:
-    """The same of tensors on the CPU that are neither parameters nor views."""
+    """This controller with tensors on the CPU that are neither parameters nor views."""
     network = controller.network
     tensors = (
         network.inputs,
@@ -205,7 +194,7 @@ def _constant(controller: Controller) -> Controller:
 
 
 class _Program(nn.Module):
-    """What is exported: no Python decides, so the checks are operations of the graph."""
+    """The exported program: no Python decides, so the checks are operations of the graph."""
 
     def __init__(self, controller: Controller, space: StateSpace) -> None:
         super().__init__()
@@ -213,14 +202,13 @@ class _Program(nn.Module):
 
     def forward(self, state: Tensor, target: Tensor | None = None) -> Tensor:
         inputs = self.space.features(_finite("state", state))
-        return self.controller(
-            inputs if target is None else torch.cat([inputs, _finite("target", target)], -1)
-        )
+        if target is not None:
+            inputs = torch.cat([inputs, _finite("target", target)], -1)
+        return self.controller(inputs)
 
 
 def _finite(what: str, given: Tensor) -> Tensor:
-    given = given.double().view(
-        given.shape
-    )  # leaves checks of the dtype and of the number of dimensions in the graph
+    # the view leaves checks of the dtype and of the number of dimensions in the graph
+    given = given.double().view(given.shape)
     torch._assert_async(given.isfinite().all(), f"{what} must be finite")
     return given

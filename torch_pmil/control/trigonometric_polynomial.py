@@ -1,9 +1,9 @@
-r"""Sums of sines and cosines of linear combinations of angles, closed under products: where the
-points of a robot's links are.
+r"""Sums of sines and cosines of linear combinations of angles, closed under products.
 
 The position of a point of a chain of hinges is a sum of products of sines and cosines of its
 angles. With :math:`\cos a \cos b = \tfrac12 [\cos(a - b) + \cos(a + b)]` and its kin it is a sum of
 sines and cosines of sums of angles, whose moments under a Gaussian are known: a match space.
+
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Frequency = tuple[int, ...]
 
 @dataclass(frozen=True)
 class TrigonometricPolynomial:
-    r"""A real function of K angles, :math:`f(q) = \sum_n c_n e^{i n^\top q}` with :math:`c_{-n} =
-    \bar c_n`.
+    r"""A real function of K angles, :math:`f(q) = \sum_n c_n e^{i n^\top q}` with conjugate pairs.
 
-    Sums of polynomials, and products with polynomials and numbers, are polynomials again; of a
-    product, the coefficients are :math:`\sum_{k + l = n} a_k b_l`.
+    The pairs are :math:`c_{-n} = \bar c_n`. Sums of polynomials, and products with polynomials and
+    numbers, are polynomials again; a product has the coefficients :math:`\sum_{k + l = n} a_k b_l`.
+
 
     Args:
         coefficients: c_n by n.
@@ -57,32 +57,29 @@ class TrigonometricPolynomial:
 
     @property
     def terms(self) -> dict[Frequency, tuple[float, float]]:
-        """Coefficients of cos(n q) and sin(n q), for those n alone whose first entry other than 0
-        is positive, and n = 0.
+        """Coefficients of cos(n q) and sin(n q), each pair n and -n once.
+
+        They are given for n = 0 and for those n whose first entry other than 0 is positive.
         """
         zero = (0,) * len(next(iter(self.coefficients)))
-        once = {
-            n: (1 if n == zero else 2) * c
-            for n, c in sorted(self.coefficients.items())
-            if n >= zero and c
-        }
+        ordered = sorted(self.coefficients.items())
+        once = {n: (1 if n == zero else 2) * c for n, c in ordered if n >= zero and c}
         return {n: (c.real, -c.imag) for n, c in once.items()}
 
 
 def cosine(frequency: Frequency) -> TrigonometricPolynomial:
-    """The cosine of the sum of the angles, each as often as ``frequency`` says; of no angle, it is
-    1.
+    """The cosine of the sum of the angles, each as often as ``frequency`` says.
+
+    It is 1 if ``frequency`` has no angle.
     """
-    return TrigonometricPolynomial({frequency: 0.5 + 0j}) + TrigonometricPolynomial(
-        {_negative(frequency): 0.5 + 0j}
-    )
+    half = TrigonometricPolynomial({frequency: 0.5 + 0j})
+    return half + TrigonometricPolynomial({_negative(frequency): 0.5 + 0j})
 
 
 def sine(frequency: Frequency) -> TrigonometricPolynomial:
     """The sine of the sum of the angles, each as often as ``frequency`` says."""
-    return TrigonometricPolynomial({frequency: -0.5j}) + TrigonometricPolynomial(
-        {_negative(frequency): 0.5j}
-    )
+    half = TrigonometricPolynomial({frequency: -0.5j})
+    return half + TrigonometricPolynomial({_negative(frequency): 0.5j})
 
 
 def match_of(
@@ -92,16 +89,17 @@ def match_of(
     dim: int,
     angles: Sequence[int],
 ) -> MatchSpace:
-    """The match space whose entries are these polynomials of some entries of the state.
+    """Match space whose entries are the given polynomials of some entries of the state.
 
     Args:
         polynomials: one for each entry of the match space, of K angles.
-        names, units: of those entries.
+        names, units: names and units of the entries of the match space.
         dim: D, number of entries of the state.
         angles: the K entries of the state that are the angles.
 
     Example:
-        >>> tip = match_of([0.5 * sine((1,)), 0.5 * cosine((1,))], ("x", "y"), ("m", "m"), dim=2, angles=(0,))
+        >>> x, y = 0.5 * sine((1,)), 0.5 * cosine((1,))
+        >>> tip = match_of([x, y], ("x", "y"), ("m", "m"), dim=2, angles=(0,))
         >>> tip(torch.tensor([torch.pi / 2, 3.0], dtype=torch.float64)).round(decimals=3)
         tensor([0.5000, 0.0000], dtype=torch.float64)
     """
@@ -116,12 +114,8 @@ def match_of(
         )
         for part in (0, 1)
     )
-    return MatchSpace(
-        names,
-        units,
-        combinations,
-        torch.cat([torch.zeros(len(terms), dim, dtype=torch.float64), sines, cosines], -1),
-    )
+    plain = torch.zeros(len(terms), dim, dtype=torch.float64)
+    return MatchSpace(names, units, combinations, torch.cat([plain, sines, cosines], -1))
 
 
 def _negative(frequency: Frequency) -> Frequency:

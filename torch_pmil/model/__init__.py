@@ -1,3 +1,1 @@
-"""The learned forward model: its experience, its fit, and the trajectories that it predicts (Eqs.
-2-4, 13).
-"""
+"""The learned forward model: experience, fit, and predicted trajectories (Eqs. 2-4, 13)."""

@@ -1,5 +1,6 @@
-r"""How sure a model is of its next state, against how right it is: one-step predictions beside
-transitions that were executed.
+r"""Calibration of a model: how sure it is of its next state, against how right it is.
+
+One-step predictions are compared with transitions that were executed.
 """
 
 from __future__ import annotations
@@ -19,19 +20,19 @@ from torch_pmil.model.experience import gp_data
 def standardised_residuals(
     dynamics: GPDynamics, space: StateSpace, states: Tensor, actions: Tensor
 ) -> Tensor:
-    r"""Errors of the one-step prediction at every executed transition, in predicted standard
-    deviations.
+    r"""Errors of the one-step prediction at executed transitions, in predicted standard deviations.
 
-    .. math:: z_{t+1} = \frac{x_{t+1} - \mu(x_t, u_t)}{\sqrt{\sigma^2(x_t, u_t) + \sigma_\varepsilon^2}}
+    .. math::
+        z_{t+1} = \frac{x_{t+1} - \mu(x_t, u_t)}{\sqrt{\sigma^2(x_t, u_t) + \sigma_\varepsilon^2}}
 
-    Of a model that is as sure as it is right these are standard normal (Eqs. 6 and 7, with the
-    noise of Eq. 2).
+    If the model is as sure as it is right, they are standard normal (Eqs. 6 and 7, with the noise
+    of Eq. 2).
 
     Args:
         dynamics: the forward model.
-        space: of the same robot.
-        states: rollouts x_0..x_T, (*batch, T + 1, D), best of such that the model has not learned
-            from.
+        space: the robot's state space.
+        states: rollouts x_0..x_T, (*batch, T + 1, D), preferably ones from which the model has not
+            learned.
         actions: u_0..u_{T-1}, (*batch, T, F).
 
     Returns:
@@ -45,7 +46,8 @@ def standardised_residuals(
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
         >>> dynamics = GPDynamics(num_inputs=2, num_outputs=1)
         >>> dynamics.set_data(torch.zeros(2, 2), torch.zeros(2, 1))
-        >>> standardised_residuals(dynamics, space, torch.zeros(4, 3, 1).double(), torch.zeros(4, 2, 1).double()).shape
+        >>> states, actions = torch.zeros(4, 3, 1).double(), torch.zeros(4, 2, 1).double()
+        >>> standardised_residuals(dynamics, space, states, actions).shape
         torch.Size([4, 2, 1])
     """
     inputs, targets = gp_data(
@@ -56,20 +58,20 @@ def standardised_residuals(
 
 
 def observed_coverage(residuals: Tensor, probabilities: Tensor) -> Tensor:
-    r"""Fraction of standardised residuals inside the central interval that should hold them with a
-    given probability.
+    r"""Fraction of standardised residuals inside central intervals of given probabilities.
 
     .. math:: \widehat{\Pr}\big[ |z| \le \Phi^{-1}(\tfrac{1 + p}{2}) \big]
 
     Args:
         residuals: (\*batch, D).
-        probabilities: p of K intervals, from 0 to 1, (K,).
+        probabilities: the probability p of each of K intervals, from 0 to 1, (K,).
 
     Returns:
-        For each entry, (K, D).
+        Fractions for each interval and entry, (K, D).
 
     Example:
-        >>> observed_coverage(torch.tensor([[0.0], [1.0], [3.0]]), torch.tensor([0.0, 0.5, 0.95, 1.0])).flatten()
+        >>> residuals = torch.tensor([[0.0], [1.0], [3.0]])
+        >>> observed_coverage(residuals, torch.tensor([0.0, 0.5, 0.95, 1.0])).flatten()
         tensor([0.3333, 0.3333, 0.6667, 1.0000])
     """
     reach = math.sqrt(2) * torch.special.erfinv(probabilities)
@@ -78,7 +80,7 @@ def observed_coverage(residuals: Tensor, probabilities: Tensor) -> Tensor:
 
 
 def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
-    """Fraction of executed entries inside the predicted mean plus or minus two standard deviations.
+    """Fraction of executed entries within two standard deviations of the predicted mean.
 
     Args:
         predicted: marginals at t = 1..T, mean (T, D).
@@ -94,7 +96,9 @@ def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
 
 
 def two_sigma_coverage_by_entry(predicted: Gaussian, executed: Tensor) -> Tensor:
-    """The same for each entry of the state, (D,).
+    """Fraction of executed values within two predicted standard deviations, by entry, (D,).
+
+    Arguments as in :func:`two_sigma_coverage`.
 
     Example:
         >>> import torch
@@ -106,7 +110,8 @@ def two_sigma_coverage_by_entry(predicted: Gaussian, executed: Tensor) -> Tensor
 
 
 def within_two_sigma(predicted: Gaussian, executed: Tensor) -> Tensor:
-    """Which executed entries at t = 1..T are inside, 1 or 0, (N, T, D); see
-    :func:`two_sigma_coverage`.
+    """Whether executed entries at t = 1..T are within two standard deviations, 1 or 0, (N, T, D).
+
+    Arguments as in :func:`two_sigma_coverage`.
     """
     return ((executed[:, 1:] - predicted.mean).abs() <= 2 * predicted.std).double()

@@ -1,6 +1,4 @@
-"""What the robot has lived through: transitions in a TorchRL replay buffer, and the GP's training
-data made of them.
-"""
+"""The robot's transitions in a TorchRL replay buffer, and the GP's training data made of them."""
 
 from __future__ import annotations
 
@@ -19,11 +17,11 @@ KEYS = ("observation", "action", ("next", "observation"))
 
 
 class Experience:
-    """Transitions (x_t, u_t, x_{t+1}) of the robot, memory-mapped, in the order in which they came.
+    """Transitions (x_t, u_t, x_{t+1}) of the robot, memory-mapped, in the order of their recording.
 
     Args:
         capacity: largest number of transitions.
-        folder: where the memory-mapped files live; a temporary folder if None.
+        folder: folder of the memory-mapped files; a temporary one if None.
 
     Example:
         >>> experience = Experience(capacity=100)
@@ -40,8 +38,9 @@ class Experience:
         return len(self.buffer)
 
     def extend(self, transitions: TensorDictBase) -> None:
-        """Add transitions with the keys observation, action and (next, observation), any batch
-        shape.
+        """Add transitions with the keys observation, action and (next, observation).
+
+        They may have any batch shape.
 
         Raises:
             ValueError: an entry is not finite, or the buffer is full.
@@ -67,28 +66,27 @@ class Experience:
         }
 
     def load_state_dict(self, state_dict: Mapping[str, object]) -> None:
-        """Hold the transitions of a checkpoint and no others."""
+        """Take over the transitions of a checkpoint, in place of all others."""
         self.buffer.empty()
         if state_dict["count"]:
             self.extend(TensorDict(state_dict["transitions"], batch_size=[state_dict["count"]]))
 
     @property
     def transitions(self) -> TensorDictBase:
-        """All transitions, (n,), in the order in which they came."""
+        """All transitions, (n,), in the order of their recording."""
         return self.buffer[:]
 
     def training_data(
         self, space: StateSpace, targets: Targets, limits: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """GP inputs [features of x_t, u_t] (n, D' + F) and targets (n, D): differences or
-        successors.
+        """GP inputs [features of x_t, u_t] (n, D' + F) and targets (n, D).
 
         Args:
-            space: of the robot.
+            space: the robot's state space.
             targets: "difference" or "successor".
-            limits: largest absolute value of each entry of the state (D,), infinite for none.
-                Transitions from beyond are left out: how a robot tumbles on, far from the task,
-                says nothing of it, and one stationary kernel cannot explain both.
+            limits: largest absolute value of each entry of the state (D,), infinite for no limit.
+                Transitions that start beyond are left out: how a robot tumbles on, far from the
+                task, says nothing about the task, and one stationary kernel cannot explain both.
         """
         transitions = self.transitions
         states, successors = transitions["observation"], transitions["next", "observation"]
@@ -101,13 +99,12 @@ class Experience:
 def gp_data(
     states: Tensor, actions: Tensor, successors: Tensor, space: StateSpace, targets: Targets
 ) -> tuple[Tensor, Tensor]:
-    """Inputs of the model, [features of x_t, u_t] (*batch, D' + F), and its targets (*batch, D) of
-    transitions.
+    """Model inputs [features of x_t, u_t] (*batch, D' + F) and targets (*batch, D) of transitions.
 
     Args:
         states, successors: x_t and x_{t+1}, (*batch, D).
         actions: u_t, (*batch, F).
-        space: of the robot.
+        space: the robot's state space.
         targets: "difference" or "successor".
     """
     inputs = torch.cat([space.features(states), actions], -1)

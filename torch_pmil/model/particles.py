@@ -1,5 +1,6 @@
-r"""The trajectory distribution p(x_1), ..., p(x_T) from particles: Monte Carlo, where
-:mod:`torch_pmil.model.rollout` matches moments.
+r"""Trajectory distribution p(x_1), ..., p(x_T) by Monte Carlo, from particles.
+
+:mod:`torch_pmil.model.rollout` computes it by moment matching.
 """
 
 from __future__ import annotations
@@ -26,17 +27,20 @@ def sample_trajectories(
     generator: torch.Generator,
     observation_noise: bool = True,
 ) -> Tensor:
-    r"""Monte Carlo twin of :func:`predict_trajectory`: particles, each drawn from the model's
-    posterior at every step.
+    r"""Sampled trajectories of particles, each step drawn from the model's posterior.
 
-    .. math:: x_{t+1} = \mu(x_t, \pi(x_t)) + \sigma(x_t, \pi(x_t)) \, \epsilon_t, \qquad \epsilon_t \sim \mathcal N(0, I)
+    This is the Monte Carlo counterpart of :func:`predict_trajectory`.
+
+    .. math::
+        x_{t+1} = \mu(x_t, \pi(x_t)) + \sigma(x_t, \pi(x_t)) \, \epsilon_t,
+        \qquad \epsilon_t \sim \mathcal N(0, I)
 
     Given the draws, the states are differentiable in the policy. A longer horizon begins with the
     draws of a shorter one.
 
     Args:
         initial: p(x_0), any batch shape.
-        policy, dynamics, space: of the same robot.
+        policy, dynamics, space: policy, forward model and state space of one robot.
         horizon: T, number of steps.
         count: number of particles.
         generator: seeded source of the draws.
@@ -60,18 +64,17 @@ def sample_trajectories(
 
 @dataclass(frozen=True)
 class ParticlePrediction:
-    r"""Predicts as :func:`predict_trajectory` does, but by Gaussians that are fitted to particles
-    at each step.
+    r"""Prediction like :func:`predict_trajectory`, by Gaussians fitted to particles at each step.
 
     Moment matching takes every marginal as Gaussian before the next step; particles keep their
-    shape until the end, at the price of an error of Monte Carlo, in proportion to :math:`1 /
+    shape until the end, at the price of a Monte Carlo error in proportion to :math:`1 /
     \sqrt{\text{count}}`. All predictions use the same random numbers, as PEGASUS does: the loss of
     a search is then a smooth function of the policy, and the losses of different searches and
     policies can be compared. There is no state: a resumed run predicts as one that was not stopped.
 
     Args:
-        count: number of particles; an evaluation with gradient costs in proportion.
-        seed: of the random numbers.
+        count: number of particles; the cost of an evaluation with gradient is in proportion.
+        seed: seed of the random numbers.
 
     Raises:
         ValueError: fewer than two particles.
@@ -82,7 +85,8 @@ class ParticlePrediction:
     Example:
         >>> from torch_pmil import RBFPolicy, joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
-        >>> dynamics, policy = GPDynamics(2, 1), RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> dynamics = GPDynamics(2, 1)
         >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
         >>> start = Gaussian(torch.zeros(1).double(), torch.eye(1).double())
         >>> ParticlePrediction(count=100)(start, policy, dynamics, space, horizon=5).mean.shape
@@ -104,16 +108,16 @@ class ParticlePrediction:
         space: StateSpace,
         horizon: int,
     ) -> Gaussian:
-        """The predicted marginals p(x_1), ..., p(x_T), mean (*batch, T, D), observation noise
-        included.
+        """Predicted marginals p(x_1), ..., p(x_T), mean (*batch, T, D), with observation noise.
 
         Raises:
             PredictionError: names the time step and the state that is not finite.
         """
         generator = torch.Generator().manual_seed(self.seed)
-        trajectory = _fitted(
-            sample_trajectories(initial, policy, dynamics, space, horizon, self.count, generator)
+        samples = sample_trajectories(
+            initial, policy, dynamics, space, horizon, self.count, generator
         )
+        trajectory = _fitted(samples)
         check_finite(trajectory, space)
         return trajectory
 

@@ -3,8 +3,8 @@ r"""Recurrences :math:`x_{t+1} = F(x_t, \theta)` that are differentiated at all 
 The states are computed one after the other without a graph. Then, all of them being known, the
 Jacobians of all steps are one batch; only the products of these small matrices go back step by
 step, and the gradient in the parameters is one batch again. The work is that of backpropagation
-through time, in a few large operations instead of many small ones. A predicted trajectory is one,
-and its gradient Eq. 22.
+through time, in a few large operations instead of many small ones. A predicted trajectory is such
+a recurrence, and its gradient is Eq. 22.
 """
 
 from __future__ import annotations
@@ -18,25 +18,27 @@ from torch.autograd.function import once_differentiable
 
 
 class Step(Protocol):
-    """One step of a recurrence, for states (*batch, S); at all times at once they are (T, *batch,
-    S).
+    """One step of a recurrence of states (*batch, S).
+
+    The states at all times at once are (T, *batch, S).
     """
 
     def advance(self, state: Tensor) -> Tensor:
-        """The next state; no graph is recorded."""
+        """The next state, computed without a graph."""
 
     def jacobian(self, states: Tensor) -> Tensor:
-        """d x_{t+1} / d x_t, (T, *batch, S, S), at all the states that ``advance`` was given."""
+        """Jacobians d x_{t+1} / d x_t, (T, *batch, S, S), at all the states that were advanced."""
 
     def parameter_gradients(
         self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor
     ) -> Sequence[Tensor]:
-        """Gradients in the parameters, from the gradients (T, *batch, S) in all the next states."""
+        """Gradients in the parameters, from the adjoints (T, *batch, S) of all the next states."""
 
 
 def unroll(step: Step, initial: Tensor, parameters: tuple[Tensor, ...], horizon: int) -> Tensor:
-    """States at t = 1..horizon, (T, *batch, S), differentiable (once) in the initial state (*batch,
-    S) and the parameters.
+    """States at t = 1..horizon, (T, *batch, S), of a recurrence.
+
+    They are differentiable (once) in the initial state (*batch, S) and the parameters.
     """
     return _Unrolled.apply(step, horizon, initial, *parameters)
 

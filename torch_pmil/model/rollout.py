@@ -1,4 +1,4 @@
-r"""From p(x_0), a policy and a model to the trajectory distribution p(x_1), ..., p(x_T) (Eq. 13)."""
+r"""Trajectory distribution p(x_1), ..., p(x_T) from p(x_0), a policy and a model (Eq. 13)."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ def predict_step(
     space: StateSpace,
     observation_noise: bool = True,
 ) -> Gaussian:
-    r"""p(x_t) -> p(x_{t+1}) by exact moment matching of the policy and of the model.
+    r"""Map p(x_t) to p(x_{t+1}) by exact moment matching of the policy and of the model.
 
-    1. the features of the state (sin and cos of its angles); 2. the policy's action and its
-       covariance with them; 3. the GP's
-    moments at the joint of features and action; 4. for differences, :math:`\Sigma_{t+1} = \Sigma_t
-    + S + C + C^\top`.
+    1. Features of the state (sin and cos of its angles).
+    2. The policy's action and its covariance with the features.
+    3. The GP's moments at the joint belief over features and action.
+    4. For differences, :math:`\Sigma_{t+1} = \Sigma_t + S + C + C^\top`.
 
     Args:
         state: belief over the state, D entries.
-        controller: of the policy.
-        dynamics, space: of the same robot.
+        controller: the policy's controller.
+        dynamics, space: forward model and state space of the robot.
         observation_noise: whether the next state's variance holds the model's noise (Eqs. 2 and 5).
 
     Returns:
@@ -74,21 +74,21 @@ def _propagate(
 def successor_belief(
     state: Gaussian, input_slope: Tensor, moments: Moments, targets: Targets
 ) -> Gaussian:
-    r"""p(x_{t+1}) from p(x_t) and the model's moments: for differences, :math:`\Sigma_{t+1} =
-    \Sigma_t + S + C + C^\top`.
+    r"""Belief p(x_{t+1}) from p(x_t) and the model's moments.
+
+    For differences, :math:`\Sigma_{t+1} = \Sigma_t + S + C + C^\top`.
 
     Args:
         state: p(x_t), D entries.
         input_slope: Sigma_x^-1 cov(x, inputs of the model), (*batch, D, D' + F).
-        moments: of the model at its inputs.
-        targets: what the model predicts.
+        moments: moments of the model at its inputs.
+        targets: what the model predicts, "difference" or "successor".
     """
     if targets == "successor":
         return Gaussian(moments.mean, symmetric(moments.cov))
     C = state.cov @ (input_slope @ moments.inv_cov_cross_cov)
-    return Gaussian(
-        state.mean + moments.mean, symmetric(torch.add(state.cov + moments.cov, C, alpha=2))
-    )
+    cov = symmetric(torch.add(state.cov + moments.cov, C, alpha=2))
+    return Gaussian(state.mean + moments.mean, cov)
 
 
 def predict_trajectory(
@@ -99,11 +99,11 @@ def predict_trajectory(
     horizon: int,
     observation_noise: bool = True,
 ) -> Gaussian:
-    """The predicted marginals p(x_1), ..., p(x_T) (Section 4.1.2).
+    """Predicted marginals p(x_1), ..., p(x_T) (Section 4.1.2).
 
     Args:
         initial: p(x_0), any batch shape.
-        policy, dynamics, space: of the same robot.
+        policy, dynamics, space: policy, forward model and state space of one robot.
         horizon: T, number of steps.
         observation_noise: as in :func:`predict_step`.
 
@@ -118,9 +118,8 @@ def predict_trajectory(
     step = _MomentStep(controller, dynamics, space, observation_noise, horizon)
     start = Gaussian(initial.mean, symmetric(initial.cov)).flattened.flat
     states = unroll(step, start, controller.parameters, horizon)
-    trajectory = Gaussian.from_flat(
-        states.movedim(0, -2).reshape(*initial.batch_shape, horizon, -1), initial.dim
-    )
+    flat = states.movedim(0, -2).reshape(*initial.batch_shape, horizon, -1)
+    trajectory = Gaussian.from_flat(flat, initial.dim)
     check_finite(trajectory, space)
     return trajectory
 
@@ -136,28 +135,17 @@ class _MomentStep:
         observation_noise: bool,
         horizon: int,
     ) -> None:
-        self.controller, self.space, self.targets, self.horizon = (
-            controller,
-            space,
-            dynamics.targets,
-            horizon,
-        )
-        self.network, self.model = (
-            RecordedMoments(controller.network, keep_products=True),
-            RecordedMoments(dynamics.expansion, observation_noise),
-        )
+        self.controller, self.space = controller, space
+        self.targets, self.horizon = dynamics.targets, horizon
+        self.network = RecordedMoments(controller.network, keep_products=True)
+        self.model = RecordedMoments(dynamics.expansion, observation_noise)
         self.taken = 0
 
     def advance(self, state: Tensor) -> Tensor:
         self.taken += 1
+        belief = Gaussian.from_flat(state, self.space.dim)
         try:
-            following = _propagate(
-                Gaussian.from_flat(state, self.space.dim),
-                self._act,
-                self.model,
-                self.targets,
-                self.space,
-            )
+            following = _propagate(belief, self._act, self.model, self.targets, self.space)
         except NotPositiveDefiniteError as error:
             raise PredictionError(
                 f"prediction of step {self.taken} of {self.horizon} failed: {error}", self.taken
@@ -179,9 +167,8 @@ class _MomentStep:
         self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor
     ) -> Sequence[Tensor]:
         step = self._derivatives(states)
-        d_mean, d_cov = Gaussian.cotangent_from_flat(
-            adjoints.flatten(0, 1)[:, None], self.space.dim
-        )
+        d_next = adjoints.flatten(0, 1)[:, None]
+        d_mean, d_cov = Gaussian.cotangent_from_flat(d_next, self.space.dim)
         d_network = [cotangent.squeeze(1) for cotangent in step.network_adjoint(d_mean, d_cov)]
         leaves = [parameter.detach().requires_grad_() for parameter in parameters]
         with torch.enable_grad():
@@ -205,8 +192,9 @@ class _MomentStep:
 
 
 def check_finite(trajectory: Gaussian, space: StateSpace) -> None:
-    """Raise PredictionError for the first step, and the entry of the state, at which marginals
-    (*batch, T, D) are not finite.
+    """Raise PredictionError for the first step at which marginals (*batch, T, D) are not finite.
+
+    The message names the entry of the state.
     """
     finite = trajectory.mean.isfinite() & trajectory.cov.isfinite().all(-1)
     if not finite.all():
@@ -222,22 +210,19 @@ def check_finite(trajectory: Gaussian, space: StateSpace) -> None:
 def predict_mean_trajectory(
     initial: Tensor, policy: Policy, dynamics: GPDynamics, space: StateSpace, horizon: int
 ) -> Tensor:
-    """The model's mean alone, step by step, as if nothing were uncertain: O(n) a step.
+    """Trajectory of the model's mean alone, as if nothing were uncertain: O(n) a step.
 
     Args:
         initial: x_0, (*batch, D).
+        policy, dynamics, space: policy, forward model and state space of one robot.
         horizon: T, number of steps.
 
     Returns:
         States at t = 1..T, (*batch, T, D).
     """
     controller = policy.controller
-    states = unroll(
-        _MeanStep(controller, dynamics, space),
-        initial.reshape(-1, space.dim),
-        controller.parameters,
-        horizon,
-    )
+    step = _MeanStep(controller, dynamics, space)
+    states = unroll(step, initial.reshape(-1, space.dim), controller.parameters, horizon)
     return states.movedim(0, -2).reshape(*initial.shape[:-1], horizon, space.dim)
 
 
@@ -245,20 +230,15 @@ class _MeanStep:
     """The model's mean as a step of a recurrence."""
 
     def __init__(self, controller: Controller, dynamics: GPDynamics, space: StateSpace) -> None:
-        self.controller, self.expansion, self.targets, self.space = (
-            controller,
-            dynamics.expansion,
-            dynamics.targets,
-            space,
-        )
+        self.controller, self.space = controller, space
+        self.expansion, self.targets = dynamics.expansion, dynamics.targets
 
     def advance(self, state: Tensor) -> Tensor:
         return self._follow(state, self.controller)
 
     def jacobian(self, states: Tensor) -> Tensor:
-        features, slope = self.space.feature_moments(
-            Gaussian(states, torch.diag_embed(torch.zeros_like(states)))
-        )
+        certain = Gaussian(states, torch.diag_embed(torch.zeros_like(states)))
+        features, slope = self.space.feature_moments(certain)
         raw, raw_slope = self.controller.network.mean_and_gradient(features.mean)
         action_slope = (self.controller.u_max * raw.cos())[..., None] * raw_slope
         inputs = torch.cat([features.mean, self.controller.u_max * raw.sin()], -1)

@@ -1,6 +1,4 @@
-"""The adjoint of one step of the prediction: how a change of the next belief follows from one of
-this belief, read backwards.
-"""
+"""The adjoint (VJP) of one step of the prediction, from p(x_{t+1}) back to p(x_t)."""
 
 from __future__ import annotations
 
@@ -16,15 +14,15 @@ Cotangents = tuple[Tensor, Tensor, Tensor]
 
 
 class StepDerivatives:
-    """:func:`predict_step` at N beliefs, linearised.
+    """Derivatives of :func:`predict_step` at N beliefs.
 
     Args:
         state: the beliefs, mean (N, D).
-        network: the policy's moments, linearised at the features of the state.
+        network: the policy's moments and their Jacobian at the features of the state.
         u_max: torque limits (F,).
-        model: the model's moments, linearised at the features and actions.
+        model: the model's moments and their Jacobian at the features and actions.
         differences: whether the model predicts changes of the state, or the next state itself.
-        space: of the robot.
+        space: the robot's state space.
     """
 
     def __init__(
@@ -36,45 +34,24 @@ class StepDerivatives:
         differences: bool,
         space: StateSpace,
     ) -> None:
-        self.network, self.model, self.u_max, self.differences, self.augmentation = (
-            network,
-            model,
-            u_max,
-            differences,
-            space.augmentation,
-        )
+        self.network, self.model, self.u_max = network, model, u_max
+        self.differences, self.augmentation = differences, space.augmentation
         self.features, slope = space.feature_moments(state)
         raw = network.moments
         _, gain = squash(raw.gaussian, u_max)
-        action_slope = raw.inv_cov_cross_cov * gain[:, None, :]
-        one = [
-            tensor[:, None]
-            for tensor in (
-                state.mean,
-                state.cov,
-                slope,
-                self.features.cov,
-                action_slope,
-                gain,
-                raw.inv_cov_cross_cov,
-            )
-        ]
-        (
-            self.mean,
-            self.cov,
-            self.slope,
-            self.features_cov,
-            self.action_slope,
-            self.gain,
-            self.raw_slope,
-        ) = one
+        # each has an axis of length one, over which C cotangents broadcast
+        self.mean, self.cov = state.mean[:, None], state.cov[:, None]
+        self.slope, self.features_cov = slope[:, None], self.features.cov[:, None]
+        self.gain, self.raw_slope = gain[:, None], raw.inv_cov_cross_cov[:, None]
+        self.action_slope = self.raw_slope * self.gain[..., None, :]
         self.raw = Gaussian(raw.mean[:, None], raw.cov[:, None])
         self.input_slope = torch.cat([self.slope, self.slope @ self.action_slope], -1)
         self.model_slope = model.moments.inv_cov_cross_cov[:, None]
 
     def state_adjoint(self, d_mean: Tensor, d_cov: Tensor) -> tuple[Tensor, Tensor]:
-        """Cotangents of the state, (N, C, D) and (N, C, D, D), from C cotangents of the next state;
-        covariances are symmetric.
+        """Cotangents of the state, (N, C, D) and (N, C, D, D), from C cotangents of the next state.
+
+        Cotangents of covariances are symmetric.
         """
         d_raw, d_features, d_state = self._back_to_policy(d_mean, d_cov)
         by_mean, by_cov = self.network.adjoint(*d_raw)
@@ -98,8 +75,10 @@ class StepDerivatives:
     def _back_to_policy(
         self, d_mean: Tensor, d_cov: Tensor
     ) -> tuple[Cotangents, Cotangents, Tensor]:
-        """Cotangents of the policy's moments, those of the features and their slope, and that of
-        the state's covariance itself.
+        """Cotangents of the policy's moments, of the features, and of the state's covariance.
+
+        Those of the features are of their mean, covariance and slope. That of the state's
+        covariance is the direct one alone, not through the features.
         """
         d_input_slope, d_model_slope, d_state_cov = self._of_cross_covariance(d_cov)
         by_mean, by_cov = self.model.adjoint(d_mean, d_cov, d_model_slope)
@@ -118,8 +97,9 @@ class StepDerivatives:
         return (*d_raw, d_action_slope * self.gain[..., None, :]), d_features, d_state_cov
 
     def _of_cross_covariance(self, d_cov: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Through Sigma + S + C + C' with C = Sigma input_slope model_slope; nothing but S where
-        the model predicts the next state.
+        """Cotangents of input_slope, model_slope and Sigma through Sigma + S + C + C'.
+
+        C = Sigma input_slope model_slope. All are zero where the model predicts the next state.
         """
         if not self.differences:
             zero = d_cov.new_zeros(())

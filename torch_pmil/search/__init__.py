@@ -1,3 +1,1 @@
-"""The policy search: the KL divergence and other costs, the losses made of them, and what minimises
-them (Eqs. 19-24, 28, 31).
-"""
+"""The policy search: KL divergence, costs, losses and their minimisation (Eqs. 19-24, 28, 31)."""

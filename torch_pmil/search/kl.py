@@ -1,6 +1,4 @@
-"""Kullback-Leibler divergence of Gaussians, and of factorised trajectory distributions (Eqs.
-19-24).
-"""
+"""Kullback-Leibler divergence of Gaussians and of factorised trajectories (Eqs. 19-24)."""
 
 from __future__ import annotations
 
@@ -17,11 +15,14 @@ def _log_det(factor: Tensor) -> Tensor:
 
 
 def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
-    r"""Kullback-Leibler divergence KL(p‖q) of two Gaussians (Eq. 8 in closed form: Eq. 19, sign of
-    the log term corrected).
+    r"""Kullback-Leibler divergence KL(p‖q) of two Gaussians (Eq. 19).
 
-    .. math:: \tfrac12 \left[ \operatorname{tr}(\Sigma_q^{-1}\Sigma_p) + \delta^\top \Sigma_q^{-1} \delta - D
-              + \log\tfrac{|\Sigma_q|}{|\Sigma_p|} \right], \qquad \delta = \mu_p - \mu_q
+    It is Eq. 8 in closed form; the sign of Eq. 19's log term is corrected.
+
+    .. math::
+        \tfrac12 \left[ \operatorname{tr}(\Sigma_q^{-1}\Sigma_p)
+        + \delta^\top \Sigma_q^{-1} \delta - D + \log\tfrac{|\Sigma_q|}{|\Sigma_p|} \right],
+        \qquad \delta = \mu_p - \mu_q
 
     Its gradients are Eqs. 23 and 24 (the latter with the inner term :math:`\Sigma_p`, as it must
     be).
@@ -46,7 +47,7 @@ def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
 
 
 def _whitened(p: Gaussian, q: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
-    """L_p, L_q, and L_q^-1 [L_p, mu_p - mu_q], (*batch, D, D + 1)."""
+    """Cholesky factors L_p and L_q, and L_q^-1 [L_p, mu_p - mu_q], (*batch, D, D + 1)."""
     L_p, L_q = cholesky(p.cov, "covariance of p"), cholesky(q.cov, "covariance of q")
     delta = (p.mean - q.mean)[..., None]
     residuals = torch.cat([L_p.expand(*delta.shape[:-2], -1, -1), delta], -1)
@@ -54,11 +55,11 @@ def _whitened(p: Gaussian, q: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
 
 
 class KLTerms(NamedTuple):
-    """Where a KL comes from, entry by entry, in nats; none is negative.
+    """Terms of a KL by entry, in nats; none is negative.
 
     Args:
-        mean: from means that differ, (*batch, D).
-        spread: from covariances that differ, (*batch, D).
+        mean: terms from the difference of the means, (*batch, D).
+        spread: terms from the difference of the covariances, (*batch, D).
     """
 
     mean: Tensor
@@ -66,17 +67,19 @@ class KLTerms(NamedTuple):
 
 
 def gaussian_kl_terms(p: Gaussian, q: Gaussian) -> KLTerms:
-    r"""The terms of :func:`gaussian_kl`: their sum is the KL(p‖q), exactly (Eq. 19).
+    r"""Terms of KL(p‖q) by entry, whose sum is :func:`gaussian_kl` exactly (Eq. 19).
 
     By the chain rule a KL is the sum, over the entries in their order, of the expected KL of each
     entry given those before it, :math:`\mathrm{E}_p\,\mathrm{KL}(p(z_j \mid z_{<j}) \,\|\, q(z_j
     \mid z_{<j}))`. With Cholesky factors L, :math:`m = L_q^{-1} (\mu_p - \mu_q)` and :math:`M =
     L_q^{-1} L_p` these are
 
-    .. math:: \tfrac12 m_j^2 \quad\text{and}\quad \tfrac12 \Big[ \sum_{k \le j} M_{jk}^2 - 1 - \log M_{jj}^2 \Big].
+    .. math::
+        \tfrac12 m_j^2 \quad\text{and}\quad
+        \tfrac12 \Big[ \sum_{k \le j} M_{jk}^2 - 1 - \log M_{jj}^2 \Big].
 
-    The sums of either over the entries do not depend on their order. How dependent entries share
-    them does: what two of them show alike counts with the first.
+    The sum of either kind over the entries does not depend on the order of the entries. Its parts
+    do: a difference that two dependent entries both show counts with the first of them.
 
     Args:
         p, q: as in :func:`gaussian_kl`.
@@ -88,20 +91,19 @@ def gaussian_kl_terms(p: Gaussian, q: Gaussian) -> KLTerms:
         NotPositiveDefiniteError: as in :func:`gaussian_kl`.
 
     Example:
-        >>> p, q = Gaussian(torch.zeros(2), torch.eye(2)), Gaussian(torch.tensor([0.0, 2.0]), torch.eye(2))
+        >>> p = Gaussian(torch.zeros(2), torch.eye(2))
+        >>> q = Gaussian(torch.tensor([0.0, 2.0]), torch.eye(2))
         >>> gaussian_kl_terms(p, q).mean
         tensor([0., 2.])
     """
     _, _, white = _whitened(p, q)
     M, m = white[..., :-1], white[..., -1]
-    return KLTerms(
-        m.square() / 2, (M.square().sum(-1) - 1) / 2 - M.diagonal(dim1=-2, dim2=-1).log()
-    )
+    spread = (M.square().sum(-1) - 1) / 2 - M.diagonal(dim1=-2, dim2=-1).log()
+    return KLTerms(m.square() / 2, spread)
 
 
 def trajectory_kl(demonstrated: Gaussian, predicted: Gaussian) -> Tensor:
-    r"""KL of two trajectory distributions that factorise over time (Eq. 20): the sum of their
-    marginals' KLs.
+    r"""KL of two trajectory distributions that factorise over time: a sum over steps (Eq. 20).
 
     Args:
         demonstrated, predicted: marginals at t = 1..T, mean (*batch, T, M), in the match space.
@@ -118,8 +120,9 @@ def trajectory_kl(demonstrated: Gaussian, predicted: Gaussian) -> Tensor:
 
 
 def mean_kl(demonstrated: Gaussian, mean: Tensor) -> Tensor:
-    r"""KL of each marginal when the prediction is a mean alone, given the demonstrated covariance (Eq.
-    19 with equal covariances).
+    r"""KL of each marginal to the predicted mean with the demonstrated covariance.
+
+    This is Eq. 19 with equal covariances.
 
     .. math:: \tfrac12 \delta^\top (\Sigma^{\mathrm{exp}})^{-1} \delta
 

@@ -1,6 +1,4 @@
-"""What a policy is searched for: the KL between demonstrated and predicted trajectories (Eq. 20),
-or PILCO's cost (Eq. 28).
-"""
+"""Losses of a policy: KL to the demonstrations (Eq. 20), or PILCO's saturating cost (Eq. 28)."""
 
 from __future__ import annotations
 
@@ -18,29 +16,32 @@ from torch_pmil.search.trajectory_loss import Prediction, Reduction, TrajectoryL
 
 
 class TrajectoryKLLoss(TrajectoryLoss):
-    r""":math:`J_{\mathrm{IL}} = \sum_t \mathrm{KL}(p(x_t^{\exp}) \,\|\, p(x_t^\pi))` (Eq. 20), in
-    nats.
+    r"""KL between demonstrated and predicted trajectories (Eq. 20), in nats.
 
-    Reads start beliefs or, as :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes
+    .. math:: J_{\mathrm{IL}} = \sum_t \mathrm{KL}(p(x_t^{\exp}) \,\|\, p(x_t^\pi))
+
+    Reads start beliefs or, in :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes
     ``"loss_kl"``. Keys and masks are those of :class:`TrajectoryLoss`.
 
     Args:
         actor_network: the policy, whose parameters are learned.
         dynamics: the forward model, constant here.
         space: the robot's state space.
-        demonstrated: demonstrated marginals at t = 1..T in the match space, observation noise included.
-        noise_std: observation noise added to the prediction too, in the units of the match space:
-            one number, or one for each entry, (M,).
+        demonstrated: demonstrated marginals at t = 1..T in the match space, with observation noise.
+        noise_std: standard deviation of the observation noise added to the prediction too, in the
+            units of the match space: one number, or one for each entry, (M,).
         reduction, prediction: as in :class:`TrajectoryLoss`.
 
     Raises:
-        ValueError: the demonstrated or the noise is not in the match space, or the reduction is unknown.
+        ValueError: the demonstrated marginals or the noise are not in the match space, or the
+            reduction is unknown.
 
     Example:
         >>> from tensordict import TensorDict
         >>> from torch_pmil.control.state_space import joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
-        >>> dynamics, policy = GPDynamics(2, 1), RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> dynamics = GPDynamics(2, 1)
         >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
         >>> demonstrated = Gaussian(torch.zeros(5, 1).double(), torch.ones(5, 1, 1).double())
         >>> loss = TrajectoryKLLoss(policy, dynamics, space, demonstrated, noise_std=0.1)
@@ -63,15 +64,14 @@ class TrajectoryKLLoss(TrajectoryLoss):
         prediction: Prediction = predict_trajectory,
     ) -> None:
         super().__init__(actor_network, dynamics, space, reduction, prediction)
-        if demonstrated.dim != space.match_space.dim:
+        names = space.match_space.names
+        if demonstrated.dim != len(names):
             raise ValueError(
-                f"demonstrated must have the {space.match_space.dim} entries {space.match_space.names}, got "
-                f"{demonstrated.dim}"
+                f"demonstrated must have the {len(names)} entries {names}, got {demonstrated.dim}"
             )
         if torch.as_tensor(noise_std).shape not in ((), (demonstrated.dim,)):
             raise ValueError(
-                f"noise_std must be a number or one for each of {space.match_space.names}, got "
-                f"{noise_std}"
+                f"noise_std must be a number or one for each of {names}, got {noise_std}"
             )
         self.noise_std = noise_std
         self.register_buffer("demonstrated_mean", demonstrated.mean)
@@ -86,36 +86,36 @@ class TrajectoryKLLoss(TrajectoryLoss):
         return super()._observe(states).add_noise(self.noise_std**2)
 
     def _costs(self, observed: Gaussian) -> Tensor:
-        return gaussian_kl(self._expert(observed.batch_shape[-1]), observed)
+        return gaussian_kl(self._demonstrated(observed.batch_shape[-1]), observed)
 
     def _mean_costs(self, observed: Tensor) -> Tensor:
-        return mean_kl(self._expert(observed.shape[-2]), observed)
+        return mean_kl(self._demonstrated(observed.shape[-2]), observed)
 
-    def _expert(self, horizon: int) -> Gaussian:
-        return Gaussian(
-            self.demonstrated_mean[..., :horizon, :], self.demonstrated_cov[..., :horizon, :, :]
-        )
+    def _demonstrated(self, horizon: int) -> Gaussian:
+        mean, cov = self.demonstrated_mean, self.demonstrated_cov
+        return Gaussian(mean[..., :horizon, :], cov[..., :horizon, :, :])
 
 
 class ExpectedSaturatingCost(TrajectoryLoss):
-    r"""PILCO's cost of not being at a target (Eq. 28), its expectation summed over the horizon:
-    between 0 and T, without unit.
+    r"""PILCO's expected cost of not being at a target (Eq. 28), summed over the horizon.
+
+    It is between 0 and T, without unit.
 
     .. math:: \sum_t \mathbb E\left[1 - \exp\left(-\frac{d(z_t)^2}{2\sigma^2}\right)\right], \qquad
               d(z)^2 = (z - z_{\mathrm{target}})^\top W (z - z_{\mathrm{target}})
 
     The observation z is in the match space, where its predicted moments are exact; the expectation
-    is that of a Gaussian of these moments, in closed form, without observation noise. Eq. 28 itself
+    is over a Gaussian with these moments, in closed form, without observation noise. Eq. 28 itself
     has :math:`\sigma` = 2 and W = I.
 
-    Reads start beliefs or, as :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes
+    Reads start beliefs or, in :meth:`~TrajectoryLoss.rollout_loss`, predicted ones; writes
     ``"loss_cost"``. Keys and masks are those of :class:`TrajectoryLoss`.
 
     Args:
         actor_network: the policy, whose parameters are learned.
         dynamics: the forward model, constant here.
         space: the robot's state space.
-        target: where to be, (M,), in the match space.
+        target: the target, (M,), in the match space.
         width: distance :math:`\sigma` beyond which the cost saturates, in the unit of d.
         horizon: T, number of steps after the start.
         weight: W, (M, M), symmetric and positive semi-definite; the identity by default. Zeros
@@ -130,9 +130,10 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         >>> from tensordict import TensorDict
         >>> from torch_pmil.control.state_space import joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
-        >>> dynamics, policy = GPDynamics(2, 1), RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> policy = RBFPolicy(torch.zeros(3, 1), torch.ones(1), torch.ones(1))
+        >>> dynamics = GPDynamics(2, 1)
         >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
-        >>> loss = ExpectedSaturatingCost(policy, dynamics, space, target=torch.ones(1), width=0.5, horizon=5)
+        >>> loss = ExpectedSaturatingCost(policy, dynamics, space, torch.ones(1), 0.5, horizon=5)
         >>> start = {"mean": torch.zeros(1).double(), "var": torch.eye(1).double()}
         >>> 0 < loss(TensorDict({"observation": start}))["loss_cost"].item() < 5
         True
@@ -177,26 +178,24 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         return self._horizon
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """What the spread of each predicted marginal would cost around the target, (*batch,
-        horizon). Raises PredictionError.
+        """Cost of each predicted marginal if its mean were the target, (*batch, horizon).
 
-        The cost itself would not do: it is high far from the target, however sure the prediction
-        is.
+        The cost itself would not measure trust: it is high far from the target, however sure the
+        prediction is. Raises PredictionError.
         """
         observed = self.predict(initial, horizon)
         return self._score(Gaussian(self.target.expand_as(observed.mean), observed.cov))
 
     def _costs(self, observed: Gaussian) -> Tensor:
-        return expected_saturating_cost(
-            Gaussian(observed.mean - self.target, observed.cov).affine(self.to_widths)
-        )
+        residual = Gaussian(observed.mean - self.target, observed.cov)
+        return expected_saturating_cost(residual.affine(self.to_widths))
 
     def _mean_costs(self, observed: Tensor) -> Tensor:
         return saturating_cost((observed - self.target) @ self.to_widths.mT)
 
 
 def _root(weight: Tensor) -> Tensor:
-    """R with R'R = W, of a W that may be singular."""
+    """Matrix R with R'R = W, for a W that may be singular."""
     values, vectors = torch.linalg.eigh(weight)
     if not torch.allclose(weight, weight.mT) or values[0] < -1e-12 * values[-1]:
         raise ValueError(

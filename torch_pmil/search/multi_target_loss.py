@@ -15,19 +15,22 @@ from torch_pmil.search.trajectory_loss import Prediction, Reduction
 
 
 class MultiTargetKLLoss(TrajectoryKLLoss):
-    r""":math:`J_{\mathrm{MT}} = \frac1S \sum_{i=1}^S \mathrm{KL}(p(\tau_i^{\exp}) \,\|\, p(\tau^\pi
-    | \eta_i))` (Eq. 31), in nats.
+    r"""Mean over the targets of the KL to each target's demonstrations (Eq. 31), in nats.
+
+    .. math::
+        J_{\mathrm{MT}} = \frac1S \sum_{i=1}^S
+        \mathrm{KL}(p(\tau_i^{\exp}) \,\|\, p(\tau^\pi | \eta_i))
 
     The policy :math:`\pi(x, \eta)` has one set of parameters; its last K inputs are the target.
-    From each start belief it is predicted for all S targets, in one batch. :meth:`rollout_loss`
-    takes such beliefs, (\*batch, S, t, D). Keys, masks and what is written are those of
-    :class:`TrajectoryKLLoss`.
+    From each start belief its trajectories are predicted for all S targets, in one batch.
+    :meth:`rollout_loss` takes predicted beliefs, (\*batch, S, t, D). Keys, masks and the entry that
+    is written are those of :class:`TrajectoryKLLoss`.
 
     Args:
         actor_network: the policy, whose parameters are learned.
         dynamics, space, noise_std, reduction, prediction: as in :class:`TrajectoryKLLoss`.
-        demonstrated: demonstrated marginals of each target at t = 1..T, mean (S, T, M), observation noise
-            included.
+        demonstrated: demonstrated marginals of each target at t = 1..T, mean (S, T, M), with
+            observation noise.
         targets: :math:`\eta_i`, (S, K).
 
     Raises:
@@ -36,10 +39,12 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
     Example:
         >>> from torch_pmil.control.state_space import joint_match
         >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
-        >>> dynamics, policy = GPDynamics(2, 1), RBFPolicy(torch.zeros(3, 2), torch.ones(1), torch.ones(2))
+        >>> policy = RBFPolicy(torch.zeros(3, 2), torch.ones(1), torch.ones(2))
+        >>> dynamics = GPDynamics(2, 1)
         >>> dynamics.set_data(torch.eye(2), torch.zeros(2, 1))
         >>> demonstrated = Gaussian(torch.zeros(4, 5, 1).double(), torch.ones(4, 5, 1, 1).double())
-        >>> loss = MultiTargetKLLoss(policy, dynamics, space, demonstrated, torch.arange(4.0)[:, None], noise_std=0.1)
+        >>> targets = torch.arange(4.0)[:, None]
+        >>> loss = MultiTargetKLLoss(policy, dynamics, space, demonstrated, targets, noise_std=0.1)
         >>> loss.per_step(Gaussian(torch.zeros(1).double(), torch.eye(1).double())).shape
         torch.Size([5])
     """
@@ -59,13 +64,10 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
             actor_network, dynamics, space, demonstrated, noise_std, reduction, prediction
         )
         if targets.ndim != 2 or demonstrated.batch_shape[:-1] != targets.shape[:1]:
-            got = (
-                f"targets {tuple(targets.shape)} and demonstrated marginals of batch shape "
-                f"{tuple(demonstrated.batch_shape)}"
-            )
             raise ValueError(
                 "targets must have shape (S, K) and the demonstrated marginals batch shape (S, T), "
-                f"got {got}"
+                f"got targets {tuple(targets.shape)} and demonstrated marginals of batch shape "
+                f"{tuple(demonstrated.batch_shape)}"
             )
         features, inputs = space.feature_names, len(actor_network.scale)
         if inputs != len(features) + targets.shape[1]:
@@ -76,29 +78,32 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         self.register_buffer("targets", targets.double())
 
     def begin(self, initial: Gaussian) -> tuple[Gaussian, PolicyAtTargets]:
-        """Each belief (*batch, D) once for every target, (*batch, S, D), and the policy at these."""
+        """Each belief (*batch, D) once for every target, (*batch, S, D), and the policy there."""
         batch, S = initial.batch_shape, len(self.targets)
         mean, cov = initial.mean[..., None, :], initial.cov[..., None, :, :]
         start = Gaussian(mean.expand(*batch, S, -1), cov.expand(*batch, S, -1, -1))
         return start, PolicyAtTargets(self.actor_network, self.targets.repeat(batch.numel(), 1))
 
     def policy_inputs(self, states: Tensor) -> Tensor:
-        """Features of states (*batch, S, t, D), and the targets."""
+        """Features of states (*batch, S, t, D), with the targets."""
         features = super().policy_inputs(states)
         return torch.cat([features, self.targets[:, None].expand(*features.shape[:-1], -1)], -1)
 
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """KL of each predicted marginal up to a horizon, the mean over the targets, (*batch,
-        horizon). Raises PredictionError.
+        """KL of each predicted marginal up to a horizon, mean over the targets, (*batch, horizon).
+
+        Raises PredictionError.
         """
         return super().per_step(initial, horizon).mean(-2)
 
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """The same for the model's mean alone."""
+        """KL of the model's mean by step, averaged over the targets, (*batch, horizon)."""
         return super().mean_per_step(initial, horizon).mean(-2)
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """The largest KL of all targets, (*batch, horizon): a search goes on where it may rely on
-        all of them. Raises PredictionError.
+        """Largest KL of all targets by step, (*batch, horizon).
+
+        A search goes on where it may rely on the predictions for all targets. Raises
+        PredictionError.
         """
         return super().per_step(initial, horizon).amax(-2)

@@ -11,25 +11,24 @@ from torch.func import functional_call
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
-NOISE_VARIANCE = 0.1  # of the values; the basis functions are at most 1
+NOISE_VARIANCE = 0.1  # noise variance of the values; the basis functions are at most 1
 WEIGHTS = "loss.actor_network.weights"
 
 
 class ReparameterisedLoss(nn.Module):
-    r"""A loss as a function of the policy's centres and widths, and of values in place of its
-    weights.
+    r"""A loss as a function of the policy's centres and widths, and of values in place of weights.
 
     .. math:: w = (K + \sigma^2 I)^{-1} y, \qquad K_{ij} = \phi_j(\mu_i)
 
-    The values y are about what the network is at its centres :math:`\mu`, as in PILCO, whose policy
-    is a Gaussian process with y as targets; here K stays what it is at the start of the search. A
-    hundred basis functions that overlap make a step along the gradient of the weights change the
-    network everywhere at once, one along that of the values where it should change: L-BFGS needs a
-    fraction of the iterations.
+    The values y are about the outputs of the network at its centres :math:`\mu`, as in PILCO, whose
+    policy is a Gaussian process with y as targets; here K stays what it is at the start of the
+    search. Since a hundred basis functions overlap, a step along the gradient in the weights
+    changes the network everywhere at once, and a step along the gradient in the values changes it
+    where it should change: L-BFGS needs a fraction of the iterations.
 
     Args:
-        loss: what to search; :meth:`write` sets the weights of its policy, L-BFGS its centres and
-            widths.
+        loss: the loss to search; :meth:`write` sets the weights of its policy, L-BFGS its centres
+            and widths.
 
     Example:
         >>> from torch_pmil.experiments import load_experiment
@@ -43,9 +42,8 @@ class ReparameterisedLoss(nn.Module):
         super().__init__()
         self.loss, policy = loss, loss.actor_network
         with torch.no_grad():
-            gram = policy.controller.network.kernel(policy.centres * policy.scale).transpose(
-                0, 1
-            )  # (F, m, m)
+            basis = policy.controller.network.kernel(policy.centres * policy.scale)  # (m, F, m)
+            gram = basis.transpose(0, 1)
             gram = gram + NOISE_VARIANCE * torch.eye(gram.shape[-1]).to(gram)
             self.root = torch.linalg.cholesky(gram)
             self.values = nn.Parameter(gram @ policy.weights.mT[..., None])  # (F, m, 1)
@@ -54,18 +52,21 @@ class ReparameterisedLoss(nn.Module):
     def forward(
         self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
     ) -> Tensor:
-        """Sum of the steps up to a horizon, of one of the loss's methods."""
+        """Sum over the steps up to a horizon, of one of the loss's methods."""
         return per_step(initial, horizon).sum()
 
     def total(
         self, per_step: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
     ) -> Tensor:
-        """The same with the weights that the values give; its graph leads to the variables."""
+        """Sum over the steps as in :meth:`forward`, with the weights that the values give.
+
+        Its graph leads to the variables.
+        """
         return functional_call(self, {WEIGHTS: self._weights()}, (per_step, initial, horizon))
 
     @torch.no_grad()
     def write(self) -> None:
-        """Give the policy those weights."""
+        """Give the policy the weights that follow from the values."""
         self.loss.actor_network.weights.copy_(self._weights())
 
     def _weights(self) -> Tensor:

@@ -13,13 +13,15 @@ from torch_pmil.gp.gaussian import Gaussian, cholesky
 
 
 def saturating_cost(residual: Tensor) -> Tensor:
-    r""":math:`1 - \exp(-\tfrac12 \|r\|^2)` (Eq. 28), from 0 at the target to 1 far from it.
+    r"""Saturating cost (Eq. 28) from 0 at the target to 1 far from it, without unit.
+
+    .. math:: 1 - \exp(-\tfrac12 \|r\|^2)
 
     Args:
         residual: distances from the target in widths, (*batch, K).
 
     Returns:
-        (*batch), without unit.
+        Costs, (*batch).
 
     Example:
         >>> saturating_cost(torch.tensor([[0.0, 0.0], [3.0, 4.0]]))
@@ -29,8 +31,9 @@ def saturating_cost(residual: Tensor) -> Tensor:
 
 
 def expected_saturating_cost(residual: Gaussian) -> Tensor:
-    r"""Expectation of :func:`saturating_cost` when the residual is Gaussian, :math:`r \sim \mathcal
-    N(m, S)`.
+    r"""Expectation of :func:`saturating_cost` over a Gaussian residual (Eq. 28).
+
+    The residual is :math:`r \sim \mathcal N(m, S)`.
 
     .. math:: 1 - |I + S|^{-1/2} \exp\left(-\tfrac12 m^\top (I + S)^{-1} m\right)
 
@@ -43,7 +46,7 @@ def expected_saturating_cost(residual: Gaussian) -> Tensor:
             over x gives it by ``x.affine``.
 
     Returns:
-        (*batch), between 0 and 1, without unit.
+        Expected costs, (*batch), between 0 and 1, without unit.
 
     Raises:
         NotPositiveDefiniteError: names the batch element whose I + S has no Cholesky factor.
@@ -54,10 +57,8 @@ def expected_saturating_cost(residual: Gaussian) -> Tensor:
         >>> expected_saturating_cost(Gaussian(torch.zeros(1), torch.tensor([[3.0]])))
         tensor(0.5000)
     """
-    L = cholesky(
-        residual.cov + torch.eye(residual.dim).to(residual.cov),
-        "identity plus covariance of the residual",
-    )
+    I_plus_S = residual.cov + torch.eye(residual.dim).to(residual.cov)
+    L = cholesky(I_plus_S, "identity plus covariance of the residual")
     white = torch.linalg.solve_triangular(L, residual.mean[..., None], upper=False)
     half_log_det = L.diagonal(dim1=-2, dim2=-1).log().sum(-1)
     return 1 - torch.exp(-white.square().sum((-2, -1)) / 2 - half_log_det)

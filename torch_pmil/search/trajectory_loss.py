@@ -1,5 +1,6 @@
-"""What the objectives of a policy search share: a TorchRL loss that predicts a trajectory and sums
-the costs of its steps (Eq. 21).
+"""Base class of the search's losses: a TorchRL loss that predicts a trajectory (Eq. 21).
+
+It sums the costs of the trajectory's steps.
 """
 
 from __future__ import annotations
@@ -27,11 +28,10 @@ Prediction = Callable[[Gaussian, Policy, GPDynamics, StateSpace, int], Gaussian]
 
 
 class TrajectoryLoss(LossModule):
-    r"""What the losses of this package share: a cost of each step of a predicted trajectory, summed
-    over the steps.
+    r"""Base class of losses that sum a cost over the steps of a predicted trajectory.
 
-    Called, it predicts: it reads the start beliefs p(x_0) at ``("observation", "mean")``, (\*batch,
-    D), and ``("observation", "var")``, (\*batch, D, D). :meth:`rollout_loss`
+    When called, it predicts: it reads the start beliefs p(x_0) at ``("observation", "mean")``,
+    (\*batch, D), and ``("observation", "var")``, (\*batch, D, D). :meth:`rollout_loss`
     (``trainer.compute_loss(batch, "rollout_loss")``) reads beliefs that are predicted already, as a
     rollout through an imagined environment leaves them. Both write ``out_keys``.
 
@@ -40,8 +40,8 @@ class TrajectoryLoss(LossModule):
     ``("collector", "mask")`` and ``"shifted_valid"`` are looked for. What does not count may hold
     anything. Beliefs of another dtype are computed in that of the policy.
 
-    The policy is trained, the model constant: ``parameters()`` gives the policy's alone, while
-    ``state_dict()`` holds all.
+    The policy is trained, the model is constant: ``parameters()`` gives those of the policy alone,
+    while ``state_dict()`` holds all.
 
     Args:
         actor_network: the policy, whose parameters are learned.
@@ -56,8 +56,8 @@ class TrajectoryLoss(LossModule):
         ValueError: the reduction is none of these.
     """
 
-    label: str  # as progress and figures name it
-    unit: str  # likewise, "" for none
+    label: str  # name of the loss in progress reports and figures
+    unit: str  # unit of the loss there, "" for none
 
     @dataclass
     class _AcceptedKeys:
@@ -93,11 +93,11 @@ class TrajectoryLoss(LossModule):
 
     @abstractmethod
     def _costs(self, observed: Gaussian) -> Tensor:
-        """Of each of the first steps, (*batch, steps)."""
+        """Costs of the first steps, (*batch, steps), from marginals in the match space."""
 
     @abstractmethod
     def _mean_costs(self, observed: Tensor) -> Tensor:
-        """The same of a mean alone."""
+        """Costs of the first steps, (*batch, steps), from means alone in the match space."""
 
     @property
     def functional(self) -> bool:
@@ -111,39 +111,44 @@ class TrajectoryLoss(LossModule):
 
     @property
     def rollout_keys(self) -> list[NestedKey]:
-        """Keys of the predicted beliefs of a rollout: the same below "next"."""
+        """Keys of the predicted beliefs of a rollout: ``in_keys`` below "next"."""
         return [unravel_key(("next", key)) for key in self.in_keys]
 
     def predict(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
-        """Predicted observations at t = 1..horizon: mean (*batch, horizon, M). Raises
-        PredictionError.
+        """Predicted observations at t = 1..horizon, mean (*batch, horizon, M).
+
+        Raises PredictionError.
         """
         return self._observe(self.predict_states(initial, horizon))
 
     def predict_states(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
-        """Predicted states at t = 1..horizon: mean (*batch, horizon, D). Raises PredictionError."""
-        return self.prediction(
-            *self.begin(initial), self.dynamics, self.space, horizon or self.horizon
-        )
+        """Predicted states at t = 1..horizon, mean (*batch, horizon, D).
+
+        Raises PredictionError.
+        """
+        start, policy = self.begin(initial)
+        return self.prediction(start, policy, self.dynamics, self.space, horizon or self.horizon)
 
     def begin(self, initial: Gaussian) -> tuple[Gaussian, Policy]:
-        """Where the trajectories begin that are predicted for p(x_0), and what acts there."""
+        """Start beliefs of the trajectories that are predicted for p(x_0), and the policy there."""
         return initial, self.actor_network
 
     def policy_inputs(self, states: Tensor) -> Tensor:
-        """What the policy sees of states, a batch of the trajectories' shape before the last
-        dimension.
-        """
+        """Inputs of the policy at states (*batch, D), a batch of the trajectories' shape."""
         return self.space.features(states)
 
     def per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """Cost of each predicted marginal up to a horizon, (*batch, horizon). Raises
-        PredictionError.
+        """Cost of each predicted marginal up to a horizon, (*batch, horizon).
+
+        Raises PredictionError.
         """
         return self._score(self.predict(initial, horizon))
 
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """The same for the model's mean alone: cheap, and no local optimum of wide predictions."""
+        """Cost of each step for the model's mean alone, (*batch, horizon).
+
+        It is cheap, and has no local optimum of wide predictions.
+        """
         start, policy = self.begin(initial)
         states = predict_mean_trajectory(
             start.mean, policy, self.dynamics, self.space, horizon or self.horizon
@@ -151,18 +156,20 @@ class TrajectoryLoss(LossModule):
         return self._mean_costs(self.space.observe(states))
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
-        """How little a search should rely on each predicted marginal, (*batch, horizon); the cost
-        itself. Raises PredictionError.
+        """Loss of each predicted marginal by which a search trusts it, (*batch, horizon).
+
+        A search relies on a marginal the less, the higher this is; here it is the cost itself.
+        Raises PredictionError.
         """
         return self.per_step(initial, horizon)
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Loss of what the policy is predicted to do from the start beliefs (*batch, D).
+        """Loss of the trajectories that are predicted from the start beliefs (*batch, D).
 
         Raises:
             KeyError: a belief is missing.
-            ValueError: it is not over the state.
+            ValueError: a belief is not over the state.
             PredictionError: names the step at which the prediction fails.
         """
         initial = self._belief(tensordict, self.in_keys)
@@ -171,12 +178,13 @@ class TrajectoryLoss(LossModule):
 
     @dispatch(source="rollout_keys")
     def rollout_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Loss of beliefs over the state that are predicted already, (*batch, t, D) with t up to T;
-        gradients flow into them.
+        """Loss of beliefs over the state that are predicted already, (*batch, t, D) with t up to T.
+
+        Gradients flow into the beliefs.
 
         Raises:
             KeyError: a belief is missing.
-            ValueError: it is not over the state, or not a trajectory, or too long a one.
+            ValueError: a belief is not over the state, or not a trajectory, or too long.
             PredictionError: names the step at which the belief is degenerate.
         """
         states = self._belief(tensordict, self.rollout_keys)
@@ -191,7 +199,7 @@ class TrajectoryLoss(LossModule):
     def named_parameters(
         self, prefix: str = "", recurse: bool = True
     ) -> Iterator[tuple[str, nn.Parameter]]:
-        """The policy's."""
+        """Names and parameters of the policy alone, without those of the model."""
         constant = set(self.dynamics.parameters())
         return (
             (name, parameter)
@@ -200,14 +208,17 @@ class TrajectoryLoss(LossModule):
         )
 
     def reset_parameters_recursive(self) -> None:
-        """An RBF policy begins at the demonstrations, not at numbers that it could draw by itself."""
+        """Not implemented: an RBF policy begins at the demonstrations.
+
+        It could not draw its parameters by itself.
+        """
         raise NotImplementedError(
             "the policy cannot reset itself: load a new one with "
             "actor_network.load_state_dict(new.state_dict())"
         )
 
     def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
-        """The loss has no value estimator."""
+        """Nothing to do: the loss has no value estimator."""
 
     def _observe(self, states: Gaussian) -> Gaussian:
         return self.space.match_space.moments(states)
@@ -229,9 +240,8 @@ class TrajectoryLoss(LossModule):
                     f"{type(self).__name__} reads {key!r}, got a tensordict with "
                     f"{sorted(present, key=str)}"
                 )
-        belief = Gaussian(
-            *(tensordict.get(key).to(self.actor_network.centres.dtype) for key in keys)
-        )
+        dtype = self.actor_network.centres.dtype
+        belief = Gaussian(*(tensordict.get(key).to(dtype) for key in keys))
         if belief.dim != self.space.dim:
             raise ValueError(
                 f"{keys[0]!r} must hold the {self.space.dim} entries {self.space.names}, got "
@@ -240,7 +250,7 @@ class TrajectoryLoss(LossModule):
         return belief
 
     def _counted(self, tensordict: TensorDictBase, shape: tuple[int, ...]) -> Tensor:
-        """Which steps TorchRL's masks leave, bool of a shape (*batch, steps)."""
+        """Which steps TorchRL's masks leave, bool of shape (*batch, steps)."""
         ones = torch.ones(shape, device=self.actor_network.centres.device)
         return self._reduce_loss(ones, tensordict, reduction="none").bool()
 
@@ -254,7 +264,7 @@ class TrajectoryLoss(LossModule):
 
 
 def _where(counted: Tensor, belief: Gaussian) -> Gaussian:
-    """A standard belief in place of those that do not count, lest they raise an error."""
+    """The beliefs that count, and standard ones for the others, lest these raise an error."""
     standard = torch.eye(belief.dim).to(belief.cov)
     return Gaussian(
         torch.where(counted[..., None], belief.mean, 0.0),

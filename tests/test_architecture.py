@@ -1,4 +1,4 @@
-"""Imports go one way: a room of the package imports only rooms below it, and each knows what it may."""
+"""Imports go one way: a room of the package imports only the rooms below it."""
 
 from __future__ import annotations
 

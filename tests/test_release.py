@@ -1,4 +1,4 @@
-"""What a release says of itself: one version and one date, and archives that hold what they should."""
+"""A release has one version and one date, and its archives hold what they should."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Draw the picture of docs/how_to/demonstrations.md: swing-ups with artificial timing, before and after
-their alignment.
+"""Draw the picture of docs/how_to/demonstrations.md: swing-ups with artificial timing,
+before and after their alignment.
 
 Example:
     python docs/figures/alignment.py

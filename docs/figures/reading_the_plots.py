@@ -1,5 +1,5 @@
-"""Draw the pictures of docs/how_to/reading_the_plots.md: the figures of a run after two trials, and of the
-same run when it has learned.
+"""Draw the pictures of docs/how_to/reading_the_plots.md: figures of a run after two trials,
+and of the same run when it has learned.
 
 Learns both into runs/reading_the_plots first, in three minutes; a run that is there is not learned
 again.

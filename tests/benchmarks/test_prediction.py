@@ -138,7 +138,7 @@ def test_allocation_of_100_mb_shows_as_100_mb() -> None:
 
 
 def test_torchrl_computes_the_same() -> None:
-    """Loss and gradients agree up to the jitter that TorchRL adds; its centres are in other units."""
+    """Loss and gradients agree up to TorchRL's jitter; its centres are in other units."""
     pytest.importorskip("botorch")
     loss, centres, weights, _ = torch_pmil(10, 8, raw_angles=True)()
     other_loss, other_centres, other_weights, _ = torchrl(10, 8)()

@@ -82,7 +82,7 @@ def test_drawing_is_saved_once_and_ends_the_server(server: object, tmp_path: Pat
 def test_other_hosts_origins_and_tokens_are_refused(
     server: object, tmp_path: Path, method: str
 ) -> None:
-    port, refused = server.server_port, (403, "open the address that the script printed")
+    port, refused = server.server_port, (403, "open the address that pmil draw printed")
     for host in (f"evil.example:{port}", f"localhost:{port}", "127.0.0.1", ""):
         assert ask(server, method, "save", BODY, Host=host) == refused
     for origin in ("http://evil.example", f"https://127.0.0.1:{port}", "null"):

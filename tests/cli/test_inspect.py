@@ -238,7 +238,8 @@ def test_picture_is_drawn_if_asked(inspect: Command, recorded: Path, tmp_path: P
 def test_wrong_file_or_key_is_one_line(inspect: Command, recorded: Path, tmp_path: Path) -> None:
     with pytest.raises(
         SystemExit,
-        match=r"error: .*recorded reaches.csv: row 2, column phase must be a finite number, got 'reach'",
+        match=r"error: .*recorded reaches.csv: row 2, column phase must be a finite number, got "
+        r"'reach'",
     ):
         inspect(recorded)
     with pytest.raises(SystemExit, match=r"error: .*keys must be some of q, dq, phase, got p"):

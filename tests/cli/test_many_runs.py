@@ -97,8 +97,8 @@ def test_each_run_of_a_sweep_is_whole_and_tells_its_progress_by_name(
         assert sum(line.startswith(f"{run}: trial  1:   0.5 s of experience") for line in told) == 1
         command = json.loads((folder / run / "summary.json").read_text())["command"]
         assert (
-            command
-            == f"pmil train seed={seed} demonstrations=short.npz trials=1 'out=joblib/seed_${{seed}}'"
+            command == f"pmil train seed={seed} demonstrations=short.npz trials=1 "
+            f"'out=joblib/seed_${{seed}}'"
         )
     assert {line.partition(":")[0] for line in told if "is a sketch" not in line} == {
         f"joblib/seed_{seed}" for seed in SEEDS

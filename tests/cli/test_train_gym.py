@@ -34,7 +34,7 @@ def quick_fits(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def short(name: str) -> Experiment:
-    """The experiment's first steps, with searches of a few evaluations; every rollout is a failure."""
+    """The experiment's first steps, with short searches; every rollout is a failure."""
     whole = load_experiment(name)
     beginning = replace(
         whole.demonstrations, positions=whole.demonstrations.positions[:, : HORIZON + 1]

@@ -99,7 +99,8 @@ def test_same_generator_gives_the_same_torques(
     [
         (
             {"reach": torch.zeros(3)},
-            r"must have shapes \(4,\) and \(2, 4\) for a pose of 4 and 2 torques, got \(3,\) and \(2, 4\)",
+            r"must have shapes \(4,\) and \(2, 4\) for a pose of 4 and 2 torques, got \(3,\) and "
+            r"\(2, 4\)",
         ),
         ({"gain": torch.zeros(4, 2)}, r"got \(4,\) and \(4, 2\)"),
         ({"reach": -REACH}, r"reach must not be negative and u_max be positive, got \[-0.4"),

@@ -92,7 +92,7 @@ def test_each_output_has_its_own_widths(policy: RBFPolicy, draws: Draws) -> None
 
 
 def test_scale_is_a_choice_of_units(draws: Draws) -> None:
-    """The same policy in degrees and in rad: equal actions and equal gradients of its parameters."""
+    """One policy in degrees and in rad: equal actions and equal gradients of its parameters."""
     centres, weights, x, units = (
         draws.normal(5, 2),
         draws.normal(5, 2),

@@ -312,7 +312,9 @@ def test_exported_program_needs_pytorch_alone(
 import sys
 sys.modules.update(dict.fromkeys({BLOCKED}))
 import torch
-one, batch = (torch.export.load(f"{exported}/{{name}}.pt2").module() for name in ("policy", "batch"))
+one, batch = (
+    torch.export.load(f"{exported}/{{name}}.pt2").module() for name in ("policy", "batch")
+)
 states = torch.load("states.pt", weights_only=True)
 torch.save([torch.stack([one(state) for state in states]), batch(states)], "torques.pt")
 try:

@@ -1,4 +1,4 @@
-"""A policy that is told what to do: targets beside states, in every form in which a policy is used."""
+"""A policy with targets beside states, in every form in which a policy is used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Links between the pages, as a code host shows them: each leads to a file, and to a heading of it."""
+"""Links between the pages, as a code host shows them, lead to files and to headings."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ TOLD = [(path, equations) for paths, equations in SAID for path in re.findall(LI
 
 
 def numbers(text: str) -> set[int]:
-    """Equations of the paper that a text cites; those of other authors are cited after their names."""
+    """Equations of the paper that a text cites, not those cited after the names of others."""
     text = re.sub(r"(Rasmussen|Williams)[^.]*, Eqs?\. [\d.]+( and \d+)?", "", text)
     found: set[int] = set()
     for cited in re.findall(r"\bEqs?\. (\d+(?:(?:-|, | and | or )\d+)*)", text):

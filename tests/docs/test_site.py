@@ -16,9 +16,12 @@ pytest.importorskip("myst_nb", reason="needs the extra docs")
 
 ROOT = Path(__file__).parents[2]
 WHOLE = "{code}`torch_pmil.gp.gaussian.Gaussian`"
+NOWHERE, UNLISTED = "torch_pmil.gp.gaussian.no_such_function", "torch_pmil.search.kl.gaussian_kl"
 FLAWS = {
-    "{code}`torch_pmil.gp.gaussian.no_such_function`": "no such object in the API reference: torch_pmil.gp.gaussian.no_such_function",
-    "{code}`torch_pmil.search.kl.gaussian_kl`": "no such object in the API reference: torch_pmil.search.kl.gaussian_kl",
+    "{code}`torch_pmil.gp.gaussian.no_such_function`": "no such object in the API reference: "
+    "torch_pmil.gp.gaussian.no_such_function",
+    "{code}`torch_pmil.search.kl.gaussian_kl`": "no such object in the API reference: "
+    "torch_pmil.search.kl.gaussian_kl",
     "{py:func}`no_such_reference`": "py:func reference target not found: no_such_reference",
     "[an anchor](#no-such-heading)": "no-such-heading",
     "[a page](no_such_page.md)": "no_such_page.md",

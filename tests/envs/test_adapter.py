@@ -193,17 +193,20 @@ def test_checkpoint_resumes_the_coming_episodes_bit_for_bit(num_envs: int | None
         (
             partial(Wheel, Bounded(0, 255, (8, 8, 3), dtype=torch.uint8)),
             {},
-            r"observation 'seen' must be a vector of real numbers, got Bounded\w* of torch.uint8 with shape \(8, 8, 3\)",
+            r"observation 'seen' must be a vector of real numbers, got Bounded\w* of torch.uint8 "
+            r"with shape \(8, 8, 3\)",
         ),
         (
             partial(Wheel, Unbounded((2, 3))),
             {},
-            r"must be a vector of real numbers, got Unbounded\w* of torch.float32 with shape \(2, 3\)",
+            r"must be a vector of real numbers, got Unbounded\w* of torch.float32 with shape "
+            r"\(2, 3\)",
         ),
         (
             partial(Wheel, action=OneHot(4)),
             {},
-            r"action 'motor' must be a vector of real numbers, got OneHot of torch.bool with shape \(4,\)",
+            r"action 'motor' must be a vector of real numbers, got OneHot of torch.bool with "
+            r"shape \(4,\)",
         ),
         (
             partial(Wheel, action=Unbounded((1,))),

@@ -7,7 +7,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 
 class LargestResult(TorchDispatchMode):
-    """Records how many numbers the largest array has that is computed inside; views do not count."""
+    """Records how many numbers the largest array computed inside has; views do not count."""
 
     def __init__(self) -> None:
         super().__init__()

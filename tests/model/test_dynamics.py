@@ -37,7 +37,7 @@ def fitted(data: tuple[Tensor, Tensor]) -> GPDynamics:
 
 
 def hyperparameters(dynamics: GPDynamics) -> tuple[Tensor, Tensor, Tensor]:
-    """Lengthscales (E, D), signal variances (E,), noise variances (E,), through the GPyTorch model."""
+    """Lengthscales (E, D), signal variances (E,), noise variances (E,) of the GPyTorch model."""
     kernel = dynamics.gp.covar_module
     parameters = (
         kernel.base_kernel.lengthscale[:, 0],

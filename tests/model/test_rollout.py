@@ -518,7 +518,7 @@ def test_gradient_is_the_same_however_many_steps_are_summed_up_together(
 def test_gradient_in_part_of_the_policy(
     policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian
 ) -> None:
-    """With constant centres and widths, the gradient in the weights is what it is with all of them."""
+    """The gradient in the weights is the same where centres and widths are constant."""
 
     def by_weights() -> Sequence[Tensor]:
         return torch.autograd.grad(

@@ -110,7 +110,8 @@ def test_map_on_which_all_is_zero_and_reached_is_drawn(tmp_path: Path) -> None:
     [
         (
             {"x": np.array([0.0, 0.1, 0.3, 0.4])},
-            r"x must be at least two increasing, evenly spaced coordinates, got \[0.0, 0.1, 0.3, 0.4\]",
+            r"x must be at least two increasing, evenly spaced coordinates, got \[0.0, 0.1, 0.3, "
+            r"0.4\]",
         ),
         (
             {"x": X[::-1]},
@@ -123,7 +124,8 @@ def test_map_on_which_all_is_zero_and_reached_is_drawn(tmp_path: Path) -> None:
         ({"maps": {}}, "maps must hold at least one map, got none"),
         (
             {"maps": {"ours": (VALUES.T, REACHED)}},
-            r"values and successes of ours must be numbers and bools \(3, 4\), got \(4, 3\) and bool",
+            r"values and successes of ours must be numbers and bools \(3, 4\), got \(4, 3\) and "
+            r"bool",
         ),
         (
             {"maps": {"ours": (VALUES, VALUES)}},

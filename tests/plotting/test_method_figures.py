@@ -87,12 +87,13 @@ def test_moment_matching_of_several_entries_is_refused(draws: Draws) -> None:
     two, one = Gaussian(torch.zeros(2), torch.eye(2)), Gaussian(torch.zeros(1), torch.eye(1))
     with pytest.raises(
         ValueError,
-        match=r"belief and matched must be of one entry and samples \(S,\), got \(2,\), \(1,\) and \(9,\)",
+        match=r"belief and matched must be of one entry and samples \(S,\), got \(2,\), \(1,\) "
+        r"and \(9,\)",
     ):
         plot_moment_matching(torch.arange(3.0), posterior_of(draws, 3), two, draws.normal(9), one)
 
 
-def test_demonstrations_are_dashed_lines_from_the_start_and_their_distribution_a_band_from_the_first_step(
+def test_demonstrations_are_dashed_lines_and_their_distribution_a_band_from_the_first_step(
     draws: Draws,
 ) -> None:
     demonstrations = draws.normal(3, 6, 2)
@@ -111,7 +112,8 @@ def test_demonstrations_of_another_length_are_refused(draws: Draws) -> None:
     demonstrated = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
     with pytest.raises(
         ValueError,
-        match=r"demonstrations must be \(N, 6, 1\) for demonstrated marginals \(5, 1\), .* got \(3, 5, 1\)",
+        match=r"demonstrations must be \(N, 6, 1\) for demonstrated marginals \(5, 1\), .* got "
+        r"\(3, 5, 1\)",
     ):
         plot_demonstrations(("x",), ("m",), 0.1, draws.normal(3, 5, 1), demonstrated)
 
@@ -142,7 +144,8 @@ def test_particles_of_another_length_are_refused(draws: Draws) -> None:
     predicted = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
     with pytest.raises(
         ValueError,
-        match=r"particles must be \(N, 5, 1\) with N of at least 2 .* got \(3, 6, 1\), 1 names and 1 units",
+        match=r"particles must be \(N, 5, 1\) with N of at least 2 .* got \(3, 6, 1\), 1 names "
+        r"and 1 units",
     ):
         plot_prediction(("x",), ("m",), 0.1, predicted, draws.normal(3, 6, 1))
 

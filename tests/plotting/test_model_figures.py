@@ -80,7 +80,7 @@ def test_slice_is_the_models_mean_and_two_standard_deviations_of_the_next_observ
     np.testing.assert_allclose(distances.min(1), 0, atol=1e-12)
 
 
-def test_data_stand_off_the_slice_by_their_residual_and_are_as_opaque_as_they_are_correlated_with_it(
+def test_data_stand_off_the_slice_by_their_residual_and_are_as_opaque_as_correlated(
     draws: Draws,
 ) -> None:
     model = model_of(draws)

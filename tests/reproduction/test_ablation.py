@@ -15,8 +15,8 @@ from reproduction.ablation import (
     PARTICLES,
     Variation,
     needed_runs,
-    outcome,
-    report,
+    results,
+    success_and_experience,
     variations,
 )
 from reproduction.learned import load_learned
@@ -183,8 +183,8 @@ def summary_of(rate: float, successes: list[bool]) -> dict:
 
 
 def test_outcome_is_the_saved_policys_rate_and_the_experience_before_the_first_success() -> None:
-    assert outcome(summary_of(0.9, [False, True, False, True])) == (0.9, 5.0, True)
-    assert outcome(summary_of(0.0, [False, False])) == (0.0, 7.5, False)
+    assert success_and_experience(summary_of(0.9, [False, True, False, True])) == (0.9, 5.0, True)
+    assert success_and_experience(summary_of(0.0, [False, False])) == (0.0, 7.5, False)
 
 
 def test_report_is_of_each_variation_over_its_seeds(tmp_path: Path) -> None:
@@ -195,7 +195,7 @@ def test_report_is_of_each_variation_over_its_seeds(tmp_path: Path) -> None:
             folders[-1].mkdir(parents=True)
             summary = summary_of(index / 10 + seed / 100, [False, seed == 1, index == 3])
             (folders[-1] / "summary.json").write_text(json.dumps(summary))
-    made = report(folders, quick=False)
+    made = results(folders, quick=False)
     assert made.headline["ours_success"] == pytest.approx(0.005)
     assert made.headline["particles_success"] == pytest.approx(0.805)
     assert made.headline["ours_first_success_s"] == pytest.approx((10 + 5) / 2)

@@ -1,4 +1,4 @@
-"""The BioRob's report: each number is that of the runs, and the pictures are of the motions that
+"""The BioRob's results: each number is that of the runs, and the pictures are of the motions that
 they say.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from reproduction import biorob
-from reproduction.biorob import headline_of, needed_runs, photo_series, report
+from reproduction.biorob import headline_of, needed_runs, photo_series, results
 from tests.helpers.short_run import quick_fits
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.training import train
@@ -75,7 +75,7 @@ def test_report_of_a_short_run_has_its_figures_in_degrees(
         lambda rollout, experiment: (_ for _ in ()).throw(RuntimeError("no OpenGL")),
     )
     with pytest.warns(RuntimeWarning, match="there is no figure 8: no OpenGL"):
-        made = report([tmp_path], quick=True)
+        made = results([tmp_path], quick=True)
     assert sorted(made.figures) == ["figure10", "hits_over_experience"]
     panels = made.figures["figure10"].axes
     assert [panel.get_ylabel() for panel in panels] == [

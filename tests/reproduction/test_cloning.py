@@ -15,7 +15,7 @@ from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 
 
-def test_at_the_demonstrators_mass_the_peak_is_that_of_the_applied_torques_and_it_grows_with_the_mass(
+def test_peak_at_the_demonstrated_mass_is_of_the_applied_torques_and_grows_with_mass(
     draws: Draws,
 ) -> None:
     env, torques = DoublePendulumEnv(num_envs=2, seed=0), draws.uniform(-3.0, 3.0, 2, 3, 2)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from reproduction import PAPER
-from reproduction.reproduction import PaperExperiment, Report, Run
+from reproduction.reproduction import PaperExperiment, Results, Run
 from tests.helpers.run_script import run_script
 from torch_pmil.plotting import Figure
 
@@ -31,10 +31,10 @@ def toy(
     def runs(root: Path, quick: bool) -> list[Run]:
         return [] if learn is None else [Run(root / "seed_0", learn)]
 
-    def report(folders: Sequence[Path], quick: bool) -> Report:
-        return Report({"pi": 3.14159265, "quick": quick, **headline}, {"empty": Figure()})
+    def results(folders: Sequence[Path], quick: bool) -> Results:
+        return Results({"pi": 3.14159265, "quick": quick, **headline}, {"empty": Figure()})
 
-    return PaperExperiment("figure6", "nothing", runs, report)
+    return PaperExperiment("figure6", "nothing", runs, results)
 
 
 def test_headline_and_files_are_told(
@@ -43,8 +43,8 @@ def test_headline_and_files_are_told(
     monkeypatch.setitem(PAPER, "figure6", toy())
     script("figure6")
     assert (
-        capsys.readouterr().out
-        == "pi: 3.142\nquick: 0\nsee results/paper/figure6/summary.json, results/paper/figure6/empty.png\n"
+        capsys.readouterr().out == "pi: 3.142\nquick: 0\nsee results/paper/figure6/summary.json, "
+        "results/paper/figure6/empty.png\n"
     )
     script("figure6", "--quick")
     assert "quick: 1\nsee results/quick/figure6/summary.json" in capsys.readouterr().out

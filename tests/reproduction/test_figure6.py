@@ -17,7 +17,7 @@ from reproduction.figure6 import (
     gp_figure,
     moment_matching_figure,
     needed_runs,
-    report,
+    results,
 )
 from reproduction.learned import load_learned
 from tests.helpers.draws import Draws
@@ -90,7 +90,7 @@ def test_report_has_all_figures_and_numbers_of_the_run(
 ) -> None:
     short = short_experiment()
     monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
-    made = report([learned[0]], quick=True)
+    made = results([learned[0]], quick=True)
     assert sorted(made.figures) == ["figure2", "figure3", "figure4", "figure5", "figure6"]
     assert [panel.get_ylabel() for panel in made.figures["figure6"].axes] == [
         "x1 (m)",

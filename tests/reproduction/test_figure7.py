@@ -11,8 +11,8 @@ import pytest
 
 from reproduction import PAPER, figure7b
 from reproduction.figure7 import success_curves
-from reproduction.figure7a import needed_runs as runs_of_7a, report as report_7a
-from reproduction.figure7b import needed_runs as runs_of_7b, report as report_7b
+from reproduction.figure7a import needed_runs as runs_of_7a, results as results_7a
+from reproduction.figure7b import needed_runs as runs_of_7b, results as results_7b
 from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil.experiments.runs.summaries import RunError, read_summary
 
@@ -77,7 +77,7 @@ def test_report_of_7a_tells_when_each_is_at_95_percent_and_how_good_at_22_and_33
     pilco = (
         [0.0] * 12 + [0.25] + [0.5] * 6 + [1.0, 0.9]
     )  # at 32.5 s, from 35 s on, at 50 and 52.5 s
-    made = report_7a(leave_runs(tmp_path, {"ours": ours, "pilco": pilco}), quick=False)
+    made = results_7a(leave_runs(tmp_path, {"ours": ours, "pilco": pilco}), quick=False)
     assert made.headline == {
         "ours_experience_to_95": 22.5,
         "ours_success_at_22.5s": 0.96,
@@ -92,7 +92,7 @@ def test_report_of_7a_tells_when_each_is_at_95_percent_and_how_good_at_22_and_33
 
 
 def test_report_of_7b_keeps_both_feedbacks_apart_and_says_never(tmp_path: Path) -> None:
-    made = report_7b(
+    made = results_7b(
         leave_runs(tmp_path, {"ours": [0.0, 1.0], "dmp": [0.0, 0.9, 0.8], "dmp_10hz": [0.1, 0.2]}),
         quick=False,
     )

@@ -10,7 +10,7 @@ import pytest
 import torch
 from scipy import stats
 
-from reproduction.figure9 import needed_runs, read_score, recorded_movements, report
+from reproduction.figure9 import needed_runs, read_score, recorded_movements, results
 from torch_pmil.envs.biorob import START, TORQUE_LIMIT
 from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.experiments.tasks.biorob import REACH
@@ -60,7 +60,7 @@ def test_numbers_are_means_over_recordings_at_their_frequency_and_length(
     runs = needed_runs(tmp_path, quick=True)
     for run in runs:
         run.learn(run.out, "test")
-    made = report([run.out for run in runs], quick=True)
+    made = results([run.out for run in runs], quick=True)
     assert made.headline["best_frequency_raw_6s_hz"] == 10.0
     assert made.details["6s"]["transitions"] == [30, 60, 120]
     first = [
@@ -94,5 +94,5 @@ def test_quick_scores_of_the_next_state_rise_with_frequency(tmp_path: Path) -> N
     runs = needed_runs(tmp_path, quick=True)
     for run in runs:
         run.learn(run.out, "test")
-    headline = report([run.out for run in runs], quick=True).headline
+    headline = results([run.out for run in runs], quick=True).headline
     assert headline["raw_6s_5hz"] < headline["raw_6s_10hz"] < headline["raw_6s_20hz"]

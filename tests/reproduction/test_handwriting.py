@@ -1,4 +1,4 @@
-"""Handwriting's report: each number is at its shape and robot."""
+"""Handwriting's results: each number is at its shape and robot."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from reproduction import handwriting
-from reproduction.handwriting import SEEDS, SHAPES, TRIALS, needed_runs, ratio, report
+from reproduction.handwriting import SEEDS, SHAPES, TRIALS, needed_runs, ratio, results
 from torch_pmil.experiments.tasks.handwriting import Writing
 from torch_pmil.gp.gaussian import Gaussian
 
@@ -18,7 +18,7 @@ TASKS = [(robot, shape) for robot, shapes in SHAPES.items() for shape in shapes]
 
 
 def summary(error: float, spread: float, seed: int) -> dict:
-    """As much of a run's as the report reads."""
+    """As much of a run's as the results read."""
     return {
         "experiment": "any",
         "seed": seed,
@@ -67,7 +67,7 @@ def test_every_median_is_at_its_shape_and_robot(
         run.out.mkdir(parents=True)
         error = 0.01 * (1 + number) * (1.0, 0.5, 7.0)[seed]
         (run.out / "summary.json").write_text(json.dumps(summary(error, spread=0.01, seed=seed)))
-    found = report([run.out for run in runs], quick=False)
+    found = results([run.out for run in runs], quick=False)
     for number, (robot, shape) in enumerate(TASKS):
         assert found.headline[f"{robot}_{shape}_ratio"] == pytest.approx(1 + number)
         assert found.headline[f"{robot}_{shape}_experience_s"] == 21.0

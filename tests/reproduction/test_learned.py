@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from reproduction.learned import measured_success, outcome
+from reproduction.learned import measured_success, remeasured
 from tests.helpers.short_run import quick_fits, run, short_experiment
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
@@ -54,7 +54,7 @@ def test_outcome_tells_of_the_run_and_measures_its_policy_anew(
     quick_fits(monkeypatch)
     result = run(tmp_path, trials=1)
     easy = replace(short_experiment(), tolerance=10.0)
-    told = outcome(tmp_path, easy, starts=3, seed=1)
+    told = remeasured(tmp_path, easy, starts=3, seed=1)
     assert told == {
         "experiment": "double_pendulum",
         "seed": result.summary["seed"],

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from reproduction import masses
-from reproduction.masses import SECOND_LINKS, SEEDS, TRIALS, needed_runs, report, with_second_link
+from reproduction.masses import SECOND_LINKS, SEEDS, TRIALS, needed_runs, results, with_second_link
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.rollouts import rollout_of
 from torch_pmil.experiments import load_experiment
@@ -71,7 +71,7 @@ def test_runs_can_be_learned_in_another_process(tmp_path: Path) -> None:
 def test_every_number_is_at_its_mass(monkeypatch: pytest.MonkeyPatch) -> None:
     measured: list[tuple[Path, float, int]] = []
 
-    def outcome(folder: Path, robot: Experiment, starts: int, seed: int) -> dict[str, object]:
+    def remeasured(folder: Path, robot: Experiment, starts: int, seed: int) -> dict[str, object]:
         measured.append((folder, mass_of(robot), seed))
         return {"success_rate": mass_of(robot) / int(folder.name[-1])}
 
@@ -82,7 +82,7 @@ def test_every_number_is_at_its_mass(monkeypatch: pytest.MonkeyPatch) -> None:
             )
         )
 
-    monkeypatch.setattr(masses, "outcome", outcome)
+    monkeypatch.setattr(masses, "remeasured", remeasured)
     monkeypatch.setattr(masses, "load_learned", load_learned)
     monkeypatch.setattr(masses, "record_pairs", shipped_pairs)
     monkeypatch.setattr(masses, "clone_double_pendulum", lambda states, torques: None)
@@ -90,7 +90,7 @@ def test_every_number_is_at_its_mass(monkeypatch: pytest.MonkeyPatch) -> None:
         masses, "measured_success", lambda policy, robot, starts, seed: 1 - mass_of(robot)
     )
     folders = [Path(f"{mass}kg/seed_{seed}") for mass in SECOND_LINKS for seed in (1, 2)]
-    made = report(folders, quick=True)
+    made = results(folders, quick=True)
     assert [f"{mass}kg" for _, mass, _ in measured] == [
         folder.parent.name for folder, *_ in measured
     ]

@@ -14,7 +14,7 @@ import joblib
 import pytest
 
 from reproduction import reproduction
-from reproduction.reproduction import PaperExperiment, Report, Run, finish, learning_run, reproduce
+from reproduction.reproduction import PaperExperiment, Results, Run, finish, learning_run, reproduce
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.plotting import Figure
@@ -56,12 +56,12 @@ def toy_runs(root: Path, quick: bool) -> list[Run]:
     ]
 
 
-def toy_report(folders: Sequence[Path], quick: bool) -> Report:
+def toy_results(folders: Sequence[Path], quick: bool) -> Results:
     seeds = [json.loads((folder / "summary.json").read_text())["seed"] for folder in folders]
-    return Report({"runs": len(folders)}, {"empty": Figure()}, {"seeds": seeds})
+    return Results({"runs": len(folders)}, {"empty": Figure()}, {"seeds": seeds})
 
 
-TOY = PaperExperiment("toy", "nothing", toy_runs, toy_report)
+TOY = PaperExperiment("toy", "nothing", toy_runs, toy_results)
 
 
 @pytest.fixture(autouse=True)
@@ -76,8 +76,8 @@ def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("one_process")
 def test_results_hold_headline_details_figures_and_where_all_comes_from() -> None:
-    out, report = reproduce(TOY, False, COMMAND)
-    assert (out, report.headline) == (Path("results/paper/toy"), {"runs": 2})
+    out, results = reproduce(TOY, False, COMMAND)
+    assert (out, results.headline) == (Path("results/paper/toy"), {"runs": 2})
     summary = json.loads(Path("results/paper/toy/summary.json").read_text())
     assert {"date", "commit", "versions"} <= summary.keys()
     assert (summary["experiment"], summary["command"], summary["quick"]) == ("toy", COMMAND, False)

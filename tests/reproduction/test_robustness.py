@@ -18,7 +18,7 @@ from reproduction.robustness import (
     FACTORS,
     SEEDS,
     needed_runs,
-    report,
+    results,
     ten_demonstrations,
     varied_experiments,
     with_demonstrations,
@@ -127,15 +127,17 @@ def test_every_experiment_is_learned_once_with_every_seed_in_another_process(
 def test_every_number_is_at_its_level(monkeypatch: pytest.MonkeyPatch) -> None:
     names = list(varied_experiments())
 
-    def outcome(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, object]:
+    def remeasured(
+        folder: Path, experiment: Experiment, starts: int, seed: int
+    ) -> dict[str, object]:
         assert folder.parent.name == experiment.name
         return {
             "experiment": experiment.name,
             "success_rate": names.index(experiment.name) / 10 + int(folder.name[-1]) / 100,
         }
 
-    monkeypatch.setattr(robustness, "outcome", outcome)
-    made = report([Path(name, f"seed_{seed}") for name in names for seed in (0, 1)], quick=True)
+    monkeypatch.setattr(robustness, "remeasured", remeasured)
+    made = results([Path(name, f"seed_{seed}") for name in names for seed in (0, 1)], quick=True)
     plain = load_experiment("double_pendulum").name
     for factor in FACTORS:
         for name, experiment in zip(factor.names(), factor.experiments(), strict=True):

@@ -19,8 +19,10 @@ from reproduction.target_picture import draw_targets
 
 def balls(picture):
     red, green, blue = picture.astype(int).transpose(2, 0, 1)
-    regions, count = label((red > 150) & (blue < 90) & (green > 0.5 * red))  # orange, the racket and its handle are redder
-    return [np.argwhere(regions == index).mean(0) for index in range(1, count + 1) if (regions == index).sum() > 50]
+    # orange: the racket and its handle are redder
+    regions, count = label((red > 150) & (blue < 90) & (green > 0.5 * red))
+    regions_of = (regions == index for index in range(1, count + 1))
+    return [np.argwhere(region).mean(0) for region in regions_of if region.sum() > 50]
 
 def clear_blue(picture):
     return int((picture[..., 2].astype(int) > picture[..., 0].astype(int) + 40).sum())
@@ -29,7 +31,8 @@ shown = draw_targets()
 assert shown.shape == (600, 800, 3) and shown.dtype == np.uint8
 assert len(balls(shown)) == 3 and len(balls(draw_targets(TRAINING_TARGETS[:1]))) == 1
 top, *lower = sorted(balls(shown), key=lambda place: place[0])
-assert len(lower) == 2 and min(lower, key=lambda p: p[1])[1] < top[1] < max(lower, key=lambda p: p[1])[1]
+left, right = sorted(lower, key=lambda place: place[1])
+assert left[1] < top[1] < right[1]
 assert clear_blue(shown) > 3 * clear_blue(draw_targets(region=GRID / 3)) > 0
 assert draw_targets(pixel_size=(60, 80)).shape == (60, 80, 3)
 """

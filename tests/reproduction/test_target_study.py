@@ -1,4 +1,4 @@
-"""Studies of targets: what a run writes, and what the report makes of it."""
+"""Studies of targets: what a run writes, and what the results make of it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_report_counts_grid_points_that_most_starts_reach(tmp_path: Path) -> Non
         write(tmp_path / "a", [1.0, 1.0, 0.9], joint.tolist()),
         write(tmp_path / "b", [1.0] * 3, [1.0] * G, experience_s=30.0),
     ]
-    headline = BALLS.report(folders).headline
+    headline = BALLS.results(folders).headline
     assert headline["training_success_rate"] == pytest.approx(5.9 / 6)
     assert headline["worst_training_success_rate"] == 0.9
     assert headline["grid_fraction"] == pytest.approx((10 + 35) / 70)
@@ -101,9 +101,9 @@ def test_short_study_learns_measures_and_goes_on(
     assert (
         len(measured["training"]["success"]) == 3 and len(measured["grid"]["blended"]["value"]) == G
     )
-    report = study.report([run.out], picture=np.zeros((60, 80, 3), dtype=np.uint8))
-    assert list(report.figures) == [study.name]
-    assert report.headline["training_success_rate"] == 0.0  # in 0.4 s nothing is reached
+    results = study.results([run.out], picture=np.zeros((60, 80, 3), dtype=np.uint8))
+    assert list(results.figures) == [study.name]
+    assert results.headline["training_success_rate"] == 0.0  # in 0.4 s nothing is reached
 
 
 def test_narrow_functions_are_reported_beside_the_wide_ones(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_narrow_functions_are_reported_beside_the_wide_ones(tmp_path: Path) -> N
         write(tmp_path / "wide", [1.0] * 3, [1.0] * G),
         write(tmp_path / "narrow", [1.0] * 3, [0.0] * G),
     ]
-    headline = reaching_study.report(folders, quick=True).headline
+    headline = reaching_study.results(folders, quick=True).headline
     assert (headline["grid_fraction"], headline["narrow_grid_fraction"]) == (1.0, 0.0)
 
 

@@ -170,7 +170,7 @@ def test_policy_that_matches_is_searched_on_the_whole_kl_alone(found: Trajectory
     ("skip_matched_steps", "random", "expected"),
     [(False, True, [2, 4, 6]), (False, False, []), (True, True, [])],
 )
-def test_random_policy_that_is_trusted_throughout_grows_step_by_step_unless_matched_steps_are_skipped(
+def test_horizon_of_a_trusted_random_policy_grows_unless_matched_steps_are_skipped(
     found: TrajectoryKLLoss, skip_matched_steps: bool, random: bool, expected: list[int]
 ) -> None:
     settings = SearchSettings(
@@ -185,7 +185,9 @@ def test_random_policy_that_is_trusted_throughout_grows_step_by_step_unless_matc
     assert horizons(search(found, settings, random), "mean") == expected
 
 
-@pytest.mark.parametrize(("skip_matched_steps", "expected"), [(True, [2, 6]), (False, [2, 3, 4, 5, 6])])
+@pytest.mark.parametrize(
+    ("skip_matched_steps", "expected"), [(True, [2, 6]), (False, [2, 3, 4, 5, 6])]
+)
 def test_horizon_that_skips_matched_steps_begins_where_they_end(
     loss: TrajectoryKLLoss,
     monkeypatch: pytest.MonkeyPatch,

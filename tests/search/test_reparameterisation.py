@@ -36,9 +36,7 @@ def total(loss: TrajectoryKLLoss) -> Tensor:
 
 
 def test_start_is_the_policy_itself(loss: TrajectoryKLLoss) -> None:
-    """Its weights come back as accurately as the system for them is reparameterised, and the loss is
-    that of these weights.
-    """
+    """Its weights come back as accurately as their system is conditioned, and with them its loss."""
     weights, condition = (
         loss.actor_network.weights.detach().clone(),
         torch.linalg.cond(gram(loss.actor_network)).item(),

@@ -92,7 +92,8 @@ def test_missing_entry_is_an_error_that_names_it(
 ) -> None:
     with pytest.raises(
         KeyError,
-        match=rf"{type(loss).__name__} reads \('observation', '{missing[1]}'\), got a tensordict with",
+        match=rf"{type(loss).__name__} reads \('observation', '{missing[1]}'\), got a tensordict "
+        r"with",
     ):
         loss(start(initial).exclude(missing))
     with pytest.raises(
@@ -361,7 +362,8 @@ def test_rollout_of_another_length_is_an_error(
 ) -> None:
     with pytest.raises(
         ValueError,
-        match=rf"a trajectory must have shape \(\*batch, t, D\) with t up to {HORIZON}, got \({shape[0]},",
+        match=rf"a trajectory must have shape \(\*batch, t, D\) with t up to {HORIZON}, got "
+        rf"\({shape[0]},",
     ):
         loss.rollout_loss(rollout_of(draws.belief(*shape)))
 

@@ -1,4 +1,4 @@
-"""The drop-ins for TorchRL, against the plain loop, GPyTorch's posterior, and TorchRL's own pieces."""
+"""The drop-ins for TorchRL against the plain loop, GPyTorch, and TorchRL's own pieces."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ CART = """<mujoco>
   <option timestep="0.02" gravity="0 0 0"/>
   <worldbody>
     <camera name="front" pos="0 -3 0"/>
-    <body><joint name="slide" type="slide" axis="1 0 0" damping="0.5"/><geom size="0.1" mass="1"/></body>
+    <body>
+      <joint name="slide" type="slide" axis="1 0 0" damping="0.5"/><geom size="0.1" mass="1"/>
+    </body>
   </worldbody>
   <actuator><motor joint="slide"/></actuator>
 </mujoco>"""

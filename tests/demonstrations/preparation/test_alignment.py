@@ -292,7 +292,8 @@ def test_even_samples_stay_and_the_last_one_too() -> None:
             torch.rand(4, 2),
             torch.arange(3),
             1.0,
-            r"values must be \(\*batch, T, M\) and times \(T,\) with T >= 2, got \(4, 2\) and \(3,\)",
+            r"values must be \(\*batch, T, M\) and times \(T,\) with T >= 2, got \(4, 2\) and "
+            r"\(3,\)",
         ),
         (
             torch.rand(3, 2),

@@ -1,6 +1,4 @@
-"""The targets of the double pendulum's tip: their poses, the torques that hold them, and the teacher
-that goes there.
-"""
+"""Targets of the double pendulum's tip: their poses, holding torques, and their teacher."""
 
 from __future__ import annotations
 
@@ -75,9 +73,7 @@ def test_target_out_of_reach_is_refused(target: list[float]) -> None:
         pose_at(torch.tensor([[0.1, 0.1], target], dtype=torch.float64))
 
 
-def test_holding_torques_are_the_slope_of_the_potential_energy_and_leave_a_quarter_of_the_limit() -> (
-    None
-):
+def test_holding_torques_are_the_slope_of_the_energy_and_leave_a_quarter_of_the_limit() -> None:
     def energy(angles: Tensor) -> Tensor:  # of two rods of 0.5 kg, whose centres are half way
         inner, outer = link_positions(at_rest(angles))[..., 1::2].unbind(-1)
         return 0.5 * 9.81 * (inner / 2 + (inner + outer) / 2).sum()

@@ -181,7 +181,8 @@ def test_search_is_stuck_where_the_kl_rises(policy: RBFPolicy, dynamics: GPDynam
         f"{kl[step - 1]:.3g} nats at "
     )
     assert re.search(
-        r"most in [xy][12] \(predicted -?\d\.\d\d ± \d\.\d\d m, demonstrated -?\d\.\d\d ± \d\.\d\d m\)",
+        r"most in [xy][12] \(predicted -?\d\.\d\d ± \d\.\d\d m, demonstrated -?\d\.\d\d ± "
+        r"\d\.\d\d m\)",
         message,
     )
     assert (
@@ -309,7 +310,8 @@ def test_run_with_weak_motors_names_the_motor_its_limit_and_the_need(
     found = {reason["cause"]: reason["message"] for reason in summary["diagnosis"]}
     assert list(found)[:2] == ["demonstrations out of reach", "torque at its limit"]
     share, need = re.match(
-        r"motor tau1 is within 5 % of its limit of 0\.7 N·m in (\d+) % of the steps, and the demonstrations need up to (\d\.\d) N·m;",
+        r"motor tau1 is within 5 % of its limit of 0\.7 N·m in (\d+) % of the steps, and the "
+        r"demonstrations need up to (\d\.\d) N·m;",
         found["torque at its limit"],
     ).groups()
     assert (

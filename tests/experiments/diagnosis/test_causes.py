@@ -11,8 +11,8 @@ from torch_pmil.experiments.diagnosis.causes import (
     check_experience,
     check_model,
     check_motion,
+    check_saturation,
     check_search,
-    check_torques,
     first_departure,
     first_mismatch,
     group,
@@ -77,11 +77,11 @@ def test_motor_that_is_strong_enough_swings_from_limit_to_limit() -> None:
     full = torch.ones(1, 10, 2)
     assert (
         "though the demonstrations need no more than 0.4 N·m"
-        in check_torques(full, torch.ones(2), ("a", "b"), torch.tensor([0.4, 0.9])).message
+        in check_saturation(full, torch.ones(2), ("a", "b"), torch.tensor([0.4, 0.9])).message
     )
-    assert "a stronger motor" in check_torques(full, torch.ones(2), ("a", "b"), None).message
+    assert "a stronger motor" in check_saturation(full, torch.ones(2), ("a", "b"), None).message
     half = torch.cat([torch.ones(1, 10, 2), torch.zeros(1, 10, 2)])
-    assert SATURATED == 0.5 and check_torques(half, torch.ones(2), ("a", "b"), None) is None
+    assert SATURATED == 0.5 and check_saturation(half, torch.ones(2), ("a", "b"), None) is None
 
 
 def test_single_rollout_that_strays_is_no_lack_of_experience() -> None:

@@ -136,8 +136,8 @@ def test_missing_launcher_is_named_with_its_extra(
     monkeypatch.setattr(sweep, "find_spec", {f"hydra_plugins.{module}": None}.__getitem__)
     complaint = missing_launcher(sweep_over(f"hydra/launcher={launcher}"))
     assert (
-        complaint
-        == f'hydra/launcher={launcher} needs {module.replace("_", "-")}: pip install "torch_pmil[{extra}]"'
+        complaint == f"hydra/launcher={launcher} needs {module.replace('_', '-')}: pip install "
+        f'"torch_pmil[{extra}]"'
     )
 
 

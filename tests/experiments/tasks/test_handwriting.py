@@ -268,7 +268,8 @@ def test_wrong_settings_are_said_in_one_line(settings: dict, complaint: str) -> 
 def test_shape_and_robot_are_for_handwriting_alone() -> None:
     with pytest.raises(
         ValueError,
-        match=r"^shape and robot are settings of experiment=handwriting, got shape=Angle and robot=None for biorob$",
+        match=r"^shape and robot are settings of experiment=handwriting, got shape=Angle and "
+        r"robot=None for biorob$",
     ):
         load_experiment("biorob", shape="Angle")
 

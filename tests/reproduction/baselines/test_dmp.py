@@ -204,7 +204,8 @@ def test_impossible_primitive_is_refused(random_dmp: DMP, change: dict, complain
         (
             torch.zeros(1, 3, 2),
             5,
-            r"positions must be finite, \(N, T \+ 1, D\) with at least four samples, got \(1, 3, 2\)",
+            r"positions must be finite, \(N, T \+ 1, D\) with at least four samples, got \(1, 3, "
+            r"2\)",
         ),
         (
             torch.zeros(8, 2),

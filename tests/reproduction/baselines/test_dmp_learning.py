@@ -16,7 +16,7 @@ from reproduction.baselines.dmp_learning import (
     execute,
     random_torques,
 )
-from reproduction.baselines.inverse_dynamics import InverseDynamics, Reference
+from reproduction.baselines.learned_inverse_dynamics import InverseDynamics, Reference
 from tests.helpers.draws import Draws
 from tests.helpers.short_run import quick_fits
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv

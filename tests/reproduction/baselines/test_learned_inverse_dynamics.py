@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from reproduction.baselines.inverse_dynamics import (
+from reproduction.baselines.learned_inverse_dynamics import (
     POSITION_GAIN,
     VELOCITY_GAIN,
     InverseDynamics,
@@ -133,7 +133,8 @@ def test_reference_of_other_shapes_is_refused(
 ) -> None:
     with pytest.raises(
         ValueError,
-        match=r"states must be \(T \* hold \+ 1, D\) and accelerations \(T \+ 1, D / 2\), got \(9, 4\)",
+        match=r"states must be \(T \* hold \+ 1, D\) and accelerations \(T \+ 1, D / 2\), got "
+        r"\(9, 4\)",
     ):
         Reference(torch.zeros(states), torch.zeros(accelerations))
 

@@ -7,6 +7,7 @@ ARGS ?=
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=
+export OMP_NUM_THREADS ?= 1  # the matrices are small: more threads wait for each other
 NUMERICAL := tests/gp tests/control tests/model tests/search tests/trainer tests/test_reference.py \
   tests/envs/teachers/test_trajectory_optimization.py
 PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Nehalem
@@ -21,16 +22,16 @@ train: .venv/.installed  ## learn the double pendulum task into runs/double_pend
 	@.venv/bin/pmil train experiment=double_pendulum $(ARGS)
 
 test: .venv/.installed  ## the tests of the mathematics, the trainer and the commands
-	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 $(ARGS)
+	@.venv/bin/python -m pytest -n 2 $(ARGS)
 
 test-ci: .venv/.installed  ## what CI runs besides: robots, the paper's experiments, documents and notebooks
-	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 -m "(robot or docs or browser) and not slow" $(ARGS)
+	@.venv/bin/python -m pytest -n 2 -m "(robot or docs or browser) and not slow" $(ARGS)
 
 test-portable: .venv/.installed  ## the numerical tests as a processor without AVX computes them
-	@OMP_NUM_THREADS=1 $(PORTABLE) .venv/bin/python -m pytest -n 2 $(NUMERICAL) $(ARGS)
+	@$(PORTABLE) .venv/bin/python -m pytest -n 2 $(NUMERICAL) $(ARGS)
 
 test-all: .venv/.installed  ## all tests, the slow ones too
-	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 -m "" $(ARGS)
+	@.venv/bin/python -m pytest -n 2 -m "" $(ARGS)
 
 lint: .venv/.installed  ## check style, formatting and types
 	@.venv/bin/ruff check .
@@ -55,16 +56,16 @@ reproduce: .venv/.installed  ## reproduce an experiment of the paper, as ARGS="f
 	@.venv/bin/python scripts/reproduce.py $(ARGS)
 
 docs: .venv/.docs  ## build the documentation into docs/_build/html, its notebooks executed
-	@OMP_NUM_THREADS=1 .venv/bin/python -m sphinx -b html -q -W --keep-going -E docs docs/_build/html
+	@.venv/bin/python -m sphinx -b html -q -W --keep-going -E docs docs/_build/html
 
 benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's), of fits and of a policy's step, into results
 	@.venv/bin/python benchmarks/prediction.py $(ARGS)
 	@.venv/bin/python -m benchmarks.breakdown
-	@OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.gp_fit
-	@OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.policy_step
+	@.venv/bin/python -m benchmarks.gp_fit
+	@.venv/bin/python -m benchmarks.policy_step
 
 benchmark-steps: .venv/.benchmark  ## time of single steps
-	@OMP_NUM_THREADS=1 .venv/bin/python -m pytest benchmarks/test_single_steps.py $(ARGS)
+	@.venv/bin/python -m pytest benchmarks/test_single_steps.py $(ARGS)
 
 dist: .venv/.dev  ## build a source archive and a wheel into dist/, and check what they hold
 	@rm -rf dist
@@ -79,7 +80,7 @@ test-dist: dist  ## the fast tests against the wheel, installed into an environm
 	@$(PYTHON) -m venv build/dist/.venv
 	@cd build/dist && $(PIP) $(TORCH_ARGS) -c constraints.txt torch==2.13.0
 	@cd build/dist && $(PIP) -c constraints.txt "torch_pmil[test] @ file://$$(realpath ../../dist/*.whl)"
-	@cd build/dist && OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 README.md docs/*/*.md notebooks tests --pyargs torch_pmil $(ARGS)
+	@cd build/dist && .venv/bin/python -m pytest -n 2 README.md docs/*/*.md notebooks tests --pyargs torch_pmil $(ARGS)
 
 clean:  ## remove what make and the tests built, not runs/
 	@rm -rf .venv .mypy_cache .pytest_cache .ruff_cache docs/_build build dist *.egg-info

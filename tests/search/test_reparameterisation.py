@@ -36,11 +36,9 @@ def total(loss: TrajectoryKLLoss) -> Tensor:
 
 
 def test_start_is_the_policy_itself(loss: TrajectoryKLLoss) -> None:
-    """Its weights come back as accurately as their system is conditioned, and with them its loss."""
-    weights, condition = (
-        loss.actor_network.weights.detach().clone(),
-        torch.linalg.cond(gram(loss.actor_network)).item(),
-    )
+    """Its weights come back as accurately as their system is conditioned; its loss is theirs."""
+    weights = loss.actor_network.weights.detach().clone()
+    condition = torch.linalg.cond(gram(loss.actor_network)).item()
     reparameterised = ReparameterisedLoss(loss)
     value = reparameterised.total(loss.per_step, START, HORIZON).item()
     reparameterised.write()

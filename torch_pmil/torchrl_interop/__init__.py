@@ -1,6 +1,4 @@
-"""Drop-ins for TorchRL's belief-space pieces: world model, policy and imagined environment, on
-TorchRL's keys.
-"""
+"""Drop-ins for TorchRL's world model, policy and imagined environment of beliefs, on its keys."""
 
 from torch_pmil.torchrl_interop.belief_policy import BeliefPolicy
 from torch_pmil.torchrl_interop.imagined_env import ImaginedEnv

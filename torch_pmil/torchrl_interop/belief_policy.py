@@ -1,6 +1,4 @@
-"""The RBF policy as a TensorDict module: the counterpart of TorchRL's ``RBFController`` with its
-keys.
-"""
+"""The RBF policy as a TensorDict module: the counterpart of TorchRL's ``RBFController``."""
 
 from __future__ import annotations
 
@@ -22,8 +20,7 @@ from torch_pmil.torchrl_interop.keys import (
 
 
 class BeliefPolicy(TensorDictModuleBase):
-    r"""An :class:`RBFPolicy` on beliefs (Eqs. 25-27), exact moments included, and on plain
-    observations where there is no belief.
+    r"""An :class:`RBFPolicy` on beliefs, with exact moments (Eqs. 25-27), or on plain observations.
 
     From ``("observation", "mean")`` (*batch, D) and ``("observation", "var")`` (*batch, D, D) it
     writes ``("action", "mean")`` (*batch, F), ``("action", "var")`` (*batch, F, F) and ``("action",
@@ -32,9 +29,9 @@ class BeliefPolicy(TensorDictModuleBase):
     imagined and in the real environment.
 
     Args:
-        policy: its inputs are the features of the state.
-        space: what the policy sees of the state; the state itself if None. With angles, the module
-            also writes ``("action", "feature_cross_covariance")``, :math:`\Sigma_f^{-1}
+        policy: a policy whose inputs are the features of the state.
+        space: the state space that gives the features; the state itself if None. With angles, the
+            module also writes ``("action", "feature_cross_covariance")``, :math:`\Sigma_f^{-1}
             \operatorname{cov}(f, u)` (*batch, D', F) for features f.
 
     Raises:
@@ -43,7 +40,8 @@ class BeliefPolicy(TensorDictModuleBase):
     Example:
         >>> import torch
         >>> from tensordict import TensorDict
-        >>> policy = BeliefPolicy(RBFPolicy(torch.zeros(10, 4), u_max=torch.tensor([3.0]), scale=torch.ones(4)))
+        >>> network = RBFPolicy(torch.zeros(10, 4), torch.tensor([3.0]), scale=torch.ones(4))
+        >>> policy = BeliefPolicy(network)
         >>> belief = TensorDict({"observation": {"mean": torch.zeros(4), "var": torch.eye(4)}})
         >>> policy(belief)["action", "cross_covariance"].shape
         torch.Size([4, 1])

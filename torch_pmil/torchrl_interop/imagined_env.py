@@ -1,4 +1,4 @@
-"""A world model as a TorchRL environment of beliefs: the counterpart of TorchRL's ``ImaginedEnv``."""
+"""A world model as TorchRL environment of beliefs: the counterpart of its ``ImaginedEnv``."""
 
 from __future__ import annotations
 
@@ -26,25 +26,26 @@ from torch_pmil.torchrl_interop.keys import (
 
 
 class ImaginedEnv(ModelBasedEnvBase):
-    r"""Rollouts of beliefs under a world model, for any number of actions and any batch, in
-    float64, with gradients.
+    r"""Rollouts of beliefs under a world model, in float64, with gradients.
+
+    They take any number of actions and any batch.
 
     A step reads ``("observation", "mean" | "var")`` and ``("action", "mean" | "var" |
-    "cross_covariance")``, and gives the next belief. An action of which only the ``mean`` is told,
-    as a random policy does, is certain. The reward is zero (the cost is a loss of the rollout), and
-    an episode never ends by itself.
+    "cross_covariance")``, and gives the next belief. An action with a ``mean`` only, such as that
+    of a random policy, is certain. The reward is zero (the cost is a loss of the rollout), and an
+    episode never ends by itself.
 
     ``reset`` starts at the belief (or the certain ``"observation"``) that it is given; where there
     is none, at a certain observation drawn from the base environment's specification.
 
     Args:
-        world_model_module: reads the keys above and writes the mean and the ``var`` of the next
-            observation.
-        base_env: the real environment; its ``"observation"`` (*batch, D) and action (*batch, F) say
-            the dimensions.
-        batch_size: of the rollouts; that of the base environment if None, but at least (1,). With
-            () any batch is taken.
-        next_observation_key: under which the world model writes ``"mean"`` and ``"var"``.
+        world_model_module: a module that reads the keys above and writes the ``mean`` and the
+            ``var`` of the next observation.
+        base_env: the real environment; its ``"observation"`` (*batch, D) and action (*batch, F)
+            give the dimensions.
+        batch_size: batch size of the rollouts; that of the base environment if None, but at least
+            (1,). With () any batch is taken.
+        next_observation_key: the key under which the world model writes ``"mean"`` and ``"var"``.
 
     Raises:
         ValueError: the base environment has no single action of real numbers, or no vector
@@ -111,9 +112,8 @@ class ImaginedEnv(ModelBasedEnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         batch = tensordict.batch_size
-        following = self.world_model(_with_whole_action(tensordict, self.dim)).get(
-            self.next_observation_key
-        )
+        written = self.world_model(_with_whole_action(tensordict, self.dim))
+        following = written.get(self.next_observation_key)
         result = {
             "observation": following.select("mean", "var"),
             "reward": torch.zeros(*batch, 1, dtype=torch.float64, device=self.device),
@@ -122,13 +122,11 @@ class ImaginedEnv(ModelBasedEnvBase):
         return TensorDict(result, batch_size=batch, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
-        """The environment draws nothing of its own."""
+        """Nothing to do: the environment draws nothing of its own."""
 
 
 def _with_whole_action(tensordict: TensorDictBase, dim: int) -> TensorDictBase:
-    """A copy in which the action has its ``var`` and ``cross_covariance``: zero where they are
-    missing.
-    """
+    """A copy whose action has ``var`` and ``cross_covariance``, zero where they are missing."""
     whole = tensordict.clone(recurse=False)
     mean, action = whole.get(ACTION_BELIEF[0]), whole.get(ACTION)
     for key, rows in (("var", mean.shape[-1]), ("cross_covariance", dim)):
@@ -138,7 +136,7 @@ def _with_whole_action(tensordict: TensorDictBase, dim: int) -> TensorDictBase:
 
 
 def _observation_spec(base_env: EnvBase) -> TensorSpec:
-    """One robot's observation (D,)."""
+    """Specification of one robot's observation (D,)."""
     spec = base_env.observation_spec_unbatched.get(OBSERVATION, None)
     if spec is None or len(spec.shape) != 1:
         raise ValueError(
@@ -148,7 +146,7 @@ def _observation_spec(base_env: EnvBase) -> TensorSpec:
 
 
 def _action_spec(base_env: EnvBase) -> TensorSpec:
-    """One robot's action (F,), in float64."""
+    """Specification of one robot's action (F,), in float64."""
     spec = base_env.action_spec_unbatched
     if (
         not isinstance(spec, (Bounded, Unbounded))

@@ -1,4 +1,4 @@
-"""TorchRL's keys of beliefs, and how beliefs are read from a TensorDict."""
+"""TorchRL's keys of beliefs, and functions that read beliefs from a TensorDict."""
 
 from __future__ import annotations
 
@@ -11,26 +11,18 @@ from torch import Tensor
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 
-OBSERVATION, ACTION, NEXT_OBSERVATION = (
-    "observation",
-    "action",
-    ("next", "observation"),
-)  # without belief
+# plain values, not beliefs
+OBSERVATION, ACTION, NEXT_OBSERVATION = "observation", "action", ("next", "observation")
 STATE_BELIEF = [("observation", "mean"), ("observation", "var")]
-ACTION_BELIEF = [
-    ("action", "mean"),
-    ("action", "var"),
-    ("action", "cross_covariance"),
-]  # the last: Sigma_x^-1 cov(x, u)
-FEATURE_CROSS_COVARIANCE = (
-    "action",
-    "feature_cross_covariance",
-)  # Sigma_f^-1 cov(f, u), of features f that are not the state
+# the cross covariance is Sigma_x^-1 cov(x, u)
+ACTION_BELIEF = [("action", "mean"), ("action", "var"), ("action", "cross_covariance")]
+# Sigma_f^-1 cov(f, u) for features f that are not the state
+FEATURE_CROSS_COVARIANCE = ("action", "feature_cross_covariance")
 NEXT_BELIEF = [("next", "observation", "mean"), ("next", "observation", "var")]
 
 
 def raw_space(dim: int) -> StateSpace:
-    """The state space of which models and policies see the entries as they are.
+    """State space without angles, of which models and policies see the entries as they are.
 
     Example:
         >>> raw_space(2).feature_names
@@ -41,7 +33,7 @@ def raw_space(dim: int) -> StateSpace:
 
 
 def lookup(tensordict: TensorDictBase, key: NestedKey, shape: tuple[int, ...]) -> Tensor | None:
-    """The entry of a key in float64, or None where it is missing, a part of its path included.
+    """The entry of a key in float64, or None where the key or a part of its path is missing.
 
     Raises:
         ValueError: its last dimensions are not ``shape``.
@@ -65,8 +57,9 @@ def lookup(tensordict: TensorDictBase, key: NestedKey, shape: tuple[int, ...]) -
 def lookup_belief(
     tensordict: TensorDictBase, keys: Sequence[NestedKey], dim: int
 ) -> Gaussian | None:
-    """The belief under two keys, ``mean`` and ``var``, certain where it has no ``var``; None where
-    it has no ``mean``.
+    """The belief under two keys, ``mean`` and ``var``, or None where there is no ``mean``.
+
+    It is certain where there is no ``var``.
     """
     mean_key, var_key = keys
     mean, var = lookup(tensordict, mean_key, (dim,)), lookup(tensordict, var_key, (dim, dim))

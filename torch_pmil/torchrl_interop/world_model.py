@@ -1,5 +1,6 @@
-"""The counterpart of TorchRL's ``GPWorldModel``: same constructor, keys and ``fit``, on
-:class:`GPDynamics`.
+"""The counterpart of TorchRL's ``GPWorldModel``, built on :class:`GPDynamics`.
+
+Constructor, keys and ``fit`` are those of TorchRL's class.
 """
 
 from __future__ import annotations
@@ -32,39 +33,43 @@ from torch_pmil.torchrl_interop.keys import (
 
 
 class GPWorldModel(TensorDictModuleBase):
-    r"""Exact GPs of x_{t+1} - x_t given the state and the action (Eqs. 2-7), and exact moment
-    matching of beliefs (Eqs. 13-18).
+    r"""GP model of x_{t+1} - x_t given state and action (Eqs. 2-7), as a TensorDict module.
 
-    :meth:`forward` reads a belief over state and action and writes that over the next state, the
-    model's noise included (Eq. 5). What has no ``var`` or no ``cross_covariance`` is certain. Where
-    there is no belief but a plain ``"observation"`` (*batch, D) and ``"action"`` (*batch, F), it
-    writes the mean of ``("next", "observation")``. Both are differentiable in what they read, and
-    all is computed in float64.
+    Beliefs are propagated by exact moment matching (Eqs. 13-18).
+
+    :meth:`forward` reads a belief over state and action and writes the belief over the next state,
+    the model's noise included (Eq. 5). What has no ``var`` or no ``cross_covariance`` is certain.
+    Where there is no belief but a plain ``"observation"`` (*batch, D) and ``"action"`` (*batch, F),
+    it writes the mean of ``("next", "observation")``. Both are differentiable in what they read,
+    and all is computed in float64.
 
     Args:
-        obs_dim: D, entries of the state.
-        action_dim: F, entries of the action.
-        in_keys: of the action's mean (*batch, F), its covariance (*batch, F, F),
+        obs_dim: number D of entries of the state.
+        action_dim: number F of entries of the action.
+        in_keys: keys of the action's mean (*batch, F), its covariance (*batch, F, F),
             :math:`\Sigma_x^{-1} \operatorname{cov}(x, u)` (*batch, D, F), the state's mean (*batch,
             D) and its covariance (*batch, D, D), in this order; a sixth, :math:`\Sigma_f^{-1}
             \operatorname{cov}(f, u)` (*batch, D', F) for features f of the state, may be missing in
             the data: cov(f, u) then is that of x and u jointly Gaussian.
-        out_keys: of the next state's mean (*batch, D) and covariance (*batch, D, D).
-        space: what the model sees of the state; the state itself if None.
+        out_keys: keys of the next state's mean (*batch, D) and covariance (*batch, D, D).
+        space: the state space that gives the features; the state itself if None.
 
     Raises:
         ValueError: the space is of another dimension, or the number of keys is wrong.
 
     Example:
         >>> from tensordict import TensorDict
-        >>> x, u = torch.linspace(-1, 1, 20).view(-1, 1), torch.linspace(1, -1, 20).square().view(-1, 1)
+        >>> x = torch.linspace(-1, 1, 20)[:, None]
+        >>> u = torch.linspace(1, -1, 20).square()[:, None]
         >>> model = GPWorldModel(obs_dim=1, action_dim=1)
-        >>> _ = model.fit(TensorDict({"observation": x, "action": u, "next": {"observation": x + u / 10}}, [20]))
+        >>> after = {"observation": x + u / 10}
+        >>> _ = model.fit(TensorDict({"observation": x, "action": u, "next": after}, [20]))
         >>> certain = TensorDict({"observation": torch.zeros(1), "action": torch.zeros(1)})
         >>> bool(model(certain)["next", "observation"].abs() < 1e-2)
         True
-        >>> belief = {"observation": {"mean": torch.zeros(1), "var": torch.eye(1) / 100}, "action": {"mean": torch.zeros(1)}}
-        >>> model(TensorDict(belief))["next", "observation", "var"].shape
+        >>> state = {"mean": torch.zeros(1), "var": torch.eye(1) / 100}
+        >>> belief = TensorDict({"observation": state, "action": {"mean": torch.zeros(1)}})
+        >>> model(belief)["next", "observation", "var"].shape
         torch.Size([1, 1])
     """
 
@@ -83,16 +88,11 @@ class GPWorldModel(TensorDictModuleBase):
                 f"space must have obs_dim = {obs_dim} entries, got the {self.space.dim} of "
                 f"{self.space.names}"
             )
-        self.obs_dim, self.action_dim, self.num_features = (
-            obs_dim,
-            action_dim,
-            len(self.space.feature_names),
-        )
-        default = [
-            *ACTION_BELIEF,
-            *STATE_BELIEF,
-            *([FEATURE_CROSS_COVARIANCE] if self.space.angles else []),
-        ]
+        self.obs_dim, self.action_dim = obs_dim, action_dim
+        self.num_features = len(self.space.feature_names)
+        default = [*ACTION_BELIEF, *STATE_BELIEF]
+        if self.space.angles:
+            default.append(FEATURE_CROSS_COVARIANCE)
         self.in_keys = list(default if in_keys is None else in_keys)
         self.out_keys = list(NEXT_BELIEF if out_keys is None else out_keys)
         if len(self.in_keys) not in (5, 6) or len(self.out_keys) != 2:
@@ -106,8 +106,8 @@ class GPWorldModel(TensorDictModuleBase):
         """Learn from transitions by maximum marginal likelihood.
 
         Args:
-            dataset: with ``"observation"`` (*batch, D), ``"action"`` (*batch, F) and ``("next",
-                "observation")`` (*batch, D).
+            dataset: transitions with ``"observation"`` (*batch, D), ``"action"`` (*batch, F) and
+                ``("next", "observation")`` (*batch, D).
 
         Raises:
             KeyError: a key is missing.
@@ -121,9 +121,8 @@ class GPWorldModel(TensorDictModuleBase):
         states, actions, successors = (
             _required(dataset, *entry).detach().flatten(0, -2) for entry in entries
         )
-        return self.dynamics.fit(
-            torch.cat([self.space.features(states), actions], -1), successors - states
-        )
+        inputs = torch.cat([self.space.features(states), actions], -1)
+        return self.dynamics.fit(inputs, successors - states)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next state, or its belief, into ``tensordict`` and return it.
@@ -142,13 +141,10 @@ class GPWorldModel(TensorDictModuleBase):
         return tensordict.set(self.out_keys[0], successor.mean).set(self.out_keys[1], successor.cov)
 
     def _successor(self, tensordict: TensorDictBase) -> Tensor:
-        state, action = (
-            _required(tensordict, OBSERVATION, self.obs_dim),
-            _required(tensordict, ACTION, self.action_dim),
-        )
-        return state + self.dynamics.expansion.mean(
-            torch.cat([self.space.features(state), action], -1)
-        )
+        state = _required(tensordict, OBSERVATION, self.obs_dim)
+        action = _required(tensordict, ACTION, self.action_dim)
+        inputs = torch.cat([self.space.features(state), action], -1)
+        return state + self.dynamics.expansion.mean(inputs)
 
     def _successor_belief(self, state: Gaussian, tensordict: TensorDictBase) -> Gaussian:
         action = lookup_belief(tensordict, self.in_keys[:2], self.action_dim)
@@ -162,15 +158,13 @@ class GPWorldModel(TensorDictModuleBase):
         cross_cov = self._feature_cross_cov(features, tensordict)
         if cross_cov is None:
             cross_cov = feature_slope.mT @ state.cov @ slope
-        moments = moment_match(
-            self.dynamics.expansion, joint(features, action, cross_cov), observation_noise=True
-        )
-        return successor_belief(
-            state, torch.cat([feature_slope, slope], -1), moments, self.dynamics.targets
-        )
+        inputs = joint(features, action, cross_cov)
+        moments = moment_match(self.dynamics.expansion, inputs, observation_noise=True)
+        input_slope = torch.cat([feature_slope, slope], -1)
+        return successor_belief(state, input_slope, moments, self.dynamics.targets)
 
     def _feature_cross_cov(self, features: Gaussian, tensordict: TensorDictBase) -> Tensor | None:
-        """cov(f, u), (*batch, D', F), where the policy says it."""
+        """Covariance cov(f, u), (*batch, D', F), or None where the policy does not give it."""
         if len(self.in_keys) < 6:
             return None
         slope = lookup(tensordict, self.in_keys[5], (self.num_features, self.action_dim))

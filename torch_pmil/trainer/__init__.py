@@ -1,3 +1,1 @@
-"""Algorithm 1 on TorchRL: the trainer, its steppers, its collector of rollouts, and its
-checkpoints.
-"""
+"""Algorithm 1 on TorchRL: the trainer, its steppers, its rollout collector and its checkpoints."""

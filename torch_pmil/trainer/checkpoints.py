@@ -1,5 +1,6 @@
-"""Checkpoints of a learning run: one archive after every rollout, whole or not there, and checked
-before it is read.
+"""Checkpoints of a learning run: one archive after every rollout, checked before it is read.
+
+An archive is either whole or not there.
 """
 
 from __future__ import annotations
@@ -12,31 +13,31 @@ from zipfile import BadZipFile, ZipFile
 import torch
 from torchrl.checkpoint import Checkpoint, CheckpointError, CheckpointRotation, GlobalRNGState
 
-KEPT = 2  # checkpoints of a run
+KEPT = 2  # number of checkpoints of a run that are kept
 
 
 class GeneratorState:
-    """A random generator as a checkpoint takes it."""
+    """A random generator with the state methods that a checkpoint needs."""
 
     def __init__(self, generator: torch.Generator) -> None:
         self.generator = generator
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Where it stands."""
+        """The present state of the generator."""
         return {"state": self.generator.get_state()}
 
     def load_state_dict(self, state_dict: Mapping[str, torch.Tensor]) -> None:
-        """Set it there."""
+        """Set the generator to a saved state."""
         self.generator.set_state(state_dict["state"])
 
 
 def new_checkpoint() -> Checkpoint:
-    """An archive, whose parts have checksums, with the global random generators in it."""
+    """An archive whose parts have checksums, with the global random generators in it."""
     return Checkpoint(format="archive", rng=GlobalRNGState())
 
 
 def rotation_in(folder: Path | str) -> CheckpointRotation:
-    """The newest checkpoints of a run, in this folder."""
+    """Rotation that keeps the newest checkpoints of a run in this folder."""
     return CheckpointRotation(folder, keep_last=KEPT)
 
 
@@ -46,8 +47,9 @@ def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:
 
 
 def newest_undamaged(rotation: CheckpointRotation) -> Path | None:
-    """The newest checkpoint of which every byte can be read, with a warning for each newer one;
-    None if there is none at all.
+    """The newest checkpoint of which every byte can be read, or None if there is no checkpoint.
+
+    There is a warning for each newer, damaged one.
 
     Raises:
         CheckpointError: there are checkpoints, and all are damaged.
@@ -68,7 +70,7 @@ def newest_undamaged(rotation: CheckpointRotation) -> Path | None:
 
 
 def damage(path: Path) -> str | None:
-    """What is wrong with a checkpoint's file, or None."""
+    """Description of what is wrong with a checkpoint's file, or None."""
     try:
         with ZipFile(path) as archive:
             broken = archive.testzip()

@@ -1,4 +1,4 @@
-"""What runs on the robot, and how its rollouts are collected."""
+"""The actor that runs on the robot, and the collector of its rollouts."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from torch_pmil.control.state_space import StateSpace
 
 
 class RobotActor(torch.nn.Module):
-    """What the robot executes: its first motion until the first search, then the policy.
+    """Actor on the robot: the exploration until the first search, then the policy.
 
     Args:
-        policy: sees the features of the state.
-        space: gives those.
-        motion: the first one.
+        policy: the policy, a function of the features of the state.
+        space: the robot's state space, which gives the features.
+        motion: the motion of the exploration.
     """
 
     def __init__(self, policy: RBFPolicy, space: StateSpace, motion: Motion) -> None:
@@ -33,9 +33,7 @@ class RobotActor(torch.nn.Module):
 
     @torch.no_grad()
     def forward(self, observation: Tensor, target: Tensor | None = None) -> Tensor:
-        """Torques (*batch, F), N·m, for states (*batch, D), and what the robots are to do, (*batch,
-        K), if the policy is of targets.
-        """
+        """Torques (*batch, F), N·m, at states (*batch, D) and, if any, for targets (*batch, K)."""
         if self.exploring:
             return self.motion(observation)
         features = self.space.features(observation)
@@ -43,18 +41,19 @@ class RobotActor(torch.nn.Module):
 
 
 class RolloutCollector(Collector):
-    """TorchRL's collector of one rollout of each robot a batch, without end; the first is all
-    rollouts of the first motion in a row.
+    """TorchRL's collector of one rollout of each robot a batch, without end.
 
-    Its state holds the batch that it handed out last: with a loaded state it begins with that one.
-    A checkpoint that is written as soon as the robot has moved thus holds the motion, and a resumed
-    loop learns from it as the first one did.
+    The first batch holds all rollouts of the exploration in a row.
+
+    The collector's state holds the batch that it handed out last: with a loaded state it begins
+    with that one. A checkpoint that is written as soon as the robot has moved thus holds the
+    motion, and a resumed loop learns from it as the first one did.
 
     Args:
         env: the robot.
-        policy: what it executes.
-        actor: inside of the policy.
-        exploration: its rollouts and their steps.
+        policy: the module that the robot executes.
+        actor: the actor inside the policy.
+        exploration: rollouts of the first batch, and their steps.
         horizon: steps of the other rollouts of each robot.
     """
 
@@ -80,7 +79,7 @@ class RolloutCollector(Collector):
         self._executed, self._actor, self._exploration = policy, actor, exploration
 
     def rollout(self) -> TensorDictBase:
-        """The next batch, (*robots, steps)."""
+        """Next batch, (*robots, steps)."""
         if self._frames:
             return super().rollout()
         rollouts = []
@@ -90,7 +89,7 @@ class RolloutCollector(Collector):
         return torch.cat(rollouts, -1)
 
     def iterator(self) -> Iterator[TensorDictBase]:
-        """The batch of a loaded state, then new ones."""
+        """Yield the batch of a loaded state, then new ones."""
         if self._repeated:
             self._repeated = False
             yield self._latest
@@ -98,14 +97,13 @@ class RolloutCollector(Collector):
             yield self._latest
 
     def state_dict(self) -> dict[str, object]:
-        """TorchRL's, which leaves out what a plain environment remembers, with that and the latest
-        batch.
+        """State of TorchRL's collector, with the environment's state and the latest batch.
+
+        TorchRL leaves out what a plain environment remembers.
         """
-        latest = (
-            None
-            if self._latest is None
-            else {"entries": self._latest.to_dict(), "shape": list(self._latest.shape)}
-        )
+        latest = None
+        if self._latest is not None:
+            latest = {"entries": self._latest.to_dict(), "shape": list(self._latest.shape)}
         return {**super().state_dict(), "env_state_dict": self.env.state_dict(), "latest": latest}
 
     def load_state_dict(self, state_dict: Mapping[str, Any], **kwargs: Any) -> None:

@@ -13,28 +13,28 @@ from torch_pmil.gp.lbfgs import minimise
 
 
 class LBFGSStepper(OptimizationStepper):
-    """A run of L-BFGS with strong Wolfe on each batch, in place of one gradient step; needs no
-    optimizer in the trainer.
+    """A run of L-BFGS with strong Wolfe line search on each batch, in place of one gradient step.
 
-    The objective is the sum of the loss's entries ``loss_*`` on that batch, which must be one
-    function of the parameters: a loss whose entries hide parameters from each other (an actor and a
-    critic) is searched one entry at a time. A loss that draws random numbers draws the same ones
-    throughout a step. Points where it is not finite are stepped back from, and the parameters end
-    at the best point that was seen. Curvature is learned anew on each batch. A trainer's
-    ``clip_norm`` has no meaning here.
+    The trainer needs no optimizer. The objective is the sum of the loss's entries ``loss_*`` on the
+    batch, which must be one function of the parameters: a loss whose entries hide parameters from
+    each other (an actor and a critic) is searched one entry at a time. A loss that draws random
+    numbers draws the same ones throughout a step. Points where it is not finite are stepped back
+    from, and the parameters end at the best point that was seen. Curvature is learned anew on each
+    batch. A trainer's ``clip_norm`` has no meaning here.
 
     Args:
-        max_iterations: of L-BFGS in a step; each takes one to a few evaluations.
+        max_iterations: limit of L-BFGS in a step; each iteration takes one to a few evaluations.
         loss_components: keys of the entries to minimise; None for all ``loss_*``.
-        survives: errors of the loss that say no more than that it has no value at these parameters.
+        survives: errors by which the loss says that it has no value at some parameters.
 
     Raises:
-        NotFiniteError: at the parameters that a step begins with; an error of ``survives``
-            likewise.
+        NotFiniteError: the loss is not finite at the parameters with which a step begins. An error
+            of ``survives`` at these parameters is raised as well.
         ValueError: the loss has no entry to minimise, or no trainable parameter.
 
     Example:
-        >>> trainer = Trainer(..., optimization_stepper=LBFGSStepper(max_iterations=30))  # doctest: +SKIP
+        >>> stepper = LBFGSStepper(max_iterations=30)
+        >>> trainer = Trainer(..., optimization_stepper=stepper)  # doctest: +SKIP
     """
 
     def __init__(
@@ -45,19 +45,15 @@ class LBFGSStepper(OptimizationStepper):
     ) -> None:
         if max_iterations < 1:
             raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
-        self.max_iterations, self.loss_components, self.survives = (
-            max_iterations,
-            loss_components,
-            survives,
-        )
+        self.max_iterations, self.survives = max_iterations, survives
+        self.loss_components = loss_components
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
-        """Minimise on ``sub_batch``; gives the entries at the end, with the numbers of iterations
-        and evaluations.
+        """Minimise on ``sub_batch``; return the entries at the end, and counts.
+
+        The counts are the numbers of iterations and of evaluations.
         """
-        parameters = [
-            parameter for parameter in trainer.loss_module.parameters() if parameter.requires_grad
-        ]
+        parameters = [p for p in trainer.loss_module.parameters() if p.requires_grad]
         if not parameters:
             raise ValueError(
                 f"{type(trainer.loss_module).__name__} must have trainable parameters, got none"

@@ -1,4 +1,4 @@
-"""The optimisation step of Algorithm 1, as TorchRL's trainer takes it."""
+"""The optimisation step of Algorithm 1 for TorchRL's trainer."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from torch_pmil.search.policy_search import (
 )
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
-PROGRESS = 0.8  # of the least loss so far: what a search should come to
+PROGRESS = 0.8  # a search should come to this fraction of the least loss so far
 
 
 class PolicySearchStepper(OptimizationStepper):
     """The optimisation step of Algorithm 1: a whole policy search (Eq. 22) on the trainer's loss.
 
     A search starts from the policy that the last one left. Where it neither matches the whole
-    horizon nor brings the loss well below the least so far, another starts from what it found,
-    renewed (:func:`refit_policy`), and where that brings no more, others start from random policies
-    if the settings say so. The best one is kept.
+    horizon nor brings the loss well below the least so far, a second search starts from the
+    refitted policy (:func:`refit_policy`). Where that brings no more, others start from random
+    policies if the settings say so. The best one is kept.
 
     Args:
         settings: budget and horizon of a search.
-        make_policy: a new random policy of the same shape.
-        generator: of the renewal.
+        make_policy: returns a new random policy of the same shape.
+        generator: source of the random states of :func:`refit_policy`.
         report: called with the name and the loss of each run of L-BFGS.
     """
 
-    result: SearchResult  # of the last step
+    result: SearchResult  # outcome of the last step
 
     def __init__(
         self,
@@ -48,46 +48,38 @@ class PolicySearchStepper(OptimizationStepper):
         generator: torch.Generator,
         report: Callable[[str, float], None],
     ) -> None:
-        self.settings, self.make_policy, self.generator, self.report = (
-            settings,
-            make_policy,
-            generator,
-            report,
-        )
+        self.settings, self.make_policy = settings, make_policy
+        self.generator, self.report = generator, report
         self.refitted = False
         self._least = math.inf
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
-        """Search from the belief p(x_0) in ``sub_batch``; the policy of the loss is changed in
-        place.
+        """Search from the belief p(x_0) in ``sub_batch``.
+
+        The policy of the loss is changed in place.
         """
         loss = trainer.loss_module
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
-        self.result = search_policy(
-            loss, initial, self.settings, self.report, random=self._least == math.inf
-        )
+
+        def refit() -> None:
+            refit_policy(loss, initial, self.make_policy(), self.settings, self.generator)
+
+        def restart() -> None:
+            loss.actor_network.load_state_dict(self.make_policy().state_dict())
+
+        first = self._least == math.inf
+        self.result = search_policy(loss, initial, self.settings, self.report, random=first)
         self.refitted = not self._enough()
         if self.refitted:
-            self._search_also(
-                loss,
-                initial,
-                lambda: refit_policy(
-                    loss, initial, self.make_policy(), self.settings, self.generator
-                ),
-            )
+            self._search_also(loss, initial, refit)
         for _ in range(self.settings.restarts):
             if not self._enough():
-                self._search_also(
-                    loss,
-                    initial,
-                    lambda: loss.actor_network.load_state_dict(self.make_policy().state_dict()),
-                    random=True,
-                )
+                self._search_also(loss, initial, restart, random=True)
         self._least = min(self._least, self.result.loss)
         return TensorDict({loss.out_keys[0]: torch.tensor(self.result.loss, dtype=torch.float64)})
 
     def state_dict(self) -> dict[str, float]:
-        """What the next search depends on, besides policy and model."""
+        """State on which the next search depends, besides policy and model."""
         return {"least": self._least}
 
     def load_state_dict(self, state_dict: dict[str, float]) -> None:

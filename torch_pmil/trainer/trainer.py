@@ -1,5 +1,4 @@
-"""Algorithm 1: fit the model, search the policy on it, run it on the robot, again; as a TorchRL
-trainer.
+"""Algorithm 1 as a TorchRL trainer: fit the model, search the policy on it, run it on the robot.
 
 :class:`PMILTrainer` is the loop; its optimisation step is in ``search_stepper.py``.
 """
@@ -39,37 +38,38 @@ NUMERALS = {2: "two", 3: "three", 4: "four"}
 class PMILTrainer(Trainer):
     """Probabilistic model-based imitation learning (Algorithm 1).
 
-    The first batch is the robot's first motion. After each batch the model is fitted to all
+    The first batch is the robot's exploration. After each batch the model is fitted to all
     experience, the policy is searched on it and measured from fresh starts (which decides nothing,
     and is no experience); the next batch is that policy's rollout on the robot. Training ends when
     the own rollouts of some trials in a row succeeded, or at the limit of trials.
     :meth:`best_policy` then chooses among the policies that ran.
 
     With a ``checkpoint_rotation`` everything is written down as soon as the robot has moved, before
-    anything is learned from that. :meth:`resume` goes on from there, and ends with the very same
-    parameters.
+    anything is learned from the motion. :meth:`resume` goes on from there, and ends with the very
+    same parameters.
 
     Args:
-        env: the robot, one of it; or, for a policy of targets, one for each target, which says it
+        env: a single robot; or, for a policy of targets, one robot for each target, which it gives
             under ``"target"``.
         evaluation_env: a batch of robots for the measurement.
         loss_module: the objective with policy and model.
         initial: p(x_0).
-        limits: of the state (D,); transitions beyond are experience, but no data of the model.
-        error: of rollouts (*batch, T), as the environment gives them, (*batch).
+        limits: limits of the state (D,); transitions beyond are experience, but no data of the
+            model.
+        error: maps rollouts (*batch, T) of the environment to their errors, (*batch).
         tolerance: error up to which a rollout is a success.
         confirmations: number of successes in a row that end the training.
         trials: largest number of trials.
         search: budget and horizon of each policy search.
-        make_policy: a new random policy, drawn from a generator.
-        exploration: of the robot.
-        policy_generator: of new policies.
-        generator: of the first motion and of the renewal of policies.
+        make_policy: returns a new random policy, drawn from a generator.
+        exploration: how the robot moves before anything is learned.
+        policy_generator: generator of new policies.
+        generator: generator of the exploration, and of the states at which policies are refitted.
         on_trial: called with each trial when its own rollout is done.
         progress_bar: whether to show progress.
-        logger: TorchRL's, for the numbers of every trial; None for none.
-        checkpoint_rotation: where checkpoints go; None for none.
-        checkpoint_metadata: what a checkpoint's manifest says of the run, as JSON can.
+        logger: TorchRL's logger for the numbers of every trial; None for none.
+        checkpoint_rotation: rotation of the checkpoints; None for none.
+        checkpoint_metadata: entries about the run in a checkpoint's manifest, in JSON's types.
 
     Example: see ``torch_pmil/experiments/runs/training.py``.
     """
@@ -102,12 +102,10 @@ class PMILTrainer(Trainer):
         if confirmations < 1:
             raise ValueError(f"confirmations must be at least 1, got {confirmations}")
         horizon = loss_module.horizon
-        frames = env.batch_size.numel() * (
-            exploration.rollouts * exploration.steps + trials * horizon
-        )
-        actor = RobotActor(
-            loss_module.actor_network, loss_module.space, exploration.motion(generator)
-        )
+        steps = exploration.rollouts * exploration.steps + trials * horizon
+        frames = env.batch_size.numel() * steps
+        motion = exploration.motion(generator)
+        actor = RobotActor(loss_module.actor_network, loss_module.space, motion)
         in_keys = [key for key in ("observation", "target") if key in env.observation_spec]
         self.robot_policy = TensorDictModule(actor, in_keys=in_keys, out_keys=["action"])
         super().__init__(
@@ -124,18 +122,10 @@ class PMILTrainer(Trainer):
             log_interval=0,
             checkpoint=new_checkpoint(),
         )
-        self.actor, self.evaluation_env, self.initial, self.limits = (
-            actor,
-            evaluation_env,
-            initial,
-            limits,
-        )
-        self.error, self.tolerance, self.confirmations, self.on_trial = (
-            error,
-            tolerance,
-            confirmations,
-            on_trial,
-        )
+        self.actor, self.evaluation_env = actor, evaluation_env
+        self.initial, self.limits = initial, limits
+        self.error, self.tolerance = error, tolerance
+        self.confirmations, self.on_trial = confirmations, on_trial
         self.control_period = env.control_period
         self.experience = Experience(capacity=frames)
         self.trials: list[Trial] = []
@@ -148,17 +138,18 @@ class PMILTrainer(Trainer):
 
     @property
     def stop_reason(self) -> str:
-        """Why training ended."""
+        """Reason why training ended."""
         return self._stop_reason or "limit of trials"
 
     @property
     def seconds(self) -> float:
-        """Wall time since the run began, that before a resumption included."""
+        """Wall time since the run began, including the time before a resumption, s."""
         return time.perf_counter() - self._begun
 
     def resume(self) -> Path | None:
-        """Go on from the newest undamaged checkpoint, with a warning for a damaged one; None if
-        there is none.
+        """Go on from the newest undamaged checkpoint and return its path, or None if there is none.
+
+        There is a warning for a damaged one.
 
         Raises:
             CheckpointError: all checkpoints are damaged, or the newest is of another kind of run.
@@ -167,9 +158,8 @@ class PMILTrainer(Trainer):
         if path is not None:
             saved = Checkpoint.manifest(path)["components"]
             new = self._sync_checkpoint_components().components.keys() - saved.keys()
-            self.load_from_file(
-                path, strict="ignore" if new == {"logger"} else "error"
-            )  # a logger may begin at any time
+            # a logger may begin at any time
+            self.load_from_file(path, strict="ignore" if new == {"logger"} else "error")
         return path
 
     def train(self) -> None:
@@ -190,11 +180,11 @@ class PMILTrainer(Trainer):
         self._fit = dynamics.fit(*data)
 
     def best_policy(self) -> Candidate:
-        """The policy of least predicted loss under a model of all experience, among those whose own
-        rollout did best.
+        """Best of the policies that ran: least predicted loss among the best own rollouts.
 
-        A success does best; where there is none, the least error. The policy of the loss then holds
-        its parameters.
+        The loss is predicted under a model of all experience. All successes are best alike; where
+        there is none, the least error is. The policy of the loss then holds the parameters of the
+        best policy.
         """
         self.fit_dynamics()
         least = min(candidate.own_error for candidate in self.candidates)
@@ -214,7 +204,7 @@ class PMILTrainer(Trainer):
     def _register_state(
         self, policy_generator: torch.Generator, generator: torch.Generator
     ) -> None:
-        """All that a checkpoint holds besides TorchRL's own parts."""
+        """Register all that a checkpoint holds besides TorchRL's own parts."""
         self.register_module("evaluation_env", self.evaluation_env)
         self.register_module("policy_generator", GeneratorState(policy_generator))
         self.register_module("generator", GeneratorState(generator))
@@ -222,8 +212,9 @@ class PMILTrainer(Trainer):
         self.register_module("progress", _Progress(self))
 
     def _register_hooks(self) -> None:
-        """What TorchRL's loop calls: a checkpoint before anything is learned, Algorithm 1, and what
-        is logged of it.
+        """Register the hooks of TorchRL's loop: checkpoints, Algorithm 1 and its logs.
+
+        A checkpoint is written before anything is learned from a batch.
         """
         self.register_op("setup", self._show_progress)
         self.register_op("batch_process", self._save)
@@ -235,7 +226,7 @@ class PMILTrainer(Trainer):
         self.register_op("post_steps_log", self._log_search)
 
     def _save(self, batch: TensorDictBase) -> TensorDictBase:
-        """Write a checkpoint: the collector's part holds ``batch``, the others are from before it."""
+        """Write a checkpoint: its collector holds ``batch``, its other parts are from before it."""
         if self.rotation is not None:
             self.rotation.save(
                 self._sync_checkpoint_components(),
@@ -249,7 +240,7 @@ class PMILTrainer(Trainer):
             self._pbar.update(self.collected_frames)
 
     def _learn_from_rollout(self, batch: TensorDictBase) -> TensorDictBase:
-        """The rollout becomes experience, and completes the trial whose policy ran."""
+        """Add the rollout to the experience, and complete the trial whose policy ran."""
         self.experience.extend(batch)
         if self._pending is None:
             return batch
@@ -262,23 +253,20 @@ class PMILTrainer(Trainer):
         self.on_trial(trial)
         last = self.trials[-self.confirmations :]
         if len(last) == self.confirmations and all(t.own_success for t in last):
-            self.request_stop(
-                f"the own rollouts of {NUMERALS.get(len(last), len(last))} trials in a row "
-                "succeeded"
-            )
+            count = NUMERALS.get(len(last), len(last))
+            self.request_stop(f"the own rollouts of {count} trials in a row succeeded")
         return batch
 
     def _start_belief(self, batch: TensorDictBase) -> TensorDictBase:
         return TensorDict({"observation": {"mean": self.initial.mean, "var": self.initial.cov}})
 
     def _measure(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
-        """Success rate of the new policy from fresh starts."""
+        """Measure the new policy's success rate from fresh starts; return the numbers to show."""
         if self._stop_training or self.collected_frames >= self.total_frames:
             return None
         self.actor.exploring = False
-        errors = self.error(
-            self.evaluation_env.rollout(self.loss_module.horizon, self.robot_policy)
-        )
+        rollouts = self.evaluation_env.rollout(self.loss_module.horizon, self.robot_policy)
+        errors = self.error(rollouts)
         search = self.optimization_stepper.result
         self._pending = Trial(
             trial=len(self.trials) + 1,
@@ -295,20 +283,15 @@ class PMILTrainer(Trainer):
             evaluations=search.evaluations,
             stop_reason=search.stop_reason,
         )
-        shown = {
-            key: getattr(self._pending, key)
-            for key in ("trial", "experience_s", "loss", "success_rate")
-        }
-        return {**shown, "log_pbar": True}
+        keys = ("trial", "experience_s", "loss", "success_rate")
+        return {**{key: getattr(self._pending, key) for key in keys}, "log_pbar": True}
 
     def _log_search(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
-        """What else the logger gets of a search."""
+        """Numbers of the search for the logger, besides those that the progress bar shows."""
         if self._pending is None:
             return None
-        return {
-            key: getattr(self._pending, key)
-            for key in ("horizon", "refitted", "gp_seconds", "search_seconds", "evaluations")
-        }
+        keys = ("horizon", "refitted", "gp_seconds", "search_seconds", "evaluations")
+        return {key: getattr(self._pending, key) for key in keys}
 
     def _log_own_rollout(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
         if not self.trials:
@@ -317,13 +300,12 @@ class PMILTrainer(Trainer):
 
     def _report(self, stage: str, loss: float) -> None:
         if self.progress_bar:
-            self._pbar.set_postfix_str(
-                f"search: {stage} = {loss:.1f} {self.loss_module.unit}".rstrip()
-            )
+            text = f"search: {stage} = {loss:.1f} {self.loss_module.unit}"
+            self._pbar.set_postfix_str(text.rstrip())
 
 
 class _Progress:
-    """What the trainer itself remembers, as a checkpoint takes it."""
+    """The trainer's own state, with the state methods that a checkpoint needs."""
 
     def __init__(self, trainer: PMILTrainer) -> None:
         self.trainer = trainer

@@ -1,4 +1,4 @@
-"""What is known of each trial on the robot."""
+"""Records of the trials on the robot."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Measurement:
-    """How a trial went, whatever learned.
+    """Outcome of a trial, whatever method learned.
 
     Args:
         trial: 1, 2, ...
-        experience_s: seconds of experience that was learned from.
-        success_rate: of ``n_eval`` rollouts from fresh starts; they are no experience.
-        n_eval: their number.
+        experience_s: seconds of experience from which was learned.
+        success_rate: success rate of ``n_eval`` rollouts from fresh starts; they are no experience.
+        n_eval: number of these rollouts.
         own_error: error of the trial's own rollout (m in the double pendulum), which becomes
             experience; the largest of all targets.
-        own_success: whether that is a success.
+        own_success: whether the own rollout is a success.
     """
 
     trial: int
@@ -32,15 +32,16 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Trial(Measurement):
-    """One turn of Algorithm 1: a search, its policy's rollout on the robot, and a measurement that
-    decides nothing.
+    """One turn of Algorithm 1: a search, its policy's rollout on the robot, and a measurement.
+
+    The measurement decides nothing.
 
     Args:
         loss: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
         horizon: step up to which the search trusted the prediction.
-        refitted: whether a second search was made, from a renewed policy.
-        gp_seconds, search_seconds: wall time.
-        evaluations: of the objective.
+        refitted: whether a second search was made, from a refitted policy.
+        gp_seconds, search_seconds: wall time of the model's fit and of the search, s.
+        evaluations: number of evaluations of the objective.
         stop_reason: why the last run of L-BFGS ended.
     """
 

@@ -1,21 +1,21 @@
-"""Probabilistic model-based imitation learning (Englert, Paraschos, Peters, Deisenroth 2013) in
-PyTorch.
+"""Probabilistic model-based imitation learning in PyTorch.
 
-Rooms, each above those that it imports:
+The method is that of Englert, Paraschos, Peters and Deisenroth (2013). Each room imports only from
+those above it in this table:
 
-=====================  ========================================================================================
-``gp``                 Gaussian beliefs, Gaussian processes, RBF networks: exact moments (Eqs. 5-7, 14-18)
-``control``            state space, policy, its file, exploration (Eqs. 25-27)
-``model``              the learned forward model and the trajectories that it predicts (Eqs. 2-4, 13)
-``search``             KL and costs, losses, policy search (Eqs. 19-24, 28, 31)
-``trainer``            Algorithm 1 on TorchRL: trainer, collector, checkpoints
-``demonstrations``     readers of files, preparation, the demonstrated distribution (Eqs. 9-12)
-``envs``               robots, and what records demonstrations on them
-``plotting``           figures and videos
-``torchrl_interop``    drop-ins for TorchRL's world model, policy and imagined environment
-``experiments``        tasks, diagnosis, runs with their folders and reports
-``cli``                the commands of ``pmil``
-=====================  ========================================================================================
+===================  ===========================================================================
+``envs``             robots, and teachers that record demonstrations on them
+``gp``               Gaussian beliefs, GPs, RBF networks: exact moments (Eqs. 5-7, 14-18)
+``control``          state space, policy, its file, exploration (Eqs. 25-27)
+``demonstrations``   readers of files, preparation, the demonstrated distribution (Eqs. 9-12)
+``model``            the learned forward model and its predicted trajectories (Eqs. 2-4, 13)
+``search``           KL and costs, losses, policy search (Eqs. 19-24, 28, 31)
+``torchrl_interop``  drop-ins for TorchRL's world model, policy and imagined environment
+``trainer``          Algorithm 1 on TorchRL: trainer, collector, checkpoints
+``plotting``         figures and videos
+``experiments``      tasks, diagnosis, runs with their folders and reports
+``cli``              the commands of ``pmil``
+===================  ===========================================================================
 
 Every public name is imported when it is first asked for, so that a part costs no more than what it
 uses.
@@ -145,7 +145,7 @@ __all__ = ["envs", *MODULES]
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, on its first use."""
+    """Import a public name on its first use."""
     if name == "__version__":
         return version("torch_pmil")
     if name == "envs":
@@ -157,5 +157,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """With the public names that were not asked for yet."""
+    """Names of the package, with the public names that were not asked for yet."""
     return sorted({*globals(), *__all__, "__version__"})

@@ -11,8 +11,9 @@ from pathlib import Path
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
-    """A temporary name beside ``path`` to write to; renamed to it when the block ends well, removed
-    when it does not.
+    """A temporary name beside ``path`` to write to, which replaces it when the block ends well.
+
+    It is removed when the block ends with an error.
 
     Args:
         path: the file to make or to replace. The temporary name keeps its suffix.
@@ -35,8 +36,9 @@ def replacing(path: Path | str) -> Iterator[Path]:
 
 
 def write_json(path: Path | str, content: object) -> None:
-    """Write a JSON file, whole or not at all. Raises ValueError at a number that is not finite:
-    JSON has none.
+    """Write a JSON file, whole or not at all.
+
+    Raises ValueError at a number that is not finite: JSON has none.
     """
     text = json.dumps(content, indent=2, allow_nan=False)
     with replacing(path) as temporary:

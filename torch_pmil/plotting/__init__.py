@@ -1,5 +1,7 @@
-"""Figures of the results. The only part of the package that imports matplotlib; it draws numbers
-and knows no experiment.
+"""Figures of the results.
+
+This is the only part of the package that imports matplotlib; it draws numbers and knows no
+experiment.
 """
 
 from matplotlib.figure import Figure

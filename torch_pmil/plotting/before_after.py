@@ -1,8 +1,9 @@
-"""Recordings before and after a step that conditions them."""
+"""Recordings before and after a step that prepares them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -21,21 +22,23 @@ def plot_before_after(
     title: str = "after",
     markers: bool = False,
 ) -> Figure:
-    """All trajectories over time, what they were on the left and what became of them on the right,
-    one row an entry.
+    """All trajectories over time, before a step on the left and after it on the right.
+
+    There is one row for each entry.
 
     Args:
-        names: of the M entries.
-        units: of those entries.
-        before: times (T_n,), in s, and values (T_n, M) of each trajectory.
-        after: the same, at times of their own. An entry that is only in one of them, as a velocity
-            that was derived, is told by a value (T_n, M' <= M) of the other: the first M' entries.
-        title: what was done, above the right column.
+        names: names of the M entries.
+        units: units of the M entries.
+        before: times (T_n,), in s, and values (T_n, M) of each trajectory. If the last entries were
+            not recorded, such as a velocity that the step derives, values (T_n, M') hold the first
+            M' <= M entries.
+        after: times and values of each trajectory after the step, like ``before``.
+        title: title of the right column, which says what was done.
         markers: whether each sample is marked.
 
     Raises:
-        ValueError: there is no trajectory, or one has more entries than there are names, or as many
-            values as no times.
+        ValueError: there is no trajectory, or one has more entries than there are names, or
+            different numbers of values and times.
 
     Example:
         >>> import torch
@@ -45,12 +48,8 @@ def plot_before_after(
         ['x (m)', '']
     """
     for number, (times, values) in enumerate([*before, *after]):
-        if (
-            values.ndim != 2
-            or len(times) != len(values)
-            or values.shape[1] > len(names)
-            or len(names) != len(units)
-        ):
+        paired = values.ndim == 2 and len(times) == len(values)
+        if not paired or values.shape[1] > len(names) or len(names) != len(units):
             raise ValueError(
                 f"trajectory {number} must have times (T,) and values (T, M) with M of at most "
                 f"{len(names)} names with {len(units)} units, got {tuple(times.shape)} and "
@@ -74,23 +73,9 @@ def plot_before_after(
 def _draw(panel: Axes, trajectories: Sequence[Timed], entry: int, markers: bool) -> None:
     style(panel)
     shown = [(times, values[:, entry]) for times, values in trajectories if entry < values.shape[1]]
+    marker = "." if markers else None
     for times, values in shown:
-        panel.plot(
-            times,
-            values,
-            color=BLUE,
-            linewidth=1.0,
-            alpha=0.8,
-            marker="." if markers else None,
-            markersize=3,
-        )
+        panel.plot(times, values, color=BLUE, linewidth=1.0, alpha=0.8, marker=marker, markersize=3)
     if not shown:
-        panel.text(
-            0.5,
-            0.5,
-            "not recorded",
-            transform=panel.transAxes,
-            ha="center",
-            va="center",
-            color="0.4",
-        )
+        middle: dict[str, Any] = {"transform": panel.transAxes, "ha": "center", "va": "center"}
+        panel.text(0.5, 0.5, "not recorded", color="0.4", **middle)

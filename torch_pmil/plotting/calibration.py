@@ -1,4 +1,4 @@
-"""How sure a model is, against how right it is."""
+"""Figure of a model's calibration: how sure it is, against how right it is."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from torch import Tensor
 from torch_pmil.model.calibration import observed_coverage
 from torch_pmil.plotting.style import DARK, GREY, SERIES, style
 
-INTERVALS = 50  # that the reliability diagram's lines are drawn through
+INTERVALS = 50  # number of intervals of the reliability diagram
 
 
 def plot_calibration(names: Sequence[str], time_step: float, residuals: Tensor) -> Figure:
-    """Whether errors are as large as a model says: how many lie in its intervals, and their size
-    over time.
+    """Calibration of a model: how many errors lie in its intervals, and their size over time.
 
     On the left the reliability diagram: the fraction of errors inside the central interval that
     should hold them with a given probability. Below the diagonal the model is too sure of itself,
@@ -28,16 +27,17 @@ def plot_calibration(names: Sequence[str], time_step: float, residuals: Tensor) 
     deviations, over the rollouts at each time: 1 where the model is as right as it says.
 
     Args:
-        names: of the D entries of the state.
+        names: names of the D entries of the state.
         time_step: seconds between two samples; the first one shown is t = 1.
         residuals: errors in predicted standard deviations at t = 1..T of N rollouts, (N, T, D), see
             :func:`~torch_pmil.model.calibration.standardised_residuals`.
 
     Raises:
-        ValueError: the residuals are not those of that many entries.
+        ValueError: the residuals do not have that many entries.
 
     Example:
-        >>> figure = plot_calibration(("q", "dq"), 0.1, torch.randn(5, 25, 2, generator=torch.Generator().manual_seed(0)))
+        >>> residuals = torch.randn(5, 25, 2, generator=torch.Generator().manual_seed(0))
+        >>> figure = plot_calibration(("q", "dq"), 0.1, residuals)
         >>> [panel.get_ylabel() for panel in figure.axes]
         ['errors inside (%)', 'rms error (predicted std)']
     """

@@ -1,4 +1,4 @@
-"""Errors of models."""
+"""Figure of the errors of models."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from torch_pmil.plotting.style import BLUE, VERMILLION, draw_range, style
 def plot_errors_over_data(
     seconds: Sequence[float], panels: Mapping[str, Mapping[str, np.ndarray]]
 ) -> Figure:
-    """Errors of several models over the experience that they were fitted to, mean and range over
-    runs.
+    """Errors of several models over the experience in their fit, mean and range over runs.
 
     Args:
-        seconds: of experience, (K,).
-        panels: by what the error is of, with its unit: errors of each model, (runs, K).
+        seconds: seconds of experience, (K,).
+        panels: the errors of each model, (runs, K), by a label of the error with its unit.
 
     Raises:
-        ValueError: the errors are not of those seconds.
+        ValueError: the errors do not fit the number of seconds.
 
     Example:
         >>> figure = plot_errors_over_data([6.0, 12.0], {"error (rad)": {"a": np.ones((3, 2))}})
@@ -32,9 +31,8 @@ def plot_errors_over_data(
     figure = Figure(figsize=(0.8 + 3.2 * len(panels), 3.0), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for panel, (label, models) in zip(axes, panels.items(), strict=True):
-        for (name, errors), (colour, marker) in zip(
-            models.items(), cycle(((VERMILLION, "s"), (BLUE, "o"))), strict=False
-        ):
+        looks = cycle(((VERMILLION, "s"), (BLUE, "o")))
+        for (name, errors), (colour, marker) in zip(models.items(), looks, strict=False):
             if errors.shape[1:] != (len(seconds),):
                 raise ValueError(
                     f"errors of {name} must be (runs, {len(seconds)}), got {errors.shape}"

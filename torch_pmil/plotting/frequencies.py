@@ -1,4 +1,4 @@
-"""Scores over sampling frequencies."""
+"""Figure of scores over sampling frequencies."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)  # Hz
 def plot_frequencies(
     frequencies: Sequence[float], scores: Mapping[str, tuple[Sequence[float], Sequence[float]]]
 ) -> Figure:
-    """Predictive log-likelihood over the sampling frequency, with its interval, one panel a form
-    (Figure 9).
+    """Predictive log-likelihood with its interval over the sampling frequency (Figure 9).
+
+    There is one panel for each form of the score.
 
     Args:
-        frequencies: in Hz, F of them.
-        scores: by the title of a panel: means and half widths of their intervals, F each, in nats
-            for each transition and output.
+        frequencies: F frequencies in Hz.
+        scores: means and half widths of their intervals, F each, in nats for each transition and
+            output, by the title of their panel.
 
     Raises:
         ValueError: there are not as many scores as frequencies.

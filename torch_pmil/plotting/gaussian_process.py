@@ -1,4 +1,4 @@
-"""A Gaussian process of one input and one output, and what it makes of an uncertain input."""
+"""Figures of a Gaussian process of one input and one output, and of its uncertain input."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ INPUT, OUTPUT = "state and action $\\tilde{x}_t$", "next state $x_{t+1}$"
 def plot_gp(
     inputs: Tensor, targets: Tensor, grid: Tensor, posterior: Gaussian, test_input: float
 ) -> Figure:
-    """A GP with its data and its uncertainty, and a test input where there are none (Figure 2).
+    """A GP with its data and its uncertainty, and a test input where there are no data (Figure 2).
 
     Args:
-        inputs, targets: of the data, (n,) each.
-        grid: where the posterior is drawn, (K,).
-        posterior: there, mean (K, 1) and cov (K, 1, 1).
-        test_input: marked by a line.
+        inputs, targets: inputs and targets of the data, (n,) each.
+        grid: inputs at which the posterior is drawn, (K,).
+        posterior: posterior at the grid, mean (K, 1) and cov (K, 1, 1).
+        test_input: an input that is marked by a line.
 
     Raises:
         ValueError: shapes do not fit each other.
 
     Example:
         >>> import torch
-        >>> figure = plot_gp(torch.zeros(1), torch.zeros(1), torch.arange(3), Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1)), 2.0)
+        >>> posterior = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
+        >>> figure = plot_gp(torch.zeros(1), torch.zeros(1), torch.arange(3), posterior, 2.0)
         >>> [text.get_text() for text in figure.legends[0].get_texts()]
         ['mean', '± 2 std', 'data', 'test input']
     """
@@ -60,14 +61,15 @@ def plot_gp(
 def plot_moment_matching(
     grid: Tensor, posterior: Gaussian, belief: Gaussian, samples: Tensor, matched: Gaussian
 ) -> Figure:
-    """A Gaussian input through a GP: its exact distribution, as a histogram, and the Gaussian of
-    the same moments (Figure 4).
+    """Exact output distribution of a GP at a Gaussian input, and its moment matching (Figure 4).
+
+    The exact distribution is a histogram; the Gaussian beside it has the same moments.
 
     Args:
-        grid: inputs where the posterior is drawn, (K,).
-        posterior: there, mean (K, 1) and cov (K, 1, 1).
-        belief: over the input, mean (1,) and cov (1, 1).
-        samples: of the output at that uncertain input, (S,).
+        grid: inputs at which the posterior is drawn, (K,).
+        posterior: posterior at the grid, mean (K, 1) and cov (K, 1, 1).
+        belief: belief over the input, mean (1,) and cov (1, 1).
+        samples: samples of the output at that uncertain input, (S,).
         matched: belief over the output by moment matching, mean (1,) and cov (1, 1).
 
     Raises:
@@ -77,7 +79,8 @@ def plot_moment_matching(
         >>> import torch
         >>> one = Gaussian(torch.zeros(1), torch.ones(1, 1))
         >>> posterior = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
-        >>> figure = plot_moment_matching(torch.linspace(-3, 3, 3), posterior, one, torch.linspace(-2, 2, 9), one)
+        >>> grid, samples = torch.linspace(-3, 3, 3), torch.linspace(-2, 2, 9)
+        >>> figure = plot_moment_matching(grid, posterior, one, samples, one)
         >>> [text.get_text() for text in figure.legends[0].get_texts()]
         ['mean', '± 2 std', 'exact, by sampling', 'moment matching', 'input']
     """
@@ -124,7 +127,7 @@ def plot_moment_matching(
 
 
 def _draw_posterior(panel: Axes, grid: Tensor, posterior: Gaussian) -> None:
-    """Mean and band of a GP over its input."""
+    """Draw mean and band of a GP over its input."""
     if posterior.mean.shape != (len(grid), 1):
         raise ValueError(
             f"posterior must have a mean of shape {(len(grid), 1)}, a row for a point of the grid, "
@@ -146,6 +149,6 @@ def _draw_posterior(panel: Axes, grid: Tensor, posterior: Gaussian) -> None:
 
 
 def _density(belief: Gaussian, points: np.ndarray) -> np.ndarray:
-    """Of a belief over one entry, at points (K,)."""
+    """Density of a belief over one entry, at points (K,)."""
     mean, std = belief.mean.item(), belief.std.item()
     return np.exp(-(((points - mean) / std) ** 2) / 2) / (std * np.sqrt(2 * np.pi))

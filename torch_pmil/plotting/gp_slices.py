@@ -1,4 +1,4 @@
-"""Slices through a fitted model of the robot."""
+"""Figure of slices through a fitted model of the robot."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from torch import Tensor
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.plotting.style import BAND, DARK, GREY, VERMILLION, style
 
-POINTS = 200  # of each slice
-BEYOND = 0.15  # how far a slice goes beyond the data, in their range
+POINTS = 200  # points of each slice
+BEYOND = 0.15  # how far a slice goes beyond the data, as a fraction of their range
 
 
 @torch.no_grad()
@@ -26,24 +26,25 @@ def plot_gp_slices(
     output_units: Sequence[str],
     over: Sequence[int] | None = None,
 ) -> Figure:
-    """Each output of a model over one of its inputs, the others held at a point: a row for each
-    output, a column for each input.
+    """Each output of a model over each of its inputs, the other inputs held at a point.
 
-    Drawn are the mean and two standard deviations of the next observation, the noise included, and
-    the data as partial residuals: each as far above the mean as the model leaves it, at its own
-    place on the axis. Their opacity is the correlation that the model sees between them and the
-    slice: faint data have other inputs that are far from the point.
+    There is a row for each output and a column for each input. Drawn are the mean and two standard
+    deviations of the next observation, the noise included, and the data as partial residuals: each
+    as far above the mean as the model leaves it, at its own place on the axis. Their opacity is the
+    correlation that the model sees between them and the slice: faint data have other inputs that
+    are far from the point.
 
     Args:
-        dynamics: fitted to data.
-        point: where the slices meet, (D' + F,), in the units of the inputs.
-        input_names: of the D' + F inputs.
-        output_names: of the D entries of the state.
-        output_units: of those entries.
+        dynamics: a model that is fitted to data.
+        point: the point where the slices meet, (D' + F,), in the units of the inputs.
+        input_names: names of the D' + F inputs.
+        output_names: names of the D entries of the state.
+        output_units: units of the D entries of the state.
         over: inputs that have a column; all if None.
 
     Raises:
-        ValueError: point or names do not fit the model, or an input in ``over`` is none of it.
+        ValueError: point or names do not fit the model, or ``over`` names an input that it does not
+            have.
         RuntimeError: the model has no data.
 
     Example:
@@ -76,7 +77,7 @@ def plot_gp_slices(
 
 
 def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, output: int) -> None:
-    """One output over one input."""
+    """Draw one output over one input."""
     style(panel)
     grid = _grid(dynamics.expansion.inputs[:, entry])
     mean, variance = dynamics.expansion.predict(_along(point, entry, grid))
@@ -101,7 +102,7 @@ def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, ou
 
 
 def _draw_data(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, output: int) -> None:
-    """Partial residuals, as opaque as the model correlates the data with the slice."""
+    """Draw partial residuals, as opaque as the model correlates the data with the slice."""
     inputs, targets, model = dynamics.train_inputs, dynamics.train_targets, dynamics.expansion
     others = torch.arange(dynamics.num_inputs) != entry
     distance = ((inputs - point) / model.lengthscales[output])[:, others]
@@ -127,7 +128,7 @@ def _along(point: Tensor, entry: int, values: Tensor) -> Tensor:
 
 
 def _grid(data: Tensor) -> Tensor:
-    """Evenly from below the least of the data to above the largest."""
+    """Evenly spaced values from below the least of the data to above the largest."""
     low, high = data.aminmax()
     margin = BEYOND * (high - low).item()
     return torch.linspace(low.item() - margin, high.item() + margin, POINTS, dtype=torch.float64)
@@ -142,11 +143,8 @@ def _check(
     over: Sequence[int],
 ) -> None:
     inputs, outputs = dynamics.num_inputs, dynamics.num_outputs
-    if (
-        point.shape != (inputs,)
-        or len(input_names) != inputs
-        or not len(output_names) == len(output_units) == outputs
-    ):
+    fits_inputs = point.shape == (inputs,) and len(input_names) == inputs
+    if not (fits_inputs and len(output_names) == len(output_units) == outputs):
         raise ValueError(
             f"point and input_names must have {inputs} entries, output_names and output_units "
             f"{outputs}, got {tuple(point.shape)}, {len(input_names)}, {len(output_names)} and "

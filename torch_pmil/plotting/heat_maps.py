@@ -1,4 +1,4 @@
-"""How well a policy does at each of many targets."""
+"""Figure of how well a policy does at each of many targets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 
 from torch_pmil.plotting.style import DARK
 
-COLOURS = "viridis"  # which colour-blind readers can read, and in grey
+COLOURS = "viridis"  # readable for colour-blind readers, and in grey
 PANEL_WIDTH = 2.8  # inches
 LABEL_WIDTH = 22  # characters, beside a colour bar of that height
 
@@ -31,20 +31,19 @@ def plot_heat_map(
     value: str,
     picture: np.ndarray | None = None,
 ) -> Figure:
-    """A value at each target of a regular grid, as a filled cell, and where the target was reached
-    (Figure 11).
+    """A value at each target of a regular grid as a filled cell, with the successes (Figure 11).
 
     Several maps, of several methods, are side by side with one colour scale, which begins at 0.
 
     Args:
         x, y: coordinates of the grid, evenly spaced and increasing, (C,) and (R,).
-        maps: by the title of a panel: the values (R, C), not negative, and whether the target was
-            reached, (R, C), bool.
-        training_targets: white discs, their convex hull outlined, (S, 2).
-        labels: of the two axes, with their units.
-        value: what is shown, with its unit: the label of the colour bar.
-        picture: of the set-up, on the left, (height, width, 3), uint8; the panels are then lettered
-            (a), (b), ...
+        maps: the values (R, C), not negative, and whether the target was reached, (R, C), bool, by
+            the title of their panel.
+        training_targets: targets that are drawn as white discs, their convex hull outlined, (S, 2).
+        labels: labels of the two axes, with their units.
+        value: label of the colour bar, which says what is shown, with its unit.
+        picture: picture of the set-up for the left, (height, width, 3), uint8; the panels are then
+            lettered (a), (b), ...
 
     Raises:
         ValueError: the grid is not evenly spaced, or values, successes or targets have another
@@ -52,41 +51,30 @@ def plot_heat_map(
 
     Example:
         >>> near = np.array([[0.1, 0.3], [0.2, 0.4]])
+        >>> grid, labels = [0.0, 0.5], ("x (m)", "y (m)")
+        >>> maps = {"ours": (near, near < 0.25)}
         >>> figure = plot_heat_map(
-        ...     [0.0, 0.5], [0.0, 0.5], {"ours": (near, near < 0.25)}, np.zeros((1, 2)), labels=("x (m)", "y (m)"), value="distance (m)"
+        ...     grid, grid, maps, np.zeros((1, 2)), labels=labels, value="distance (m)"
         ... )
         >>> figure.axes[0].get_title(loc="left")
         'ours'
     """
-    x, y, training_targets = (
-        np.asarray(x, dtype=float),
-        np.asarray(y, dtype=float),
-        np.asarray(training_targets, dtype=float),
-    )
+    x, y, training_targets = (np.asarray(a, dtype=float) for a in (x, y, training_targets))
     _check(x, y, maps, training_targets)
     columns = len(maps) + (picture is not None)
-    aspects = [_width(y) / _width(x)] + (
-        [] if picture is None else [0.85 * picture.shape[0] / picture.shape[1]]
-    )
-    figure = Figure(
-        figsize=(PANEL_WIDTH * columns + 1.4, PANEL_WIDTH * max(aspects) + 1.0), layout="compressed"
-    )
+    aspect = _width(y) / _width(x)
+    if picture is not None:
+        aspect = max(aspect, 0.85 * picture.shape[0] / picture.shape[1])
+    figsize = PANEL_WIDTH * columns + 1.4, PANEL_WIDTH * aspect + 1.0
+    figure = Figure(figsize=figsize, layout="compressed")
     panels = list(figure.subplots(1, columns, squeeze=False)[0])
     letters = _letters() if picture is not None else iter(lambda: "", None)
     if picture is not None:
         _draw_picture(panels.pop(0), picture, next(letters))
     scale = Normalize(0.0, max(values.max() for values, _ in maps.values()))
     for panel, (title, (values, reached)) in zip(panels, maps.items(), strict=True):
-        panel.pcolormesh(
-            x,
-            y,
-            values,
-            cmap=COLOURS,
-            norm=scale,
-            shading="nearest",
-            edgecolors="face",
-            linewidth=0.1,
-        )
+        cells: dict[str, Any] = {"shading": "nearest", "edgecolors": "face", "linewidth": 0.1}
+        panel.pcolormesh(x, y, values, cmap=COLOURS, norm=scale, **cells)
         _draw_training_targets(panel, training_targets)
         _draw_successes(panel, x, y, reached)
         panel.set(xlabel=labels[0], aspect="equal")
@@ -104,12 +92,12 @@ def plot_heat_map(
 
 
 def _width(places: np.ndarray) -> float:
-    """Of all cells together."""
+    """Width of all cells together."""
     return (places[-1] - places[0]) * len(places) / (len(places) - 1)
 
 
 def _draw_successes(panel: Axes, x: np.ndarray, y: np.ndarray, reached: np.ndarray) -> None:
-    """A dot at each grid point that was reached, (R, C), a cross at the others."""
+    """Draw a dot at each grid point that was reached, (R, C), and a cross at the others."""
     across, up = np.meshgrid(x, y)
     kinds = (("o", 4.5, reached, "reached"), ("X", 6.5, ~reached, "missed"))
     for marker, size, chosen, label in kinds:
@@ -123,7 +111,7 @@ def _draw_successes(panel: Axes, x: np.ndarray, y: np.ndarray, reached: np.ndarr
 
 
 def _draw_training_targets(panel: Axes, targets: np.ndarray) -> None:
-    """White discs, larger than the marks of the grid, and their convex hull."""
+    """Draw white discs, larger than the marks of the grid, and their convex hull."""
     corners = _hull(targets)
     panel.plot(*corners, color=DARK, linewidth=3.0, zorder=2)
     panel.plot(*corners, color="white", linewidth=1.4, zorder=2)
@@ -137,8 +125,9 @@ def _draw_training_targets(panel: Axes, targets: np.ndarray) -> None:
 
 
 def _hull(points: np.ndarray) -> np.ndarray:
-    """Corners of the convex hull of points (S, 2), the first one again at the end, (2, K); both
-    ends where all are on one line.
+    """Corners of the convex hull of points (S, 2), the first one again at the end, (2, K).
+
+    They are both ends where all points are on one line.
     """
     if np.linalg.matrix_rank(points - points[0]) < 2:
         return points[np.lexsort(points.T)][[0, -1]].T
@@ -165,12 +154,8 @@ def _check(
 ) -> None:
     for name, places in (("x", x), ("y", y)):
         steps = np.diff(places)
-        if (
-            places.ndim != 1
-            or not len(steps)
-            or not (steps > 0).all()
-            or not np.allclose(steps, steps[0])
-        ):
+        increasing = places.ndim == 1 and len(steps) > 0 and (steps > 0).all()
+        if not (increasing and np.allclose(steps, steps[0])):
             raise ValueError(
                 f"{name} must be at least two increasing, evenly spaced coordinates, got "
                 f"{places.tolist()}"
@@ -184,10 +169,10 @@ def _check(
                 f"values and successes of {title} must be numbers and bools {shape}, got "
                 f"{values.shape} and {reached.dtype} {reached.shape}"
             )
-        if not (np.isfinite(values) & (values >= 0)).all():
+        allowed = np.isfinite(values) & (values >= 0)
+        if not allowed.all():
             raise ValueError(
-                f"values of {title} must be finite and not negative, got "
-                f"{values[~(np.isfinite(values) & (values >= 0))][0]}"
+                f"values of {title} must be finite and not negative, got {values[~allowed][0]}"
             )
     if training_targets.ndim != 2 or training_targets.shape[1] != 2 or not len(training_targets):
         raise ValueError(f"training_targets must be (S, 2), got {training_targets.shape}")

@@ -1,4 +1,4 @@
-"""Where a KL divergence comes from."""
+"""Figure of the terms of a KL divergence."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from torch_pmil.search.kl import gaussian_kl_terms
 def plot_kl_per_step(
     names: Sequence[str], time_step: float, demonstrated: Gaussian, predicted: Gaussian
 ) -> Figure:
-    """The KL divergence of each time step, stacked by what it comes from; the stacks' heights sum
-    to the KL of the trajectory (Eq. 20).
+    """The KL divergence of each time step, stacked by its terms (Eq. 20).
 
-    Above: means that differ, and covariances that differ. Below: the entries of the match space,
+    The stacks' heights sum to the KL of the trajectory. The upper panel shows the terms of means
+    that differ and of covariances that differ. The lower one shows the entries of the match space,
     each given those before it (:func:`~torch_pmil.search.kl.gaussian_kl_terms`).
 
     Args:
-        names: of the M entries of the match space.
+        names: names of the M entries of the match space.
         time_step: seconds between two samples; the first one shown is t = 1.
-        demonstrated: demonstrated marginals at t = 1..T, mean (T, M), observation noise included.
+        demonstrated: demonstrated marginals at t = 1..T, mean (T, M), with observation noise.
         predicted: predicted marginals of the same shape, with the same noise.
 
     Raises:
@@ -36,7 +36,8 @@ def plot_kl_per_step(
     Example:
         >>> import torch
         >>> belief = Gaussian(torch.zeros(5, 2), torch.eye(2).expand(5, 2, 2))
-        >>> figure = plot_kl_per_step(("q", "dq"), 0.1, belief, Gaussian(belief.mean + 1, belief.cov))
+        >>> shifted = Gaussian(belief.mean + 1, belief.cov)
+        >>> figure = plot_kl_per_step(("q", "dq"), 0.1, belief, shifted)
         >>> figure.axes[0].get_title(loc="left")
         'KL of the trajectory: 5.0 nats'
     """
@@ -54,18 +55,12 @@ def plot_kl_per_step(
     time = time_step * np.arange(1, len(mean) + 1)
     figure = Figure(figsize=(6.0, 4.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
-    _draw_stack(
-        upper,
-        time,
-        {"means differ": mean.sum(1), "spreads differ": spread.sum(1)},
-        (VERMILLION, BLUE),
-    )
-    _draw_stack(
-        lower, time, dict(zip(names, (mean + spread).T, strict=True)), COLOURS, "given those below"
-    )
-    upper.set_title(
-        f"KL of the trajectory: {(mean + spread).sum():.1f} nats", loc="left", fontsize="medium"
-    )
+    by_kind = {"means differ": mean.sum(1), "spreads differ": spread.sum(1)}
+    by_entry = dict(zip(names, (mean + spread).T, strict=True))
+    _draw_stack(upper, time, by_kind, (VERMILLION, BLUE))
+    _draw_stack(lower, time, by_entry, COLOURS, "given those below")
+    title = f"KL of the trajectory: {(mean + spread).sum():.1f} nats"
+    upper.set_title(title, loc="left", fontsize="medium")
     lower.set_xlabel("time (s)")
     return figure
 
@@ -77,7 +72,7 @@ def _draw_stack(
     colours: Sequence[str],
     heading: str = "",
 ) -> None:
-    """Bars at every multiple of the first time, one part on the other."""
+    """Draw bars at every multiple of the first time, one part on the other."""
     style(panel)
     below, width = np.zeros_like(time), 0.85 * time[0]
     for index, (name, heights) in enumerate(parts.items()):

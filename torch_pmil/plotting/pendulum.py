@@ -1,8 +1,9 @@
-"""Pictures of a double pendulum."""
+"""Figures and pictures of a double pendulum."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -16,15 +17,14 @@ from torch import Tensor
 
 from torch_pmil.plotting.style import BLUE, DARK, GREY, ORANGE, style
 
-LATE_IS_DARK = ListedColormap(
-    mpl.colormaps["viridis_r"](np.linspace(0.12, 1, 256))
-)  # without the faintest yellow
+# colours of times, without the faintest yellow
+LATE_IS_DARK = ListedColormap(mpl.colormaps["viridis_r"](np.linspace(0.12, 1, 256)))
 ROOM = 1.15  # half the side of a picture of the pendulum, in lengths of the stretched pendulum
 TRAIL = 25  # frames of the tip's past that an animation shows
 
 
 def plot_poses(positions: Tensor, time_step: float) -> Figure:
-    """The poses of a double pendulum during one rollout, coloured by time (Figure 5).
+    """Poses of a double pendulum during one rollout, coloured by time (Figure 5).
 
     Args:
         positions: link ends [x1, y1, x2, y2] in m, (T + 1, 4), from t = 0; the base is at the
@@ -36,7 +36,8 @@ def plot_poses(positions: Tensor, time_step: float) -> Figure:
 
     Example:
         >>> import torch
-        >>> plot_poses(torch.tensor([[0.0, -0.5, 0.0, -1.0], [0.0, 0.5, 0.0, 1.0]]), 0.1).axes[0].get_xlabel()
+        >>> positions = torch.tensor([[0.0, -0.5, 0.0, -1.0], [0.0, 0.5, 0.0, 1.0]])
+        >>> plot_poses(positions, 0.1).axes[0].get_xlabel()
         'x (m)'
     """
     joints = _joints(positions)
@@ -44,9 +45,8 @@ def plot_poses(positions: Tensor, time_step: float) -> Figure:
     colours = ScalarMappable(Normalize(0, time_step * (len(joints) - 1)), LATE_IS_DARK)
     figure = Figure(figsize=(5.4, 4.6), layout="constrained")
     panel = figure.subplots()
-    for pose, colour in zip(
-        joints, map(tuple, colours.to_rgba(time_step * np.arange(len(joints)))), strict=True
-    ):
+    times = time_step * np.arange(len(joints))
+    for pose, colour in zip(joints, map(tuple, colours.to_rgba(times)), strict=True):
         panel.plot(
             *pose.T, color=colour, linewidth=2.2, solid_capstyle="round", marker="o", markersize=3.5
         )
@@ -87,12 +87,10 @@ def pendulum_frames(positions: Tensor, time_step: float, size: int = 480) -> Ite
         panel.plot([], [], color=colour, linewidth=2.4, solid_capstyle="round")[0]
         for colour in (BLUE, ORANGE)
     ]
-    hubs = panel.plot(
-        [], [], color=DARK, linestyle="", marker="o", markersize=2.2, markeredgewidth=0
-    )[0]
-    clock = panel.text(
-        0.04, 0.95, "", transform=panel.transAxes, fontsize=3.2, color=GREY, va="top"
-    )
+    disc: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 2.2, "markeredgewidth": 0}
+    hubs = panel.plot([], [], color=DARK, **disc)[0]
+    corner: dict[str, Any] = {"transform": panel.transAxes, "va": "top"}
+    clock = panel.text(0.04, 0.95, "", fontsize=3.2, color=GREY, **corner)
     for number, pose in enumerate(joints):
         trail.set_data(*joints[max(0, number - TRAIL) : number + 1, 2].T)
         for link, ends in zip(links, (pose[:2], pose[1:]), strict=True):
@@ -126,7 +124,6 @@ def _stage(size: int, reach: float) -> tuple[FigureCanvasAgg, Axes]:
     canvas = FigureCanvasAgg(figure)
     panel = figure.add_axes((0, 0, 1, 1), xlim=(-reach, reach), ylim=(-reach, reach))
     panel.set_axis_off()
-    panel.add_patch(
-        Circle((0, 0), reach / ROOM, facecolor="white", edgecolor="#D5DCE3", linewidth=0.2)
-    )
+    look: dict[str, Any] = {"facecolor": "white", "edgecolor": "#D5DCE3", "linewidth": 0.2}
+    panel.add_patch(Circle((0, 0), reach / ROOM, **look))
     return canvas, panel

@@ -1,4 +1,4 @@
-"""Series of pictures."""
+"""Figures of series of pictures."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ def plot_photo_series(rows: Mapping[str, Sequence[np.ndarray]], times: Sequence[
 
     Args:
         rows: K pictures (height, width, 3) of each motion, uint8, by its name.
-        times: of the columns, (K,), s.
+        times: times of the columns, (K,), s.
 
     Raises:
         ValueError: a row has another number of pictures.
 
     Example:
-        >>> picture = np.zeros((8, 8, 3), dtype=np.uint8)
-        >>> len(plot_photo_series({"shown": [picture] * 2, "learned": [picture] * 2}, (0.0, 0.5)).axes)
+        >>> pictures = [np.zeros((8, 8, 3), dtype=np.uint8)] * 2
+        >>> figure = plot_photo_series({"shown": pictures, "learned": pictures}, (0.0, 0.5))
+        >>> len(figure.axes)
         4
     """
     for name, pictures in rows.items():

@@ -1,4 +1,4 @@
-"""What a policy does in planes of the state space."""
+"""Figure of a policy's torques in planes of the state space."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from torch import Tensor
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.plotting.style import DARK
 
-COLOURS = ListedColormap(
-    mpl.colormaps["RdBu_r"](np.linspace(0.1, 0.9, 21))
-)  # white at no torque, without the darkest, on which arrows fade
-CELLS, ARROWS = 61, 13  # on each axis
+# white at no torque, without the darkest colours, on which arrows fade
+COLOURS = ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.1, 0.9, 21)))
+CELLS, ARROWS = 61, 13  # numbers on each axis
 Successor = Callable[[Tensor], Tensor]
 
 
@@ -32,7 +31,7 @@ class Plane:
     Args:
         x, y: entries of the state that vary, such as a joint's position and velocity.
         torque: index of the action's entry.
-        span: from where to where x and y go, ((low, high), (low, high)), in their units.
+        span: ranges of x and y, ((low, high), (low, high)), in their units.
     """
 
     x: int
@@ -49,31 +48,33 @@ def plot_policy(
     titles: Sequence[str],
     successor: Successor | None = None,
 ) -> Figure:
-    """A policy's torque in planes of the state space, as colour, and where the robot goes from
-    there, as arrows.
+    """A policy's torque in planes of the state space as colour, and the robot's motion as arrows.
 
-    A row for each plane, a column for each state at which the entries that do not vary are held;
-    this state is marked.
+    There is a row for each plane and a column for each state at which the entries that do not vary
+    are held; this state is marked.
 
     Args:
-        policy: of a robot without targets (see :meth:`RBFPolicy.for_target` for one with them).
-        planes: what varies.
-        states: K of them, such as a motion's at some times, (K, D).
-        titles: of the K columns.
-        successor: states (N, D) under this policy a control period later, (N, D): a model's, or a
-            simulator's. An arrow shows the change in the plane, all of one panel to one scale.
+        policy: a policy without targets (:meth:`RBFPolicy.for_target` makes it of one with them).
+        planes: the planes, one for each row.
+        states: K states, such as those of a motion at some times, (K, D).
+        titles: titles of the K columns.
+        successor: maps states (N, D) to the states a control period later under this policy, (N,
+            D), by a model or a simulator. An arrow shows the change in the plane, all arrows of a
+            panel to one scale.
 
     Raises:
-        ValueError: states and titles do not fit each other or the policy, or a plane is none of the
-            robot.
+        ValueError: states and titles do not fit each other or the policy, or the robot does not
+            have the entries of a plane.
 
     Example:
         >>> from torch_pmil.control.rbf_policy import RBFPolicy
         >>> from torch_pmil.control.state_space import StateSpace, joint_match
         >>> names, units = ("q", "dq"), ("rad", "rad/s")
         >>> space = StateSpace(names, units, (0,), joint_match(names, units))
-        >>> policy = StatePolicy(RBFPolicy(torch.zeros(5, 3), torch.ones(1), torch.ones(3)), space, control_period=0.1)
-        >>> figure = plot_policy(policy, [Plane(0, 1, 0, ((-3, 3), (-8, 8)))], torch.zeros(1, 2), ["t = 0"])
+        >>> network = RBFPolicy(torch.zeros(5, 3), torch.ones(1), torch.ones(3))
+        >>> policy = StatePolicy(network, space, control_period=0.1)
+        >>> plane = Plane(0, 1, 0, ((-3, 3), (-8, 8)))
+        >>> figure = plot_policy(policy, [plane], torch.zeros(1, 2), ["t = 0"])
         >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
         ('q (rad)', 'dq (rad/s)')
     """
@@ -89,15 +90,8 @@ def plot_policy(
             _draw_torque(panel, policy, plane, state, scale)
             if successor is not None:
                 _draw_flow(panel, successor, plane, state)
-            panel.plot(
-                state[plane.x],
-                state[plane.y],
-                "o",
-                markersize=7,
-                color="white",
-                markeredgecolor=DARK,
-                zorder=4,
-            )
+            at = state[plane.x], state[plane.y]
+            panel.plot(*at, "o", markersize=7, color="white", markeredgecolor=DARK, zorder=4)
             panel.set_xlabel(_label(policy, plane.x))
         row[0].set_ylabel(_label(policy, plane.y))
         figure.colorbar(
@@ -116,24 +110,16 @@ def _draw_torque(
     panel: Axes, policy: StatePolicy, plane: Plane, state: Tensor, scale: Normalize
 ) -> None:
     x, y, states = _grid(plane, state, CELLS)
-    panel.pcolormesh(
-        x,
-        y,
-        policy(states)[..., plane.torque].numpy(),
-        cmap=COLOURS,
-        norm=scale,
-        shading="nearest",
-        rasterized=True,
-    )
+    torque = policy(states)[..., plane.torque].numpy()
+    panel.pcolormesh(x, y, torque, cmap=COLOURS, norm=scale, shading="nearest", rasterized=True)
     panel.set(xlim=plane.span[0], ylim=plane.span[1])
 
 
 def _draw_flow(panel: Axes, successor: Successor, plane: Plane, state: Tensor) -> None:
-    """Arrows of the change in a control period, the longest as long as the arrows are apart."""
+    """Draw arrows of the change in a control period, the longest as long as their distance."""
     x, y, states = _grid(plane, state, ARROWS)
-    change = (successor(states.flatten(0, 1)).view_as(states) - states)[
-        ..., [plane.x, plane.y]
-    ].numpy()
+    following = successor(states.flatten(0, 1)).view_as(states)
+    change = (following - states)[..., [plane.x, plane.y]].numpy()
     widths = np.ptp(np.asarray(plane.span), axis=1)
     right, up = (change / widths).transpose(2, 0, 1)
     longest = np.hypot(right, up).max() or 1.0
@@ -149,8 +135,9 @@ def _draw_flow(panel: Axes, successor: Successor, plane: Plane, state: Tensor) -
 
 
 def _grid(plane: Plane, state: Tensor, count: int) -> tuple[np.ndarray, np.ndarray, Tensor]:
-    """Middles of count x count equal cells of the plane, and the states there, (count, count, D), y
-    first.
+    """Middles of count x count equal cells of the plane, and states (count, count, D) there.
+
+    The first axis of the states is y.
     """
     x, y = (
         low + (high - low) * (torch.arange(count, dtype=torch.float64) + 0.5) / count

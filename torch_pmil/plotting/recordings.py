@@ -1,4 +1,4 @@
-"""Demonstrations as they were recorded."""
+"""Figure of demonstrations as they were recorded."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLIO
 
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, DARK)
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1)))
-TOLD_APART = len(COLOURS) * len(DASHES)  # demonstrations; more are all of one colour
-TICKS = 6  # of the lower axis of a path, at most: more labels would touch
-ENDS = {"start": (0, "o"), "end": (-1, "x")}  # of a path: its sample and marker
+TOLD_APART = len(COLOURS) * len(DASHES)  # more demonstrations than this are all of one colour
+TICKS = 6  # most ticks on the lower axis of a path: more labels would touch
+ENDS = {"start": (0, "o"), "end": (-1, "x")}  # sample and marker of each end of a path
 WIDTH, LINE = 10, 8  # characters in an inch of the legend, and those that a line in it takes
 
 
@@ -30,15 +30,16 @@ def plot_recordings(
     names: Sequence[str],
     units: Sequence[str] = (),
 ) -> Figure:
-    """Each entry of all demonstrations over the time since its start, and the path of each pair of
-    entries x..., y... in their plane.
+    """Entries of all demonstrations over the time since their start, and paths in planes.
+
+    The path of each pair of entries x..., y... is drawn in their plane.
 
     Args:
-        labels: of the N demonstrations.
-        times: of the samples of each, in s, (T_n,).
-        values: what was observed, (T_n, M).
-        names: of the M entries.
-        units: of the entries; none if they are not known.
+        labels: labels of the N demonstrations.
+        times: times of the samples of each demonstration, in s, (T_n,).
+        values: observations of each demonstration, (T_n, M).
+        names: names of the M entries.
+        units: units of the M entries; empty if they are not known.
 
     Raises:
         ValueError: numbers of labels, times and values, or of names, units and entries, differ.
@@ -46,15 +47,14 @@ def plot_recordings(
     Example:
         >>> import torch
         >>> time = torch.linspace(0, 1, 11)
-        >>> figure = plot_recordings(["1"], [time], [torch.stack([time, time**2], 1)], ["x", "y"], ["m", "m"])
+        >>> path = torch.stack([time, time**2], 1)
+        >>> figure = plot_recordings(["1"], [time], [path], ["x", "y"], ["m", "m"])
         >>> [panel.get_ylabel() for panel in figure.axes]
         ['x (m)', 'y (m)', 'y (m)']
     """
-    texts = (
-        [f"{name} ({unit})" for name, unit in zip(names, units, strict=True)]
-        if units
-        else list(names)
-    )
+    texts = list(names)
+    if units:
+        texts = [f"{name} ({unit})" for name, unit in zip(names, units, strict=True)]
     if not len(labels) == len(times) == len(values) or values[0].shape[1] != len(texts):
         raise ValueError(
             f"{len(labels)} labels and {len(names)} names must be those of {len(values)} "
@@ -70,15 +70,8 @@ def plot_recordings(
     if len(labels) <= TOLD_APART:
         handles, told = panels[0].get_legend_handles_labels()
         rows = math.ceil(sum(len(label) + LINE for label in told) / (WIDTH * figure.get_figwidth()))
-        ncols = math.ceil(len(told) / rows)
-        figure.legend(
-            handles,
-            told,
-            title="demonstration",
-            loc="outside upper center",
-            ncols=ncols,
-            frameon=False,
-        )
+        form: dict[str, Any] = {"ncols": math.ceil(len(told) / rows), "frameon": False}
+        figure.legend(handles, told, title="demonstration", loc="outside upper center", **form)
     return figure
 
 
@@ -92,7 +85,7 @@ def _pairs(names: Sequence[str]) -> list[tuple[int, int]]:
 
 
 def _looks(count: int) -> list[dict[str, Any]]:
-    """Colours and dashes that are told apart, or one thin colour for all."""
+    """Colours and dashes that can be told apart, or one thin colour for all."""
     if count > TOLD_APART:
         return count * [{"color": GREY, "alpha": 0.4}]
     return [
@@ -104,18 +97,15 @@ def _looks(count: int) -> list[dict[str, Any]]:
 def _layout(
     texts: Sequence[str], pairs: Sequence[tuple[int, int]]
 ) -> tuple[Figure, list[Axes], list[Axes]]:
-    """Panels over time on the left, planes on the right."""
+    """Figure with panels over time on the left and planes on the right."""
     rows = max(min(len(texts), 2), round(len(texts) ** 0.5))
     columns = -(-len(texts) // rows)
     height = 0.9 + 2.0 * rows
     side = (height - 0.9) / len(pairs) if pairs else 0.0
-    figure = Figure(
-        figsize=(0.6 + 3.4 * columns + 1.15 * side, height),
-        layout=ConstrainedLayoutEngine(w_pad=0.08),
-    )
-    grid = figure.add_gridspec(
-        1, 1 + bool(pairs), width_ratios=[3.4 * columns, 1.15 * side] if pairs else None
-    )
+    figsize = 0.6 + 3.4 * columns + 1.15 * side, height
+    figure = Figure(figsize=figsize, layout=ConstrainedLayoutEngine(w_pad=0.08))
+    ratios = [3.4 * columns, 1.15 * side] if pairs else None
+    grid = figure.add_gridspec(1, 1 + bool(pairs), width_ratios=ratios)
     times = grid[0].subgridspec(rows, columns)
     panels = [figure.add_subplot(times[number]) for number in range(len(texts))]
     right = grid[-1].subgridspec(max(1, len(pairs)), 1)

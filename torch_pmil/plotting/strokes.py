@@ -1,4 +1,4 @@
-"""Strokes in the plane in which they were written."""
+"""Figure of strokes in the plane in which they were written."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from torch_pmil.plotting.style import BAND, BLUE, DARK, VERMILLION, style
 
 
 def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figure:
-    """Human strokes, the prediction for the learned policy, and what the robot wrote, one panel for
-    each.
+    """Human strokes, the prediction for the learned policy, and the robot's strokes.
 
-    The prediction is an ellipse of two standard deviations at each step.
+    There is one panel for each stroke. The prediction is an ellipse of two standard deviations at
+    each step.
 
     Args:
-        panels: by title, of strokes of people (N, T + 1, 2), marginals of the tip at t = 1..T, mean
-            (T, 2), and strokes of the robot (B, T + 1, 2), all in m, x to the right and y up.
+        panels: strokes of people (N, T + 1, 2), marginals of the tip at t = 1..T, mean (T, 2), and
+            strokes of the robot (B, T + 1, 2), by the title of their panel; all in m, x to the
+            right and y up.
 
     Example:
         >>> import torch

@@ -1,4 +1,4 @@
-"""What all figures have in common: colours, axes, bands, and how they are saved."""
+"""Common parts of all figures: colours, axes, bands, and how they are saved."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from torch_pmil.gp.gaussian import Gaussian
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart
 BLUE, VERMILLION, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#E69F00", "#009E73", "#555555"
-SKY, PURPLE = "#56B4E9", "#CC79A7"  # theirs too
+SKY, PURPLE = "#56B4E9", "#CC79A7"  # of the same palette
 DARK = "#1A1A1A"
-COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE)  # of parts, told further apart by hatches
+COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE)  # of parts, which hatches tell apart too
 HATCHES = (None, "///", "...", "xxx")
 SERIES = tuple(zip(COLOURS, "os^Dvp", strict=True))  # colours and markers of several lines
 BAND = 2  # standard deviations on either side of the mean
@@ -28,8 +28,8 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     """Write a figure as a PNG file with 150 dots per inch, wholly or not at all.
 
     Args:
-        figure: what a function of this module returned.
-        path: of the file; one that is there is replaced.
+        figure: the figure to write.
+        path: the file to write; an existing file is replaced.
 
     Raises:
         OSError: the folder is missing or not writable.
@@ -52,8 +52,9 @@ def style(panel: Axes) -> None:
 
 
 def panels_of(count: int, xlabel: str) -> tuple[Figure, list[Axes]]:
-    """A nearly square grid of ``count`` panels with one time axis; the lowest in each column is
-    labelled.
+    """A nearly square grid of ``count`` panels with one time axis.
+
+    The lowest panel in each column is labelled.
     """
     columns = math.ceil(math.sqrt(count))
     rows = math.ceil(count / columns)
@@ -105,7 +106,7 @@ def draw_range(
     label: str,
     size: int = 1,
 ) -> None:
-    """Mean of values (runs, K), with the range over the runs as error bars."""
+    """Draw the mean of values (runs, K), with the range over the runs as error bars."""
     mean = values.mean(0)
     bars = np.stack([mean - values.min(0), values.max(0) - mean])
     weight: dict[str, Any] = {

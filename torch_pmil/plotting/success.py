@@ -1,4 +1,4 @@
-"""Success rates: over experience, and beside the loss."""
+"""Figures of success rates: over experience, and beside the loss."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def plot_learning_curve(
         experience_s: seconds of motion the robot had learned from, (N,).
         success_rate: fractions from 0 to 1, (N,); drawn in percent, with the paper's 95 % as a
             dotted line.
-        loss: of each trial, such as the predicted KL over the trajectory, (N,), on a logarithmic
-            axis; a value that is NaN, or not positive, is left out.
-        label: names the loss, with its unit.
+        loss: loss of each trial, such as the predicted KL over the trajectory, (N,), on a
+            logarithmic axis; a value that is NaN, or not positive, is left out.
+        label: name of the loss, with its unit.
 
     Raises:
         ValueError: the lengths differ, or a success rate is outside 0 to 1.
@@ -39,11 +39,9 @@ def plot_learning_curve(
         ('experience (s)', 'predicted KL (nats)')
     """
     if not len(experience_s) == len(success_rate) == len(loss):
-        lengths = len(experience_s), len(success_rate), len(loss)
         raise ValueError(
-            "experience_s, success_rate and loss must be equally long, got {}, {}, {}".format(
-                *lengths
-            )
+            "experience_s, success_rate and loss must be equally long, got "
+            f"{len(experience_s)}, {len(success_rate)}, {len(loss)}"
         )
     percent = 100 * np.asarray(success_rate, dtype=float)
     if not ((percent >= 0) & (percent <= 100)).all():
@@ -70,7 +68,10 @@ def plot_learning_curve(
 
 
 def _plain_numbers(panel: Axes) -> None:
-    """On a logarithmic axis, also between its decades where it has fewer than two of them."""
+    """Label a logarithmic axis with plain numbers.
+
+    The numbers between its decades are labelled too where it spans less than one decade.
+    """
     low, high = panel.get_ylim()
     panel.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     panel.yaxis.set_minor_formatter(
@@ -81,21 +82,21 @@ def _plain_numbers(panel: Axes) -> None:
 def plot_success_over_experience(
     experience_s: np.ndarray, rates: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> Figure:
-    """Mean success rate over runs with its 95 % interval, and each run's own as a thin line (Figure
-    7).
+    """Mean success rate over runs with its 95 % interval, and each run as a thin line (Figure 7).
 
     Args:
         experience_s: seconds of motion the robot had learned from, (K,).
         rates: fractions from 0 to 1, (runs, K); drawn in percent, with the paper's 95 % as a dotted
             line.
-        lower: end of the interval of the mean, a fraction, (K,).
-        upper: the other end.
+        lower: lower end of the interval of the mean, a fraction, (K,).
+        upper: upper end of the interval of the mean, a fraction, (K,).
 
     Raises:
         ValueError: the shapes do not fit each other.
 
     Example:
-        >>> figure = plot_success_over_experience(np.array([2.5, 5.0]), np.array([[0.0, 1.0]]), np.zeros(2), np.ones(2))
+        >>> seconds, rates = np.array([2.5, 5.0]), np.array([[0.0, 1.0]])
+        >>> figure = plot_success_over_experience(seconds, rates, np.zeros(2), np.ones(2))
         >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
         ('experience (s)', 'success rate (%)')
     """
@@ -136,13 +137,14 @@ def plot_success_over_experience(
 
 
 def plot_success_of_methods(curves: Mapping[str, Sequence[np.ndarray]]) -> Figure:
-    """Mean success rate of several methods, each with its 95 % interval, over the robot's
-    experience (Figure 7).
+    """Mean success rate of several methods over the robot's experience (Figure 7).
+
+    Each has its 95 % interval.
 
     Args:
-        curves: of each method, by its name: seconds of motion that the robot had learned from,
-            (K,), and for these the mean over runs and the ends of its interval, fractions from 0 to
-            1, (K,) each; drawn in percent, with the paper's 95 % as a dotted line.
+        curves: seconds of motion that the robot had learned from, (K,), the mean over runs and both
+            ends of its interval, fractions from 0 to 1, (K,) each, by the name of the method; drawn
+            in percent, with the paper's 95 % as a dotted line.
 
     Raises:
         ValueError: the lengths of a method's curves differ.
@@ -195,22 +197,24 @@ def plot_success_over_mass(
     limit: float,
     demonstrated: float,
 ) -> Figure:
-    """Success rate of some methods over the mass of the second link, and the peak torque of exact
-    tracking (Section 5.1.2).
+    """Success rate of methods over the mass of the second link, and tracking's peak torque.
+
+    The torque is that of exact tracking (Section 5.1.2).
 
     Args:
-        masses: kg, (K,).
-        rates: of each method, fractions from 0 to 1, (runs, K); drawn in percent, their mean with
-            the range over the runs.
+        masses: masses of the second link, kg, (K,).
+        rates: success rates of each method, fractions from 0 to 1, (runs, K); their mean is drawn
+            in percent with the range over the runs.
         torques: largest absolute torque that each demonstration needs, N·m, (N, K).
-        limit: of the motors, N·m.
-        demonstrated: mass of the demonstrator, kg.
+        limit: torque limit of the motors, N·m.
+        demonstrated: mass of the demonstrator's second link, kg.
 
     Raises:
         ValueError: shapes do not fit each other.
 
     Example:
-        >>> figure = plot_success_over_mass([0.3, 0.5], {"a": np.ones((1, 2))}, np.ones((5, 2)), limit=3.5, demonstrated=0.5)
+        >>> masses, rates, torques = [0.3, 0.5], {"a": np.ones((1, 2))}, np.ones((5, 2))
+        >>> figure = plot_success_over_mass(masses, rates, torques, limit=3.5, demonstrated=0.5)
         >>> [panel.get_ylabel() for panel in figure.axes]
         ['success rate (%)', 'peak torque (N·m)']
     """
@@ -223,10 +227,9 @@ def plot_success_over_mass(
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     _success_axis(upper)
-    for index, ((name, values), (colour, marker)) in enumerate(
-        zip(rates.items(), cycle(SERIES), strict=False)
-    ):
-        size = len(rates) - index  # those below, drawn larger, are seen also where all agree
+    methods = zip(rates.items(), cycle(SERIES), strict=False)
+    for index, ((name, values), (colour, marker)) in enumerate(methods):
+        size = len(rates) - index  # the lower ones are larger, to be seen where all agree
         draw_range(upper, masses, 100 * values, colour, marker, name, size)
     draw_range(lower, masses, torques, GREY, "o", "exact tracking")
     lower.axhline(limit, color=DARK, linewidth=0.8, linestyle="--", label="limit of the motors")
@@ -242,20 +245,20 @@ def plot_success_over_mass(
 def plot_success_over_settings(
     panels: Mapping[str, tuple[Sequence[float], np.ndarray]], plain: Sequence[float]
 ) -> Figure:
-    """Success rate over one setting in each panel, beside those settings that are the same in all
-    panels.
+    """Success rate over one setting in each panel, with all other settings unchanged.
 
     Args:
-        panels: by what is varied, with its unit: its K levels, and the success rates, fractions
-            from 0 to 1, (runs, K), of which the mean is drawn in percent with the range over the
+        panels: K levels of the setting, and the success rates, fractions from 0 to 1, (runs, K), by
+            the setting's name with its unit. The mean is drawn in percent with the range over the
             runs.
-        plain: level in each panel that the other panels have.
+        plain: for each panel, the level of its setting in the other panels.
 
     Raises:
-        ValueError: the rates are not of those levels.
+        ValueError: the rates do not fit the number of levels.
 
     Example:
-        >>> figure = plot_success_over_settings({"noise (rad)": ([0.0, 0.1], np.ones((3, 2)))}, plain=[0.0])
+        >>> panels = {"noise (rad)": ([0.0, 0.1], np.ones((3, 2)))}
+        >>> figure = plot_success_over_settings(panels, plain=[0.0])
         >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
         ('noise (rad)', 'success rate (%)')
     """
@@ -269,9 +272,8 @@ def plot_success_over_settings(
             )
         _success_axis(panel)
         line = panel.axvline(usual, color=GREY, linewidth=0.8, linestyle="--")
-        draw_range(
-            panel, levels, 100 * rates, BLUE, "o", f"mean of {len(rates)} runs, and their range"
-        )
+        mean = f"mean of {len(rates)} runs, and their range"
+        draw_range(panel, levels, 100 * rates, BLUE, "o", mean)
         panel.set_xticks(levels, [f"{level:g}" for level in levels])
         panel.set(xlabel=label)
         panel.label_outer()
@@ -284,7 +286,7 @@ def plot_success_over_settings(
 
 
 def _success_axis(panel: Axes) -> None:
-    """An axis of success rates, with the paper's 95 %."""
+    """Set up an axis of success rates, with the paper's 95 %."""
     panel.axhline(95, color=GREY, linewidth=0.8, linestyle=":")
     panel.text(
         1.01, 95, "95 %", transform=panel.get_yaxis_transform(), fontsize=8, color=GREY, va="center"

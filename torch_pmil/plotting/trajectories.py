@@ -1,8 +1,9 @@
-"""Trajectory distributions over time."""
+"""Figures of trajectory distributions over time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,7 +23,7 @@ from torch_pmil.plotting.style import (
 
 # how far a prediction may stretch a panel, in heights of the demonstrated and executed motion
 OVERSHOOT = 0.75
-SHOWN = 20  # particles that are drawn one by one
+SHOWN = 20  # number of particles that are drawn one by one
 
 
 def plot_distributions(
@@ -33,15 +34,16 @@ def plot_distributions(
     predicted: Gaussian,
     executed: Tensor,
 ) -> Figure:
-    """Demonstrated and predicted trajectory distribution with executed rollouts, one panel an entry
-    (Figure 6).
+    """Demonstrated and predicted trajectory distribution with executed rollouts (Figure 6).
+
+    There is one panel for each entry.
 
     Bands are two standard deviations on either side of the mean. A predicted band that goes far
     beyond the demonstrated and executed motion leaves the panel, so that the motion stays readable.
 
     Args:
-        names: of the M entries of the match space.
-        units: of those entries.
+        names: names of the M entries of the match space.
+        units: units of the M entries.
         time_step: seconds between two samples; the first one shown is t = 1.
         demonstrated: demonstrated marginals at t = 1..T, mean (T, M) and cov (T, M, M).
         predicted: predicted marginals of the same shape.
@@ -53,19 +55,18 @@ def plot_distributions(
     Example:
         >>> import torch
         >>> belief = Gaussian(torch.zeros(5, 2), torch.eye(2).expand(5, 2, 2))
-        >>> figure = plot_distributions(("q", "dq"), ("rad", "rad/s"), 0.1, belief, belief, torch.zeros(3, 5, 2))
+        >>> names, units, executed = ("q", "dq"), ("rad", "rad/s"), torch.zeros(3, 5, 2)
+        >>> figure = plot_distributions(names, units, 0.1, belief, belief, executed)
         >>> [panel.get_ylabel() for panel in figure.axes]
         ['q (rad)', 'dq (rad/s)']
     """
     shape = demonstrated.mean.shape
-    if not (
-        len(names) == len(units) == shape[-1]
-        and predicted.mean.shape == shape == executed.shape[1:]
-    ):
+    named = len(names) == len(units) == shape[-1]
+    if not (named and predicted.mean.shape == shape == executed.shape[1:]):
         raise ValueError(
-            f"predicted and executed must be (T, M) and (B, T, M) for demonstrated marginals {tuple(shape)} and "
-            f"{len(names)} names with {len(units)} units, got {tuple(predicted.mean.shape)} and "
-            f"{tuple(executed.shape)}"
+            "predicted and executed must be (T, M) and (B, T, M) for demonstrated marginals "
+            f"{tuple(shape)} and {len(names)} names with {len(units)} units, got "
+            f"{tuple(predicted.mean.shape)} and {tuple(executed.shape)}"
         )
     time = time_step * np.arange(1, shape[0] + 1)
     figure, panels = panels_of(len(names), "time (s)")
@@ -94,14 +95,15 @@ def plot_demonstrations(
     demonstrations: Tensor,
     demonstrated: Gaussian,
 ) -> Figure:
-    """Demonstrations and the Gaussian trajectory distribution that is estimated from them, one
-    panel an entry (Figure 3).
+    """Demonstrations and the Gaussian trajectory distribution estimated from them (Figure 3).
+
+    There is one panel for each entry.
 
     Args:
-        names: of the M entries of the match space.
-        units: of those entries.
+        names: names of the M entries of the match space.
+        units: units of the M entries.
         time_step: seconds between two samples.
-        demonstrations: N of them at t = 0..T, (N, T + 1, M).
+        demonstrations: N demonstrations at t = 0..T, (N, T + 1, M).
         demonstrated: marginals at t = 1..T, mean (T, M) and cov (T, M, M).
 
     Raises:
@@ -110,29 +112,25 @@ def plot_demonstrations(
     Example:
         >>> import torch
         >>> demonstrated = Gaussian(torch.zeros(5, 1), torch.ones(5, 1, 1))
-        >>> plot_demonstrations(("x",), ("m",), 0.1, torch.zeros(3, 6, 1), demonstrated).axes[0].get_ylabel()
+        >>> shown = torch.zeros(3, 6, 1)
+        >>> figure = plot_demonstrations(("x",), ("m",), 0.1, shown, demonstrated)
+        >>> figure.axes[0].get_ylabel()
         'x (m)'
     """
     steps, entries = demonstrated.mean.shape
     if demonstrations.shape[1:] != (steps + 1, entries) or not len(names) == len(units) == entries:
         raise ValueError(
-            f"demonstrations must be (N, {steps + 1}, {entries}) for demonstrated marginals {(steps, entries)}, "
-            f"with a name and a unit for each entry, got {tuple(demonstrations.shape)}, {len(names)} "
-            f"names and {len(units)} units"
+            f"demonstrations must be (N, {steps + 1}, {entries}) for demonstrated marginals "
+            f"{(steps, entries)}, with a name and a unit for each entry, got "
+            f"{tuple(demonstrations.shape)}, {len(names)} names and {len(units)} units"
         )
     time = time_step * np.arange(steps + 1)
     figure, panels = panels_of(entries, "time (s)")
     for entry, panel in enumerate(panels):
-        draw_band(
-            panel, time[1:], band_of(demonstrated, entry), VERMILLION, f"estimated ± {BAND} std"
-        )
-        lines = panel.plot(
-            time,
-            demonstrations[..., entry].numpy().T,
-            color=BLUE,
-            linewidth=1.0,
-            linestyle=(0, (4, 2)),
-        )
+        band = band_of(demonstrated, entry)
+        draw_band(panel, time[1:], band, VERMILLION, f"estimated ± {BAND} std")
+        drawn = demonstrations[..., entry].numpy().T
+        lines = panel.plot(time, drawn, color=BLUE, linewidth=1.0, linestyle=(0, (4, 2)))
         lines[0].set_label("demonstrations")
         panel.set_ylabel(f"{names[entry]} ({units[entry]})")
     figure.legend(
@@ -148,16 +146,17 @@ def plot_prediction(
     predicted: Gaussian,
     particles: Tensor,
 ) -> Figure:
-    """A predicted trajectory distribution beside particles of the same policy and model, one panel
-    an entry.
+    """A predicted trajectory distribution beside particles of the same policy and model.
+
+    There is one panel for each entry.
 
     Args:
-        names: of the D entries.
-        units: of those entries.
+        names: names of the D entries.
+        units: units of the D entries.
         time_step: seconds between two samples; the first one shown is t = 1.
         predicted: marginals at t = 1..T by moment matching, mean (T, D) and cov (T, D, D).
-        particles: as :func:`~torch_pmil.model.particles.sample_trajectories` draws them, (N, T, D);
-            the first 20 are lines.
+        particles: trajectories of :func:`~torch_pmil.model.particles.sample_trajectories`, (N, T,
+            D); the first 20 are drawn as lines.
 
     Raises:
         ValueError: shapes do not fit each other.
@@ -170,11 +169,8 @@ def plot_prediction(
         ['moment matching ± 2 std', 'particles: mean ± 2 std', 'some particles']
     """
     shape = predicted.mean.shape
-    if not (
-        len(names) == len(units) == shape[-1]
-        and particles.shape[1:] == shape
-        and len(particles) > 1
-    ):
+    named = len(names) == len(units) == shape[-1]
+    if not (named and particles.shape[1:] == shape and len(particles) > 1):
         raise ValueError(
             f"particles must be (N, {', '.join(map(str, shape))}) with N of at least 2 for a "
             f"prediction {tuple(shape)}, with a name and a unit for each entry, got "
@@ -185,17 +181,14 @@ def plot_prediction(
     for entry, panel in enumerate(panels):
         drawn = particles[..., entry].detach().numpy()
         mean, reach = drawn.mean(0), BAND * drawn.std(0, ddof=1)
-        draw_band(
-            panel, time, band_of(predicted, entry), VERMILLION, f"moment matching ± {BAND} std"
-        )
+        band = band_of(predicted, entry)
+        draw_band(panel, time, band, VERMILLION, f"moment matching ± {BAND} std")
+        dashed: dict[str, Any] = {"linewidth": 1.0, "linestyle": (0, (4, 2)), "zorder": 3}
         for edge in (mean - reach, mean, mean + reach):
-            line = panel.plot(
-                time, edge, color=DARK, linewidth=1.0, linestyle=(0, (4, 2)), zorder=3
-            )
+            line = panel.plot(time, edge, color=DARK, **dashed)
         line[0].set_label(f"particles: mean ± {BAND} std")
-        panel.plot(time, drawn[:SHOWN].T, color=GREY, linewidth=0.4, alpha=0.6)[0].set_label(
-            "some particles"
-        )
+        single = panel.plot(time, drawn[:SHOWN].T, color=GREY, linewidth=0.4, alpha=0.6)
+        single[0].set_label("some particles")
         panel.set_ylabel(f"{names[entry]} ({units[entry]})")
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
@@ -204,8 +197,9 @@ def plot_prediction(
 
 
 def _limits(shown: np.ndarray, prediction: np.ndarray) -> tuple[float, float]:
-    """Ends of an axis on which all of ``shown`` is seen, and the prediction as far as OVERSHOOT
-    allows.
+    """Ends of an axis on which all of ``shown`` is seen, and much of the prediction.
+
+    The prediction is seen as far as OVERSHOOT allows.
     """
     low, high = shown.min(), shown.max()
     overshoot, margin = OVERSHOOT * (high - low), 0.05 * (high - low)

@@ -1,8 +1,9 @@
-"""Variants of a method side by side."""
+"""Figure of variants of a method side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,15 +13,16 @@ from matplotlib.ticker import MaxNLocator
 
 from torch_pmil.plotting.style import BLUE, DARK, VERMILLION, style
 
-SPREAD = 0.5  # of the runs of a variant, in rows
+SPREAD = 0.5  # height over which the runs of a variant are spread, in rows
 
 
 def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.ndarray) -> Figure:
-    """Success rate of variants of a method, and the experience that each needed: a row each, the
-    best on top, a point for each run.
+    """Success rate of variants of a method, and the experience that each needed.
+
+    There is a row for each variant, the best on top, with a point for each run.
 
     Args:
-        labels: of V variants.
+        labels: labels of the V variants.
         rates: fractions from 0 to 1, (V, runs); drawn in percent, with their mean as a bar.
         first_success_s: seconds of experience before the first success, (V, runs); infinite where
             there was none, drawn as "never".
@@ -29,7 +31,8 @@ def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.
         ValueError: the shapes do not fit each other.
 
     Example:
-        >>> figure = plot_variants(["a", "b"], np.array([[0.0], [1.0]]), np.array([[np.inf], [5.0]]))
+        >>> rates, seconds = np.array([[0.0], [1.0]]), np.array([[np.inf], [5.0]])
+        >>> figure = plot_variants(["a", "b"], rates, seconds)
         >>> [tick.get_text() for tick in figure.axes[0].get_yticklabels()]
         ['b', 'a']
     """
@@ -40,9 +43,8 @@ def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.
         )
     order = np.lexsort((first_success_s.mean(1), -rates.mean(1)))
     rates, seconds, rows = 100 * rates[order], first_success_s[order], np.arange(len(labels))
-    figure = Figure(
-        figsize=(7.6, 1.0 + 0.36 * len(labels)), layout=ConstrainedLayoutEngine(wspace=0.05)
-    )
+    figsize = 7.6, 1.0 + 0.36 * len(labels)
+    figure = Figure(figsize=figsize, layout=ConstrainedLayoutEngine(wspace=0.05))
     left, right = figure.subplots(1, 2, sharey=True)
     left.barh(rows, rates.mean(1), height=0.72, color=BLUE, alpha=0.25, label="mean")
     _draw_runs(left, rates, "o", BLUE, "a run")
@@ -68,13 +70,12 @@ def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.
 
 
 def _draw_never(panel: Axes, succeeded: np.ndarray, longest: float) -> None:
-    """Crosses beyond the end of the axis for the runs (V, runs) that did not succeed."""
+    """Draw crosses beyond the end of the axis for the runs (V, runs) that did not succeed."""
     never = 1.15 * longest
     _draw_runs(panel, np.where(succeeded, np.nan, never), "x", VERMILLION, "a run without success")
     panel.axvline(1.07 * longest, color=DARK, linewidth=0.6, linestyle=":")
-    seconds = [
-        tick for tick in MaxNLocator(4, steps=[1, 5, 10]).tick_values(0, longest) if tick <= longest
-    ]
+    ticks = MaxNLocator(4, steps=[1, 5, 10]).tick_values(0, longest)
+    seconds = [tick for tick in ticks if tick <= longest]
     panel.set(
         xlim=(0, 1.22 * longest),
         xticks=[*seconds, never],
@@ -85,17 +86,9 @@ def _draw_never(panel: Axes, succeeded: np.ndarray, longest: float) -> None:
 def _draw_runs(
     panel: Axes, values: np.ndarray, marker: str, colour: str, label: str | None
 ) -> None:
-    """Points at values (V, runs), the runs of a row one below the other."""
+    """Draw points at values (V, runs), the runs of a row one below the other."""
     count, runs = values.shape
     offsets = SPREAD * ((np.arange(runs) + 0.5) / runs - 0.5)
     rows = np.arange(count)[:, None] + offsets
-    panel.plot(
-        values.ravel(),
-        rows.ravel(),
-        marker,
-        color=colour,
-        markersize=4,
-        clip_on=False,
-        zorder=3,
-        label=label,
-    )
+    look: dict[str, Any] = {"color": colour, "markersize": 4, "clip_on": False, "zorder": 3}
+    panel.plot(values.ravel(), rows.ravel(), marker, label=label, **look)

@@ -1,4 +1,4 @@
-"""Videos: the pictures of a rollout, an H.264 file from pictures, and a GIF from that."""
+"""Videos: pictures of a rollout, an H.264 file made of them, and a GIF made of the file."""
 
 from __future__ import annotations
 
@@ -19,28 +19,26 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.files import replacing
 
-MP4 = [
-    "-f",
-    "mp4",
-    "-movflags",
-    "+faststart",
-]  # whatever the file is called; the index comes first, so that a browser plays at once
+# an MP4, whatever the file is called, with its index first, so that a browser plays at once
+MP4 = ["-f", "mp4", "-movflags", "+faststart"]
 # a GIF counts in hundredths of a second; the last picture stays; colours are those of this video,
 # not mixed from dots, which flicker
-GIF = "fps=25,tpad=stop_mode=clone:stop_duration=1,split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none"
+GIF = (
+    "fps=25,tpad=stop_mode=clone:stop_duration=1,split[a][b];"
+    "[a]palettegen[p];[b][p]paletteuse=dither=none"
+)
 
 
 def render_rollout(
     env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_per_step: int = 5
 ) -> Iterator[np.ndarray]:
-    """Pictures of a rollout, ``frames_per_step`` in each control period, the first one at the
-    start.
+    """Pictures of a rollout, ``frames_per_step`` in each control period, from its start on.
 
     The control period of 0.1 s is too coarse for the eye; five pictures in it make 50 Hz. The
     motion is simulated anew from the start, and the environment itself stays where it is.
 
     Args:
-        env: the robot; its ``pixel_size`` is that of the pictures.
+        env: the robot; its ``pixel_size`` is the size of the pictures.
         start: state vector (D,).
         actions: torques (T, F) in N·m, each held for a control period.
         frames_per_step: a divisor of ``env.substeps``.
@@ -55,7 +53,8 @@ def render_rollout(
     Example:
         >>> from torch_pmil.envs import DoublePendulumEnv
         >>> env = DoublePendulumEnv()
-        >>> pictures = render_rollout(env, env.initial_mean, torch.zeros(25, 2, dtype=torch.float64))
+        >>> actions = torch.zeros(25, 2, dtype=torch.float64)
+        >>> pictures = render_rollout(env, env.initial_mean, actions)
         >>> write_video("hanging.mp4", pictures, fps=50)  # doctest: +SKIP
     """
     return map(env.draw, env.replay(start, actions, frames_per_step))
@@ -64,8 +63,9 @@ def render_rollout(
 def dense_states(
     env: MujocoRobotEnv, start: Tensor, actions: Tensor, states_per_step: int = 5
 ) -> Tensor:
-    """States of a rollout within its control periods too: (T · states_per_step + 1, D), the first
-    one the start.
+    """States of a rollout within its control periods too, (T · states_per_step + 1, D).
+
+    The first one is the start.
 
     Args:
         env: the robot; it stays where it is.
@@ -90,33 +90,30 @@ def dense_states(
 def film_rollout(
     env: AdaptedEnv, policy: RBFPolicy, space: StateSpace, steps: int
 ) -> Iterator[np.ndarray]:
-    """Pictures of a policy's rollout from a fresh start, as the environment itself shows them: one
-    a step.
+    """Pictures of a policy's rollout from a fresh start, one a step, as the environment shows them.
 
     Args:
         env: one robot, made with ``from_pixels=True``.
-        policy: sees the features of the state.
-        space: gives those.
-        steps: of the rollout.
+        policy: a policy that sees the features of the state.
+        space: the robot's state space, which gives the features.
+        steps: control steps of the rollout.
 
     Returns:
         ``steps`` + 1 pictures (height, width, 3), uint8, the first one of the start.
     """
-    rollout = env.rollout(
-        steps, StatePolicy(policy, space, env.control_period).as_tensordict_module()
-    )
-    return (
-        picture.numpy()
-        for picture in itertools.chain(rollout["pixels"][:1], rollout["next", "pixels"])
-    )
+    actor = StatePolicy(policy, space, env.control_period).as_tensordict_module()
+    rollout = env.rollout(steps, actor)
+    pictures = itertools.chain(rollout["pixels"][:1], rollout["next", "pixels"])
+    return (picture.numpy() for picture in pictures)
 
 
 def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> None:
-    """Write pictures as an H.264 video that every player shows (MP4, yuv420p), wholly or not at
-    all.
+    """Write pictures as an H.264 video that every player shows, wholly or not at all.
+
+    The format is MP4 with yuv420p.
 
     Args:
-        path: of the file; one that is there is replaced.
+        path: the file to write; an existing file is replaced.
         frames: pictures (height, width, 3), uint8, all of one size. An odd height or width, which
             the format cannot hold, grows by repeating the last row or column.
         fps: pictures per second.
@@ -143,15 +140,14 @@ def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> N
 
 
 def write_gif(path: Path | str, video: Path | str) -> None:
-    """Write a video as a GIF that begins anew for ever, wholly or not at all: for pages that show
-    no videos.
+    """Write a video as a GIF that repeats for ever, wholly or not at all.
 
-    It is as large and as fast as the video, at 25 pictures per second, and rests on the last one
-    for a second.
+    It is for pages that show no videos. It is as large and as fast as the video, at 25 pictures per
+    second, and rests on the last one for a second.
 
     Args:
-        path: of the file; one that is there is replaced.
-        video: as :func:`write_video` leaves it.
+        path: the file to write; an existing file is replaced.
+        video: a file that :func:`write_video` wrote.
 
     Raises:
         OSError: the video is missing or is none, or the folder is missing or not writable.
@@ -202,8 +198,7 @@ def _encode(path: Path, frames: Iterable[np.ndarray], shape: tuple[int, ...], fp
                 )
             encoder.send(np.pad(frame, margin, mode="edge"))
             count += 1
-    written, _ = imageio_ffmpeg.count_frames_and_secs(
-        path
-    )  # ffmpeg's exit status is not shown to us
+    # ffmpeg's exit status cannot be seen from here
+    written, _ = imageio_ffmpeg.count_frames_and_secs(path)
     if written != count:
         raise OSError(f"ffmpeg wrote {written} of {count} frames to {path}")

@@ -1,4 +1,4 @@
-"""What a state means, and what acts on it.
+"""The state of a robot, its features, and the policies that act on it.
 
 Six classes are policies, each at another level:
 

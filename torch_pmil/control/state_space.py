@@ -76,7 +76,6 @@ class StateSpace:
     Models and policies see sin and cos in place of each angle, and the other entries as they are,
     D' = D + number of angles in all.
 
-
     Args:
         names, units: one for each entry.
         angles: indices of the entries that are angles (rad) and wrap around.

@@ -3,7 +3,6 @@ r"""Sums of sines and cosines of linear combinations of angles, closed under pro
 The position of a point of a chain of hinges is a sum of products of sines and cosines of its
 angles. With :math:`\cos a \cos b = \tfrac12 [\cos(a - b) + \cos(a + b)]` and its kin it is a sum of
 sines and cosines of sums of angles, whose moments under a Gaussian are known: a match space.
-
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ class TrigonometricPolynomial:
 
     The pairs are :math:`c_{-n} = \bar c_n`. Sums of polynomials, and products with polynomials and
     numbers, are polynomials again; a product has the coefficients :math:`\sum_{k + l = n} a_k b_l`.
-
 
     Args:
         coefficients: c_n by n.

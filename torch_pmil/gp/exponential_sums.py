@@ -115,7 +115,6 @@ class ExponentialSum(torch.autograd.Function):
     Arguments as in :func:`pairwise_kernel_sums`, but with a single row w and z of each pair, (P, 1,
     n) or (N, P, 1, n); the entry ``one`` of every l_i and the last of every r_j must be 1.
     ``products`` are :func:`products_for_gradient` of the same arguments, if they are known.
-
     """
 
     @staticmethod

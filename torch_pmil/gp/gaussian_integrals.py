@@ -86,7 +86,6 @@ class _RegularisedPrecision(torch.autograd.Function):
 
     Each diagonal P is a row of ``precision`` (K, D); ``root`` holds the outer products of the roots
     of P, (K, D, D). The adjoint follows from dB = -B (dSigma + dP^-1) B.
-
     """
 
     @staticmethod

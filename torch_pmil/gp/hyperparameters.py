@@ -41,7 +41,7 @@ class Optimum:
     Args:
         log_parameters: (D + 2,).
         negative_log_likelihood: nats, without the penalties.
-        evaluations: of the objective, over all starts.
+        evaluations: number of evaluations of the objective, over all starts.
         stop_reason: why the best search ended, as in ``MinimiseResult``.
     """
 
@@ -100,7 +100,6 @@ def pilco_starts(inputs: Tensor, target: Tensor) -> list[Tensor]:
 
     The lengthscales are std(input), the signal is std(target), and the noise one of
     ``NOISE_RATIOS`` times that. Few data have further starts with twice the lengthscales.
-
     """
     log_signal, log_spread = 2 * _log_spread(target), _log_spread(inputs)
     variances = [

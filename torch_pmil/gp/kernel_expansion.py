@@ -93,7 +93,7 @@ class KernelExpansion:
         """
         w, z = self.weights[..., self.pairs.first, :], self.weights[..., self.pairs.second, :]
         if self.gram_inverse is not None:
-            one = torch.ones_like(self.weights)  # of an output with itself: see self_weights
+            one = torch.ones_like(self.weights)  # self_weights holds an output's own weights
             w, z = (torch.cat([one, weights[self.num_outputs :]]) for weights in (w, z))
         return w[..., None, :], z[..., None, :]
 

@@ -16,7 +16,7 @@ class KernelPairs:
 
     Args:
         first, second: the two outputs of each product, (P,).
-        position: where the product of outputs a and b stands among the products, (E * E,).
+        position: index of the product of outputs a and b among the products, (E * E,).
         precision: summed precisions, (E + P, D).
         root: outer products of the square roots of the precisions, (E + P, D, D).
         shares: the fractions of the first and of the second factor in the sum, (2, P, D).

@@ -65,7 +65,7 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrequencyScore:
-    """How well held-out transitions at one frequency were predicted.
+    """Score of the prediction of held-out transitions at one frequency.
 
     Args:
         frequency: f_s, Hz.
@@ -82,22 +82,21 @@ class FrequencyScore:
 
     @property
     def raw(self) -> Interval:
-        """How sharply the next state is predicted, in its units: nats a transition and output.
+        """Sharpness of the prediction of the next state, in nats a transition and output.
 
-        The shorter the step the less can happen in it, so this rises with frequency. The interval
-        is over the folds, which share training data: take it as a guide.
-
+        It is the log density in the units of the state. The shorter the step the less can happen in
+        it, so this rises with frequency. The interval is over the folds, which share training data:
+        take it as a guide.
         """
         return Interval.of(self.log_likelihood.mean(1))
 
     @property
     def standardised(self) -> Interval:
-        """How much of what changes is predicted, in nats a transition and output.
+        """Predicted share of what changes, in nats a transition and output.
 
         Increments are in units of their spread, so that frequencies can be compared. A model that
         knows nothing but mean and spread has about -1.42. The interval is over the folds, which
         share training data: take it as a guide.
-
         """
         return Interval.of((self.log_likelihood + self.spread.log()).mean(1))
 

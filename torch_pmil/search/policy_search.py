@@ -64,7 +64,6 @@ class SearchResult:
     ``loss`` is the loss (KL or cost) over the whole horizon T, ``per_step`` its summands;
     ``horizon`` is the last one that was searched, ``converged`` says whether its last steps are
     trusted, and ``stop_reason`` why the last run of L-BFGS ended.
-
     """
 
     loss: float

@@ -250,7 +250,7 @@ class TrajectoryLoss(LossModule):
         return belief
 
     def _counted(self, tensordict: TensorDictBase, shape: tuple[int, ...]) -> Tensor:
-        """Which steps TorchRL's masks leave, bool of shape (*batch, steps)."""
+        """Mask of the steps that TorchRL's masks leave, bool of shape (*batch, steps)."""
         ones = torch.ones(shape, device=self.actor_network.centres.device)
         return self._reduce_loss(ones, tensordict, reduction="none").bool()
 

@@ -18,12 +18,12 @@ COMMANDS = {  # in the order in which they are used; each is the module of that 
 }
 EXAMPLES = """\
 examples:
-  pmil train trials=2                    the double pendulum, two trials, into runs/double_pendulum/seed_0
+  pmil train trials=2                    the double pendulum, into runs/double_pendulum/seed_0
   pmil train experiment=biorob seed=3    another task and seed; all settings: pmil train --help
   pmil train -m "seed=range(10)"         ten seeds, as many at once as there are cores
   pmil resume runs/double_pendulum/seed_0
 
-documentation: docs/start/quickstart.md of the source, or the pages that `make docs` builds"""
+the same in Python: import torch_pmil; help(torch_pmil)"""
 
 
 def main() -> None:

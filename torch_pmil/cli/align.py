@@ -1,17 +1,16 @@
-"""Make demonstrations of what people recorded: one time step, one length, the same moment at the
-same time.
+"""Make demonstrations of recordings: one time step, one length, one timing.
 
 Example:
     pmil align recorded.csv demonstrations.npz --time-step 0.1 --velocities dq1 dq2
     pmil align tracked.csv demonstrations.npz --fastest 5 --smooth 0.2 --draw steps.png \\
         --marker 105 912 0 0 --marker 1480 905 1 0 --marker 1466 130 1 0.5 --marker 118 121 0 0.5
 
-The recording is of any format that docs/how_to/demonstrations.md lists; a CSV file has the columns
-demonstration,time,NAME,... and, if there are several targets, "target NAME",... for what each
-demonstration was for. Its demonstrations may differ in length, and their samples may be uneven. In
-this order, and only as told: pixels become metres, jumps are left out, the rest is smoothed,
-velocities are derived, rests are cut off. All are sampled at the median time step that was
-recorded, aligned by dynamic time warping, and then sampled at the time step of the robot.
+The recording is a file or folder of NPZ, CSV, LASA, Minari, robomimic or LeRobot data. A CSV file
+has the columns demonstration,time,NAME,... and, if there are several targets, "target NAME",... for
+what each demonstration was for. Its demonstrations may differ in length, and their samples may be
+uneven. In this order, and only as told: pixels become metres, jumps are left out, the rest is
+smoothed, velocities are derived, rests are cut off. All are sampled at the median time step that
+was recorded, aligned by dynamic time warping, and then sampled at the time step of the robot.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ Timed = tuple[Tensor, Tensor]  # times (T_n,) in s and values (T_n, M)
 
 
 def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Demonstrations:
-    """What was recorded as demonstrations.
+    """The demonstrations that become of recordings.
 
     Args:
         recordings: of any lengths.
@@ -50,9 +49,8 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     """
     names = [*recordings.names, *(velocity for velocity, _ in options.derive)]
     rates = [*options.velocities, *names[len(recordings.names) :]]
-    check_names(
-        recordings.names, [*options.velocities, *(position for _, position in options.derive)]
-    )
+    derived_from = [position for _, position in options.derive]
+    check_names(recordings.names, [*options.velocities, *derived_from])
     preprocessed = [
         preprocessed_one(*one, recordings.names, options)
         for one in zip(recordings.times, recordings.values, strict=True)
@@ -61,9 +59,9 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
     even = [resample(values, times, recorded_step) for times, values in preprocessed]
     derived = range(len(recordings.names), len(names))
     kept = [crop(values, velocities=derived) for values in even] if options.crop else even
-    reference = (
-        None if options.reference is None else number_of(options.reference, recordings.labels)
-    )
+    reference = None
+    if options.reference is not None:
+        reference = number_of(options.reference, recordings.labels)
     aligned = align(kept, [names.index(name) for name in rates], options.window, reference)
     times = recorded_step * torch.arange(aligned.shape[1], dtype=torch.float64)
     positions = resample(aligned, times, options.time_step)
@@ -75,38 +73,37 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
 def preprocessed_one(
     times: Tensor, values: Tensor, names: tuple[str, ...], options: argparse.Namespace
 ) -> Timed:
-    """One recording: in metres, without jumps and noise, with velocities, each as far as it was
-    asked for.
+    """One recording after the steps that were asked for.
+
+    These are metres for pixels, without jumps, smoothed, with velocities.
     """
     positions = torch.tensor([name not in options.velocities for name in names])
     if options.marker:
+        markers = torch.tensor(options.marker, dtype=torch.float64)
         values = values.clone()
-        values[:, positions] = in_metres(
-            values[:, positions], torch.tensor(options.marker, dtype=torch.float64)
-        )
+        values[:, positions] = in_metres(values[:, positions], markers)
     if options.fastest is not None:
         limits = torch.where(positions, options.fastest, torch.inf).double()
         values, times = without_jumps(values, times, limits)
     if options.smooth is None:
         return times, values
-    derived = velocities(
-        values[:, [names.index(position) for _, position in options.derive]], times, options.smooth
-    )
+    columns = [names.index(position) for _, position in options.derive]
+    derived = velocities(values[:, columns], times, options.smooth)
     return times, torch.cat([smooth(values, times, options.smooth), derived], -1)
 
 
 def in_metres(values: Tensor, markers: Tensor) -> Tensor:
-    """Points (T, 2 P), in pixels, x and y of each in turn, in m; markers [pixel x, pixel y, x, y],
-    (K, 4).
+    """Points (T, 2 P), x and y of each in turn, from pixels to m.
+
+    Markers are rows [pixel x, pixel y, x, y], (K, 4).
     """
     if values.shape[1] % 2:
         raise AlignmentError(
             "with markers the columns must be x and y of each point in turn, got "
             f"{values.shape[1]} columns"
         )
-    return plane_coordinates(values.unflatten(-1, (-1, 2)), markers[:, :2], markers[:, 2:]).flatten(
-        -2
-    )
+    points = values.unflatten(-1, (-1, 2))
+    return plane_coordinates(points, markers[:, :2], markers[:, 2:]).flatten(-2)
 
 
 def check_names(known: tuple[str, ...], told: list[str]) -> None:
@@ -127,22 +124,15 @@ def number_of(label: str, labels: tuple[str, ...]) -> int:
 
 
 def draw(recordings: Recordings, demonstrations: Demonstrations, path: Path) -> None:
-    """What was recorded beside the demonstrations that became of it."""
+    """Draw the recordings beside the demonstrations that became of them."""
     before = [
         (times - times[0], values)
         for times, values in zip(recordings.times, recordings.values, strict=True)
     ]
-    times = demonstrations.time_step * torch.arange(
-        demonstrations.positions.shape[1], dtype=torch.float64
-    )
-    after = [(times, values) for values in demonstrations.positions]
-    names = demonstrations.names
-    save_figure(
-        plot_before_after(
-            names, [""] * len(names), before, after, f"every {demonstrations.time_step:g} s"
-        ),
-        path,
-    )
+    samples = torch.arange(demonstrations.positions.shape[1], dtype=torch.float64)
+    after = [(demonstrations.time_step * samples, values) for values in demonstrations.positions]
+    names, title = demonstrations.names, f"every {demonstrations.time_step:g} s"
+    save_figure(plot_before_after(names, [""] * len(names), before, after, title), path)
 
 
 def pair(text: str) -> tuple[str, str]:

@@ -1,5 +1,4 @@
-"""Draw demonstrations by hand: a page in the browser of this machine takes a shape five times and
-saves it for training.
+"""Draw demonstrations by hand, in the browser of this machine, and save them for training.
 
 Example:
     pmil draw heart.npz
@@ -45,8 +44,10 @@ FILES = {
 LARGEST_BODY = 16 * 2**20  # bytes: the most strokes, the longest, at 1 kHz
 PATIENCE = 10  # s, with a browser that opens a connection and says nothing
 HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+        "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
     "Cache-Control": "no-store",
     "Referrer-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
@@ -54,8 +55,9 @@ HEADERS = {
 
 
 class DrawingServer(ThreadingHTTPServer):
-    """Serves the page on the loopback interface alone, to who knows its address, until a drawing is
-    saved.
+    """Serves the page on the loopback interface until a drawing is saved.
+
+    Who does not know the secret in its address gets nothing.
 
     Args:
         path: of the NPZ file that is to be written.
@@ -96,7 +98,7 @@ class DrawingServer(ThreadingHTTPServer):
 
 
 class DrawingHandler(BaseHTTPRequestHandler):
-    """Answers of one line of text, but for the page's files."""
+    """Answers the page's requests: with a file of the page, or a line of text."""
 
     server: DrawingServer
     timeout = PATIENCE
@@ -144,28 +146,23 @@ class DrawingHandler(BaseHTTPRequestHandler):
         """Keeps quiet: the terminal is for the person."""
 
     def _allowed(self) -> bool:
-        """Whether the page itself asks, not another site through this browser or by another name of
-        this address.
+        """Whether the request is the page's own.
+
+        It may not come from another site through this browser, or by another name of this address.
         """
-        ours = self.headers.get("Host") == self.server.host and self.headers.get("Origin") in (
-            None,
-            f"http://{self.server.host}",
-        )
-        token = secrets.compare_digest(
-            self.path[: len(self.server.root)].encode(), self.server.root.encode()
-        )
+        host, root = self.server.host, self.server.root
+        origins = (None, f"http://{host}")
+        ours = self.headers.get("Host") == host and self.headers.get("Origin") in origins
+        token = secrets.compare_digest(self.path[: len(root)].encode(), root.encode())
         if not (ours and token):
-            self._answer(HTTPStatus.FORBIDDEN, "open the address that the script printed")
+            self._answer(HTTPStatus.FORBIDDEN, "open the address that pmil draw printed")
         return ours and token
 
     def _answer(self, status: HTTPStatus, text: str, kind: str = "text/plain") -> None:
         content = text.encode()
+        own = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(content))}
         self.send_response(status)
-        for name, value in {
-            **HEADERS,
-            "Content-Type": f"{kind}; charset=utf-8",
-            "Content-Length": str(len(content)),
-        }.items():
+        for name, value in {**HEADERS, **own}.items():
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(content)
@@ -184,9 +181,7 @@ def _with_limits(page: str) -> str:
 
 
 def _check(out: Path, time_step: float) -> None:
-    """Before anybody draws: raises DrawingError where nothing could be saved, or something would be
-    overwritten.
-    """
+    """Raise DrawingError where nothing could be saved, or something would be overwritten."""
     check_time_step(time_step)
     if out.suffix != ".npz":
         raise DrawingError(f"{out}: demonstrations are written to a .npz file")
@@ -228,11 +223,6 @@ def main() -> None:
         f"{server.saved.duration:g} s"
     )
     print(f"as they were recorded: {arguments.out.with_suffix('.csv')}")
-    train = (
-        "pmil",
-        "train",
-        "experiment=handwriting",
-        "robot=double_pendulum",
-        f"demonstrations={arguments.out}",
-    )
+    settings = ("experiment=handwriting", "robot=double_pendulum")
+    train = ("pmil", "train", *settings, f"demonstrations={arguments.out}")
     print(f"train with: {shlex.join(train)}")

@@ -26,14 +26,10 @@ def main() -> None:
             time_step=arguments.time_step,
         )
         print(f"{arguments.file}\n\n{describe(recordings)}\n")
-        found = advice(
-            recordings, str(arguments.file), arguments.control_period, _options(arguments)
-        )
-        print(
-            "before training",
-            *(f"- {line}" for line in found or ["nothing to do: it is loaded as it is"]),
-            sep="\n",
-        )
+        options = _options(arguments)
+        found = advice(recordings, str(arguments.file), arguments.control_period, options)
+        steps = found or ["nothing to do: it is loaded as it is"]
+        print("before training", *(f"- {line}" for line in steps), sep="\n")
         if arguments.draw:
             figure = plot_recordings(
                 recordings.labels,
@@ -52,11 +48,9 @@ def _options(arguments: argparse.Namespace) -> list[str]:
     """The options that say how the file is read."""
     given = {"--keys": arguments.keys, "--names": arguments.names}
     options = [text for option, names in given.items() if names for text in (option, *names)]
-    return (
-        options
-        if arguments.time_step is None
-        else [*options, "--recorded-time-step", f"{arguments.time_step:g}"]
-    )
+    if arguments.time_step is None:
+        return options
+    return [*options, "--recorded-time-step", f"{arguments.time_step:g}"]
 
 
 def _parser() -> argparse.ArgumentParser:

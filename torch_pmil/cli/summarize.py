@@ -1,5 +1,4 @@
-"""Put several runs of one experiment together: a table, their main numbers, and their mean success
-rate over experience.
+"""Put several runs of one experiment together: table, main numbers, learning curve.
 
 Example:
     pmil summarize runs/double_pendulum --out results/tasks/double_pendulum
@@ -35,8 +34,9 @@ HEADER = "experience (s)  trials  saved  success rate  computing (s)  ended beca
 
 
 def headline(runs: list[dict]) -> dict[str, float]:
-    """Main numbers over runs; a run has learned if its saved policy reaches the success rate within
-    the paper's experience.
+    """Main numbers over runs.
+
+    A run has learned if its saved policy reaches the success rate within the paper's experience.
 
     ``median_experience_s`` and ``max_experience_s`` count all rollouts, the two that confirm a
     success too. Runs of a method that predicts nothing have no coverage.
@@ -55,7 +55,7 @@ def headline(runs: list[dict]) -> dict[str, float]:
 
 
 def learned(run: dict) -> bool:
-    """Whether the saved policy of a run reaches the paper's success rate within its experience."""
+    """Whether the saved policy reaches the paper's success rate within the paper's experience."""
     return run["saved_success_rate"] >= SUCCESS_RATE and run["experience_s"] <= EXPERIENCE_S
 
 
@@ -90,10 +90,8 @@ def summarize(folders: list[Path], out: Path | None, command: str) -> None:
     }
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "summary.json", merged)
-    save_figure(
-        plot_success_over_experience(curve.experience_s, curve.rates, curve.lower, curve.upper),
-        out / "success_over_experience.png",
-    )
+    figure = plot_success_over_experience(curve.experience_s, curve.rates, curve.lower, curve.upper)
+    save_figure(figure, out / "success_over_experience.png")
     print("\n".join(f"{name}: {value:g}" for name, value in merged["headline"].items()))
     print(f"see {out}/summary.json, {out}/success_over_experience.png")
 
@@ -135,9 +133,8 @@ def main() -> None:
         help="where to write; the folder that the runs lie in if not given",
     )
     arguments = parser.parse_args()
+    command = shlex.join(["pmil", "summarize", *sys.argv[1:]])
     try:
-        summarize(
-            arguments.folders, arguments.out, shlex.join(["pmil", "summarize", *sys.argv[1:]])
-        )
+        summarize(arguments.folders, arguments.out, command)
     except (OSError, RunError) as error:
         sys.exit(f"error: {error}")

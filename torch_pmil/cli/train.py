@@ -26,7 +26,7 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from torch_pmil.demonstrations import DemonstrationError, load_demonstrations
-from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.before_a_run import check
 from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
 from torch_pmil.experiments.runs.pictures import draw
@@ -54,30 +54,24 @@ def learn(config: DictConfig) -> None:
     job = HydraConfig.get()
     alone = job.mode == RunMode.RUN
     label = "" if alone else f"{out}: "
-    given = (
-        sys.argv[1:] if alone else [override.replace("\\", "") for override in job.overrides.task]
-    )  # Hydra escapes braces
+    given = sys.argv[1:]
+    if not alone:  # Hydra escapes braces
+        given = [override.replace("\\", "") for override in job.overrides.task]
     command = shlex.join(["pmil", "train", *(given or [f"experiment={config.experiment}"])])
     try:
-        os.chdir(
-            job.runtime.cwd
-        )  # where the sweep was started: a cluster's worker may be elsewhere
-        demonstrations = (
-            load_demonstrations(config.demonstrations) if config.demonstrations else None
-        )
-        experiment = load_experiment(config.experiment, demonstrations, config.shape, config.robot)
+        os.chdir(job.runtime.cwd)  # of the sweep's start: a cluster's worker may be elsewhere
+        experiment = experiment_of(config)
         warn_of(label, check(experiment))
-        told = partial(print_trial, label, experiment.objective)
         result = train(
             experiment,
             config.seed,
             config.trials,
             out,
             command,
-            alone,
-            told,
-            config.resume,
-            config.logger,
+            progress_bar=alone,
+            on_trial=partial(print_trial, label, experiment.objective),
+            resume=config.resume,
+            logger=config.logger,
         )
     except KeyboardInterrupt:
         print(
@@ -91,9 +85,18 @@ def learn(config: DictConfig) -> None:
     print_summary(label, result.summary, out)
 
 
+def experiment_of(config: DictConfig) -> Experiment:
+    """The experiment that the settings name, with their demonstrations if they have some."""
+    demonstrations = None
+    if config.demonstrations:
+        demonstrations = load_demonstrations(config.demonstrations)
+    return load_experiment(config.experiment, demonstrations, config.shape, config.robot)
+
+
 def fail(message: str, alone: bool) -> NoReturn:
-    """End the run; the other runs of a sweep go on, and Hydra ends it with an error when all are
-    done.
+    """End the run with a message.
+
+    The other runs of a sweep go on, and Hydra ends the sweep with an error when all are done.
     """
     if alone:
         sys.exit(message)
@@ -102,17 +105,16 @@ def fail(message: str, alone: bool) -> NoReturn:
 
 
 def say(label: str, text: str) -> None:
-    """Print lines above the progress bar, each with the label: the runs of a sweep print to one
-    terminal.
+    """Print lines above the progress bar, each with the label.
+
+    The runs of a sweep print to one terminal.
     """
     tqdm.write("\n".join(label + line for line in text.splitlines()))
     sys.stdout.flush()
 
 
 def warn_of(label: str, findings: list[Finding]) -> None:
-    """Print what may go wrong with the demonstrations, once. Raises DemonstrationError at what
-    must.
-    """
+    """Print what may go wrong with the demonstrations; raise DemonstrationError at what must."""
     for finding in findings:
         if finding.fatal:
             raise DemonstrationError(finding.message)
@@ -121,7 +123,7 @@ def warn_of(label: str, findings: list[Finding]) -> None:
 
 
 def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> None:
-    """One line for each trial."""
+    """Print one line for a trial."""
     predicted = f"{objective.label} {trial.loss:6.1f} {objective.unit}".rstrip()
     say(
         label,
@@ -140,17 +142,17 @@ def by_entry(summary: dict) -> str:
 
 
 def print_summary(label: str, summary: dict, out: Path) -> None:
-    """What the run came to, and where it is."""
-    say(
-        label,
+    """Print the result of the run, and where it is."""
+    reasons = [f"{reason['cause']}: {reason['message']}" for reason in summary["diagnosis"]]
+    left = [str(out / name) for name in LEFT if (out / name).exists()]
+    lines = [
         f"policy of trial {summary['saved_trial']}: success rate "
         f"{summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh starts after "
         f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of "
-        f"computing ({summary['stop_reason']})\n{summary['two_sigma_coverage']:.0%} of the "
-        f"executed states lie within two predicted standard deviations: {by_entry(summary)}\n"
-        + "".join(
-            f"likely reason: {reason['cause']}: {reason['message']}\n"
-            for reason in summary["diagnosis"]
-        )
-        + f"see {', '.join(str(out / name) for name in LEFT if (out / name).exists())}",
-    )
+        f"computing ({summary['stop_reason']})",
+        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted "
+        f"standard deviations: {by_entry(summary)}",
+        *(f"likely reason: {reason}" for reason in reasons),
+        f"see {', '.join(left)}",
+    ]
+    say(label, "\n".join(lines))

@@ -62,7 +62,7 @@ def load_experiment(
 
 
 def run_name(experiment: str, shape: str | None, robot: str | None) -> str:
-    """What the folder of an experiment's runs is called.
+    """Name of the folder of an experiment's runs.
 
     Example:
         >>> run_name("handwriting", "Angle", None), run_name("biorob", None, None)

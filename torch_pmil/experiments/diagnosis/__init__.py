@@ -1,1 +1,1 @@
-"""What may go wrong with demonstrations before a run, and why a run did not learn after it."""
+"""Checks of demonstrations before a run, and reasons why a run did not learn after it."""

@@ -16,8 +16,8 @@ from torch_pmil.experiments.diagnosis.causes import (
     check_experience,
     check_model,
     check_motion,
+    check_saturation,
     check_search,
-    check_torques,
     first_mismatch,
     group,
     unexplained,
@@ -39,8 +39,9 @@ def likely_reasons(
     outcomes: Sequence[Outcome],
     horizons: Sequence[int],
 ) -> list[Reason]:
-    """Likely reasons why a run did not learn, the most likely first: what comes first brings about
-    what comes after it.
+    """Likely reasons why a run did not learn, the most likely first.
+
+    An earlier reason brings about the later ones.
 
     Wrong demonstrations mislead everything that follows; a robot that is too weak or does not move
     teaches nothing; a model that is wrong up to the step at which the search is stuck misleads it,
@@ -75,25 +76,21 @@ def likely_reasons(
         *beyond,
         *(reason for reason in found if reason.cause == FEW),
     ]
-    return reasons or [
-        unexplained(
-            int(failed.sum()),
-            len(failed),
-            experiment.tolerance,
-            _largest(experiment, loss, outcomes, step_loss),
-        )
-    ]
+    if reasons:
+        return reasons
+    largest = _largest(experiment, loss, outcomes, step_loss)
+    return [unexplained(int(failed.sum()), len(failed), experiment.tolerance, largest)]
 
 
 def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
-    """What its motors cannot do."""
+    """Reasons that lie in the robot's motors."""
     torques = needed_torques(experiment)
     needed = None if torques is None else torques.abs().amax((0, 1))
     names = experiment.first_robot(seed=0).motor_names
     noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
     return _found(
         outcome,
-        check_torques(outcome.rollouts["action"], experiment.u_max, names, needed),
+        check_saturation(outcome.rollouts["action"], experiment.u_max, names, needed),
         check_motion(
             experiment.space.observe(outcome.executed), outcome.demonstrations.positions, noise_std
         ),
@@ -103,14 +100,10 @@ def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
 def _of_the_model(
     experiment: Experiment, dynamics: GPDynamics, outcome: Outcome, steps: int
 ) -> list[Reason]:
-    """What it says of the first steps of rollouts that it was not fitted to."""
-    residuals = standardised_residuals(
-        dynamics, experiment.space, outcome.executed, outcome.rollouts["action"]
-    )[:, :steps]
-    known, time_step = (
-        known_steps(experiment, dynamics, outcome)[:, :steps],
-        outcome.demonstrations.time_step,
-    )
+    """Reasons that lie in the model, by the first steps of rollouts that it was not fitted to."""
+    actions, time_step = outcome.rollouts["action"], outcome.demonstrations.time_step
+    residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, actions)
+    residuals, known = residuals[:, :steps], known_steps(experiment, dynamics, outcome)[:, :steps]
     predicted, executed = outcome.predicted[:steps], outcome.executed[:, : steps + 1]
     return _found(
         outcome,
@@ -120,7 +113,7 @@ def _of_the_model(
 
 
 def known_steps(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
-    """At which steps t = 0..T-1 of the executed rollouts the model knows something, bool, (N, T).
+    """The steps t = 0..T-1 of executed rollouts at which the model knows something, bool, (N, T).
 
     That is within the limits of the states that it learns from, and with a standard deviation of no
     entry above half of that without data.
@@ -128,9 +121,8 @@ def known_steps(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) 
     before, expansion = outcome.executed[:, :-1], dynamics.expansion
     inputs = torch.cat([experiment.space.features(before), outcome.rollouts["action"]], -1)
     _, variance = expansion.predict(inputs)
-    return (variance <= LITTLE**2 * expansion.signal_variance).all(-1) & (
-        before.abs() <= experiment.limits
-    ).all(-1)
+    sure = (variance <= LITTLE**2 * expansion.signal_variance).all(-1)
+    return sure & (before.abs() <= experiment.limits).all(-1)
 
 
 def _of_the_search(
@@ -141,7 +133,7 @@ def _of_the_search(
     horizons: Sequence[int],
     step: int,
 ) -> Reason:
-    """The step at which the newest model says that it is stuck."""
+    """The step at which the search is stuck, by the newest model."""
     mismatch = _mismatch(experiment, loss, outcomes, step)
     return check_search(
         step_loss, step, *_named(loss), mismatch, horizons, experiment.demonstrations.time_step
@@ -151,7 +143,7 @@ def _of_the_search(
 def _largest(
     experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], step_loss: Tensor
 ) -> str:
-    """What the newest model doubts most."""
+    """The largest loss of a step under the newest model, in words."""
     name, unit = _named(loss)
     step = int(step_loss.argmax()) + 1
     said = (
@@ -162,40 +154,36 @@ def _largest(
 
 
 def _named(loss: TrajectoryLoss) -> tuple[str, str]:
-    """What :meth:`TrajectoryLoss.step_loss_for_trust` is, and its unit."""
-    return (
-        (loss.label, loss.unit)
-        if isinstance(loss, TrajectoryKLLoss)
-        else ("cost of the predicted spread", "of 1")
-    )
+    """Name and unit of :meth:`TrajectoryLoss.step_loss_for_trust`."""
+    if isinstance(loss, TrajectoryKLLoss):
+        return loss.label, loss.unit
+    return "cost of the predicted spread", "of 1"
 
 
 def _mismatch(
     experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], step: int
 ) -> str:
-    """The entry in which prediction and demonstrations differ most at a step, of the target that is
-    worst there.
+    """The entry in which prediction and demonstrations differ most at a step.
+
+    Of several targets, the one that is worst there is looked at.
     """
     if not isinstance(loss, TrajectoryKLLoss):
         return "where the prediction is too wide to be followed"
     match_space, noise_std = experiment.space.match_space, experiment.noise_std
-    beliefs = [
-        (
-            outcome.demonstrated[step - 1],
-            match_space.moments(outcome.predicted[step - 1]).add_noise(noise_std**2),
-        )
+    demonstrated = [outcome.demonstrated[step - 1] for outcome in outcomes]
+    predicted = [
+        match_space.moments(outcome.predicted[step - 1]).add_noise(noise_std**2)
         for outcome in outcomes
     ]
-    worst = max(range(len(outcomes)), key=lambda number: gaussian_kl(*beliefs[number]).item())
+    losses = [gaussian_kl(*pair).item() for pair in zip(demonstrated, predicted, strict=True)]
+    worst = losses.index(max(losses))
+    entry = worst_entry(demonstrated[worst], predicted[worst], match_space.names, match_space.units)
     label = outcomes[worst].label
-    return worst_entry(*beliefs[worst], match_space.names, match_space.units) + (
-        f" at {label}" if label else ""
-    )
+    return f"{entry} at {label}" if label else entry
 
 
 def _found(outcome: Outcome, *reasons: Reason | None) -> list[Reason]:
-    """Those that there are; of several targets, with the name of theirs."""
+    """The reasons that are not None, each with the name of the target if there are several."""
     where = f"at {outcome.label}, " if outcome.label else ""
-    return [
-        replace(reason, message=where + reason.message) for reason in reasons if reason is not None
-    ]
+    found = [reason for reason in reasons if reason is not None]
+    return [replace(reason, message=where + reason.message) for reason in found]

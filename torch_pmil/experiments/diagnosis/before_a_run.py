@@ -1,4 +1,4 @@
-"""What may go wrong with an experiment's demonstrations, before anything is learned from them."""
+"""Checks of an experiment's demonstrations before anything is learned from them."""
 
 from __future__ import annotations
 
@@ -33,10 +33,9 @@ def check(experiment: Experiment) -> list[Finding]:
         >>> check(load_experiment("double_pendulum"))
         []
     """
-    demonstrations, noise_std = (
-        experiment.demonstrations,
-        torch.as_tensor(experiment.noise_std, dtype=torch.float64),
-    )
+    demonstrations = experiment.demonstrations
+    noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
+    start = experiment.space.match_space.moments(experiment.initial)
     sets: Sequence[Demonstrations]
     if demonstrations.targets is None:
         sets, numbers = (demonstrations,), [list(range(len(demonstrations.positions)))]
@@ -48,9 +47,7 @@ def check(experiment: Experiment) -> list[Finding]:
         ]
     return [
         *_check_robot(experiment, noise_std),
-        *check_start(
-            demonstrations, experiment.space.match_space.moments(experiment.initial), noise_std
-        ),
+        *check_start(demonstrations, start, noise_std),
         *check_jumps(sets, numbers, noise_std),
         *check_modes(sets, numbers, noise_std),
         *check_duplicates(demonstrations, noise_std),
@@ -59,17 +56,13 @@ def check(experiment: Experiment) -> list[Finding]:
 
 
 def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Finding]:
-    """What the robot itself cannot do."""
-    demonstrations, (N, samples, _) = (
-        experiment.demonstrations,
-        experiment.demonstrations.positions.shape,
-    )
+    """Findings on motions that the robot itself cannot do."""
+    demonstrations = experiment.demonstrations
+    N, samples, _ = demonstrations.positions.shape
     if len(experiment.demonstrated_states) != N * samples:
         return []
-    states, env = (
-        experiment.demonstrated_states.reshape(N, samples, -1),
-        experiment.first_robot(seed=0),
-    )
+    states = experiment.demonstrated_states.reshape(N, samples, -1)
+    env = experiment.first_robot(seed=0)
     findings = check_reach(demonstrations, experiment.space.observe(states), noise_std)
     if (excess := env.beyond_range(states)) is not None:
         findings += check_stops(excess, demonstrations.time_step)
@@ -96,9 +89,7 @@ def needed_torques(experiment: Experiment) -> torch.Tensor | None:
     if len(experiment.demonstrated_states) != N * samples or samples < 3:
         return None
     env = experiment.first_robot(seed=0)
-    torques = [
-        env.needed_torques(states)
-        for states in experiment.demonstrated_states.reshape(N, samples, -1)
-    ]
+    motions = experiment.demonstrated_states.reshape(N, samples, -1)
+    torques = [env.needed_torques(states) for states in motions]
     known = [each for each in torques if each is not None]
     return torch.stack(known) if known else None

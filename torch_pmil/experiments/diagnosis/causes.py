@@ -1,5 +1,6 @@
-"""Why a run did not learn: likely reasons in words, from what was predicted and what the robot did;
-knows no robot.
+"""Why a run did not learn: likely reasons in words, from predictions and executed rollouts.
+
+This module knows no particular robot.
 
 A threshold lies beyond what was measured of any run that learned; the comments say the nearest
 value, of ``results/benchmarks/diagnosis/summary.json`` (``benchmarks/diagnosis.py``).
@@ -23,7 +24,7 @@ COVERED = 0.75  # share of one-step errors within two standard deviations; learn
 FOLLOWED = 0.7
 UNKNOWN = 0.2  # share of the executed steps at which the model knows little; learned: up to 0.04
 LITTLE = 0.5  # posterior over prior standard deviation, from which on it knows little
-MISMATCH = 1.5  # largest step_loss of a step over what the search trusts; learned: up to 1.31
+MISMATCH = 1.5  # largest loss of a step over the search's trust threshold; learned: up to 1.31
 NEAR_LIMIT = 0.95  # of a torque's limit
 SATURATED = 0.5  # share of the steps near the limit; learned: up to 0.38
 MOVED = 0.25  # farthest from the start, over the demonstrated; learned: 0.77 and more
@@ -63,13 +64,14 @@ def saturated_fraction(actions: Tensor, limits: Tensor) -> Tensor:
 
 
 def covered_fraction(residuals: Tensor) -> Tensor:
-    """Share of standardised one-step errors (S, D) within two predicted standard deviations, (D,)."""
+    """Share of standardised one-step errors (S, D) within two standard deviations, (D,)."""
     return (residuals.abs() <= 2).double().mean(0)
 
 
 def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | None:
-    """First step t at which fewer than half of the rollouts are within two predicted standard
-    deviations, and in which entry.
+    """First step t at which fewer than half of the rollouts are within two standard deviations.
+
+    The standard deviations are the predicted ones; the entry of the state is told too.
 
     Args:
         predicted: marginals at t = 1..T, mean (T, D).
@@ -80,20 +82,23 @@ def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | 
 
     Example:
         >>> import torch
-        >>> first_departure(Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1)), torch.tensor([[[0.0], [1.0], [3.0]]]))
+        >>> predicted = Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1))
+        >>> first_departure(predicted, torch.tensor([[[0.0], [1.0], [3.0]]]))
         (2, 0)
     """
     inside = within_two_sigma(predicted, executed).mean(0)
     left = (inside < 0.5).any(-1).nonzero().flatten()
-    return (int(left[0]) + 1, int(inside[left[0]].argmin())) if len(left) else None
+    if not len(left):
+        return None
+    return int(left[0]) + 1, int(inside[left[0]].argmin())
 
 
 def first_mismatch(step_loss: Tensor, trust_threshold: float) -> int | None:
-    """First step t that a search does not trust, where some are far from it.
+    """First step t whose loss is above the search's trust threshold, if some step is far above.
 
     Args:
-        step_loss: of the steps t = 1..T, (T,): their KL.
-        trust_threshold: by the search, in the same unit.
+        step_loss: losses of the steps t = 1..T, (T,).
+        trust_threshold: loss of a step up to which the search trusts it, in the same unit.
 
     Example:
         >>> import torch
@@ -107,8 +112,7 @@ def first_mismatch(step_loss: Tensor, trust_threshold: float) -> int | None:
 
 
 def group(findings: Sequence[Finding]) -> list[Reason]:
-    """One reason for each cause among what was found in the demonstrations, the first finding of
-    each in full.
+    """One reason for each cause among the findings, with the first finding of each in full.
 
     Example:
         >>> group([Finding("a", "one is off"), Finding("a", "two is off")])
@@ -123,10 +127,10 @@ def group(findings: Sequence[Finding]) -> list[Reason]:
     ]
 
 
-def check_torques(
+def check_saturation(
     actions: Tensor, limits: Tensor, names: Sequence[str], needed: Tensor | None
 ) -> Reason | None:
-    """A torque that is at its limit most of the time.
+    """A reason if a torque is at its limit most of the time.
 
     Args:
         actions: of rollouts, (N, T, F), N·m.
@@ -136,23 +140,27 @@ def check_torques(
 
     Example:
         >>> import torch
-        >>> check_torques(torch.ones(20, 25, 1), torch.ones(1), ["tau"], torch.tensor([3.0])).message.partition(";")[0]
-        'motor tau is within 5 % of its limit of 1 N·m in 100 % of the steps, and the demonstrations need up to 3.0 N·m'
+        >>> actions, limits, needed = torch.ones(20, 25, 1), torch.ones(1), torch.tensor([3.0])
+        >>> reason = check_saturation(actions, limits, ["tau"], needed)
+        >>> for part in reason.message.split(", ")[:2]:
+        ...     print(part.partition(";")[0])
+        motor tau is within 5 % of its limit of 1 N·m in 100 % of the steps
+        and the demonstrations need up to 3.0 N·m
     """
     fraction = saturated_fraction(actions, limits)
     motor = int(fraction.argmax())
     if fraction[motor] <= SATURATED:
         return None
+    need = _need(limits[motor].item(), None if needed is None else needed[motor].item())
     return Reason(
         "torque at its limit",
         f"motor {names[motor]} is within 5 % of its limit of {limits[motor]:g} N·m in "
-        f"{_percent(fraction[motor])} of the steps"
-        + _need(limits[motor].item(), None if needed is None else needed[motor].item()),
+        f"{_percent(fraction[motor])} of the steps{need}",
     )
 
 
 def _need(limit: float, needed: float | None) -> str:
-    """Whether a motor is too weak for the demonstrations, and what to do."""
+    """What the demonstrations need of a motor, and what to do, as the end of a sentence."""
     if needed is None:
         return "; a stronger motor, or a slower or smaller demonstration, leaves it room to correct"
     if needed > limit:
@@ -167,11 +175,11 @@ def _need(limit: float, needed: float | None) -> str:
 
 
 def check_motion(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> Reason | None:
-    """A robot that hardly moved.
+    """A reason if the robot hardly moved.
 
     Args:
         executed: rollouts in the match space, z_0..z_T, (N, T + 1, M).
-        demonstrated: likewise, of any number.
+        demonstrated: demonstrations in the match space, of any number.
         noise_std: observation noise, () or (M,), in whose units distances are compared.
 
     Example:
@@ -192,8 +200,9 @@ def check_motion(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> R
 
 
 def moved_fraction(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> float:
-    """How far the robot went from its start, over how far the demonstrations go; see
-    :func:`check_motion`.
+    """Distance of the robot from its start over that of the demonstrations.
+
+    See :func:`check_motion` for the arguments.
     """
     return (_farthest(executed, noise_std) / _farthest(demonstrated, noise_std)).item()
 
@@ -206,7 +215,7 @@ def _farthest(positions: Tensor, noise_std: Tensor) -> Tensor:
 def check_model(
     residuals: Tensor, predicted: Gaussian, executed: Tensor, names: Sequence[str], time_step: float
 ) -> Reason | None:
-    """A model that promises more than the robot keeps, from step to step or over the trajectory.
+    """A reason if the model promises more than the robot keeps, in a step or over the trajectory.
 
     Args:
         residuals: one-step errors of rollouts that the model was not fitted to, in predicted
@@ -219,34 +228,33 @@ def check_model(
     Example:
         >>> import torch
         >>> still = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
-        >>> check_model(torch.full((30, 1), 4.0), still, torch.full((10, 4, 1), 4.0), ("q",), 0.1).message.partition(" (")[0]
-        '0 % of the one-step errors in q, and 0 % of the executed states, lie within two predicted standard deviations'
+        >>> residuals, executed = torch.full((30, 1), 4.0), torch.full((10, 4, 1), 4.0)
+        >>> reason = check_model(residuals, still, executed, ("q",), 0.1)
+        >>> reason.message.partition(", lie within")[0]
+        '0 % of the one-step errors in q, and 0 % of the executed states'
     """
     covered, followed = covered_fraction(residuals), two_sigma_coverage(predicted, executed)
     told = len(residuals) >= FEWEST_STEPS
     if followed >= FOLLOWED and not (told and covered.amin() < COVERED):
         return None
     left, worst = first_departure(predicted, executed), int(covered.argmin())
+    steps, departure = "", ""
+    if told:
+        steps = f"{_percent(covered[worst])} of the one-step errors in {names[worst]}, and "
+    if left:
+        time, entry = left[0] * time_step, names[left[1]]
+        departure = f"; the rollouts leave the prediction at {time:.2f} s, first in {entry}"
     return Reason(
         "model not right",
-        (
-            f"{_percent(covered[worst])} of the one-step errors in {names[worst]}, and "
-            if told
-            else ""
-        )
-        + f"{_percent(followed)} of the executed states, lie within two predicted standard deviations (95 % if the model were right)"
-        + (
-            f"; the rollouts leave the prediction at {left[0] * time_step:.2f} s, first in "
-            f"{names[left[1]]}"
-            if left
-            else ""
-        )
-        + "; give it more data there (more trials, a larger first motion), and see that load, friction, delay and sensors have not changed",
+        f"{steps}{_percent(followed)} of the executed states, lie within two predicted standard "
+        f"deviations (95 % if the model were right){departure}; give it more data there (more "
+        "trials, a larger first motion), and see that load, friction, delay and sensors have not "
+        "changed",
     )
 
 
 def check_experience(unknown: Tensor, data: int, time_step: float) -> Reason | None:
-    """Experience that is far from where the policy goes.
+    """A reason if the experience is far from where the policy goes.
 
     Args:
         unknown: at which steps t = 0..T-1 of the rollouts the model knows little, bool, (N, T).
@@ -256,8 +264,9 @@ def check_experience(unknown: Tensor, data: int, time_step: float) -> Reason | N
     Example:
         >>> import torch
         >>> away = torch.arange(10) >= 4
-        >>> check_experience(away.expand(20, -1), 50, 0.1).message.partition(";")[0]
-        'in 60 % of the executed steps, first at 0.40 s, the robot is where the 50 transitions of its model tell little'
+        >>> reason = check_experience(away.expand(20, -1), 50, 0.1)
+        >>> reason.message.partition(", the robot")[0]
+        'in 60 % of the executed steps, first at 0.40 s'
     """
     share = unknown.double().mean()
     if share <= UNKNOWN:
@@ -280,12 +289,12 @@ def check_search(
     horizons: Sequence[int],
     time_step: float,
 ) -> Reason:
-    """A search that is stuck at a step.
+    """A reason why a search is stuck at a step.
 
     Args:
-        step_loss: of the steps t = 1..T, (T,).
-        step: where it begins, see :func:`first_mismatch`.
-        name, unit: of the step_loss.
+        step_loss: losses of the steps t = 1..T, (T,).
+        step: first step that the search does not trust, see :func:`first_mismatch`.
+        name, unit: of the loss.
         mismatch: what does not match there, see :func:`worst_entry`.
         horizons: step up to which the search of each trial went.
         time_step: s.
@@ -293,39 +302,39 @@ def check_search(
     Example:
         >>> import torch
         >>> step_loss = torch.tensor([0.1, 0.5, 14.0, 30.0])
-        >>> check_search(step_loss, 3, "KL", "nats", "most in q", [2, 2, 2, 2], 0.1).message.partition(";")[0]
+        >>> reason = check_search(step_loss, 3, "KL", "nats", "most in q", [2, 2, 2, 2], 0.1)
+        >>> reason.message.partition(";")[0]
         'the KL of a step rises from 0.5 at 0.20 s to 14 nats at 0.30 s (step 3 of 4), most in q'
     """
-    T, before = (
-        len(step_loss),
-        f"rises from {step_loss[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to"
-        if step > 1
-        else "is",
+    rise = "is"
+    if step > 1:
+        rise = f"rises from {step_loss[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to"
+    hint = (
+        f"{LATEST} trials led them no further, so try another seed, more iterations or a larger "
+        "trust_threshold (SearchSettings), or a larger noise_std, which forgives more"
     )
+    if _advancing(horizons):
+        hint = "more trials may lead them further"
     return Reason(
         "search stuck",
-        f"the {name} of a step {before} {step_loss[step - 1]:.3g} {unit} at {step * time_step:.2f} s "
-        f"(step {step} of {T}), {mismatch}; the last searches went up to step "
-        f"{', '.join(map(str, horizons[-LATEST - 2 :]))}: "
-        + (
-            "more trials may lead them further"
-            if _advancing(horizons)
-            else f"{LATEST} trials led them no further, so try another seed, more iterations or a larger trust_threshold (SearchSettings), "
-            "or a larger noise_std, which forgives more"
-        ),
+        f"the {name} of a step {rise} {step_loss[step - 1]:.3g} {unit} at "
+        f"{step * time_step:.2f} s (step {step} of {len(step_loss)}), {mismatch}; the last "
+        f"searches went up to step {', '.join(map(str, horizons[-LATEST - 2 :]))}: {hint}",
     )
 
 
 def _advancing(horizons: Sequence[int]) -> bool:
-    """Whether the last searches went further than those before, or there were few."""
+    """Whether the last searches went further than those before, or there were few trials."""
     return len(horizons) <= LATEST or max(horizons[-LATEST:]) > max(horizons[:-LATEST])
 
 
 def worst_entry(
     demonstrated: Gaussian, predicted: Gaussian, names: Sequence[str], units: Sequence[str]
 ) -> str:
-    """The entry with the largest part in the KL of a step
-    (:func:`~torch_pmil.search.kl.gaussian_kl_terms`), its means and standard deviations.
+    """The entry with the largest part in the KL of a step, in words.
+
+    It is told with its means and standard deviations; the parts are those of
+    :func:`~torch_pmil.search.kl.gaussian_kl_terms`.
 
     Args:
         demonstrated, predicted: marginals of the step, mean (M,), observation noise included.
@@ -333,8 +342,9 @@ def worst_entry(
 
     Example:
         >>> import torch
-        >>> at = Gaussian(torch.zeros(2), 0.01 * torch.eye(2))
-        >>> worst_entry(at, Gaussian(torch.tensor([0.0, 1.0]), 0.04 * torch.eye(2)), ("x", "y"), ("m", "m"))
+        >>> demonstrated = Gaussian(torch.zeros(2), 0.01 * torch.eye(2))
+        >>> predicted = Gaussian(torch.tensor([0.0, 1.0]), 0.04 * torch.eye(2))
+        >>> worst_entry(demonstrated, predicted, ("x", "y"), ("m", "m"))
         'most in y (predicted 1.00 ± 0.20 m, demonstrated 0.00 ± 0.10 m)'
     """
     terms = gaussian_kl_terms(demonstrated, predicted)
@@ -347,7 +357,7 @@ def worst_entry(
 
 
 def unexplained(failed: int, count: int, tolerance: float, largest: str) -> Reason:
-    """What to say of a run in which nothing is wrong but its success rate.
+    """The reason for a run in which nothing is wrong but its success rate.
 
     Args:
         failed: number of rollouts that are no success.

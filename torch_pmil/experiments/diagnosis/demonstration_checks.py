@@ -1,5 +1,6 @@
-"""Demonstrations that break what the method assumes, told before a robot learns from them; knows no
-robot.
+"""Checks for demonstrations that break what the method assumes, made before a robot learns.
+
+This module knows no particular robot.
 """
 
 from __future__ import annotations
@@ -18,24 +19,21 @@ from torch_pmil.gp.gaussian import Gaussian
 SIGNIFICANCE = 0.01  # of two modes: false alarms
 LEAST_EXPLAINED = 0.75  # of all scatter, by two modes
 START_SIGNIFICANCE = 1e-3  # of a start beside p(x_0), for all demonstrations together
-SAME = (
-    0.01  # largest difference of two that are one, in standard deviations of the observation noise
-)
+# largest difference of two that are one, in standard deviations of the observation noise
+SAME = 0.01
 LEAST_JUMP = 6.0  # second difference of a jump, in standard deviations of the observation noise
-LONE_JUMP = 3.0  # the same, beside the largest one of the other demonstrations
+LONE_JUMP = 3.0  # second difference of a jump, over the largest one of other demonstrations
 NEARBY = 2  # samples before and after, in which the others are compared
 OUT_OF_REACH = 2.0  # standard deviations of the observation noise
 STOP_MARGIN = 0.05  # rad or m, that a joint may be beyond its stop
 TORQUE_MARGIN = 1.3  # of the limit: so uncertain are torques of a motion known at the control rate
-UNREACHABLE, FEW = (
-    "demonstrations out of reach",
-    "too few demonstrations",
-)  # causes that several checks tell
+UNREACHABLE = "demonstrations out of reach"  # a cause that several checks tell
+FEW = "too few demonstrations"  # another one
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong with demonstrations, in words.
+    """A flaw of demonstrations, in words.
 
     Args:
         cause: its name, one of a few.
@@ -51,7 +49,7 @@ class Finding:
 def check_modes(
     sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
 ) -> list[Finding]:
-    """Two modes in the demonstrations of one target.
+    """Find two modes in the demonstrations of one target.
 
     Args:
         sets: demonstrations of each target.
@@ -61,9 +59,10 @@ def check_modes(
     Example:
         >>> way = torch.linspace(0, torch.pi, 20).sin()
         >>> ways = torch.stack([sign * way + 0.01 * k for sign in (-1, 1) for k in range(4)])
-        >>> found = check_modes([Demonstrations(ways[..., None], 0.1, ("x",))], [range(8)], torch.tensor(0.1))
-        >>> found[0].message.partition(";")[0]
-        'demonstrations 0, 1, 2, 3 and 4, 5, 6, 7 are two different ways (100 % of the spread is between them, p = 0.0000)'
+        >>> shown = Demonstrations(ways[..., None], 0.1, ("x",))
+        >>> found = check_modes([shown], [range(8)], torch.tensor(0.1))
+        >>> found[0].message.partition(" (")[0]
+        'demonstrations 0, 1, 2, 3 and 4, 5, 6, 7 are two different ways'
     """
     findings = []
     for demonstrations, known in zip(sets, numbers, strict=True):
@@ -84,7 +83,7 @@ def check_modes(
 
 
 def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
-    """Too few demonstrations to estimate their spread (Eq. 11)."""
+    """Find too few demonstrations to estimate their spread (Eq. 11)."""
     count = sum(len(each.positions) for each in sets)
     if count - len(sets) >= 2:
         return []
@@ -98,7 +97,7 @@ def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
 
 
 def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[Finding]:
-    """Demonstrations that are copies of one another: they say less spread than there is."""
+    """Find demonstrations that are copies of one another: they show less spread than there is."""
     scaled = demonstrations.positions / noise_std
     largest = (scaled[:, None] - scaled).abs().amax((-2, -1))
     pairs = (largest < SAME).triu(1).nonzero().tolist()
@@ -111,8 +110,9 @@ def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[
 def check_start(
     demonstrations: Demonstrations, start: Gaussian, noise_std: Tensor
 ) -> list[Finding]:
-    r"""Demonstrations that begin where the robot does not: beyond the :math:`\chi^2` quantile of
-    the observed p(x_0).
+    r"""Find demonstrations that begin where the robot does not start.
+
+    That is beyond the :math:`\chi^2` quantile of the observed p(x_0).
 
     Args:
         demonstrations: N of them.
@@ -121,9 +121,8 @@ def check_start(
     """
     belief = start.add_noise(noise_std**2)
     deviation = demonstrations.positions[:, 0] - belief.mean
-    white = torch.linalg.solve_triangular(
-        torch.linalg.cholesky(belief.cov), deviation.mT, upper=False
-    )
+    factor = torch.linalg.cholesky(belief.cov)
+    white = torch.linalg.solve_triangular(factor, deviation.mT, upper=False)
     bound = chi2.isf(START_SIGNIFICANCE / len(deviation), len(belief.mean))
     findings = []
     for number in (white.square().sum(0) > bound).nonzero().flatten().tolist():
@@ -144,8 +143,9 @@ def check_start(
 def check_jumps(
     sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
 ) -> list[Finding]:
-    """Jumps from sample to sample, as of a tracker that lost its point: second differences that no
-    other demonstration has near that time.
+    """Find jumps from sample to sample, as of a tracker that lost its point.
+
+    A jump is a second difference that no other demonstration has near that time.
 
     Args:
         sets, numbers, noise_std: as for :func:`check_modes`.
@@ -175,7 +175,7 @@ def check_jumps(
 
 
 def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor) -> list[Finding]:
-    """Places where the robot cannot be.
+    """Find places where the robot cannot be.
 
     Args:
         demonstrations: N of them.
@@ -197,7 +197,7 @@ def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor
 
 
 def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
-    """Joints beyond their stops: excess (N, T + 1, J) in rad or m, 0 within."""
+    """Find joints beyond their stops: excess (N, T + 1, J) in rad or m, 0 within."""
     return [
         Finding(
             UNREACHABLE,
@@ -213,7 +213,7 @@ def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
 def check_torques(
     torques: Tensor, limits: Tensor, names: Sequence[str], time_step: float
 ) -> list[Finding]:
-    """Motions that need more torque than there is.
+    """Find motions that need more torque than there is.
 
     Args:
         torques: of each control period, (N, T, F), N·m.
@@ -233,8 +233,9 @@ def check_torques(
 
 
 def _worst(sizes: Tensor, bound: float) -> Iterator[tuple[int, int, int]]:
-    """Demonstration, step and entry of the largest size (N, T, K) of each demonstration in which it
-    is more than a bound.
+    """Demonstration, step and entry of the largest size in each demonstration, if above a bound.
+
+    Sizes are (N, T, K).
     """
     for number, size in enumerate(sizes):
         step, entry = divmod(int(size.argmax()), size.shape[1])

@@ -1,5 +1,4 @@
-r"""Two ways of doing it in one set of demonstrations, whose mean (Eq. 10) is a third way that
-nobody showed.
+r"""Two ways of doing a task in one set of demonstrations, whose mean (Eq. 10) nobody showed.
 
 Whole trajectories are split in two along their direction of largest spread. What is significant is
 the ratio R of the squared scatter within the two parts to that of all, along that direction. For
@@ -40,7 +39,7 @@ class Split:
 
 
 def split_in_two(trajectories: Tensor) -> Split | None:
-    """The best split, and how surprising it is.
+    """The best split of trajectories in two, and how surprising it is.
 
     Args:
         trajectories: aligned, (N, ...), all entries in comparable units.
@@ -63,32 +62,29 @@ def split_in_two(trajectories: Tensor) -> Split | None:
     ratio, cut = (found.item() for found in _scatter_within(np.sort(scores)[None]))
     order = scores.argsort()
     first, second = sorted((sorted(order[: cut + 1].tolist()), sorted(order[cut + 1 :].tolist())))
-    within = sum(
-        (deviation[part] - deviation[part].mean(0)).square().sum().item()
-        for part in (first, second)
-    )
-    return Split(
-        (tuple(first), tuple(second)),
-        (_uniform_ratios(len(scores)) <= ratio).mean().item(),
-        1 - within / scatter,
-    )
+    parts = [deviation[first], deviation[second]]
+    within = sum((part - part.mean(0)).square().sum().item() for part in parts)
+    p_value = (_uniform_ratios(len(scores)) <= ratio).mean().item()
+    return Split((tuple(first), tuple(second)), p_value, 1 - within / scatter)
 
 
 def _scatter_within(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least scatter within two parts of sorted scores (S, N) over that of all, (S,), and the index
-    after which to cut, (S,).
+    """Least scatter within two parts of sorted scores (S, N) over the total, and where to cut.
+
+    Both are (S,); the cut is the index of the last score of the first part.
+
+    The cut is the index of the last score of the first part.
     """
     centred = scores - scores.mean(1, keepdims=True)
     count = np.arange(1, scores.shape[1])
-    left = centred.cumsum(1)[
-        :, :-1
-    ]  # sums of the first parts; those of the second are their negatives
+    # sums of the first parts; those of the second parts are their negatives
+    left = centred.cumsum(1)[:, :-1]
     between = left**2 * (1 / count + 1 / count[::-1])
     return 1 - between.max(1) / (centred**2).sum(1), between.argmax(1)
 
 
 @cache
 def _uniform_ratios(count: int) -> np.ndarray:
-    return _scatter_within(np.sort(np.random.default_rng(0).uniform(size=(SIMULATIONS, count)), 1))[
-        0
-    ]
+    samples = np.random.default_rng(0).uniform(size=(SIMULATIONS, count))
+    ratios, _ = _scatter_within(np.sort(samples, 1))
+    return ratios

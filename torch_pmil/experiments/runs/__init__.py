@@ -1,1 +1,1 @@
-"""One learning run and many: the folder of a run, its figures and report, and summaries of several."""
+"""Learning runs: their folder, figures, report and summaries, and sweeps over several."""

@@ -40,8 +40,9 @@ MARGIN = 0.3  # around the executed motion, in its range
 
 
 def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str, Figure]]:
-    """All figures of a run with their names, one after the other; those of a target end in
-    ``_target_0``, ``_target_1``, ...
+    """All figures of a run with their names, one after the other.
+
+    Names of the figures of a target end in ``_target_0``, ``_target_1``, ...
     """
     yield "learning_curve", _learning_curve(experiment, result)
     for number, outcome in enumerate(result.outcomes):
@@ -52,26 +53,18 @@ def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str,
     yield "model", _model(experiment, result)
     first = result.outcomes[0]
     if experiment.name in SKETCHES:
-        yield (
-            "poses",
-            plot_poses(
-                experiment.space.observe(first.executed[0]), experiment.demonstrations.time_step
-            ),
-        )
+        positions = experiment.space.observe(first.executed[0])
+        yield "poses", plot_poses(positions, experiment.demonstrations.time_step)
     if isinstance(experiment, Handwriting):
-        yield (
-            "writing",
-            plot_writing({experiment.name: experiment.writing(first.predicted, first.rollouts)}),
-        )
+        writing = experiment.writing(first.predicted, first.rollouts)
+        yield "writing", plot_writing({experiment.name: writing})
 
 
 def _learning_curve(experiment: Experiment, result: RunResult) -> Figure:
     objective, trials = experiment.objective, result.trials
-    label = (
-        f"predicted {objective.label} ({objective.unit})"
-        if objective.unit
-        else f"predicted {objective.label}"
-    )
+    label = f"predicted {objective.label}"
+    if objective.unit:
+        label = f"{label} ({objective.unit})"
     return plot_learning_curve(
         [t.experience_s for t in trials],
         [t.success_rate for t in trials],
@@ -83,36 +76,26 @@ def _learning_curve(experiment: Experiment, result: RunResult) -> Figure:
 def _of_outcome(
     experiment: Experiment, result: RunResult, outcome: Outcome, number: int
 ) -> Iterator[tuple[str, Figure]]:
-    """Trajectories, where their KL comes from if it is what was learned from, and the policy."""
+    """The figures of one target: trajectories, KL of each step if it was minimised, and policy."""
     match_space, time_step = experiment.space.match_space, experiment.demonstrations.time_step
-    predicted, executed = (
-        match_space.moments(outcome.predicted).add_noise(experiment.noise_std**2),
-        match_space(outcome.executed),
+    names, demonstrated = match_space.names, outcome.demonstrated
+    predicted = match_space.moments(outcome.predicted).add_noise(experiment.noise_std**2)
+    executed = match_space(outcome.executed)[:, 1:]
+    trajectories = plot_distributions(
+        names, match_space.units, time_step, demonstrated, predicted, executed
     )
-    yield (
-        "trajectories",
-        plot_distributions(
-            match_space.names,
-            match_space.units,
-            time_step,
-            outcome.demonstrated,
-            predicted,
-            executed[:, 1:],
-        ),
-    )
+    yield "trajectories", trajectories
     if issubclass(experiment.objective, TrajectoryKLLoss):
-        yield (
-            "kl_per_step",
-            plot_kl_per_step(match_space.names, time_step, outcome.demonstrated, predicted),
-        )
+        yield "kl_per_step", plot_kl_per_step(names, time_step, demonstrated, predicted)
     planes = planes_of(experiment.space, len(experiment.u_max), outcome.executed)
     if planes:
         yield "policy", _policy(experiment, result, outcome, planes, number)
 
 
 def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[Plane]:
-    """Each position q with its velocity dq, as far as a motion went and a little beyond; its own
-    torque if each has one, else the first.
+    """The planes of each position q and its velocity dq, a little larger than the executed motion.
+
+    Each plane shows its own joint's torque if every joint has one, else the first torque.
 
     Args:
         space: of the robot.
@@ -121,7 +104,9 @@ def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[Plane]:
 
     Example:
         >>> from torch_pmil.experiments import load_experiment
-        >>> [(plane.x, plane.y, plane.torque) for plane in planes_of(load_experiment("double_pendulum").space, 2, torch.eye(4)[None])]
+        >>> space = load_experiment("double_pendulum").space
+        >>> planes = planes_of(space, 2, torch.eye(4)[None])
+        >>> [(plane.x, plane.y, plane.torque) for plane in planes]
         [(0, 1, 0), (2, 3, 1)]
     """
     low, high = executed.flatten(0, 1).aminmax(dim=0)
@@ -142,28 +127,29 @@ def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[Plane]:
 def _policy(
     experiment: Experiment, result: RunResult, outcome: Outcome, planes: list[Plane], number: int
 ) -> Figure:
-    """The policy in those planes, at some times of the predicted motion, with the flow of the
-    model's mean.
+    """The policy in planes of the state, at some times of the predicted motion.
+
+    Arrows show the flow of the model's mean.
     """
     policy, space, dynamics = result.policy, experiment.space, result.dynamics
     if isinstance(experiment, TargetExperiment):
-        policy = StatePolicy(
-            policy.policy.for_target(experiment.targets[number]), space, policy.control_period
-        )
+        network = policy.policy.for_target(experiment.targets[number])
+        policy = StatePolicy(network, space, policy.control_period)
     steps = [max(round(share * experiment.horizon), 1) for share in SHARES]
     titles = [f"t = {step * policy.control_period:g} s" for step in steps]
     states = outcome.predicted.mean[[step - 1 for step in steps]]
-    return plot_policy(
-        policy,
-        planes,
-        states,
-        titles,
-        lambda at: predict_mean_trajectory(at, policy.policy, dynamics, space, horizon=1)[:, 0],
-    )
+
+    def following(at: Tensor) -> Tensor:
+        return predict_mean_trajectory(at, policy.policy, dynamics, space, horizon=1)[:, 0]
+
+    return plot_policy(policy, planes, states, titles, following)
 
 
 def _calibration(experiment: Experiment, result: RunResult) -> Figure:
-    """Of rollouts from fresh starts, which the model has not learned from; of all targets together."""
+    """Calibration of the model on rollouts from fresh starts, of all targets together.
+
+    The model has not learned from these.
+    """
     states = torch.cat([outcome.executed for outcome in result.outcomes])
     actions = torch.cat([outcome.rollouts["action"] for outcome in result.outcomes])
     residuals = standardised_residuals(result.dynamics, experiment.space, states, actions)
@@ -171,14 +157,14 @@ def _calibration(experiment: Experiment, result: RunResult) -> Figure:
 
 
 def _model(experiment: Experiment, result: RunResult) -> Figure:
-    """Slices through the model where the robot was halfway, over the inputs on which it depends
-    most.
+    """Slices through the model where the robot was halfway.
+
+    They go over the inputs on which the model depends most.
     """
     space, dynamics, outcome = experiment.space, result.dynamics, result.outcomes[0]
     halfway = experiment.horizon // 2
-    point = torch.cat(
-        [space.features(outcome.executed[0, halfway]), outcome.rollouts["action"][0, halfway]]
-    )
+    features = space.features(outcome.executed[0, halfway])
+    point = torch.cat([features, outcome.rollouts["action"][0, halfway]])
     relevance = (dynamics.train_inputs.std(0) / dynamics.expansion.lengthscales).amax(0)
     over = relevance.topk(min(SLICED, len(relevance))).indices.sort().values.tolist()
     return plot_gp_slices(dynamics, point, _input_names(experiment), space.names, space.units, over)

@@ -22,7 +22,7 @@ FRAMES_PER_SECOND = 50
 
 
 def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
-    """Figures, video (as a GIF too) and report of a run."""
+    """Draw figures and video (as a GIF too), and write the report of a run."""
     for name, figure in figures_of(experiment, result):
         save_figure(figure, out / "figures" / f"{name}.png")
     env = experiment.first_robot(seed=0)
@@ -36,8 +36,9 @@ def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
 
 
 def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Path) -> None:
-    """The first executed rollout, as the simulator draws it; without OpenGL, as lines, or not at
-    all.
+    """Film the first executed rollout, as the simulator draws it.
+
+    Without OpenGL it is drawn as lines, or not at all.
     """
     start, actions = outcome.executed[0, 0], outcome.rollouts["action"][0]
     try:
@@ -48,19 +49,16 @@ def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Pa
             return
         print(f"{path} is a sketch, because {error}")
         positions = experiment.space.observe(dense_states(env, start, actions))
-        write_video(
-            path, SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND), FRAMES_PER_SECOND
-        )
+        frames = SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND)
+        write_video(path, frames, FRAMES_PER_SECOND)
 
 
 def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None:
-    """The policy from a fresh start, as the environment shows itself, if it does."""
+    """Film the policy from a fresh start, as the environment shows itself, if it does."""
     try:
         env = experiment.make_env(from_pixels=True, seed=0)
         pictures = film_rollout(env, result.policy.policy, experiment.space, experiment.horizon)
         write_video(path, pictures, 1 / experiment.demonstrations.time_step)
     except Exception as error:  # every renderer fails with a type of its own
-        print(
-            "there is no video, because the environment gives no pictures: "
-            f"{str(error).partition(chr(10))[0]}"
-        )
+        reason = str(error).partition("\n")[0]
+        print(f"there is no video, because the environment gives no pictures: {reason}")

@@ -1,4 +1,4 @@
-"""What a run leaves in its folder, and where it comes from."""
+"""The files that a run leaves in its folder, and the origin of its results."""
 
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ class UnfinishedRunError(ValueError):
 
 
 def prepare_folder(out: Path) -> None:
-    """Make the folder of a run, with ``figures/``, and see that it can be written to. Raises
-    OSError if not.
-    """
+    """Make the folder of a run, with ``figures/``; raise OSError if it cannot be written to."""
     (out / "figures").mkdir(parents=True, exist_ok=True)
     with replacing(out / ".writable") as probe:
         probe.touch()
@@ -61,8 +59,9 @@ def read_command(folder: Path) -> str:
 
 
 def clear_folder(out: Path) -> None:
-    """Remove what a finished run left of its course, and its pictures. Raises UnfinishedRunError
-    where the last one has not ended.
+    """Remove the checkpoints, logs and pictures of a finished run.
+
+    Raises UnfinishedRunError where the last run has not ended.
     """
     saved = saved_checkpoints(rotation_in(out / "checkpoints"))
     if saved and not (out / "summary.json").exists():
@@ -78,7 +77,7 @@ def clear_folder(out: Path) -> None:
 
 
 def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
-    """TorchRL's logger of that kind for a run. Raises ImportError where its library is missing.
+    """TorchRL's logger of that kind for a run; raises ImportError where its library is missing.
 
     MLflow's server is that of ``MLFLOW_TRACKING_URI``, or else a database in ``logs/``: it refuses
     the folder that TorchRL suggests.
@@ -87,19 +86,16 @@ def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         if kind == "mlflow":
-            return MLFlowLogger(
-                name,
-                tracking_uri=os.environ.get(
-                    "MLFLOW_TRACKING_URI", f"sqlite:///{folder / 'mlflow.db'}"
-                ),
-            )
+            database = f"sqlite:///{folder / 'mlflow.db'}"
+            server = os.environ.get("MLFLOW_TRACKING_URI", database)
+            return MLFlowLogger(name, tracking_uri=server)
         return get_logger(kind, str(folder), name)
     except ImportError as error:
         raise ImportError(f"logger={kind} needs another library: pip install {kind}") from error
 
 
 def write_metrics(path: Path, kind: type[Measurement], trials: Sequence[Measurement]) -> None:
-    """One row for each trial, a column for each field of that kind of trial."""
+    """Write a row for each trial, with a column for each field of that kind of trial."""
     with replacing(path) as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(kind)])
         writer.writeheader()
@@ -107,7 +103,7 @@ def write_metrics(path: Path, kind: type[Measurement], trials: Sequence[Measurem
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
-    """A state dict that ``torch.load(path, weights_only=True)`` reads."""
+    """Save a state dict that ``torch.load(path, weights_only=True)`` reads."""
     with replacing(path) as temporary:
         torch.save(tensors, temporary)
 
@@ -119,8 +115,9 @@ def check_whole(name: str, value: int, least: int) -> None:
 
 
 def provenance(command: str) -> dict[str, object]:
-    """Where a result comes from: command, date, commit of the source tree (or "unknown" outside
-    one), versions.
+    """Where a result comes from: command, date, commit and versions.
+
+    The commit is that of the source tree, "unknown" outside one.
     """
     try:
         git = subprocess.run(
@@ -133,12 +130,7 @@ def provenance(command: str) -> dict[str, object]:
         commit = git.stdout.strip() or "unknown"
     except OSError:
         commit = "unknown"
-    return {
-        "command": command,
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "commit": commit,
-        "versions": {
-            "python": platform.python_version(),
-            **{name: version(name) for name in LIBRARIES},
-        },
-    }
+    versions = {"python": platform.python_version()}
+    versions |= {name: version(name) for name in LIBRARIES}
+    date = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"command": command, "date": date, "commit": commit, "versions": versions}

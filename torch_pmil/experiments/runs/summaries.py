@@ -45,9 +45,8 @@ class SuccessCurve:
 
         It is that of the last measurement up to then, or of the first one.
         """
-        return self.mean[
-            max(int(np.searchsorted(self.experience_s, experience_s, side="right")) - 1, 0)
-        ].item()
+        measured = int(np.searchsorted(self.experience_s, experience_s, side="right"))
+        return self.mean[max(measured - 1, 0)].item()
 
     def experience_to(self, rate: float) -> float | None:
         """Seconds of experience with which the mean first reached a rate; None if it never did."""
@@ -67,9 +66,8 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
     for folder in folders:
         if not folder.is_dir():
             raise RunError(f"{folder} is not a folder")
-        runs = [
-            path for path in (folder, *sorted(folder.iterdir())) if (path / "metrics.csv").is_file()
-        ]
+        candidates = (folder, *sorted(folder.iterdir()))
+        runs = [path for path in candidates if (path / "metrics.csv").is_file()]
         if not runs:
             raise RunError(f"{folder} holds no run: neither metrics.csv nor folders with it")
         found += runs
@@ -100,13 +98,12 @@ def read_summary(folder: Path) -> dict:
 
 
 def _check_summary(summary: dict) -> None:
-    """Raise KeyError, ValueError or TypeError unless a summary has all that tables and curves need."""
+    """Raise KeyError, ValueError or TypeError unless a summary has what tables and curves need."""
     if not summary["trials"]:
         raise ValueError("it has no trial")
     measured = [summary | {"success_rate": summary["saved_success_rate"]}, *summary["trials"]]
-    _check_numbers(
-        "success_rate", [measurement["success_rate"] for measurement in measured], largest=1
-    )
+    rates = [measurement["success_rate"] for measurement in measured]
+    _check_numbers("success_rate", rates, largest=1)
     _check_numbers("experience_s", [measurement["experience_s"] for measurement in measured])
     for key in (*NUMBERS, *({COVERAGE} & summary.keys())):
         _check_numbers(key, [summary[key]])
@@ -116,12 +113,10 @@ def _check_summary(summary: dict) -> None:
 
 
 def _check_numbers(name: str, values: list, largest: float = math.inf) -> None:
+    wanted = "a number from 0" if largest == math.inf else f"a number from 0 to {largest}"
     for value in values:
         if not (isinstance(value, int | float) and math.isfinite(value) and 0 <= value <= largest):
-            raise ValueError(
-                f"{name} must be a number from 0{f' to {largest}' if largest < math.inf else ''}, "
-                f"got {value!r}"
-            )
+            raise ValueError(f"{name} must be {wanted}, got {value!r}")
 
 
 def count_trials(folder: Path) -> int:
@@ -150,10 +145,13 @@ def success_over_experience(runs: Sequence[dict]) -> SuccessCurve:
         runs: summaries, see :func:`read_summary`.
 
     Example:
-        >>> def run(experience_s, *rates, saved):
-        ...     trials = [{"experience_s": 2.5 * n, "success_rate": rate} for n, rate in enumerate(rates, start=1)]
-        ...     return {"experience_s": experience_s, "saved_success_rate": saved, "trials": trials}
-        >>> curve = success_over_experience([run(5.0, 1.0, saved=0.9), run(7.5, 0.0, 0.5, saved=0.5)])
+        >>> def run(saved, *trials):
+        ...     measured = [{"experience_s": s, "success_rate": rate} for s, rate in trials]
+        ...     experience_s = trials[-1][0] + 2.5
+        ...     summary = {"experience_s": experience_s, "saved_success_rate": saved}
+        ...     return {**summary, "trials": measured}
+        >>> runs = [run(0.9, (2.5, 1.0)), run(0.5, (2.5, 0.0), (5.0, 0.5))]
+        >>> curve = success_over_experience(runs)
         >>> curve.experience_s.tolist(), curve.rates.tolist()
         ([2.5, 5.0, 7.5], [[1.0, 0.9, 0.9], [0.0, 0.5, 0.5]])
     """
@@ -183,7 +181,8 @@ def _measurements(run: dict) -> tuple[np.ndarray, np.ndarray]:
 def wilson_interval(mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     r"""Wilson's 95 % score interval for the mean of ``count`` draws from [0, 1].
 
-    .. math:: \frac{\hat p + z^2/2n}{1 + z^2/n} \pm \frac{z}{1 + z^2/n} \sqrt{\frac{\hat p (1 - \hat p)}{n} + \frac{z^2}{4 n^2}}
+    .. math:: \frac{\hat p + z^2/2n}{1 + z^2/n} \pm \frac{z}{1 + z^2/n}
+        \sqrt{\frac{\hat p (1 - \hat p)}{n} + \frac{z^2}{4 n^2}}
 
     The draws are the success rates of the runs. Rollouts of one run share its policy, so to pool
     them as if they were independent would give too narrow an interval. No draw from [0, 1] with

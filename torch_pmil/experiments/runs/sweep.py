@@ -1,6 +1,4 @@
-"""Sweeps over runs, ``pmil train -m "seed=range(10)"``: their launchers, and a check before the
-first run.
-"""
+"""Sweeps over runs, ``pmil train -m "seed=range(10)"``: launchers, and a check before them."""
 
 from __future__ import annotations
 
@@ -23,25 +21,23 @@ from omegaconf import DictConfig, OmegaConf
 
 from torch_pmil.experiments import run_name
 
-EXTRAS = {
-    "hydra_ray_launcher": "ray",
-    "hydra_submitit_launcher": "slurm",
-}  # of setup.cfg, by the launcher's module
+# the package's extra that installs a launcher, by the launcher's module
+EXTRAS = {"hydra_ray_launcher": "ray", "hydra_submitit_launcher": "slurm"}
 
 OmegaConf.register_new_resolver("run_name", run_name, replace=True)
 
 
 def register_launchers(folder: Path) -> None:
-    """Make each YAML file of a folder a choice of ``hydra/launcher``, in place of what the
-    launcher's package has under that name.
+    """Make each YAML file of a folder a choice of ``hydra/launcher``.
+
+    It takes the place of what the launcher's package has under that name.
 
     In Hydra's search path such a file would be taken for values of the package's own schema, which
     Hydra warns of. So it can be chosen, too, where the package is not installed, and
     :class:`SweepCheck` says what to install.
     """
-    os.environ.setdefault(
-        "RAY_DEDUP_LOGS", "0"
-    )  # Ray, when imported: lines that differ in numbers alone are not the same
+    # read by Ray when it is imported: lines that differ in numbers alone are not the same
+    os.environ.setdefault("RAY_DEDUP_LOGS", "0")
     Plugins.instance()  # loads the launchers' packages, which register their own
     for path in sorted(folder.glob("*.yaml")):
         ConfigStore.instance().store(
@@ -50,8 +46,7 @@ def register_launchers(folder: Path) -> None:
 
 
 class SweepCheck(Callback):
-    """Ends a sweep with one line if its launcher is not installed, or if two of its runs would
-    write to one folder.
+    """Ends a sweep with one line if its launcher is missing or two runs would share a folder.
 
     A Hydra callback; it exits by itself, since Hydra turns an exception of a callback into a
     warning.
@@ -60,25 +55,25 @@ class SweepCheck(Callback):
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
         """Check before anything is launched."""
         complaint = missing_launcher(config)
-        with suppress(
-            CompactHydraException
-        ):  # overrides that make no config: the sweeper itself says so, after this
+        # the sweeper itself, after this, says which overrides make no config
+        with suppress(CompactHydraException):
             complaint = complaint or shared_folder(config)
         if complaint:
             sys.exit(f"error: {complaint}")
 
 
 def missing_launcher(config: DictConfig) -> str | None:
-    """What to install for the launcher; None if it is there."""
+    """The complaint that the launcher is not installed, with what to install; None if it is."""
     module = config.hydra.launcher._target_.split(".")[1]
     if find_spec(f"hydra_plugins.{module}"):
         return None
     launcher = config.hydra.runtime.choices["hydra/launcher"]
-    return f'hydra/launcher={launcher} needs {module.replace("_", "-")}: pip install "torch_pmil[{EXTRAS[module]}]"'
+    package = module.replace("_", "-")
+    return f'hydra/launcher={launcher} needs {package}: pip install "torch_pmil[{EXTRAS[module]}]"'
 
 
 def shared_folder(config: DictConfig) -> str | None:
-    """Which two runs would write to one folder; None if all have their own."""
+    """The complaint that two runs would write to one folder; None if each has its own."""
     loader = GlobalHydra.instance().config_loader()
     runs: dict[str, str] = {}
     for overrides in runs_of(config):

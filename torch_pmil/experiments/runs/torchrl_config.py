@@ -1,5 +1,6 @@
-"""The trainer in TorchRL's Hydra configuration: after ``import
-torch_pmil.experiments.runs.torchrl_config`` there is ``trainer=pmil``.
+"""The trainer in TorchRL's Hydra configuration, as ``trainer=pmil``.
+
+It is there after ``import torch_pmil.experiments.runs.torchrl_config``.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def make_pmil_trainer(
     checkpoint_rotation: CheckpointRotation | None,
     hooks: list[TrainerHookBase] | None,
 ) -> PMILTrainer:
-    """What ``hydra.utils.instantiate`` makes of :class:`PMILTrainerConfig`."""
+    """The trainer that ``hydra.utils.instantiate`` makes of a :class:`PMILTrainerConfig`."""
     task = load_experiment(
         experiment,
         None if demonstrations is None else load_demonstrations(demonstrations),

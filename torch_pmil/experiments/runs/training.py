@@ -75,8 +75,10 @@ def train(
     resume: bool = False,
     logger: str | None = None,
 ) -> RunResult:
-    """Learn an experiment and write ``metrics.csv`` (after every trial), ``policy.pt``,
-    ``dynamics.pt`` and ``summary.json``.
+    """Learn an experiment, and write policy, model and numbers into the folder of the run.
+
+    These are ``policy.pt``, ``dynamics.pt``, ``summary.json``, and after every trial
+    ``metrics.csv``.
 
     ``run.json`` says how the run was begun. A checkpoint is written into ``checkpoints/`` after
     every rollout of the robot. A run that was killed goes on from there with ``resume`` and ends
@@ -137,7 +139,6 @@ def train(
     )
     save_tensors(out / "dynamics.pt", dynamics.state_dict())
     outcomes = experiment.outcomes(*_predict_and_execute(trainer, experiment))
-    horizons = [trial.horizon for trial in trainer.trials]
     summary = {
         "experiment": experiment.name,
         "seed": seed,
@@ -145,10 +146,7 @@ def train(
         "settings": {"trials": trials, **experiment.settings},
         "wall_seconds": round(trainer.seconds, 2),
         **_measured(trainer, best, experiment, outcomes),
-        "diagnosis": [
-            asdict(reason)
-            for reason in likely_reasons(experiment, trainer.loss_module, outcomes, horizons)
-        ],
+        "diagnosis": _diagnosis(trainer, experiment, outcomes),
         "trials": [_plain(trial) for trial in trainer.trials],
     }
     write_json(out / "summary.json", summary)
@@ -156,7 +154,7 @@ def train(
 
 
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
-    """What a resumed run must have in common with the one that was stopped, as JSON says it."""
+    """The settings that a resumed run must share with the stopped one, as JSON has them."""
     positions = experiment.demonstrations.positions.contiguous().numpy().tobytes()
     identity = {
         "experiment": experiment.name,
@@ -217,17 +215,17 @@ def make_trainer(
 def _predict_and_execute(
     trainer: PMILTrainer, experiment: Experiment
 ) -> tuple[Gaussian, TensorDictBase]:
-    loss = trainer.loss_module
-    return loss.predict_states(experiment.initial), trainer.evaluation_env.rollout(
-        loss.horizon, trainer.robot_policy
-    )
+    predicted = trainer.loss_module.predict_states(experiment.initial)
+    rollouts = trainer.evaluation_env.rollout(trainer.loss_module.horizon, trainer.robot_policy)
+    return predicted, rollouts
 
 
 def _measured(
     trainer: PMILTrainer, best: Candidate, experiment: Experiment, outcomes: list[Outcome]
 ) -> dict[str, object]:
-    """What the run came to; the saved policy is measured anew, from starts that no trial saw. Of
-    several targets, the mean.
+    """The results of a run, with the saved policy measured anew from starts that no trial saw.
+
+    Of several targets it is the mean.
     """
     rates = {
         outcome.label: success_rate(experiment.error(outcome.rollouts), experiment.tolerance)
@@ -266,6 +264,14 @@ def _measured(
     }
 
 
+def _diagnosis(
+    trainer: PMILTrainer, experiment: Experiment, outcomes: list[Outcome]
+) -> list[dict[str, object]]:
+    horizons = [trial.horizon for trial in trainer.trials]
+    reasons = likely_reasons(experiment, trainer.loss_module, outcomes, horizons)
+    return [asdict(reason) for reason in reasons]
+
+
 @torch.no_grad()
 def _per_step(trainer: PMILTrainer, experiment: Experiment) -> list[float]:
     """Summands of the saved policy's predicted loss under the newest model, (T,)."""
@@ -277,7 +283,7 @@ def _by_name(names: tuple[str, ...], values: Tensor) -> dict[str, float]:
 
 
 def _plain(trial: Trial) -> dict[str, object]:
-    """A trial as JSON can say it: a KL that is not finite is null."""
+    """A trial as JSON has it: a loss that is not finite is null."""
     values = asdict(trial)
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value

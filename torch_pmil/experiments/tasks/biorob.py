@@ -1,6 +1,4 @@
-"""Section 5.2: a compliant arm learns to hit a ball, from three demonstrations by kinesthetic
-teaching.
-"""
+"""Section 5.2: a compliant arm learns to hit a ball from three kinesthetic demonstrations."""
 
 from __future__ import annotations
 
@@ -12,26 +10,27 @@ from torch_pmil.control.exploration import PDMovements
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv, holding_torques
-from torch_pmil.experiments.tasks.experiment import Experiment, check_demonstrations
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.experiments.tasks.experiment import (
+    Experiment,
+    check_demonstrations,
+    independent_start,
+)
 from torch_pmil.search.policy_search import SearchSettings
 
 NOISE_STD = (0.03, 0.03, 0.03, 0.3, 0.3, 0.3)  # rad, rad/s
 INPUT_WIDTHS = (0.2, 0.4, 0.6, 0.5, 2.0, 2.5)  # rad, rad/s
 REACH = (24.0, 34.0, 39.0)  # degrees around the start: as far as the demonstrations go
 STIFFNESS = (20.0, 25.0, 10.0)  # N·m/rad
-DAMPING = (
-    0.5,
-    1.0,
-    0.3,
-)  # N·m·s/rad: more, held for 0.1 s, makes these light joints swing from limit to limit
+# N·m·s/rad: more, held for 0.1 s, makes these light joints swing from limit to limit
+DAMPING = (0.5, 1.0, 0.3)
 # nats a step, of six dimensions; with 4.5 the search stalls where the strike begins
 SEARCH = SearchSettings(mean_iterations=0, final_iterations=160, trust_threshold=12.0)
 
 
 def biorob_space() -> StateSpace:
-    """State [q, dq] of yaw, shoulder and elbow, matched as it is; the joints do not turn round, so
-    none is an angle.
+    """State [q, dq] of yaw, shoulder and elbow, matched as it is.
+
+    The joints do not turn round, so that none of them is an angle.
 
     Example:
         >>> biorob_space().names
@@ -43,8 +42,9 @@ def biorob_space() -> StateSpace:
 
 
 def distance_from_ball(rollout: TensorDictBase) -> Tensor:
-    """Least distance (m) of the surfaces of racket and ball, or 0 where the ball was hit; rollouts
-    (*batch, T) to (*batch).
+    """Least distance (m) of racket and ball, 0 where the ball was hit; (*batch, T) to (*batch).
+
+    It is the distance of their surfaces over a rollout.
     """
     info = rollout["next", "info"]
     hit, distance = info["hit"][..., 0].any(-1), info["racket_ball_distance"][..., 0].amin(-1)
@@ -57,24 +57,25 @@ def holding_torques_at(states: Tensor) -> Tensor:
 
 
 def movements_around(start: Tensor, u_max: Tensor) -> PDMovements:
-    """6 s of simple movements around the start (Section 5.2.4): 3 times 2 s at 10 Hz, a new target
-    every 0.5 s, gravity compensated.
+    """Simple movements around the start, 6 s in all, gravity compensated (Section 5.2.4).
+
+    They are 3 times 2 s at 10 Hz, with a new target every 0.5 s.
     """
     still = torch.zeros(len(JOINTS), dtype=torch.float64)
     reach = torch.cat([torch.tensor(REACH, dtype=torch.float64).deg2rad(), still])
-    stiffness, damping = (
-        torch.tensor(gains, dtype=torch.float64).diag() for gains in (STIFFNESS, DAMPING)
-    )
     pose = torch.cat([start[: len(JOINTS)], still])
-    gain = torch.cat([stiffness, damping], 1)
+    gains = [torch.tensor(gain, dtype=torch.float64).diag() for gain in (STIFFNESS, DAMPING)]
+    gain = torch.cat(gains, 1)
     return PDMovements(
         pose, reach, gain, u_max, hold=5, rollouts=3, steps=20, feedforward=holding_torques_at
     )
 
 
 def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
-    """The experiment of Section 5.2.4: 80 basis functions, 738 policy parameters, 1.8 s at 10 Hz
-    with the demonstrations shipped.
+    """The experiment of Section 5.2.4: one ball.
+
+    It has 80 basis functions, 738 policy parameters, and 1.8 s at 10 Hz with the shipped
+    demonstrations.
 
     A success is a hit, which says little of how alike the motions are: a run goes on until four own
     rollouts in a row have hit.
@@ -96,7 +97,7 @@ def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
         space=space,
         demonstrations=demonstrations,
         noise_std=torch.tensor(NOISE_STD, dtype=torch.float64),
-        initial=Gaussian(env.initial_mean, torch.diag(env.initial_std**2)),
+        initial=independent_start(env.initial_mean, env.initial_std),
         u_max=u_max,
         demonstrated_states=demonstrations.positions.reshape(-1, space.dim),
         num_centres=80,

@@ -1,6 +1,4 @@
-"""Section 5.2.5: one policy of the BioRob hits balls in a plane, learned from two demonstrations
-for each of three.
-"""
+"""Section 5.2.5: one policy of the BioRob hits balls in a plane, learned from six strikes."""
 
 from __future__ import annotations
 
@@ -21,18 +19,11 @@ from torch_pmil.experiments.tasks.biorob import (
     holding_torques_at,
     movements_around,
 )
-from torch_pmil.experiments.tasks.experiment import check_demonstrations
+from torch_pmil.experiments.tasks.experiment import check_demonstrations, independent_start
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
-from torch_pmil.gp.gaussian import Gaussian
 
-WIDENED = (
-    2.0,
-    1.0,
-    1.0,
-    2.0,
-    1.0,
-    1.0,
-)  # beside the widths for one ball: strikes at balls to the left and right differ in yaw
+# factors of the widths for one ball: strikes at balls to the left and right differ in yaw
+WIDENED = (2.0, 1.0, 1.0, 2.0, 1.0, 1.0)
 
 
 def robots_before_balls(
@@ -42,8 +33,9 @@ def robots_before_balls(
     from_pixels: bool = False,
     seed: int | None = None,
 ) -> BioRobEnv:
-    """BioRobs that see where in the plane their balls hang, targets (num_envs, 2) or (2,) for one
-    robot.
+    """BioRobs that see where in the plane their balls hang.
+
+    Targets are (num_envs, 2), or (2,) for one robot.
     """
     return BioRobEnv(
         ball_at(targets), targets=targets, num_envs=num_envs, from_pixels=from_pixels, seed=seed
@@ -51,10 +43,12 @@ def robots_before_balls(
 
 
 def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperiment:
-    """The experiment of Section 5.2.5: 250 basis functions, 2774 policy parameters, 1.8 s at 10 Hz
-    with the demonstrations shipped.
+    """The experiment of Section 5.2.5: balls in a plane.
 
-    The first movements are 6 s in all, 2 s of each of the three robots that learn. With two
+    It has 250 basis functions, 2774 policy parameters, and 1.8 s at 10 Hz with the shipped
+    demonstrations.
+
+    Exploration takes 6 s in all, 2 s of each of the three robots that learn. With two
     demonstrations of a target their covariance has rank one: the observation noise, that of the
     experiment with one target, is what the spread is measured against elsewhere.
 
@@ -69,13 +63,14 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
     env, space = BioRobEnv(), biorob_space()
     check_demonstrations(demonstrations, space, env, TARGET_NAMES)
     u_max = env.action_spec.space.high
+    widths, widened = torch.tensor([INPUT_WIDTHS, WIDENED], dtype=torch.float64)
     return TargetExperiment(
         name="biorob_targets",
         make_env=robots_before_balls,
         space=space,
         demonstrations=demonstrations,
         noise_std=torch.tensor(NOISE_STD, dtype=torch.float64),
-        initial=Gaussian(env.initial_mean, torch.diag(env.initial_std**2)),
+        initial=independent_start(env.initial_mean, env.initial_std),
         u_max=u_max,
         demonstrated_states=demonstrations.positions.reshape(-1, space.dim),
         num_centres=250,
@@ -83,8 +78,7 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
         tolerance=0.0,
         confirmations=4,
         pd_movements=replace(movements_around(env.initial_mean, u_max), rollouts=1),
-        input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64)
-        * torch.tensor(WIDENED, dtype=torch.float64),
+        input_widths=widths * widened,
         holding_torques=holding_torques_at,
         search=replace(SEARCH, final_iterations=60),
     )

@@ -1,6 +1,4 @@
-"""Section 5.1: swing up and balance the double pendulum, from five demonstrations of its link
-positions.
-"""
+"""Section 5.1: swing up and balance the double pendulum, from five demonstrations."""
 
 from __future__ import annotations
 
@@ -11,13 +9,17 @@ from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.experiments.tasks.experiment import Experiment, check_demonstrations
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.experiments.tasks.experiment import (
+    Experiment,
+    check_demonstrations,
+    independent_start,
+)
 
 NOISE_STD = 0.05  # m
 SUCCESS_DISTANCE = 0.25  # m
 REACH_DISTANCE = 0.1  # m, of the tip that reaches a target
 FINAL_SAMPLES = 6  # samples of the last 0.5 s at 10 Hz, both ends included
+UPRIGHT = (0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH)  # m, of the link ends x1, y1, x2, y2
 
 
 def double_pendulum_space() -> StateSpace:
@@ -28,9 +30,8 @@ def double_pendulum_space() -> StateSpace:
         tensor([0.0000, 0.5000, 0.0000, 1.0000], dtype=torch.float64)
     """
     absolute = torch.tensor([[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 1.0, 0.0]], dtype=torch.float64)
-    links = torch.zeros(
-        4, 8, dtype=torch.float64
-    )  # columns: state, sin of the absolute angles, cos of them
+    # columns: state, sin of the absolute angles, cos of the absolute angles
+    links = torch.zeros(4, 8, dtype=torch.float64)
     links[0, 4] = links[2, 4] = links[2, 5] = LINK_LENGTH
     links[1, 6] = links[3, 6] = links[3, 7] = LINK_LENGTH
     match_space = MatchSpace(("x1", "y1", "x2", "y2"), ("m",) * 4, absolute, links)
@@ -40,28 +41,36 @@ def double_pendulum_space() -> StateSpace:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) that show link positions (..., T, 4): angles by arctangent, velocities by
-    central differences.
+    """States (..., T, 4) that show link positions (..., T, 4).
+
+    Angles are arctangents, velocities central differences.
     """
     x1, y1, x2, y2 = positions.unbind(-1)
-    first, second = torch.atan2(x1, y1), torch.atan2(x2 - x1, y2 - y1)
-    columns = []
-    for angle in (first, second):
-        step = angle.diff(dim=-1)
-        step = torch.atan2(step.sin(), step.cos())  # between -pi and pi
-        columns.append(
-            angle[..., :1] + torch.cat([torch.zeros_like(step[..., :1]), step.cumsum(-1)], -1)
-        )
-    q1, q2 = columns[0], columns[1] - columns[0]
+    q1 = unwrapped(torch.atan2(x1, y1))
+    q2 = unwrapped(torch.atan2(x2 - x1, y2 - y1)) - q1
     dq1, dq2 = (torch.gradient(q, spacing=time_step, dim=-1)[0] for q in (q1, q2))
     return torch.stack([q1, dq1, q2, dq2], -1)
 
 
-def distance_from_upright(states: Tensor) -> Tensor:
-    """Largest distance (m) of [x1, y1, x2, y2] from upright over the last 0.5 s; states (*batch, T
-    + 1, 4) to (*batch).
+def unwrapped(angles: Tensor) -> Tensor:
+    """Angles (..., T), rad, without jumps of whole turns, from the first one on.
+
+    Example:
+        >>> unwrapped(torch.tensor([3.0, -3.0], dtype=torch.float64))
+        tensor([3.0000, 3.2832], dtype=torch.float64)
     """
-    upright = torch.tensor([0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH], dtype=states.dtype)
+    step = angles.diff(dim=-1)
+    step = torch.atan2(step.sin(), step.cos())  # between -pi and pi
+    first = angles[..., :1]
+    return first + torch.cat([torch.zeros_like(first), step.cumsum(-1)], -1)
+
+
+def distance_from_upright(states: Tensor) -> Tensor:
+    """Largest distance (m) of [x1, y1, x2, y2] from upright over the last 0.5 s.
+
+    States are (*batch, T + 1, 4), distances (*batch).
+    """
+    upright = torch.tensor(UPRIGHT, dtype=states.dtype)
     positions = double_pendulum_space().observe(states[..., -FINAL_SAMPLES:, :])
     return (positions - upright).norm(dim=-1).amax(-1)
 
@@ -105,7 +114,7 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         space=double_pendulum_space(),
         demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=Gaussian(env.initial_mean, torch.diag(env.initial_std**2)),
+        initial=independent_start(env.initial_mean, env.initial_std),
         u_max=env.action_spec.space.high,
         demonstrated_states=states.reshape(-1, 4),
         num_centres=100,

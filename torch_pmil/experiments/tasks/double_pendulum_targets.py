@@ -1,10 +1,7 @@
-"""One policy of the double pendulum moves its tip to places and holds it there, learned from
-demonstrations for three of them.
-"""
+"""One double-pendulum policy moves the tip to places and holds it there, learned from three."""
 
 from __future__ import annotations
 
-import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -18,21 +15,19 @@ from torch_pmil.experiments.tasks.double_pendulum import (
     double_pendulum_space,
     states_from_positions,
 )
-from torch_pmil.experiments.tasks.experiment import check_demonstrations
+from torch_pmil.experiments.tasks.experiment import check_demonstrations, independent_start
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
-from torch_pmil.gp.gaussian import Gaussian
 
 
 def distance_of_tip(rollout: TensorDictBase) -> Tensor:
-    """Largest distance (m) of the tip from the rollout's target over the last 0.5 s, of rollouts
-    (*batch, T).
-    """
+    """Largest distance (m) of the tip from the target in the last 0.5 s of rollouts (*batch, T)."""
     return distance_from_target(states_of(rollout), rollout["target"][..., 0, :])
 
 
 def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> TargetExperiment:
-    """The double pendulum of Section 5.1 with the method of Section 5.2.5: 100 basis functions,
-    1016 policy parameters, 2.5 s at 10 Hz.
+    """The double pendulum of Section 5.1 with several targets, by the method of Section 5.2.5.
+
+    It has 100 basis functions, 1016 policy parameters, and 2.5 s at 10 Hz.
 
     Args:
         demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz, with targets x and y of the
@@ -51,7 +46,7 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
         space=double_pendulum_space(),
         demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=Gaussian(env.initial_mean, torch.diag(env.initial_std**2)),
+        initial=independent_start(env.initial_mean, env.initial_std),
         u_max=env.action_spec.space.high,
         demonstrated_states=states.reshape(-1, 4),
         num_centres=100,

@@ -72,8 +72,8 @@ class Experiment:
         tolerance: error up to which a rollout is a success.
         confirmations: successes of own rollouts in a row that end a run: more where a success is a
             lenient measure.
-        random_torque: of the first rollout, as a fraction of u_max.
-        pd_movements: the robot's first motion; random torques for one horizon if None.
+        random_torque: of exploration by random torques, as a fraction of u_max.
+        pd_movements: exploration by a PD controller; random torques for one horizon if None.
         initial_weight_std: of the policy's initial weights.
         input_scale: width of the policy's initial basis functions, in standard deviations of the
             demonstrated features; a policy is nothing beyond the reach of its functions, so starts
@@ -165,7 +165,10 @@ class Experiment:
         return self.make_env(seed=seed)
 
     def outcomes(self, predicted: Gaussian, rollouts: TensorDictBase) -> list[Outcome]:
-        """The outcome of each task: its part of the prediction and of rollouts of :meth:`robots`."""
+        """The outcome of each task: its parts of the prediction and of the rollouts.
+
+        The rollouts are those of :meth:`robots`.
+        """
         return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts)]
 
     def make_dynamics(self) -> GPDynamics:
@@ -177,14 +180,17 @@ class Experiment:
         return TrajectoryKLLoss(policy, dynamics, self.space, self.demonstrated, self.noise_std)
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
-        """A new policy with centres near demonstrated states and small random weights.
+        """A new policy with centres near demonstrated states, see :meth:`policy_near`.
 
         It holds the robot at the start if the experiment knows the torques for it.
         """
         return self.policy_near(self.demonstrated_inputs, generator)
 
     def policy_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
-        """A new policy with centres near some of the inputs (S, D'), otherwise like :meth:`make_policy`.
+        """A new policy with centres near some of the inputs (S, D') and small random weights.
+
+        Its widths are the standard deviations of all inputs, unless the experiment gives them. It
+        holds the robot at the start if the experiment knows the torques for it.
 
         Its widths are the standard deviations of all inputs, unless the experiment gives them.
         """
@@ -200,7 +206,7 @@ class Experiment:
         return policy
 
     def widths(self, std: Tensor) -> Tensor:
-        """Widths of a new policy's basis functions (D'), given the standard deviations of its inputs."""
+        """Widths (D',) of a new policy's basis functions, from its inputs' standard deviations."""
         return self.input_scale * std if self.input_widths is None else self.input_widths
 
     @property
@@ -213,6 +219,11 @@ class Experiment:
         return self.space.features(starts)
 
 
+def independent_start(mean: Tensor, std: Tensor) -> Gaussian:
+    """p(x_0) of independent entries with these means and standard deviations, (D,) each."""
+    return Gaussian(mean, torch.diag(std**2))
+
+
 def check_demonstrations(
     demonstrations: Demonstrations,
     space: StateSpace,
@@ -221,9 +232,8 @@ def check_demonstrations(
 ) -> None:
     """Raise DemonstrationError unless demonstrations fit match space, targets and control rate."""
     if demonstrations.target_names != target_names:
-        wanted, found = (
-            ", ".join(names) or "none" for names in (target_names, demonstrations.target_names)
-        )
+        wanted = ", ".join(target_names) or "none"
+        found = ", ".join(demonstrations.target_names) or "none"
         raise DemonstrationError(f"targets of the demonstrations must be {wanted}, got {found}")
     if demonstrations.names != space.match_space.names:
         raise DemonstrationError(

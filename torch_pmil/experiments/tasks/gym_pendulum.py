@@ -1,6 +1,4 @@
-"""gymnasium's Pendulum-v1: swing up with too little torque to lift, and hold, from where the tip
-was seen.
-"""
+"""gymnasium's Pendulum-v1: swing up with too little torque to lift, and hold."""
 
 from __future__ import annotations
 
@@ -11,8 +9,12 @@ from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.gym_tasks import HANGING_MEAN, HANGING_STD, gym_pendulum_env
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.experiments.tasks.experiment import Experiment, check_demonstrations
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.experiments.tasks.double_pendulum import unwrapped
+from torch_pmil.experiments.tasks.experiment import (
+    Experiment,
+    check_demonstrations,
+    independent_start,
+)
 
 LENGTH = 1.0  # m
 NOISE_STD = 0.05  # m
@@ -27,36 +29,35 @@ def gym_pendulum_space() -> StateSpace:
         >>> gym_pendulum_space().observe(torch.zeros(2, dtype=torch.float64))
         tensor([0., 1.], dtype=torch.float64)
     """
+    angle = torch.tensor([[1.0, 0.0]], dtype=torch.float64)
     tip = torch.zeros(2, 4, dtype=torch.float64)  # columns: state, sin q, cos q
     tip[0, 2] = tip[1, 3] = LENGTH
-    match_space = MatchSpace(
-        ("x", "y"), ("m", "m"), torch.tensor([[1.0, 0.0]], dtype=torch.float64), tip
-    )
+    match_space = MatchSpace(("x", "y"), ("m", "m"), angle, tip)
     return StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), match_space)
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 2) that show tip positions (..., T, 2): the angle by arctangent, velocity by
-    central differences.
+    """States (..., T, 2) that show tip positions (..., T, 2).
+
+    Angles are arctangents, velocities central differences.
     """
-    angle = torch.atan2(*positions.unbind(-1))
-    change = angle.diff(dim=-1)
-    change = torch.atan2(change.sin(), change.cos())  # between -pi and pi
-    q = angle[..., :1] + torch.cat([torch.zeros_like(angle[..., :1]), change.cumsum(-1)], -1)
+    q = unwrapped(torch.atan2(*positions.unbind(-1)))
     return torch.stack([q, torch.gradient(q, spacing=time_step, dim=-1)[0]], -1)
 
 
 def distance_from_upright(states: Tensor) -> Tensor:
-    """Largest distance (m) of the tip from upright over the last 0.5 s; states (*batch, T + 1, 2)
-    to (*batch).
+    """Largest distance (m) of the tip from upright over the last 0.5 s.
+
+    States are (*batch, T + 1, 2), distances (*batch).
     """
     tip = gym_pendulum_space().observe(states[..., -FINAL_SAMPLES:, :])
     return (tip - torch.tensor([0.0, LENGTH], dtype=states.dtype)).norm(dim=-1).amax(-1)
 
 
 def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
-    """Swing up and hold in 4 s at 10 Hz; a success has the tip within 0.25 m of upright for the
-    last 0.5 s.
+    """Swing up gymnasium's Pendulum-v1 and hold it, in 4 s at 10 Hz.
+
+    A success has the tip within 0.25 m of upright for the last 0.5 s.
 
     Args:
         demonstrations: of the tip's positions x, y at 10 Hz; those that come with the package if
@@ -76,8 +77,8 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         space=space,
         demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=Gaussian(
-            torch.tensor(HANGING_MEAN).double(), torch.diag(torch.tensor(HANGING_STD).double() ** 2)
+        initial=independent_start(
+            torch.tensor(HANGING_MEAN).double(), torch.tensor(HANGING_STD).double()
         ),
         u_max=env.action_spec.space.high,
         demonstrated_states=states.reshape(-1, 2),

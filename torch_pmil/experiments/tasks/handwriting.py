@@ -13,7 +13,7 @@ from torch import Tensor
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.envs.rollouts import of_states, states_of
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.experiments.tasks.experiment import Experiment, independent_start
 from torch_pmil.experiments.tasks.strokes import (
     NAMES,
     TIME_STEP,
@@ -107,7 +107,7 @@ def handwriting(
         space=writer.space,
         demonstrations=strokes,
         noise_std=NOISE_SHARE * writer.extent,
-        initial=Gaussian(start, torch.diag(start_std**2)),
+        initial=independent_start(start, start_std),
         u_max=u_max,
         demonstrated_states=demonstrated,
         num_centres=NUM_CENTRES,
@@ -144,9 +144,8 @@ def input_widths(demonstrated: Tensor, space: StateSpace) -> Tensor:
     nothing.
     """
     least = [SPEED_WIDTH if name.startswith("dq") else ANGLE_WIDTH for name in space.feature_names]
-    return torch.maximum(
-        2 * space.features(demonstrated).std(0), torch.tensor(least, dtype=torch.float64)
-    )
+    spread = space.features(demonstrated).std(0)
+    return torch.maximum(2 * spread, torch.tensor(least, dtype=torch.float64))
 
 
 def _writer(robot: str) -> Writer:
@@ -177,7 +176,7 @@ def _strokes(
 
 
 def _start(states: Tensor, writer: Writer) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviations (D,) of x_0: at rest, in the mean pose of the strokes' starts."""
+    """Mean and standard deviations (D,) of x_0: at rest, in the mean pose of the first samples."""
     begin = writer.positions(states[:, 0]).mean(0)
     position_std, velocity_std = (torch.full_like(begin, std) for std in START_STD)
     return writer.state(begin, torch.zeros_like(begin)), writer.state(position_std, velocity_std)

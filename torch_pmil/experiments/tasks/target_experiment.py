@@ -25,7 +25,7 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 class TargetExperiment(Experiment):
     r"""An imitation task with a target :math:`\eta`, demonstrated for S of them.
 
-    As :class:`Experiment`, with these differences: the demonstrations have targets (N, K), the
+    It differs from :class:`Experiment` in this: the demonstrations have targets (N, K), the
     states recovered from them are in the order of the demonstrations; ``make_env`` takes
     ``targets`` (num_envs, K), or (K,) for one robot, which the environment says under ``"target"``.
     The robot that learns does every trial once for each target.
@@ -52,7 +52,7 @@ class TargetExperiment(Experiment):
 
     @cached_property
     def targets(self) -> Tensor:
-        """Those that were demonstrated, (S, K)."""
+        """The demonstrated targets, (S, K)."""
         return self._by_target[0]
 
     @cached_property
@@ -61,21 +61,22 @@ class TargetExperiment(Experiment):
 
     @property
     def demonstrated(self) -> Gaussian:
-        """Demonstrated marginals of each target at t = 1..T, mean (S, T, M), observation noise
-        included.
+        """Demonstrated marginals of each target at t = 1..T, mean (S, T, M).
+
+        Observation noise is included.
         """
         demonstrated = [
             expert_distribution(demonstrations, self.noise_std)
             for demonstrations in self._by_target[1]
         ]
         return Gaussian(
-            torch.stack([demonstrated.mean for demonstrated in demonstrated]),
-            torch.stack([demonstrated.cov for demonstrated in demonstrated]),
+            torch.stack([marginals.mean for marginals in demonstrated]),
+            torch.stack([marginals.cov for marginals in demonstrated]),
         )
 
     @property
     def settings(self) -> dict[str, object]:
-        """Those of :class:`Experiment`, and the targets."""
+        """The settings of :class:`Experiment`, and the targets."""
         return {
             **super().settings,
             "targets": self.targets.tolist(),
@@ -83,9 +84,7 @@ class TargetExperiment(Experiment):
         }
 
     def widths(self, std: Tensor) -> Tensor:
-        """Of a new policy's basis functions (D' + K): those of the features, and that of the
-        target's entries.
-        """
+        """Widths (D' + K,) of a new policy's basis functions: of features, then of the target."""
         width = self.target_scale * torch.pdist(self.targets).amax()
         K = self.targets.shape[-1]
         return torch.cat([super().widths(std[:-K]), width.expand(K)])
@@ -95,8 +94,9 @@ class TargetExperiment(Experiment):
         return self.robots(1, seed)
 
     def robots(self, starts: int, seed: int) -> MujocoRobotEnv:
-        """Robots to measure a policy on, so many for each target: all of the first one, then all of
-        the next.
+        """Robots to measure a policy on, ``starts`` for each target.
+
+        All robots of the first target come first, then all of the next.
         """
         return self.robots_at(self.targets.repeat_interleave(starts, 0), seed)
 
@@ -109,37 +109,33 @@ class TargetExperiment(Experiment):
         return self.make_env(targets=self.targets[0], seed=seed)
 
     def outcomes(self, predicted: Gaussian, rollouts: TensorDictBase) -> list[Outcome]:
-        """What was predicted for the robot, (S, T), and rollouts of :meth:`robots`, target by
-        target.
+        """The outcome of each target: its parts of the prediction (S, T) and of the rollouts.
+
+        The rollouts are those of :meth:`robots`.
+
+        The rollouts are of :meth:`robots`.
         """
-        names, demonstrated = self.demonstrations.target_names, self.demonstrated
+        demonstrated, (targets, sets) = self.demonstrated, self._by_target
+        parts = rollouts.chunk(len(targets))
         return [
-            Outcome(
-                ", ".join(
-                    f"{name} = {value:g}"
-                    for name, value in zip(names, target.tolist(), strict=True)
-                ),
-                demonstrations,
-                demonstrated[i],
-                predicted[i],
-                of_target,
-            )
-            for i, (target, demonstrations, of_target) in enumerate(
-                zip(*self._by_target, rollouts.chunk(len(self.targets)), strict=True)
-            )
+            Outcome(self._label(targets[i]), sets[i], demonstrated[i], predicted[i], parts[i])
+            for i in range(len(targets))
         ]
 
+    def _label(self, target: Tensor) -> str:
+        """The entries of a target (K,) with their names."""
+        entries = zip(self.demonstrations.target_names, target.tolist(), strict=True)
+        return ", ".join(f"{name} = {value:g}" for name, value in entries)
+
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> MultiTargetKLLoss:
-        """Mean over the targets of the KL between demonstrated and predicted trajectories (Eq. 31)."""
+        """The loss of the policy search: the mean over the targets of the KL (Eq. 31)."""
         return MultiTargetKLLoss(
             policy, dynamics, self.space, self.demonstrated, self.targets, self.noise_std
         )
 
     @property
     def demonstrated_inputs(self) -> Tensor:
-        """Features of the demonstrated states, and the targets of these demonstrations, (S, D' +
-        K).
-        """
+        """Features of the demonstrated states, and their targets, (S, D' + K)."""
         targets = self.demonstrations.targets
         assert targets is not None  # or by_target had raised an error
         samples = len(self.demonstrated_states) // len(targets)
@@ -147,10 +143,5 @@ class TargetExperiment(Experiment):
 
     def start_inputs(self, starts: Tensor) -> Tensor:
         """Features of starts (S, D), and all targets in turn, (S, D' + K)."""
-        return torch.cat(
-            [
-                super().start_inputs(starts),
-                self.targets[torch.arange(len(starts)) % len(self.targets)],
-            ],
-            -1,
-        )
+        in_turn = self.targets[torch.arange(len(starts)) % len(self.targets)]
+        return torch.cat([super().start_inputs(starts), in_turn], -1)

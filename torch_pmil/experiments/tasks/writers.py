@@ -24,7 +24,7 @@ from torch_pmil.search.policy_search import SearchSettings
 
 BIOROB_SHOULDER = 1.1  # m above the floor
 BIOROB_LINKS = (0.37, 0.6)  # m: shoulder to elbow, elbow to the racket's centre, the wrist straight
-HOLD, ROLLOUTS = 5, 3  # control steps of a target, rollouts of the first motion
+HOLD, ROLLOUTS = 5, 3  # control steps of a target and rollouts, of the exploration
 BOARD = 0.6  # m in front of the BioRob's shoulder
 
 
@@ -45,8 +45,8 @@ class Writer:
         positions_first: whether the state has all positions first.
         torques: that it takes (S, F), N·m, from positions, velocities and accelerations (S, J) of
             the joints.
-        stiffness, damping: of the PD controller of its first motion, N·m/rad and N·m·s/rad.
-        reach: of that motion, in half ranges of the demonstrated positions.
+        stiffness, damping: of the PD controller that explores, N·m/rad and N·m·s/rad.
+        reach: of the exploration, in half ranges of the demonstrated positions.
         search: for its policy.
     """
 
@@ -95,21 +95,14 @@ class Writer:
 
         Gravity is compensated (Section 5.2.4).
         """
-        lowest, highest = (getattr(self.positions(states), end)(0) for end in ("amin", "amax"))
-        pose, reach = (
-            self.state(part, torch.zeros_like(part))
-            for part in ((highest + lowest) / 2, self.reach * (highest - lowest) / 2)
-        )
-        gain = self.state(
-            *(
-                torch.tensor(gains, dtype=torch.float64).diag()
-                for gains in (self.stiffness, self.damping)
-            )
-        )
+        positions = self.positions(states)
+        lowest, highest = positions.amin(0), positions.amax(0)
+        still = torch.zeros_like(lowest)
+        stiffness, damping = torch.tensor([self.stiffness, self.damping], dtype=torch.float64)
         return PDMovements(
-            pose,
-            reach,
-            gain,
+            self.state((highest + lowest) / 2, still),
+            self.state(self.reach * (highest - lowest) / 2, still),
+            self.state(stiffness.diag(), damping.diag()),
             u_max,
             hold=HOLD,
             rollouts=ROLLOUTS,
@@ -155,7 +148,8 @@ def biorob_writer() -> Writer:
     with a straight wrist, whose springs give way by less than a millimetre.
 
     Example:
-        >>> biorob_writer().space.observe(torch.zeros(6, dtype=torch.float64)).round(decimals=3)  # it hangs
+        >>> hanging = torch.zeros(6, dtype=torch.float64)
+        >>> biorob_writer().space.observe(hanging).round(decimals=3)
         tensor([0.0000, 0.0000, 0.1300], dtype=torch.float64)
     """
     yaw, shoulder, both, none = (1, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 0)
@@ -193,7 +187,9 @@ WRITERS = {"biorob": biorob_writer, "double_pendulum": pendulum_writer}
 
 
 def biorob_pose(places: Tensor) -> Tensor:
-    """Yaw, shoulder and elbow (*batch, 3), rad, with the racket's centre at [x, y, z] (*batch, 3), m.
+    """Yaw, shoulder and elbow (*batch, 3), rad, with the racket's centre at places (*batch, 3).
+
+    Places are [x, y, z] in m; the elbow is below.
 
     The elbow is below.
 
@@ -201,7 +197,7 @@ def biorob_pose(places: Tensor) -> Tensor:
         ValueError: a place is out of the arm's reach.
 
     Example:
-        >>> pose = biorob_pose(torch.tensor([0.6, 0.0, 0.73], dtype=torch.float64))  # the upper arm hangs, the forearm is level
+        >>> pose = biorob_pose(torch.tensor([0.6, 0.0, 0.73], dtype=torch.float64))
         >>> pose.rad2deg().round() + 0.0
         tensor([ 0.,  0., 90.], dtype=torch.float64)
     """
@@ -216,9 +212,8 @@ def biorob_pose(places: Tensor) -> Tensor:
             f"got {bad[0].tolist()}"
         )
     elbow = cos_elbow.acos()
-    shoulder = torch.atan2(outwards, below) - torch.atan2(
-        lower * elbow.sin(), upper + lower * elbow.cos()
-    )
+    bend = torch.atan2(lower * elbow.sin(), upper + lower * elbow.cos())
+    shoulder = torch.atan2(outwards, below) - bend
     return torch.stack([torch.atan2(y, x), shoulder, elbow], -1)
 
 
@@ -241,9 +236,8 @@ def states_of_strokes(writer: Writer, strokes: Demonstrations) -> Tensor:
         raise DemonstrationError(f"strokes must stay in the robot's reach: {error}") from error
     velocities = torch.gradient(positions, spacing=strokes.time_step, dim=1)[0]
     accelerations = torch.gradient(velocities, spacing=strokes.time_step, dim=1)[0]
-    _check_torques(
-        writer, strokes, [part.flatten(0, 1) for part in (positions, velocities, accelerations)]
-    )
+    motion = [part.flatten(0, 1) for part in (positions, velocities, accelerations)]
+    _check_torques(writer, strokes, motion)
     return writer.state(positions, velocities)
 
 

@@ -1,4 +1,4 @@
-"""What the pictures of a run show, and how to read them."""
+"""Captions of a run's pictures: what they show, and how to read them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Caption:
-    """Of a picture.
+    """Title and text of a picture.
 
     Args:
         title: a few words.
@@ -70,7 +70,7 @@ CAPTIONS = {  # in the order of the page
 
 
 def caption_of(name: str, targets: list[str]) -> Caption:
-    """Of a figure by its name; one of a target, ``..._target_0``, says which.
+    """The caption of a figure by its name; ``..._target_0`` names a figure of one target.
 
     Args:
         name: as the figure's file is called.
@@ -86,15 +86,13 @@ def caption_of(name: str, targets: list[str]) -> Caption:
     caption = CAPTIONS.get(kind, Caption(kind.replace("_", " "), ""))
     if not number:
         return caption
-    target = (
-        targets[int(number)]
-        if number.isdecimal() and int(number) < len(targets)
-        else f"target {number}"
-    )
+    target = f"target {number}"
+    if number.isdecimal() and int(number) < len(targets):
+        target = targets[int(number)]
     return Caption(f"{caption.title}, {target}", caption.text)
 
 
 def place_of(name: str) -> tuple[int, str]:
-    """What figures are sorted by: the order of ``CAPTIONS``, then their names."""
+    """The key that sorts figures: the order of ``CAPTIONS``, then their names."""
     kind = name.partition("_target_")[0]
     return list(CAPTIONS).index(kind) if kind in CAPTIONS else len(CAPTIONS), name

@@ -1,4 +1,4 @@
-"""The page itself: what is in a run's folder, put into one HTML file."""
+"""The page of the report: the contents of a run's folder in one HTML file."""
 
 from __future__ import annotations
 
@@ -15,10 +15,8 @@ from torch_pmil.experiments.runs.summaries import RunError, read_summary
 from torch_pmil.files import replacing
 
 PNG = b"\x89PNG\r\n\x1a\n"
-DENSITY, DENSEST = (
-    1.5,
-    2.8,
-)  # pixels of a picture to one of the page: as it is shown, and so that its text can still be read
+DENSITY = 1.5  # pixels of a picture to one of the page, as it is shown
+DENSEST = 2.8  # the most of them with which its text can still be read
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ class Picture:
 
     @property
     def least_width(self) -> int:
-        """Below which it scrolls and does not shrink, in pixels of the page."""
+        """Width in pixels of the page below which the picture scrolls and does not shrink."""
         return round(self.pixels[0] / DENSEST)
 
 

@@ -43,7 +43,7 @@ class Table:
 
 
 def tables(summary: Mapping) -> Iterator[Table]:
-    """All that a summary has numbers for."""
+    """The tables for which a summary has numbers."""
     yield _trials(summary["trials"])
     if "saved_success_rate_by_target" in summary:
         rates = summary["saved_success_rate_by_target"].items()

@@ -1,4 +1,4 @@
-"""What a run came to, in words, and how to go on."""
+"""The result of a run in words, and how to go on."""
 
 from __future__ import annotations
 
@@ -23,18 +23,17 @@ def headline(summary: dict) -> tuple[str, str]:
     )
     if rate >= LEARNED:
         return "good", f"It learned: {succeeded}"
-    return (
-        ("part", f"It learned in part: {succeeded}")
-        if rate > 0
-        else ("bad", f"It did not learn: {succeeded}")
-    )
+    if rate > 0:
+        return "part", f"It learned in part: {succeeded}"
+    return "bad", f"It did not learn: {succeeded}"
 
 
 def say(value: object) -> str:
     """A value as a table says it.
 
     Example:
-        >>> [say(value) for value in (None, True, 0.123456, [1.0, 2.5], "text", {"a": 1, "b": None})]
+        >>> values = (None, True, 0.123456, [1.0, 2.5], "text", {"a": 1, "b": None})
+        >>> [say(value) for value in values]
         ['–', 'yes', '0.1235', '1, 2.5', 'text', 'a = 1, b = –']
     """
     if value is None:
@@ -53,7 +52,7 @@ def say(value: object) -> str:
 
 
 def percent(fraction: float) -> str:
-    """A fraction from 0 to 1.
+    """A fraction from 0 to 1 in per cent.
 
     Example:
         >>> percent(0.95)
@@ -63,15 +62,12 @@ def percent(fraction: float) -> str:
 
 
 def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
-    """What can be done with the run: a sentence, and the command or the lines of Python for it."""
+    """What can be done with a run: a sentence each, with the command or the lines of Python."""
     words = _words(summary["command"])
     if words[:2] == ["pmil", "train"]:
         if summary["stop_reason"] == "limit of trials":
-            further = [
-                *_without(words, "trials=", "resume="),
-                f"trials={2 * len(summary['trials'])}",
-                "resume=true",
-            ]
+            changed = [f"trials={2 * len(summary['trials'])}", "resume=true"]
+            further = [*_without(words, "trials=", "resume="), *changed]
             yield "Go on where it stopped, with twice as many trials:", shlex.join(further)
         anew = [*_without(words, "seed=", "out=", "resume="), f"seed={summary['seed'] + 1}"]
         yield "Learn it anew, from another random motion:", shlex.join(anew)
@@ -86,7 +82,7 @@ def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
 
 
 def _words(command: str) -> list[str]:
-    """Of a command line; one that no shell would take is one word."""
+    """The words of a command line; one that no shell would take is one word."""
     try:
         return shlex.split(command)
     except ValueError:
@@ -94,5 +90,5 @@ def _words(command: str) -> list[str]:
 
 
 def _without(words: list[str], *beginnings: str) -> list[str]:
-    """The words of a command that do not begin so."""
+    """The words of a command that begin with none of these."""
     return [word for word in words if not word.startswith(beginnings)]

@@ -36,11 +36,11 @@ nitpick_ignore_regex = [
     for name in (
         # their objects are not ours
         "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",
-        "argparse|collections|functools|os|pathlib|types|typing",
+        "argparse|collections|functools|http|os|pathlib|types|typing",
         # by the names that annotations and docstrings have for them
         "nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError",
         # a type variable and a private class
-        r"torch_pmil\.(state_policy\.State|trajectory_loss\.TrajectoryLoss\._AcceptedKeys)",
+        r"torch_pmil\.(control\.state_policy\.State|search\.trajectory_loss\.TrajectoryLoss\._AcceptedKeys)",
     )
 ]
 

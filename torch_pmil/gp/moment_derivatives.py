@@ -160,17 +160,17 @@ class MomentSums:
     cubes: Tensor
 
     @classmethod
-    def of(cls, f: KernelExpansion, products: MomentTerms) -> MomentSums:
+    def of(cls, f: KernelExpansion, terms: MomentTerms) -> MomentSums:
         """Sums over the data of the terms at N beliefs."""
         D, E = f.num_inputs, f.num_outputs
-        nu1, squares = centred(f, products.mean)
-        weighted_nu = (products.beta_q[:, :, None] * nu1[:, None, :D]).flatten(1, 2)
+        nu1, squares = centred(f, terms.mean)
+        weighted_nu = (terms.beta_q[:, :, None] * nu1[:, None, :D]).flatten(1, 2)
         return cls(
-            precision=products.precision,
-            single=products.beta_q @ nu1.mT,
-            pair=products.left @ nu1[:, None].mT,
+            precision=terms.precision,
+            single=terms.beta_q @ nu1.mT,
+            pair=terms.left @ nu1[:, None].mT,
             squares=(
-                torch.cat([products.beta_q, products.right, products.left[:, :, D]], 1) @ squares.mT
+                torch.cat([terms.beta_q, terms.right, terms.left[:, :, D]], 1) @ squares.mT
             ).unflatten(2, (D, D)),
             cubes=(weighted_nu @ squares.mT).view(-1, E, D, D, D),
         )

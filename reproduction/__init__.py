@@ -1,4 +1,7 @@
-"""The experiments of the paper, by name. Each is a file with its runs, its numbers and its figures."""
+"""The experiments of the paper and beyond it, each in the file of its name.
+
+A file has the runs, the numbers and the figures of its experiment.
+"""
 
 from reproduction.ablation import ABLATION
 from reproduction.biorob import BIOROB
@@ -13,18 +16,20 @@ from reproduction.masses import MASSES
 from reproduction.reaching import REACHING
 from reproduction.robustness import ROBUSTNESS
 
-EXPERIMENTS = (
-    FIGURE6,
-    FIGURE7A,
-    FIGURE7B,
-    MASSES,
-    ROBUSTNESS,
-    ABLATION,
-    FIGURE9,
-    BIOROB,
-    HIDDEN_MOTORS,
-    FIGURE11,
-    REACHING,
-    HANDWRITING,
-)
-PAPER = {experiment.name: experiment for experiment in EXPERIMENTS}
+PAPER = {
+    experiment.name: experiment
+    for experiment in (
+        FIGURE6,
+        FIGURE7A,
+        FIGURE7B,
+        MASSES,
+        ROBUSTNESS,
+        ABLATION,
+        FIGURE9,
+        BIOROB,
+        HIDDEN_MOTORS,
+        FIGURE11,
+        REACHING,
+        HANDWRITING,
+    )
+}

@@ -1,5 +1,4 @@
-"""Reproduce an experiment of the paper: its numbers in results/NAME/summary.json, and its figures
-beside them.
+"""Reproduce an experiment of the paper: its numbers and figures, into results/paper/NAME.
 
 Example:
     python scripts/reproduce.py figure6
@@ -34,19 +33,15 @@ def main() -> None:
     arguments = parser.parse_args()
     command = shlex.join(["python", "scripts/reproduce.py", *sys.argv[1:]])
     try:
-        out, report = reproduce(PAPER[arguments.name], arguments.quick, command)
+        out, results = reproduce(PAPER[arguments.name], arguments.quick, command)
     except KeyboardInterrupt:
         print(f"\nstopped; go on with: {command}", file=sys.stderr)
         sys.exit(130)
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         sys.exit(f"error: {error}")
-    print(
-        "\n".join(
-            f"{name}: {'never' if value is None else f'{value:.4g}'}"
-            for name, value in report.headline.items()
-        )
-    )
-    print(f"see {out}/summary.json, {', '.join(f'{out}/{name}.png' for name in report.figures)}")
+    for name, value in results.headline.items():
+        print(f"{name}: {'never' if value is None else f'{value:.4g}'}")
+    print(f"see {out}/summary.json, {', '.join(f'{out}/{name}.png' for name in results.figures)}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What each choice of the method earns: the double pendulum with one of them made otherwise."""
+"""Ablation: the double pendulum with one choice of the method at a time made otherwise."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from reproduction.reproduction import PaperExperiment, Report, Run, learning_run
+from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.summaries import read_summary
@@ -61,26 +61,23 @@ class Variation(Experiment):
     @property
     def settings(self) -> dict[str, object]:
         """Numbers that a run depends on."""
-        prediction = (
-            vars(self.prediction)
-            if isinstance(self.prediction, ParticlePrediction)
-            else "moment matching"
-        )
-        own = {
+        own: dict[str, object] = {
             "targets": self.targets,
-            "prediction": prediction,
+            "prediction": "moment matching",
             "random_centres": self.random_centres,
+            "angles": list(self.space.angles),
         }
-        return super().settings | own | {"angles": list(self.space.angles)}
+        if isinstance(self.prediction, ParticlePrediction):
+            own["prediction"] = vars(self.prediction)
+        return super().settings | own
 
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""
-        return GPDynamics(
-            len(self.space.feature_names) + len(self.u_max), self.space.dim, self.targets
-        )
+        inputs = len(self.space.feature_names) + len(self.u_max)
+        return GPDynamics(inputs, self.space.dim, self.targets)
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryKLLoss:
-        """The KL between demonstrated and predicted trajectories."""
+        """The loss of the policy search: the KL of demonstrated and predicted trajectories."""
         return TrajectoryKLLoss(
             policy,
             dynamics,
@@ -91,43 +88,40 @@ class Variation(Experiment):
         )
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
-        """A new policy: centres near demonstrated states or near random ones, small random weights."""
+        """A new policy with centres near demonstrated states, or near random ones."""
         if self.random_centres:
-            return self.policy_near(
-                self.space.features(random_states(self.space, VELOCITY_STD, generator)), generator
-            )
+            states = random_states(self.space, VELOCITY_STD, generator)
+            return self.policy_near(self.space.features(states), generator)
         return super().make_policy(generator)
 
 
 def variations() -> dict[str, Variation]:
-    """The double pendulum as it is, and with each choice made otherwise; iterations that a choice
-    would save go elsewhere.
+    """The double pendulum as it is, and with each choice made otherwise.
+
+    Iterations that a choice would save go elsewhere.
 
     Example:
         >>> variations()["noise_0.1m"].noise_std
         0.1
     """
     task = load_experiment("double_pendulum")
-    ours, search = (
-        Variation(**{entry.name: getattr(task, entry.name) for entry in fields(task)}),
-        task.search,
-    )
+    ours = Variation(**{entry.name: getattr(task, entry.name) for entry in fields(task)})
+    search = task.search
     at_once = replace(
         search,
         first_horizon=task.horizon,
         mean_iterations=AT_ONCE * search.mean_iterations,
         stage_iterations=AT_ONCE * search.stage_iterations,
     )
+    no_mean_start = replace(
+        search,
+        mean_iterations=0,
+        stage_iterations=search.stage_iterations + search.mean_iterations // MEAN_COST,
+    )
     changes: dict[str, dict[str, Any]] = {
         "ours": {},
         "no_growing_horizon": {"search": at_once},
-        "no_mean_start": {
-            "search": replace(
-                search,
-                mean_iterations=0,
-                stage_iterations=search.stage_iterations + search.mean_iterations // MEAN_COST,
-            )
-        },
+        "no_mean_start": {"search": no_mean_start},
         "random_centres": {"random_centres": True},
         "noise_0.02m": {"noise_std": 0.02},
         "noise_0.1m": {"noise_std": 0.1},
@@ -145,13 +139,12 @@ def variations() -> dict[str, Variation]:
 
 
 def near_start(task: Experiment) -> Tensor:
-    """The demonstrated states (S, D), whole turns taken off each demonstration so that its angles
-    begin nearest to those of p(x_0).
+    """The demonstrated states (S, D) with angles that begin nearest to those of p(x_0).
+
+    Whole turns are taken off each demonstration.
     """
-    states, angles = (
-        task.demonstrated_states.unflatten(0, (-1, task.horizon + 1)).clone(),
-        list(task.space.angles),
-    )
+    states = task.demonstrated_states.unflatten(0, (-1, task.horizon + 1)).clone()
+    angles = list(task.space.angles)
     turns = ((states[:, :1, angles] - task.initial.mean[angles]) / (2 * math.pi)).round()
     states[..., angles] -= 2 * math.pi * turns
     return states.flatten(0, 1)
@@ -167,22 +160,21 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
     ]
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
-    """Success of the saved policies, and the experience up to the first own rollout that succeeded."""
-    outcomes = [outcome(read_summary(folder)) for folder in folders]
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Success of the saved policies, and experience up to the first own rollout that succeeded."""
+    outcomes = [success_and_experience(read_summary(folder)) for folder in folders]
     rates, seconds, succeeded = (
         np.array(values).reshape(len(LABELS), -1) for values in zip(*outcomes, strict=True)
     )
+    numbers = {
+        "success": rates.mean(1).tolist(),
+        "first_success_s": seconds.mean(1).tolist(),
+        "runs_with_success": succeeded.sum(1).tolist(),
+    }
     headline = {
-        f"{name}_success": rate for name, rate in zip(LABELS, rates.mean(1).tolist(), strict=True)
-    }
-    headline |= {
-        f"{name}_first_success_s": mean
-        for name, mean in zip(LABELS, seconds.mean(1).tolist(), strict=True)
-    }
-    headline |= {
-        f"{name}_runs_with_success": count
-        for name, count in zip(LABELS, succeeded.sum(1).tolist(), strict=True)
+        f"{name}_{number}": value
+        for number, values in numbers.items()
+        for name, value in zip(LABELS, values, strict=True)
     }
     figure = plot_variants(list(LABELS.values()), rates, np.where(succeeded, seconds, np.inf))
     details = {
@@ -191,23 +183,19 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
         "success": rates.tolist(),
         "first_success_s": seconds.tolist(),
     }
-    return Report(headline, {"ablation": figure}, details)
+    return Results(headline, {"ablation": figure}, details)
 
 
-def outcome(summary: dict) -> tuple[float, float, bool]:
-    """Of a run: success rate of the saved policy; seconds of experience before the first own
-    rollout that succeeded; whether one did.
+def success_and_experience(summary: dict) -> tuple[float, float, bool]:
+    """Success rate, seconds of experience up to the first success, and whether there was one.
+
+    The rate is that of the run's saved policy; a success is an own rollout that succeeded.
 
     Without success they are all its seconds: no fewer would have done.
     """
-    first = next(
-        (trial["experience_s"] for trial in summary["trials"] if trial["own_success"]), None
-    )
-    return (
-        summary["saved_success_rate"],
-        summary["experience_s"] if first is None else first,
-        first is not None,
-    )
+    successes = [trial["experience_s"] for trial in summary["trials"] if trial["own_success"]]
+    seconds = successes[0] if successes else summary["experience_s"]
+    return summary["saved_success_rate"], seconds, bool(successes)
 
 
-ABLATION = PaperExperiment("ablation", "what each choice of the method earns", needed_runs, report)
+ABLATION = PaperExperiment("ablation", "what each choice of the method earns", needed_runs, results)

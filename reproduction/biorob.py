@@ -1,6 +1,4 @@
-"""Section 5.2.4, Figures 8 and 10: the BioRob learns to hit a ball from kinesthetic teaching; ten
-seeds of at most four trials.
-"""
+"""Section 5.2.4, Figures 8 and 10: the BioRob learns to hit a ball; ten seeds, four trials."""
 
 from __future__ import annotations
 
@@ -14,7 +12,7 @@ import torch
 from tensordict import TensorDictBase
 
 from reproduction.learned import load_learned
-from reproduction.reproduction import PaperExperiment, Report, Run, learning_run
+from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
@@ -38,15 +36,13 @@ IN_DEGREES = torch.eye(2 * len(JOINTS), dtype=torch.float64)[: len(JOINTS)].rad2
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """As ``pmil train experiment=biorob`` learns."""
+    """The runs that ``pmil train experiment=biorob`` makes."""
     seeds, trials = (QUICK_SEEDS, QUICK_TRIALS) if quick else (SEEDS, TRIALS)
     return [learning_run(root, load_experiment("biorob"), seed, trials) for seed in seeds]
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
-    """How many seeds solved it, how far the motions are from the demonstrated ones, how honest the
-    prediction is; seed 0 is drawn.
-    """
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Seeds that solved it, distance from the demonstrations, and coverage; seed 0 is drawn."""
     experiment, runs = load_experiment("biorob"), [read_summary(folder) for folder in folders]
     learned = load_learned(folders[0], experiment)
     rollouts = learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
@@ -70,7 +66,7 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
         figures["figure8"] = photo_series(rollouts[0], experiment)
     except RuntimeError as error:
         warnings.warn(f"there is no figure 8: {error}", RuntimeWarning, stacklevel=1)
-    return Report(headline_of(runs), figures, {"measured": [measured(run) for run in runs]})
+    return Results(headline_of(runs), figures, {"measured": [measured(run) for run in runs]})
 
 
 def headline_of(runs: Sequence[dict]) -> dict[str, float | None]:
@@ -102,14 +98,15 @@ def joint_degrees(by_entry: dict[str, float]) -> float:
     """Root mean square over the joints' positions, in degrees, of numbers in rad by entry.
 
     Example:
-        >>> round(joint_degrees({"q_yaw": 0.0, "q_shoulder": 0.03, "q_elbow": 0.0, "dq_yaw": 9.0}), 3)
+        >>> by_entry = {"q_yaw": 0.0, "q_shoulder": 0.03, "q_elbow": 0.0, "dq_yaw": 9.0}
+        >>> round(joint_degrees(by_entry), 3)
         0.992
     """
     return math.degrees(math.sqrt(np.mean([by_entry[f"q_{joint}"] ** 2 for joint in JOINTS])))
 
 
 def measured(run: dict) -> dict[str, object]:
-    """What a run came to, for the details."""
+    """The main numbers of a run, for the details."""
     keys = (
         "seed",
         "saved_success_rate",
@@ -118,37 +115,34 @@ def measured(run: dict) -> dict[str, object]:
         "rms_error",
         "two_sigma_coverage_by_entry",
     )
-    hits = [trial["success_rate"] for trial in run["trials"]]
     return {
         **{key: run[key] for key in keys},
         "joint_rms_error_deg": joint_degrees(run["rms_error"]),
-        "hit_rates": hits,
+        "hit_rates": [trial["success_rate"] for trial in run["trials"]],
     }
 
 
 def photo_series(rollout: TensorDictBase, experiment: Experiment) -> Figure:
-    """The first demonstration that comes with the package, led by hand anew, above a rollout (T,)
-    of the robot (Figure 8).
+    """A demonstration above a rollout (T,) of the robot, as photos (Figure 8).
+
+    It is the first demonstration that comes with the package, led by hand anew.
 
     Raises:
         RuntimeError: OpenGL is not available.
     """
     env: BioRobEnv = experiment.make_env(seed=0)
-    shown = record_strike(
-        env.model, Variation().of(Strike(), env.model, np.random.default_rng(0))
-    ).physics
+    strike = Variation().of(Strike(), env.model, np.random.default_rng(0))
+    shown = record_strike(env.model, strike).physics
     done = env.replay(rollout["observation"][0], rollout["action"], env.substeps)
     frames = [round(time / env.model.opt.timestep) for time in PHOTOGRAPHED]
     photos = {"demonstrated": torch.from_numpy(shown[frames]), "learned": done[frames]}
     try:
-        return plot_photo_series(
-            {name: [env.draw(one) for one in states] for name, states in photos.items()},
-            PHOTOGRAPHED,
-        )
+        pictures = {name: [env.draw(one) for one in states] for name, states in photos.items()}
+        return plot_photo_series(pictures, PHOTOGRAPHED)
     finally:
         env.close()
 
 
 BIOROB = PaperExperiment(
-    "biorob", "the BioRob hits a ball (Section 5.2.4, Figures 8 and 10)", needed_runs, report
+    "biorob", "the BioRob hits a ball (Section 5.2.4, Figures 8 and 10)", needed_runs, results
 )

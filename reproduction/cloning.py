@@ -1,6 +1,4 @@
-"""Swing-ups recorded with their torques: a cloned policy, and the torques with which other robots
-would move so (Section 5.1.2).
-"""
+"""Cloned policies and exact tracking, from swing-ups recorded with torques (Section 5.1.2)."""
 
 from __future__ import annotations
 
@@ -22,8 +20,7 @@ DEMONSTRATIONS = 5
 
 
 def record_pairs(seeds: Sequence[int]) -> Iterator[tuple[Tensor, Tensor]]:
-    """Five swing-ups with each seed: states (5, T + 1, 4) and the torques that the teacher applied,
-    (5, T, 2), in N·m.
+    """Five swing-ups with each seed: states (5, T + 1, 4) and torques (5, T, 2), in N·m.
 
     Those of seed 0 are the demonstrations that come with the package.
     """

@@ -1,6 +1,4 @@
-"""Section 5.2.5, Figure 11: one policy of the BioRob hits balls in a plane; five seeds of at most
-fifteen trials.
-"""
+"""Section 5.2.5, Figure 11: one policy of the BioRob hits balls in a plane; five seeds."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ import numpy as np
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from reproduction.reproduction import PaperExperiment, Report, Run
+from reproduction.reproduction import PaperExperiment, Results, Run
 from reproduction.target_picture import draw_targets
 from reproduction.target_study import TargetStudy
 from torch_pmil.envs.hitting_plane import COLUMNS, ROWS
@@ -20,7 +18,7 @@ from torch_pmil.experiments.tasks.biorob_targets import biorob_targets
 
 
 def least_distance(rollouts: TensorDictBase) -> Tensor:
-    """Of the racket's centre from the ball's, m, in rollouts (*batch, T): (*batch)."""
+    """Least distance (m) of the centres of racket and ball in rollouts: (*batch, T) to (*batch)."""
     return rollouts["next", "info", "centre_distance"][..., 0].amin(-1)
 
 
@@ -37,13 +35,13 @@ BALLS = TargetStudy(
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """As ``pmil train experiment=biorob_targets`` learns, and what comes of each at every ball."""
+    """The runs of ``pmil train experiment=biorob_targets``, measured at every ball of the grid."""
     return (BALLS.quick if quick else BALLS).needed_runs(root)
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
-    """What is hit, with the set-up drawn beside it (Figure 11 (a))."""
-    return BALLS.report(folders, set_up())
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Balls that are hit, with the set-up drawn beside them (Figure 11 (a))."""
+    return BALLS.results(folders, set_up())
 
 
 def set_up() -> np.ndarray | None:
@@ -58,5 +56,5 @@ def set_up() -> np.ndarray | None:
 
 
 FIGURE11 = PaperExperiment(
-    "figure11", "one policy hits balls in a plane (Section 5.2.5, Figure 11)", needed_runs, report
+    "figure11", "one policy hits balls in a plane (Section 5.2.5, Figure 11)", needed_runs, results
 )

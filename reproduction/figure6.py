@@ -1,6 +1,4 @@
-"""Section 5.1, one learned policy: what was demonstrated, what is predicted, what the robot does
-(Figures 2 to 6).
-"""
+"""Section 5.1, Figures 2 to 6: one learned policy, predicted and executed."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ from torch import Tensor
 
 from reproduction import one_dimension
 from reproduction.learned import load_learned
-from reproduction.reproduction import PaperExperiment, Report, Run, learning_run
+from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.training import EVALUATION_STARTS
@@ -39,14 +37,12 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
     return [learning_run(root, load_experiment("double_pendulum"), SEED, trials=3 if quick else 12)]
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
+def results(folders: Sequence[Path], quick: bool) -> Results:
     """Distributions, rollouts and poses of that run; the small figures of the method's parts."""
     experiment, (folder,) = load_experiment("double_pendulum"), folders
     learned = load_learned(folder, experiment)
-    states, rollouts = (
-        learned.predicted(experiment),
-        learned.rollouts(experiment, EVALUATION_STARTS, START_SEED),
-    )
+    states = learned.predicted(experiment)
+    rollouts = learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
     executed = states_of(rollouts)
     match_space = experiment.space.match_space
     predicted = match_space.moments(states).add_noise(experiment.noise_std**2)
@@ -71,12 +67,13 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
             match_space(executed)[:, 1:],
         ),
     }
-    return Report(headline | moment_matching, figures)
+    return Results(headline | moment_matching, figures)
 
 
 def comparison(demonstrated: Gaussian, predicted: Gaussian) -> dict[str, float]:
-    """How far the predicted positions are from the demonstrated: KL, largest difference of the
-    means, and how their spreads in x1 agree.
+    """Distance of the predicted from the demonstrated positions.
+
+    It is told as the KL, the largest difference of the means, and the correlation of spreads in x1.
     """
     spreads = torch.stack([demonstrated.std[:, 0], predicted.std[:, 0]])
     return {
@@ -87,7 +84,7 @@ def comparison(demonstrated: Gaussian, predicted: Gaussian) -> dict[str, float]:
 
 
 def demonstrations_figure(experiment: Experiment) -> Figure:
-    """Figure 3, of the double pendulum's demonstrations."""
+    """Figure 3: the double pendulum's demonstrations."""
     match_space, demonstrations = experiment.space.match_space, experiment.demonstrations
     return plot_demonstrations(
         match_space.names,
@@ -99,7 +96,7 @@ def demonstrations_figure(experiment: Experiment) -> Figure:
 
 
 def gp_figure() -> Figure:
-    """Figure 2."""
+    """Figure 2: a Gaussian process of one input."""
     gp, grid = one_dimension.fitted_gp(), torch.linspace(-6, 6, 400, dtype=torch.float64)
     inputs, targets = gp.train_inputs[:, 0], gp.train_targets[:, 0]
     return plot_gp(
@@ -108,29 +105,25 @@ def gp_figure() -> Figure:
 
 
 def moment_matching_figure() -> tuple[dict[str, float], Figure]:
-    """Figure 4, and how well the moments agree with the samples."""
-    gp, belief, grid = (
-        one_dimension.fitted_gp(),
-        one_dimension.BELIEF,
-        torch.linspace(-3.2, 2.0, 400, dtype=torch.float64),
-    )
-    samples = one_dimension.sample_output(
-        gp, belief, one_dimension.SAMPLES, torch.Generator().manual_seed(0)
-    )
+    """Figure 4: moment matching, and how well the moments agree with samples."""
+    gp, belief = one_dimension.fitted_gp(), one_dimension.BELIEF
+    grid = torch.linspace(-3.2, 2.0, 400, dtype=torch.float64)
+    generator = torch.Generator().manual_seed(0)
+    samples = one_dimension.sample_output(gp, belief, one_dimension.SAMPLES, generator)
     matched = one_dimension.matched_output(gp, belief).gaussian
     figure = plot_moment_matching(grid, one_dimension.posterior(gp, grid), belief, samples, matched)
     return agreement(matched, samples), figure
 
 
 def agreement(matched: Gaussian, samples: Tensor) -> dict[str, float]:
-    """Difference of the means in standard errors of the samples' mean, and ratio of the standard
-    deviations.
+    """Agreement of matched moments with samples of the exact distribution.
+
+    It is the difference of the means in standard errors and the ratio of the standard deviations.
     """
     standard_error = samples.std() / len(samples) ** 0.5
+    difference = (matched.mean[0] - samples.mean()) / standard_error
     return {
-        "moment_matching_mean_difference_se": (
-            (matched.mean[0] - samples.mean()) / standard_error
-        ).item(),
+        "moment_matching_mean_difference_se": difference.item(),
         "moment_matching_std_ratio": (matched.std[0] / samples.std()).item(),
     }
 
@@ -139,5 +132,5 @@ FIGURE6 = PaperExperiment(
     "figure6",
     "demonstrated, predicted and executed trajectories of one learned policy",
     needed_runs,
-    report,
+    results,
 )

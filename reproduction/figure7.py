@@ -1,13 +1,11 @@
-"""What Figures 7a and 7b have in common: the success of several methods over seconds of experience,
-mean of independent runs.
-"""
+"""The common parts of Figures 7a and 7b: success of several methods over seconds of experience."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from reproduction.reproduction import Report, Run, learning_run
+from reproduction.reproduction import Results, Run, learning_run
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.summaries import (
     SuccessCurve,
@@ -30,13 +28,13 @@ def size(quick: bool, trials: int) -> tuple[Sequence[int], int]:
 
 
 def our_runs(root: Path, quick: bool) -> list[Run]:
-    """Those of the double pendulum as ``pmil train`` learns it."""
+    """The runs of the double pendulum that ``pmil train`` makes."""
     seeds, trials = size(quick, OUR_TRIALS)
     return [learning_run(root, load_experiment("double_pendulum"), seed, trials) for seed in seeds]
 
 
 def success_curves(folders: Sequence[Path], methods: Sequence[str]) -> dict[str, SuccessCurve]:
-    """The curve of each method; they have equally many runs, one method's after the other's."""
+    """The success curve of each method, from equally many runs each, in the methods' order."""
     each = len(folders) // len(methods)
     runs = [read_summary(folder) for folder in folders]
     return {
@@ -45,10 +43,10 @@ def success_curves(folders: Sequence[Path], methods: Sequence[str]) -> dict[str,
     }
 
 
-def success_report(
+def success_results(
     curves: Mapping[str, SuccessCurve], headline: dict[str, float | None], name: str
-) -> Report:
-    """The figure of that name, and the curves as JSON can say them."""
+) -> Results:
+    """The figure of this name, and the curves as JSON has them."""
     drawn = {
         method: (curve.experience_s, curve.mean, curve.lower, curve.upper)
         for method, curve in curves.items()
@@ -60,4 +58,4 @@ def success_report(
         }
         for method, curve in curves.items()
     }
-    return Report(headline, {name: plot_success_of_methods(drawn)}, {"curves": details})
+    return Results(headline, {name: plot_success_of_methods(drawn)}, {"curves": details})

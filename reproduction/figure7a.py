@@ -12,9 +12,9 @@ from reproduction.figure7 import (
     our_runs,
     size,
     success_curves,
-    success_report,
+    success_results,
 )
-from reproduction.reproduction import PaperExperiment, Report, Run, learning_run
+from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.experiments import load_experiment
 
 PILCO = "PILCO"
@@ -28,8 +28,8 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
     ]
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
-    """When each is at 95 %, and how good at the experience that the task and the paper name."""
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Experience at 95 % of each method, and success at the task's and the paper's experience."""
     curves = success_curves(folders, (OURS, PILCO))
     ours, pilco = curves.values()
     headline = {
@@ -40,9 +40,9 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
         "pilco_success_at_33s": pilco.at(33.0),
         "pilco_final_success": pilco.at(float("inf")),
     }
-    return success_report(curves, headline, "figure7a")
+    return success_results(curves, headline, "figure7a")
 
 
 FIGURE7A = PaperExperiment(
-    "figure7a", "success over experience: imitation and PILCO", needed_runs, report
+    "figure7a", "success over experience: imitation and PILCO", needed_runs, results
 )

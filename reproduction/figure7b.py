@@ -1,6 +1,4 @@
-"""Figure 7b: imitation beside movement primitives that an inverse model and a PD controller track
-(Eq. 29).
-"""
+"""Figure 7b: imitation beside movement primitives with an inverse model (Eq. 29)."""
 
 from __future__ import annotations
 
@@ -16,15 +14,13 @@ from reproduction.figure7 import (
     our_runs,
     size,
     success_curves,
-    success_report,
+    success_results,
 )
-from reproduction.reproduction import PaperExperiment, Report, Run, tell_trial
+from reproduction.reproduction import PaperExperiment, Results, Run, tell_trial
 from torch_pmil.experiments import load_experiment
 
-PERIODS = {
-    "double_pendulum_dmp": FEEDBACK_PERIOD,
-    "double_pendulum_dmp_10hz": 0.1,
-}  # s, of the feedback; by folder
+# s, of the feedback; by folder
+PERIODS = {"double_pendulum_dmp": FEEDBACK_PERIOD, "double_pendulum_dmp_10hz": 0.1}
 METHODS = (OURS, "DMP, feedback at 100 Hz", "DMP, all at 10 Hz")
 
 
@@ -37,8 +33,9 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 
 
 def dmp_run(root: Path, name: str, seed: int, trials: int) -> Run:
-    """A run of the baseline: ``reproduction.baselines.train_dmp`` makes the same. One that was
-    stopped begins anew.
+    """A run of the baseline as ``reproduction.baselines.train_dmp`` makes it.
+
+    One that was stopped begins anew.
     """
     return Run(
         root / name / f"seed_{seed}",
@@ -46,8 +43,8 @@ def dmp_run(root: Path, name: str, seed: int, trials: int) -> Run:
     )
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
-    """When each is at 95 %, and how good at 33 s and in the end."""
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Experience at 95 % of each method, and success at 33 s and in the end."""
     curves = success_curves(folders, METHODS)
     headline: dict[str, float | None] = {}
     for name, curve in zip(("ours", "dmp", "dmp_10hz"), curves.values(), strict=True):
@@ -56,21 +53,14 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
             f"{name}_success_at_33s": curve.at(33.0),
             f"{name}_final_success": curve.at(float("inf")),
         }
-    return success_report(curves, headline, "figure7b")
+    return success_results(curves, headline, "figure7b")
 
 
 def _learn(out: Path, command: str, seed: int, trials: int, feedback_period: float) -> None:
-    run_dmp(
-        load_experiment("double_pendulum"),
-        seed,
-        trials,
-        out,
-        command,
-        feedback_period,
-        partial(tell_trial, out),
-    )
+    experiment, told = load_experiment("double_pendulum"), partial(tell_trial, out)
+    run_dmp(experiment, seed, trials, out, command, feedback_period, told)
 
 
 FIGURE7B = PaperExperiment(
-    "figure7b", "success over experience: imitation and movement primitives", needed_runs, report
+    "figure7b", "success over experience: imitation and movement primitives", needed_runs, results
 )

@@ -1,6 +1,4 @@
-"""Section 5.2.3, Figure 9: at which sampling frequency a model of the BioRob predicts best (Eq.
-30).
-"""
+"""Section 5.2.3, Figure 9: the sampling frequency at which a model of the BioRob predicts best."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ from pathlib import Path
 import torch
 from tensordict import TensorDict
 
-from reproduction.reproduction import PaperExperiment, Report, Run
+from reproduction.reproduction import PaperExperiment, Results, Run
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.run_folder import provenance
@@ -33,15 +31,13 @@ QUICK_FREQUENCIES = (5.0, 10.0, 20.0)
 TIME_STEP = 0.01  # s, of the recordings
 HOLD = 10  # time steps for which a torque is held: the robot is controlled at 10 Hz
 PARTS, PART = 12, 2.0  # of a recording, and their length in s
-LENGTHS = (
-    6.0,
-    24.0,
-)  # s, of what is used: that of the first movements, and about all that the paper's robot recorded
+# s, of what is used: as long as exploration, and about all that the paper's robot recorded
+LENGTHS = (6.0, 24.0)
 FORMS = ("raw", "standardised")
 
 
 def recorded_movements(seed: int) -> list[Recording]:
-    """24 s of movements as those that a learning run begins with (Section 5.2.4)."""
+    """Exploration of 24 s, as at the start of a learning run (Section 5.2.4)."""
     env = BioRobEnv(num_envs=PARTS, control_period=TIME_STEP, seed=seed)
     motion = load_experiment("biorob").exploration.motion(torch.Generator().manual_seed(seed))
     states, torques = [env.reset()["observation"]], []
@@ -49,18 +45,16 @@ def recorded_movements(seed: int) -> list[Recording]:
         if step % HOLD == 0:
             torque = motion(states[-1])
         torques.append(torque)
-        states.append(
-            env.step(TensorDict({"action": torque}, batch_size=[PARTS]))["next", "observation"]
-        )
-    return [
-        Recording(*part)
-        for part in zip(torch.stack(states, 1), torch.stack(torques, 1), strict=True)
-    ]
+        stepped = env.step(TensorDict({"action": torque}, batch_size=[PARTS]))
+        states.append(stepped["next", "observation"])
+    parts = zip(torch.stack(states, 1), torch.stack(torques, 1), strict=True)
+    return [Recording(*part) for part in parts]
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """The scores of each recording at each frequency, which take long where there are many
-    transitions; no policy is learned.
+    """The scores of each recording at each frequency; no policy is learned.
+
+    They take long where there are many transitions.
     """
     lengths, seeds, frequencies = size(quick)
     return [
@@ -75,13 +69,14 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 
 
 def size(quick: bool) -> tuple[Sequence[float], Sequence[int], Sequence[float]]:
-    """Lengths of what is used of the recordings in s, seeds and frequencies."""
+    """Lengths of recordings in s, seeds and frequencies that are scored."""
     return (LENGTHS[:1], SEEDS[:2], QUICK_FREQUENCIES) if quick else (LENGTHS, SEEDS, FREQUENCIES)
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
-    """Mean score at each frequency over the recordings, with its t interval, and the best
-    frequency, for each length.
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Mean score at each frequency over the recordings, with its t interval, for each length.
+
+    The best frequency is told too.
     """
     lengths, seeds, frequencies = size(quick)
     scores = iter([read_score(folder) for folder in folders])
@@ -92,9 +87,8 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
         of_length = [[next(scores) for _ in seeds] for _ in frequencies]
         forms = {form: [_interval(of_seeds, form) for of_seeds in of_length] for form in FORMS}
         for form, intervals in forms.items():
-            headline[f"best_frequency_{form}_{length:g}s_hz"] = max(
-                zip(intervals, frequencies, strict=True)
-            )[1]
+            _, best = max(zip(intervals, frequencies, strict=True))
+            headline[f"best_frequency_{form}_{length:g}s_hz"] = best
             headline |= {
                 f"{form}_{length:g}s_{f:g}hz": interval.mean
                 for f, interval in zip(frequencies, intervals, strict=True)
@@ -112,11 +106,11 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
             for form, intervals in forms.items()
         }
         figures[f"figure9_{length:g}s"] = plot_frequencies(frequencies, drawn)
-    return Report(headline, figures, details)
+    return Results(headline, figures, details)
 
 
 def read_score(folder: Path) -> FrequencyScore:
-    """What a run wrote.
+    """The score that a run wrote.
 
     Raises:
         RunError: it cannot be read, or is not that of a score.
@@ -135,36 +129,32 @@ def read_score(folder: Path) -> FrequencyScore:
 def _score(out: Path, command: str, length: float, frequency: float, seed: int) -> None:
     source, begun = provenance(command), time.perf_counter()
     recordings = recorded_movements(seed)[: round(length / PART)]
-    (score,) = score_frequencies(
-        recordings, TIME_STEP, [frequency], load_experiment("biorob").space
-    )
-    out.mkdir(parents=True, exist_ok=True)
-    values = {
-        "log_likelihood": score.log_likelihood.tolist(),
-        "spread": score.spread.tolist(),
-        "transitions": score.transitions,
-    }
+    space = load_experiment("biorob").space
+    (score,) = score_frequencies(recordings, TIME_STEP, [frequency], space)
     run = {
         "experiment": "figure9",
         "seed": seed,
         **source,
         "length_s": length,
         "frequency": frequency,
-        **values,
+        "log_likelihood": score.log_likelihood.tolist(),
+        "spread": score.spread.tolist(),
+        "transitions": score.transitions,
+        "wall_seconds": round(time.perf_counter() - begun, 2),
     }
-    write_json(out / "summary.json", run | {"wall_seconds": round(time.perf_counter() - begun, 2)})
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "summary.json", run)
 
 
 def _interval(scores: Sequence[FrequencyScore], form: str) -> Interval:
-    """Over recordings."""
-    return Interval.of(
-        torch.tensor([getattr(score, form).mean for score in scores], dtype=torch.float64)
-    )
+    """The t interval of the scores over recordings."""
+    means = [getattr(score, form).mean for score in scores]
+    return Interval.of(torch.tensor(means, dtype=torch.float64))
 
 
 FIGURE9 = PaperExperiment(
     "figure9",
     "how well models of the BioRob predict at each sampling frequency",
     needed_runs,
-    report,
+    results,
 )

@@ -1,5 +1,6 @@
-"""What it costs the BioRob's model that the motors' angles are hidden from it: one step predicted
-with and without them (Section 5.2.1).
+"""The cost of hiding the motors' angles from the BioRob's model (Section 5.2.1).
+
+One step is predicted with and without them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from reproduction.reproduction import PaperExperiment, Report, Run
+from reproduction.reproduction import PaperExperiment, Results, Run
 from torch_pmil.envs.biorob import ROTORS, BioRobEnv
 from torch_pmil.envs.mujoco import state_columns
 from torch_pmil.experiments import load_experiment
@@ -20,30 +21,23 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.plotting import plot_errors_over_data
 
 SEEDS, QUICK_SEEDS = range(5), range(1)
-ROLLOUTS = (
-    3,
-    6,
-    12,
-    24,
-)  # of 2 s, that the model learns from; the first are as many as a learning run begins with
+# rollouts of 2 s that the model learns from; the first number is that of a run's exploration
+ROLLOUTS = (3, 6, 12, 24)
 TESTED = 20  # further rollouts of 2 s
 TEST_SEED = 8_000_000
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """None: nothing is learned but models."""
+    """No runs: models alone are learned."""
     return []
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
-    """Errors of the predicted change of each position and velocity, from the observed state alone,
-    and from that and the motors'.
-    """
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Errors of the predicted changes of positions and velocities, motors hidden and known."""
     seeds = QUICK_SEEDS if quick else SEEDS
     tested = record_movements(TEST_SEED, TESTED)
-    errors = np.array(
-        [[one_step_errors(seed, count, tested) for count in ROLLOUTS] for seed in seeds]
-    )  # (seeds, K, 2, 6)
+    measured = [[one_step_errors(seed, count, tested) for count in ROLLOUTS] for seed in seeds]
+    errors = np.array(measured)  # (seeds, K, 2, 6)
     rms = np.sqrt(np.square(errors).mean(0))  # (K, 2, 6)
     names = load_experiment("biorob").space.names
     headline = {
@@ -68,30 +62,26 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
         )
     }
     figure = plot_errors_over_data([2 * count for count in ROLLOUTS], panels)
-    return Report(
-        headline,
-        {"hidden_motors": figure},
-        {"rollouts": list(ROLLOUTS), "tested": TESTED, "errors": errors.tolist()},
-    )
+    details = {"rollouts": list(ROLLOUTS), "tested": TESTED, "errors": errors.tolist()}
+    return Results(headline, {"hidden_motors": figure}, details)
 
 
 def one_step_errors(
     seed: int, rollouts: int, tested: tuple[Tensor, Tensor, Tensor, Tensor]
 ) -> np.ndarray:
-    """Root mean square error of the predicted change of each entry of the state, (2, 6): motors
-    hidden, and known.
+    """Root mean square error of the predicted change of each entry of the state, (2, 6).
+
+    The rows are with motors hidden, and with motors known.
     """
     learned = record_movements(seed, rollouts)
     errors = []
     for known in (False, True):
-        (inputs, targets), (test_inputs, test_targets) = (
-            model_data(*data, known) for data in (learned, tested)
-        )
+        inputs, targets = model_data(*learned, known)
+        test_inputs, test_targets = model_data(*tested, known)
         model = GPDynamics(inputs.shape[1], targets.shape[1])
         model.fit(inputs, targets)
-        errors.append(
-            (model.expansion.predict(test_inputs)[0] - test_targets).square().mean(0).sqrt()
-        )
+        predicted, _ = model.expansion.predict(test_inputs)
+        errors.append((predicted - test_targets).square().mean(0).sqrt())
     return torch.stack(errors).numpy()
 
 
@@ -99,14 +89,13 @@ def model_data(
     states: Tensor, motors: Tensor, torques: Tensor, successors: Tensor, known: bool
 ) -> tuple[Tensor, Tensor]:
     """GP inputs, with the motors' angles and speeds or without, and the changes of the state."""
-    return torch.cat(
-        [states, motors, torques] if known else [states, torques], -1
-    ), successors - states
+    inputs = [states, motors, torques] if known else [states, torques]
+    return torch.cat(inputs, -1), successors - states
 
 
 @torch.no_grad()
 def record_movements(seed: int, rollouts: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """PD movements as those that a learning run begins with.
+    """Record PD movements, as at the start of a learning run.
 
     Returns:
         States (n, 6), motors' angles and speeds (n, 6), torques (n, 3) and successors (n, 6).
@@ -120,18 +109,12 @@ def record_movements(seed: int, rollouts: int) -> tuple[Tensor, Tensor, Tensor, 
         motion.begin()
         rollout = env.rollout(movements.steps, controller)
         physics = env.replay(rollout["observation"][0], rollout["action"], 1)
-        recorded.append(
-            (
-                rollout["observation"],
-                physics[:-1, columns],
-                rollout["action"],
-                rollout["next", "observation"],
-            )
-        )
+        states, successors = rollout["observation"], rollout["next", "observation"]
+        recorded.append((states, physics[:-1, columns], rollout["action"], successors))
     states, motors, actions, successors = (torch.cat(each) for each in zip(*recorded, strict=True))
     return states, motors, actions, successors
 
 
 HIDDEN_MOTORS = PaperExperiment(
-    "hidden_motors", "what the hidden motor angles cost the BioRob's model", needed_runs, report
+    "hidden_motors", "what the hidden motor angles cost the BioRob's model", needed_runs, results
 )

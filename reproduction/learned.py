@@ -1,4 +1,4 @@
-"""What a run learned, from its folder."""
+"""The policy and model of a run, loaded from its folder."""
 
 from __future__ import annotations
 
@@ -36,9 +36,8 @@ class Learned:
     @torch.no_grad()
     def predicted(self, experiment: Experiment) -> Gaussian:
         """p(x_1..T) of the policy under its model, mean (T, D)."""
-        return experiment.make_loss(self.policy.policy, self.dynamics).predict_states(
-            experiment.initial
-        )
+        loss = experiment.make_loss(self.policy.policy, self.dynamics)
+        return loss.predict_states(experiment.initial)
 
     @torch.no_grad()
     def rollouts(self, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
@@ -65,9 +64,8 @@ def load_learned(folder: Path, experiment: Experiment) -> Learned:
         )
     dynamics = experiment.make_dynamics()
     try:
-        dynamics.load_state_dict(
-            torch.load(folder / "dynamics.pt", weights_only=True, map_location="cpu")
-        )
+        state = torch.load(folder / "dynamics.pt", weights_only=True, map_location="cpu")
+        dynamics.load_state_dict(state)
     except (RuntimeError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
         reason = " ".join(str(error).split())
         raise RunError(
@@ -78,8 +76,9 @@ def load_learned(folder: Path, experiment: Experiment) -> Learned:
 
 @torch.no_grad()
 def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, seed: int) -> float:
-    """Success rate of a policy on an experiment's robot, judged by where the robot truly is,
-    whatever its sensors say.
+    """Success rate of a policy on an experiment's robot, by the true states.
+
+    What noisy sensors say does not count.
 
     Args:
         policy: of the robot's states.
@@ -94,8 +93,8 @@ def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, s
     return success_rate(experiment.error(rollouts), experiment.tolerance)
 
 
-def outcome(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, object]:
-    """What a run came to, for the details of a summary; its policy is measured anew.
+def remeasured(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, object]:
+    """The main numbers of a run, for the details of a summary, with its policy measured anew.
 
     Args:
         folder: of the run.

@@ -1,5 +1,6 @@
-"""Robots of other masses than the demonstrator's: ours, behavioural cloning, and the torques of
-exact tracking (Section 5.1.2).
+"""Robots of other masses than the demonstrator's: imitation, cloning, exact tracking.
+
+This is Section 5.1.2.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from reproduction.cloning import (
     peak_tracking_torques,
     record_pairs,
 )
-from reproduction.learned import load_learned, measured_success, outcome
-from reproduction.reproduction import PaperExperiment, Report, Run, learning_run
+from reproduction.learned import load_learned, measured_success, remeasured
+from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.rollouts import states_of
@@ -31,16 +32,15 @@ from torch_pmil.plotting import plot_success_over_mass
 SECOND_LINKS = (0.15, 0.3, 0.4, 0.5, 0.57, 0.65, 0.8, 1.0)  # kg, second link of the robots
 SEEDS = range(3)  # of our runs on each robot
 TRIALS = 13
-CLONED = range(
-    10
-)  # seeds of the demonstrations that are cloned; 0 are those that come with the package
+CLONED = range(10)  # seeds of the cloned demonstrations; those of 0 come with the package
 STARTS = 100
 START_SEED = 5_000_000  # no start that a run has seen
 
 
 def with_second_link(mass: float) -> Experiment:
-    """The double pendulum with a second link of that mass in kg, to learn from the demonstrations
-    that come with the package.
+    """The double pendulum with a second link of that mass in kg.
+
+    It learns from the demonstrations that come with the package.
 
     Example:
         >>> with_second_link(0.3).name, with_second_link(DEMONSTRATED).name
@@ -66,35 +66,28 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
     ]
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
-    """Success over the mass, of each run of ours and of several sets of demonstrations for cloning;
-    peak torques of the shipped set.
-    """
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Success over the mass, of our runs and of cloned policies, and peak torques of tracking."""
     sets, starts = (CLONED[:2], 20) if quick else (CLONED, STARTS)
     robots = [with_second_link(mass) for mass in SECOND_LINKS]
     runs_each = len(folders) // len(robots)
     learned_on = [robot for robot in robots for _ in range(runs_each)]
     runs = [
-        outcome(folder, robot, starts, START_SEED)
+        remeasured(folder, robot, starts, START_SEED)
         for robot, folder in zip(learned_on, folders, strict=True)
     ]
     ours = np.reshape([run["success_rate"] for run in runs], (len(robots), runs_each)).T
-    rollouts = [
-        load_learned(run, robot).rollouts(robot, starts, START_SEED)
+    distances = [
+        departure(states_of(load_learned(run, robot).rollouts(robot, starts, START_SEED)), robot)
         for robot, run in zip(learned_on, folders, strict=True)
     ]
-    departures = np.array(
-        [departure(states_of(own), robot) for own, robot in zip(rollouts, learned_on, strict=True)]
-    )
-    departures = departures.reshape(ours.T.shape)
+    departures = np.reshape(distances, ours.T.shape)
     pairs = list(record_pairs(sets))
     clones = [clone_double_pendulum(*pair) for pair in pairs]
-    cloning = np.array(
-        [
-            [measured_success(clone, robot, starts, START_SEED) for robot in robots]
-            for clone in clones
-        ]
-    )
+    cloned = [
+        [measured_success(clone, robot, starts, START_SEED) for robot in robots] for clone in clones
+    ]
+    cloning = np.array(cloned)
     peaks = peak_tracking_torques(*pairs[0], SECOND_LINKS).numpy()
     limit = robots[0].u_max.max().item()
     difference = link_positions(pairs[0][0]) - shipped_demonstrations("double_pendulum").positions
@@ -118,12 +111,13 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     figure = plot_success_over_mass(
         SECOND_LINKS, {"ours": ours, "behavioural cloning": cloning}, peaks, limit, DEMONSTRATED
     )
-    return Report(headline, {"masses": figure}, details)
+    return Results(headline, {"masses": figure}, details)
 
 
 def departure(states: Tensor, robot: Experiment) -> float:
-    """Root mean square distance (m) of the two link ends from the demonstrated mean, over rollouts
-    x_0..x_T (N, T + 1, 4) and steps 1..T.
+    """Root mean square distance (m) of the two link ends from the demonstrated mean.
+
+    It is over rollouts x_0..x_T (N, T + 1, 4) and steps 1..T.
 
     Example:
         >>> robot = with_second_link(DEMONSTRATED)
@@ -142,5 +136,5 @@ def _by_mass(name: str, values: np.ndarray) -> dict[str, float]:
 
 
 MASSES = PaperExperiment(
-    "masses", "ours and behavioural cloning on robots of other masses", needed_runs, report
+    "masses", "ours and behavioural cloning on robots of other masses", needed_runs, results
 )

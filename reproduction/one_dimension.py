@@ -1,6 +1,4 @@
-"""A Gaussian process of one input and one output, for the figures that explain the method (Figures
-2 and 4).
-"""
+"""A Gaussian process of one input and one output, which explains the method (Figures 2 and 4)."""
 
 from __future__ import annotations
 
@@ -28,13 +26,14 @@ def fitted_gp() -> GPDynamics:
 
 
 def true_function(x: Tensor) -> Tensor:
-    """What the data are of."""
+    """The function whose noisy values are the data."""
     return (1.5 * x).sin() + 0.3 * x
 
 
 def posterior(gp: GPDynamics, points: Tensor) -> Gaussian:
-    """Mean (K, 1) and covariance (K, 1, 1) of the next state at inputs (K,), without measurement
-    noise (Eqs. 6 and 7).
+    """Mean (K, 1) and covariance (K, 1, 1) of the next state at inputs (K,) (Eqs. 6 and 7).
+
+    Measurement noise is not included.
     """
     mean, variance = gp.expansion.predict(points[:, None])
     return Gaussian(mean, variance[..., None])
@@ -45,13 +44,10 @@ def sample_output(
 ) -> Tensor:
     """Draws (count,) from the exact distribution of the output at an uncertain input (Eq. 13)."""
     mean, variance = gp.expansion.predict(belief.sample(count, generator))
-    return (
-        mean
-        + variance.clamp(min=0).sqrt()
-        * torch.randn(mean.shape, dtype=mean.dtype, generator=generator)
-    )[:, 0]
+    white = torch.randn(mean.shape, dtype=mean.dtype, generator=generator)
+    return (mean + variance.clamp(min=0).sqrt() * white)[:, 0]
 
 
 def matched_output(gp: GPDynamics, belief: Gaussian) -> Moments:
-    """The Gaussian of the same mean and variance (Eqs. 14-18)."""
+    """The Gaussian with the mean and variance of the output at an uncertain input (Eqs. 14-18)."""
     return moment_match(gp.expansion, belief)

@@ -1,6 +1,4 @@
-"""Section 5.2.5's method on another robot: one policy of the double pendulum reaches places with
-its tip; three seeds.
-"""
+"""Section 5.2.5's method on the double pendulum: its tip reaches places; three seeds."""
 
 from __future__ import annotations
 
@@ -8,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from reproduction.reproduction import PaperExperiment, Report, Run
+from reproduction.reproduction import PaperExperiment, Results, Run
 from reproduction.target_study import TargetStudy
 from torch_pmil.envs.teachers.reaching import COLUMNS, ROWS
 from torch_pmil.experiments.tasks.double_pendulum_targets import (
@@ -21,8 +19,9 @@ NARROW = 0.5  # target_scale
 
 
 def narrow() -> TargetExperiment:
-    """The same with basis functions that are narrow in the target: half the largest distance
-    between the training targets.
+    """The double pendulum's targets with basis functions that are narrow in the target.
+
+    Their width is half the largest distance between the training targets.
     """
     return replace(
         double_pendulum_targets(), name="double_pendulum_targets_narrow", target_scale=NARROW
@@ -43,26 +42,28 @@ NARROW_PLACES = replace(PLACES, name="reaching_narrow", experiment=narrow)
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """As ``pmil train experiment=double_pendulum_targets`` learns, and with narrow functions; and
-    what comes of each everywhere.
+    """The runs of ``pmil train experiment=double_pendulum_targets``, and narrow ones beside.
+
+    Each is measured everywhere on the grid.
+
+    Each is measured everywhere on the grid.
     """
     studies = [study.quick if quick else study for study in (PLACES, NARROW_PLACES)]
     return [run for study in studies for run in study.needed_runs(root)]
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
-    """What is reached, and what with narrow functions."""
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Places that are reached, and those that narrow functions reach."""
     half = len(folders) // 2
-    wide, thin = PLACES.report(folders[:half]), NARROW_PLACES.report(folders[half:])
+    wide, thin = PLACES.results(folders[:half]), NARROW_PLACES.results(folders[half:])
     kept = ("training_success_rate", "grid_fraction", "triangle_fraction")
-    return replace(
-        wide, headline={**wide.headline, **{f"narrow_{name}": thin.headline[name] for name in kept}}
-    )
+    added = {f"narrow_{name}": thin.headline[name] for name in kept}
+    return replace(wide, headline={**wide.headline, **added})
 
 
 REACHING = PaperExperiment(
     "reaching",
     "one policy of the double pendulum reaches places, as in Section 5.2.5",
     needed_runs,
-    report,
+    results,
 )

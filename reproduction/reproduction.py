@@ -1,6 +1,4 @@
-"""What an experiment of the paper is made of, and how it is run: in parallel, and on from where it
-was stopped.
-"""
+"""Experiments of the paper: their parts, and how they run in parallel and go on after a stop."""
 
 from __future__ import annotations
 
@@ -23,15 +21,8 @@ from torch_pmil.files import write_json
 from torch_pmil.plotting import Figure, save_figure
 from torch_pmil.trainer.trials import Measurement
 
-OF_RUN = (
-    "experiment",
-    "seed",
-    "command",
-    "date",
-    "commit",
-    "experience_s",
-    "wall_seconds",
-)  # what results say of each run
+# entries of each run's summary that results repeat
+OF_RUN = ("experiment", "seed", "command", "date", "commit", "experience_s", "wall_seconds")
 
 
 @dataclass(frozen=True)
@@ -49,8 +40,8 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Report:
-    """What came out.
+class Results:
+    """Numbers and figures of an experiment.
 
     Args:
         headline: main numbers, flat; None for what never came about.
@@ -71,30 +62,32 @@ class PaperExperiment:
         name: as on the command line.
         shows: what, in one line.
         runs: what must be learned, below a folder of runs; smaller ones if quick.
-        report: numbers and figures from the folders of those runs, in that order; from fewer
-            samples if quick.
+        results: makes numbers and figures from the folders of those runs, in that order; from
+            fewer samples if quick.
 
     Example:
         >>> from torch_pmil.experiments import load_experiment
         >>> from torch_pmil.experiments.runs.summaries import read_summary
         >>> def runs(root: Path, quick: bool) -> list[Run]:
-        ...     return [learning_run(root, load_experiment("double_pendulum"), seed, trials=3 if quick else 12) for seed in range(2)]
-        >>> def report(folders: Sequence[Path], quick: bool) -> Report:
+        ...     experiment, trials = load_experiment("double_pendulum"), 3 if quick else 12
+        ...     return [learning_run(root, experiment, seed, trials) for seed in range(2)]
+        >>> def results(folders: Sequence[Path], quick: bool) -> Results:
         ...     rates = [read_summary(folder)["saved_success_rate"] for folder in folders]
-        ...     return Report({"mean_success_rate": sum(rates) / len(rates)}, figures={})
-        >>> PaperExperiment("two_seeds", "success of two runs", runs, report).name
+        ...     return Results({"mean_success_rate": sum(rates) / len(rates)}, figures={})
+        >>> PaperExperiment("two_seeds", "success of two runs", runs, results).name
         'two_seeds'
     """
 
     name: str
     shows: str
     runs: Callable[[Path, bool], Sequence[Run]]
-    report: Callable[[Sequence[Path], bool], Report]
+    results: Callable[[Sequence[Path], bool], Results]
 
 
 def learning_run(root: Path, experiment: Experiment, seed: int, trials: int = 12) -> Run:
-    """A run of an experiment, in the folder in which ``pmil train`` would leave it if ``root`` is
-    ``runs``.
+    """A run of an experiment, in its folder below ``root``.
+
+    With ``runs`` as ``root`` it is the folder of ``pmil train``.
 
     Args:
         root: folder of runs.
@@ -107,15 +100,12 @@ def learning_run(root: Path, experiment: Experiment, seed: int, trials: int = 12
         >>> str(learning_run(Path("runs"), load_experiment("double_pendulum"), seed=3).out)
         'runs/double_pendulum/seed_3'
     """
-    return Run(
-        root / experiment.name / f"seed_{seed}",
-        partial(_learn, experiment=experiment, seed=seed, trials=trials),
-    )
+    learn = partial(_learn, experiment=experiment, seed=seed, trials=trials)
+    return Run(root / experiment.name / f"seed_{seed}", learn)
 
 
-def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[Path, Report]:
-    """Learn what has not been learned yet, then write ``summary.json`` and the figures to
-    ``results/paper/NAME``.
+def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[Path, Results]:
+    """Learn what has not been learned yet, then write numbers and figures to results/paper/NAME.
 
     A quick reproduction has runs and results of its own, in ``runs/quick`` and ``results/quick``.
 
@@ -128,31 +118,32 @@ def reproduce(experiment: PaperExperiment, quick: bool, command: str) -> tuple[P
         The folder of the results, and what they are.
 
     Raises:
-        RunError: runs failed, or the report found something else than they leave.
+        RunError: runs failed, or their folders do not hold what a run leaves.
         OSError: the results cannot be written.
     """
     source = provenance(command)
     runs = experiment.runs(Path("runs", *(("quick",) if quick else ())), quick)
     finish(runs, command)
-    report = experiment.report([run.out for run in runs], quick)
+    results = experiment.results([run.out for run in runs], quick)
     out = Path("results", "quick" if quick else "paper", experiment.name)
     out.mkdir(parents=True, exist_ok=True)
-    for name, figure in report.figures.items():
+    for name, figure in results.figures.items():
         save_figure(figure, out / f"{name}.png")
     summary = {
         "experiment": experiment.name,
         **source,
         "quick": quick,
-        "headline": report.headline,
-        **report.details,
+        "headline": results.headline,
+        **results.details,
     }
     write_json(out / "summary.json", {**summary, "runs": [_origin(run.out) for run in runs]})
-    return out, report
+    return out, results
 
 
 def finish(runs: Sequence[Run], command: str) -> None:
-    """Learn those runs that are not finished, as many at once as there are cores; each goes on from
-    where it was stopped.
+    """Learn those runs that are not finished, as many at once as there are cores.
+
+    Each goes on from where it was stopped.
 
     Args:
         runs: some may be finished.
@@ -166,18 +157,15 @@ def finish(runs: Sequence[Run], command: str) -> None:
     if not missing:
         return
     jobs = min(joblib.cpu_count(), len(missing))
-    ended = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(
-        joblib.delayed(_attempt)(run, command) for run in missing
-    )
-    complaints = [
-        complaint for complaint in tqdm(ended, total=len(missing), unit="run") if complaint
-    ]
+    attempts = (joblib.delayed(_attempt)(run, command) for run in missing)
+    ended = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(attempts)
+    complaints = list(filter(None, tqdm(ended, total=len(missing), unit="run")))
     if complaints:
         raise RunError("\n".join(sorted(complaints)))
 
 
 def _attempt(run: Run, command: str) -> str | None:
-    """Learn a run; what went wrong, if anything."""
+    """Learn a run; return what went wrong, or None."""
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     try:
@@ -188,16 +176,8 @@ def _attempt(run: Run, command: str) -> str | None:
 
 
 def _learn(out: Path, command: str, experiment: Experiment, seed: int, trials: int) -> None:
-    train(
-        experiment,
-        seed,
-        trials,
-        out,
-        command,
-        progress_bar=False,
-        on_trial=partial(tell_trial, out),
-        resume=True,
-    )
+    told = partial(tell_trial, out)
+    train(experiment, seed, trials, out, command, progress_bar=False, on_trial=told, resume=True)
 
 
 def tell_trial(out: Path, trial: Measurement) -> None:
@@ -209,6 +189,6 @@ def tell_trial(out: Path, trial: Measurement) -> None:
 
 
 def _origin(folder: Path) -> dict[str, object]:
-    """Where a run comes from."""
+    """The folder of a run and the entries of its summary that results repeat."""
     summary = json.loads((folder / "summary.json").read_text())
     return {"folder": str(folder), **{key: summary[key] for key in OF_RUN if key in summary}}

@@ -1,6 +1,4 @@
-"""How far ours may be taken from its setting: wider starts, noisy sensors, fewer or more
-demonstrations.
-"""
+"""Robustness: wider starts, noisy sensors, fewer or more demonstrations."""
 
 from __future__ import annotations
 
@@ -13,8 +11,8 @@ import numpy as np
 import torch
 
 from reproduction.cloning import record_pairs
-from reproduction.learned import outcome
-from reproduction.reproduction import PaperExperiment, Report, Run, learning_run
+from reproduction.learned import remeasured
+from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.experiments import load_experiment
@@ -34,8 +32,9 @@ RECORDED_SEED = 1  # of the demonstrations beyond the five that come with the pa
 
 
 def with_start_std(std: float) -> Experiment:
-    """The double pendulum with starts that vary by ``std`` (rad), and in proportion in their
-    velocities; p(x_0) is told.
+    """The double pendulum with starts that vary by ``std`` (rad); p(x_0) is told.
+
+    Velocities vary in proportion.
     """
     experiment = load_experiment("double_pendulum")
     spread = experiment.initial.std * std / PLAIN_START_STD
@@ -47,8 +46,9 @@ def with_start_std(std: float) -> Experiment:
 
 
 def with_noise(std: float) -> Experiment:
-    """The double pendulum whose sensors have noise of ``std`` (rad) in the angles; p(x_0) is what
-    they say of the start.
+    """The double pendulum with sensor noise of ``std`` (rad) in the angles.
+
+    The told p(x_0) is the sensors' view of the start.
 
     The states that the policy sees and the model learns from are noisy. So are those by which a run
     judges its own rollouts.
@@ -63,8 +63,9 @@ def with_noise(std: float) -> Experiment:
 
 
 def with_demonstrations(count: int) -> Experiment:
-    """The double pendulum with the first ``count`` of ten demonstrations; five of them come with
-    the package.
+    """The double pendulum with the first ``count`` of ten demonstrations.
+
+    Five of them come with the package.
     """
     demonstrations = ten_demonstrations()
     return load_experiment(
@@ -74,7 +75,7 @@ def with_demonstrations(count: int) -> Experiment:
 
 @cache
 def ten_demonstrations() -> Demonstrations:
-    """Those that come with the package, then five that the same teacher gives from other starts."""
+    """The five demonstrations that come with the package, and five more of the same teacher."""
     shipped = shipped_demonstrations("double_pendulum")
     ((states, _),) = record_pairs([RECORDED_SEED])
     return replace(shipped, positions=torch.cat([shipped.positions, link_positions(states)]))
@@ -101,11 +102,11 @@ class Factor:
     vary: Callable[..., Experiment]
 
     def names(self) -> list[str]:
-        """Of the levels, as the summary has them."""
+        """Names of the levels, as the summary has them."""
         return [f"{self.name}_{level:g}{self.unit}" for level in self.levels]
 
     def experiments(self) -> list[Experiment]:
-        """One for each level."""
+        """The experiment at each level."""
         plain = load_experiment("double_pendulum")
         return [
             plain if level == self.plain else replace(self.vary(level), name=f"{plain.name}_{name}")
@@ -146,14 +147,14 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
     ]
 
 
-def report(folders: Sequence[Path], quick: bool) -> Report:
+def results(folders: Sequence[Path], quick: bool) -> Results:
     """Success of each run's saved policy from fresh starts, by the true states."""
     starts = 20 if quick else STARTS
     experiments = varied_experiments()
     runs_each = len(folders) // len(experiments)
     learned = [experiment for experiment in experiments.values() for _ in range(runs_each)]
     runs = [
-        outcome(folder, experiment, starts, START_SEED)
+        remeasured(folder, experiment, starts, START_SEED)
         for experiment, folder in zip(learned, folders, strict=True)
     ]
     rates = {
@@ -171,9 +172,9 @@ def report(folders: Sequence[Path], quick: bool) -> Report:
     }
     panels = {factor.label: (factor.levels, values) for factor, values in by_factor.items()}
     figure = plot_success_over_settings(panels, [factor.plain for factor in FACTORS])
-    return Report(headline, {"robustness": figure}, {"starts": starts, "measured": runs})
+    return Results(headline, {"robustness": figure}, {"starts": starts, "measured": runs})
 
 
 ROBUSTNESS = PaperExperiment(
-    "robustness", "ours with other starts, sensors and demonstrations", needed_runs, report
+    "robustness", "ours with other starts, sensors and demonstrations", needed_runs, results
 )

@@ -1,6 +1,4 @@
-"""The set-up of the experiment with several targets as a picture (Figure 11 (a)): the robot, the
-balls, the region they may hang in.
-"""
+"""A picture of the set-up with several targets: robot, balls and region (Figure 11 (a))."""
 
 from __future__ import annotations
 
@@ -17,12 +15,9 @@ from torch_pmil.envs.mujoco import open_renderer
 BLUE, CLEAR_BLUE = (0.0, 0.447, 0.698, 1.0), (0.0, 0.447, 0.698, 0.25)
 FRAME = 0.005  # m, radius of the region's edges
 THICKNESS = 0.001  # m
-LOOK_AT, DISTANCE, AZIMUTH, ELEVATION = (
-    (0.42, 0.0, 0.86),
-    2.0,
-    140.0,
-    -14.0,
-)  # m, m, degrees: from the front, to the robot's right
+# the camera looks from the front, at the robot's right
+LOOK_AT, DISTANCE = (0.42, 0.0, 0.86), 2.0  # m
+AZIMUTH, ELEVATION = 140.0, -14.0  # degrees
 
 
 def draw_targets(
@@ -30,8 +25,7 @@ def draw_targets(
     region: Tensor = GRID,
     pixel_size: tuple[int, int] = (600, 800),
 ) -> np.ndarray:
-    """The robot at its start, a ball on its string at each target, and the rectangle around a
-    region in the hitting plane.
+    """Draw the robot at its start, a ball on its string at each target, and a region's rectangle.
 
     Args:
         targets: [y, z] of the balls, (N, 2), m.
@@ -60,52 +54,31 @@ def draw_targets(
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         for place in others:
             _add_ball(renderer.scene, model, place.numpy())
-        _add_rectangle(
-            renderer.scene,
-            *(ball_at(corner).numpy() for corner in (region.amin(0), region.amax(0))),
-        )
+        low, high = ball_at(region.amin(0)).numpy(), ball_at(region.amax(0)).numpy()
+        _add_rectangle(renderer.scene, low, high)
         return renderer.render()
 
 
 def _camera() -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
-    camera.lookat, camera.distance, camera.azimuth, camera.elevation = (
-        LOOK_AT,
-        DISTANCE,
-        AZIMUTH,
-        ELEVATION,
-    )
+    camera.lookat, camera.distance = LOOK_AT, DISTANCE
+    camera.azimuth, camera.elevation = AZIMUTH, ELEVATION
     return camera
 
 
 def _add_ball(scene: mujoco.MjvScene, model: mujoco.MjModel, place: np.ndarray) -> None:
-    """A ball as the model's own, and its string."""
-    radius, knot = model.geom("ball").size, place + model.site("knot").pos
-    _add(
-        scene,
-        mujoco.mjtGeom.mjGEOM_SPHERE,
-        model.mat("ball").rgba,
-        size=np.repeat(radius[:1], 3),
-        place=place,
-    )
-    _add_line(
-        scene,
-        model.mat("string").rgba,
-        model.tendon_width[model.tendon("string").id],
-        knot,
-        place + np.array([0.0, 0.0, STRING]),
-    )
+    """Add a ball like the model's own, and its string."""
+    size = np.repeat(model.geom("ball").size[:1], 3)
+    _add(scene, mujoco.mjtGeom.mjGEOM_SPHERE, model.mat("ball").rgba, size, place)
+    knot, ceiling = place + model.site("knot").pos, place + np.array([0.0, 0.0, STRING])
+    width = model.tendon_width[model.tendon("string").id]
+    _add_line(scene, model.mat("string").rgba, width, knot, ceiling)
 
 
 def _add_rectangle(scene: mujoco.MjvScene, low: np.ndarray, high: np.ndarray) -> None:
-    """A clear rectangle between two corners of the plane, and its edges."""
-    _add(
-        scene,
-        mujoco.mjtGeom.mjGEOM_BOX,
-        CLEAR_BLUE,
-        size=(high - low) / 2 + np.array([THICKNESS, 0.0, 0.0]),
-        place=(low + high) / 2,
-    )
+    """Add a clear rectangle between two corners of the plane, and its edges."""
+    size = (high - low) / 2 + np.array([THICKNESS, 0.0, 0.0])
+    _add(scene, mujoco.mjtGeom.mjGEOM_BOX, CLEAR_BLUE, size, (low + high) / 2)
     corners = np.array([low, [low[0], high[1], low[2]], high, [low[0], low[1], high[2]]])
     for start, end in zip(corners, np.roll(corners, -1, 0), strict=True):
         _add_line(scene, BLUE, FRAME, start, end)
@@ -119,9 +92,8 @@ def _add(
     place: np.ndarray,
 ) -> mujoco.MjvGeom:
     geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(
-        geom, kind, size, place, np.eye(3).flatten(), np.asarray(colour, dtype=np.float32)
-    )
+    rgba = np.asarray(colour, dtype=np.float32)
+    mujoco.mjv_initGeom(geom, kind, size, place, np.eye(3).flatten(), rgba)
     scene.ngeom += 1
     return geom
 

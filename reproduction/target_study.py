@@ -1,6 +1,4 @@
-"""How one policy of several targets does on a grid of them, beside policies of single targets; and
-how that is learned and drawn.
-"""
+"""Studies of one policy of several targets on a grid, beside policies of single targets."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ from torch import Tensor
 
 from reproduction.baselines.separate_policies import SeparatePolicies
 from reproduction.learned import Learned, load_learned
-from reproduction.reproduction import Report, Run, learning_run
+from reproduction.reproduction import Results, Run, learning_run
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.experiments.runs.summaries import RunError, is_finished
@@ -35,14 +33,14 @@ METHODS = {
     "blended": "one each, blended",
     "nearest": "one each, the nearest",
 }
+MEASURED = ("seed", "experience_s", "trials", "learning_seconds", "training", "grid")
 REACHED = 0.5  # of the starts at a grid point: more than this counts as reached
-EDGE = 1e-9  # of what a corner counts, beside 1: the triangle's corners may be grid points
+EDGE = 1e-9  # of a barycentric coordinate: the triangle's corners may be grid points
 
 
 @dataclass(frozen=True)
 class TargetStudy:
-    """Seeds that learn an experiment with three targets in a plane, and a regular grid on which
-    they are measured.
+    """Seeds that learn an experiment with three targets in a plane, measured on a regular grid.
 
     Args:
         name: of the results.
@@ -67,19 +65,18 @@ class TargetStudy:
 
     @property
     def quick(self) -> TargetStudy:
-        """The same in minutes."""
+        """This study, reduced to a few minutes."""
         return replace(self, seeds=self.seeds[:1], trials=2, starts=2)
 
     @property
     def grid(self) -> Tensor:
-        """Its points, (R C, 2), row by row from below."""
-        rows, columns = (
-            torch.as_tensor(places, dtype=torch.float64) for places in (self.rows, self.columns)
-        )
+        """Points of the grid, (R C, 2), row by row from below."""
+        rows = torch.as_tensor(self.rows, dtype=torch.float64)
+        columns = torch.as_tensor(self.columns, dtype=torch.float64)
         return torch.cartesian_prod(rows, columns).flip(-1)
 
     def needed_runs(self, root: Path) -> list[Run]:
-        """As ``pmil train`` learns the experiment, and what comes of each at every grid point."""
+        """Runs of the experiment as ``pmil train`` learns it, measured at every grid point."""
         return [
             Run(root / self.name / f"seed_{seed}", partial(self._measure, root=root, seed=seed))
             for seed in self.seeds
@@ -91,15 +88,13 @@ class TargetStudy:
         if not is_finished(learning.out):
             learning.learn(learning.out, command)
         learned = load_learned(learning.out, experiment)
-        separate = separate_policies(learned, experiment)
-        policies = {
-            "joint": learned.policy,
-            "blended": SeparatePolicies(separate, experiment.targets),
-            "nearest": SeparatePolicies(separate, experiment.targets, nearest=True),
-        }
-        modules = {
-            name: TensorDictModule(policy, in_keys=["observation", "target"], out_keys=["action"])
-            for name, policy in policies.items()
+        modules = policies_of_methods(learned, experiment)
+        training = self._measured_at(
+            modules["joint"], experiment, experiment.targets, 2 * self.starts, seed
+        )
+        grid = {
+            name: self._measured_at(module, experiment, self.grid, self.starts, seed)
+            for name, module in modules.items()
         }
         run = {
             "experiment": self.name,
@@ -108,21 +103,15 @@ class TargetStudy:
             "experience_s": learned.summary["experience_s"],
             "trials": learned.summary["trials"],
             "learning_seconds": learned.summary["wall_seconds"],
-            "training": self._outcome(
-                modules["joint"], experiment, experiment.targets, 2 * self.starts, seed
-            ),
-            "grid": {
-                name: self._outcome(module, experiment, self.grid, self.starts, seed)
-                for name, module in modules.items()
-            },
+            "training": training,
+            "grid": grid,
+            "wall_seconds": round(time.perf_counter() - begun, 2),
         }
         out.mkdir(parents=True, exist_ok=True)
-        write_json(
-            out / "summary.json", run | {"wall_seconds": round(time.perf_counter() - begun, 2)}
-        )
+        write_json(out / "summary.json", run)
 
     @torch.no_grad()
-    def _outcome(
+    def _measured_at(
         self,
         policy: TensorDictModule,
         experiment: TargetExperiment,
@@ -142,9 +131,10 @@ class TargetStudy:
             for name, values in measured.items()
         }
 
-    def report(self, folders: Sequence[Path], picture: np.ndarray | None = None) -> Report:
-        """Success rates at the training targets, the fraction of the grid that is reached, and the
-        heat maps of the first seed.
+    def results(self, folders: Sequence[Path], picture: np.ndarray | None = None) -> Results:
+        """Success at the training targets, the fraction of the grid that is reached, and heat maps.
+
+        The heat maps are those of the first seed.
         """
         runs = [read_measurement(folder) for folder in folders]
         targets = self.experiment().targets
@@ -156,22 +146,20 @@ class TargetStudy:
         }
         for name in METHODS:
             rates = np.array([run["grid"][name]["success"] for run in runs])  # (seeds, G)
+            values = np.array([run["grid"][name]["value"] for run in runs])
             prefix = "" if name == "joint" else f"{name}_"
             headline[f"{prefix}grid_fraction"] = float((rates > REACHED).mean())
             headline[f"{prefix}triangle_fraction"] = float((rates[:, inside] > REACHED).mean())
             headline[f"{prefix}grid_success_rate"] = float(rates.mean())
-            headline[f"{prefix}mean_distance"] = float(
-                np.mean([run["grid"][name]["value"] for run in runs])
-            )
-        headline["least_grid_fraction"] = min(
-            float((np.array(run["grid"]["joint"]["success"]) > REACHED).mean()) for run in runs
-        )
+            headline[f"{prefix}mean_distance"] = float(values.mean())
+        joint = np.array([run["grid"]["joint"]["success"] for run in runs])
+        headline["least_grid_fraction"] = float((joint > REACHED).mean(1).min())
         headline["max_trials"] = max(len(run["trials"]) for run in runs)
         headline["max_experience_s"] = max(run["experience_s"] for run in runs)
         headline["median_learning_s"] = float(np.median([run["learning_seconds"] for run in runs]))
         measured = [{key: run[key] for key in ("seed", "training", "grid")} for run in runs]
         losses = [[trial["loss"] for trial in run["trials"]] for run in runs]
-        return Report(
+        return Results(
             headline,
             {self.name: self._heat_maps(runs[0]["grid"], targets, picture)},
             {"loss": losses, "measured": measured},
@@ -200,9 +188,26 @@ class TargetStudy:
         )
 
 
+def policies_of_methods(
+    learned: Learned, experiment: TargetExperiment
+) -> dict[str, TensorDictModule]:
+    """The policy of each of the ``METHODS``, for rollouts."""
+    separate, targets = separate_policies(learned, experiment), experiment.targets
+    policies = {
+        "joint": learned.policy,
+        "blended": SeparatePolicies(separate, targets),
+        "nearest": SeparatePolicies(separate, targets, nearest=True),
+    }
+    return {
+        name: TensorDictModule(policy, in_keys=["observation", "target"], out_keys=["action"])
+        for name, policy in policies.items()
+    }
+
+
 def separate_policies(learned: Learned, experiment: TargetExperiment) -> list[StatePolicy]:
-    """A policy for each target: what the joint one does there, searched further for this target
-    alone, on the same model.
+    """A policy for each target, from the joint policy there by further search for it alone.
+
+    The model is the same for all.
     """
     policies, demonstrated = [], experiment.demonstrated
     for i, target in enumerate(experiment.targets):
@@ -211,41 +216,36 @@ def separate_policies(learned: Learned, experiment: TargetExperiment) -> list[St
             policy, learned.dynamics, experiment.space, demonstrated[i], experiment.noise_std
         )
         search_policy(loss, experiment.initial, experiment.search)
-        policies.append(
-            StatePolicy(
-                policy.requires_grad_(False), experiment.space, experiment.demonstrations.time_step
-            )
-        )
+        policy.requires_grad_(False)
+        time_step = experiment.demonstrations.time_step
+        policies.append(StatePolicy(policy, experiment.space, time_step))
     return policies
 
 
 def inside_triangle(points: Tensor, corners: Tensor) -> np.ndarray:
-    """Which points (G, 2) lie in a triangle (3, 2), its edges included, (G,) bool.
+    """Whether points (G, 2) lie in a triangle (3, 2), its edges included, (G,) bool.
 
     Example:
         >>> corners = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
-        >>> inside_triangle(torch.tensor([[0.5, 0.5], [0.6, 0.6]], dtype=torch.float64), corners).tolist()
+        >>> points = torch.tensor([[0.5, 0.5], [0.6, 0.6]], dtype=torch.float64)
+        >>> inside_triangle(points, corners).tolist()
         [True, False]
     """
-    homogeneous = [
-        torch.cat([places, torch.ones_like(places[:, :1])], -1) for places in (points, corners)
-    ]
-    shares = homogeneous[0] @ homogeneous[1].inverse()  # barycentric coordinates
+    points = torch.cat([points, torch.ones_like(points[:, :1])], -1)  # homogeneous
+    corners = torch.cat([corners, torch.ones_like(corners[:, :1])], -1)
+    shares = points @ corners.inverse()  # barycentric coordinates
     return (shares > -EDGE).all(-1).numpy()
 
 
 def read_measurement(folder: Path) -> dict:
-    """What a run of a study wrote.
+    """The measurement that a run of a study wrote.
 
     Raises:
         RunError: it cannot be read, or is of something else.
     """
     try:
-        run = json.loads((folder / "summary.json").read_text())
-        run = {
-            key: run[key]
-            for key in ("seed", "experience_s", "trials", "learning_seconds", "training", "grid")
-        }
+        summary = json.loads((folder / "summary.json").read_text())
+        run = {key: summary[key] for key in MEASURED}
         return {**run, "grid": {name: run["grid"][name] for name in METHODS}}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunError(f"{folder}: summary.json does not say what was reached: {error}") from error

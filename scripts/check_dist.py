@@ -1,4 +1,4 @@
-"""Check what a release holds: the source archive what git holds, the wheel the package alone.
+"""Check a release: the source archive holds what git holds, the wheel the package alone.
 
 Example:
     python scripts/check_dist.py dist
@@ -36,7 +36,7 @@ def main() -> None:
 
 
 def tracked_files() -> set[str]:
-    """What git holds. A link to a folder is the files of that folder, as in an archive."""
+    """The files that git holds; a link to a folder stands for the files of that folder."""
     listed = subprocess.run(
         ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
     )
@@ -79,10 +79,8 @@ def compare(archive: Path, held: set[str], wanted: set[str]) -> None:
     """Exit with 1 unless the archive holds what it should and nothing else."""
     for names, verb in ((wanted - held, "lacks"), (held - wanted, "holds what git does not:")):
         if names:
-            sys.exit(
-                f"{archive} {verb} "
-                f"{', '.join(sorted(names)[:10])}{' ...' if len(names) > 10 else ''}"
-            )
+            more = " ..." if len(names) > 10 else ""
+            sys.exit(f"{archive} {verb} {', '.join(sorted(names)[:10])}{more}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
 """Draw the BioRob: at its start, whole and its drives, and with the balls of several targets.
 
 Example:
-    MUJOCO_GL=egl python scripts/draw_biorob.py docs/figures/biorob.png docs/figures/biorob_targets.png
+    MUJOCO_GL=egl python scripts/draw_biorob.py biorob.png biorob_targets.png
+
+Both pictures of the documentation are in docs/figures/.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ SIZE = 560  # pixels
 
 
 def draw_start() -> np.ndarray:
-    """Two pictures side by side: the whole robot, and its drives."""
+    """Draw two pictures side by side: the whole robot, and its drives."""
     model = biorob_model()
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)

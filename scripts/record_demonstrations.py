@@ -1,5 +1,4 @@
-"""Let the teacher demonstrate a task in simulation and record what an observer sees: positions, no
-torques.
+"""Record demonstrations of a task in simulation: positions that an observer sees, no torques.
 
 Example:
     python scripts/record_demonstrations.py experiment=double_pendulum seed=0 out=demonstrations.npz
@@ -79,8 +78,9 @@ def record_double_pendulum(seed: int, torque_noise: float) -> Demonstrations:
 
 
 def record_double_pendulum_targets(seed: int, torque_noise: float) -> Demonstrations:
-    """Three motions to each training target, from starts drawn with the seed, all successful; see
-    ``record_double_pendulum``.
+    """Three motions to each training target, from starts drawn with the seed, all successful.
+
+    Arguments and errors are those of ``record_double_pendulum``.
     """
     targets = reaching.TRAINING_TARGETS.repeat_interleave(REACHES, 0)
     env = DoublePendulumEnv(num_envs=len(targets), seed=seed)
@@ -92,17 +92,17 @@ def record_double_pendulum_targets(seed: int, torque_noise: float) -> Demonstrat
 
 
 def check_pendulums(goal: str, distances: Tensor, tolerance: float, torques: Tensor) -> None:
-    """Print a row for each of N demonstrations, with distances (N,) in m and torques (N, T, 2) in
-    N·m.
+    """Print a row for each of N demonstrations, and check that all reached their goal.
+
+    Distances are (N,) in m, torques (N, T, 2) in N·m.
 
     Raises:
         RuntimeError: one did not stay at its goal.
     """
     title = f"largest distance from {goal} in the last 0.5 s (m)"
     print(f"demonstration  {title}  peak torque (N·m)")
-    for number, (distance, peak) in enumerate(
-        zip(distances.tolist(), torques.abs().amax((1, 2)).tolist(), strict=True)
-    ):
+    rows = zip(distances.tolist(), torques.abs().amax((1, 2)).tolist(), strict=True)
+    for number, (distance, peak) in enumerate(rows):
         print(f"{number:13d}  {distance:{len(title)}.4f}  {peak:17.3f}")
     if not (distances < tolerance).all():
         raise RuntimeError(
@@ -112,30 +112,16 @@ def check_pendulums(goal: str, distances: Tensor, tolerance: float, torques: Ten
 
 def record_inverted_pendulum(seed: int, torque_noise: float) -> Demonstrations:
     """Ten recoveries of gymnasium's InvertedPendulum-v5, all successful."""
-    env = inverted_pendulum_env(CART_DEMONSTRATIONS, seed=seed)
-    return record_teacher(
-        "inverted_pendulum",
-        env,
-        inverted_pendulum_space(),
-        balancing_teacher(),
-        CART_STEPS,
-        seed,
-        torque_noise,
-    )
+    env, space = inverted_pendulum_env(CART_DEMONSTRATIONS, seed=seed), inverted_pendulum_space()
+    teacher = balancing_teacher()
+    return record_teacher("inverted_pendulum", env, space, teacher, CART_STEPS, seed, torque_noise)
 
 
 def record_gym_pendulum(seed: int, torque_noise: float) -> Demonstrations:
     """Five swing-ups of gymnasium's Pendulum-v1, all successful."""
-    env = gym_pendulum_env(DEMONSTRATIONS, seed=seed)
-    return record_teacher(
-        "gym_pendulum",
-        env,
-        gym_pendulum_space(),
-        pendulum_teacher(),
-        PENDULUM_STEPS,
-        seed,
-        torque_noise,
-    )
+    env, space = gym_pendulum_env(DEMONSTRATIONS, seed=seed), gym_pendulum_space()
+    teacher = pendulum_teacher()
+    return record_teacher("gym_pendulum", env, space, teacher, PENDULUM_STEPS, seed, torque_noise)
 
 
 def record_teacher(
@@ -147,15 +133,13 @@ def record_teacher(
     seed: int,
     torque_noise: float,
 ) -> Demonstrations:
-    """What is seen of a teacher, one demonstration of each robot of the environment.
+    """The demonstrations of a teacher, one of each robot of the environment.
 
     Raises:
         RuntimeError: a demonstration is none of the experiment's successes.
     """
-    noise, time = (
-        np.random.default_rng(seed).normal(size=(steps, *env.action_spec.shape)),
-        itertools.count(),
-    )
+    noise = np.random.default_rng(seed).normal(size=(steps, *env.action_spec.shape))
+    time = itertools.count()
 
     def imprecise_teacher(tensordict: TensorDictBase) -> TensorDictBase:
         step = next(time)
@@ -180,16 +164,12 @@ def record_teacher(
 
 
 def record_biorob(seed: int, torque_noise: None) -> Demonstrations:
-    """Three strikes of the BioRob, led by hand, all hits, and aligned in time: people are never on
-    time.
-    """
+    """Three strikes of the BioRob, led by hand, all hits, and aligned in time."""
     return record_strikes(seed, torch.tensor([BALL] * STRIKES, dtype=torch.float64))
 
 
 def record_biorob_targets(seed: int, torque_noise: None) -> Demonstrations:
-    """Two strikes of the BioRob at each of three balls in the hitting plane, led by hand, all hits,
-    all six aligned in time.
-    """
+    """Two strikes of the BioRob at each of three balls, led by hand, all hits, aligned in time."""
     targets = hitting_plane.TRAINING_TARGETS.repeat_interleave(STRIKES_AT_A_TARGET, 0)
     strikes = record_strikes(seed, hitting_plane.ball_at(targets))
     return replace(strikes, targets=targets, target_names=hitting_plane.TARGET_NAMES)
@@ -204,28 +184,22 @@ def record_strikes(seed: int, balls: Tensor) -> Demonstrations:
     generator, recordings = np.random.default_rng(seed), []
     for ball in balls:
         model = biorob_model(ball)
-        recordings.append(
-            record_strike(
-                model, Variation().of(Strike().towards(ball.numpy(), model), model, generator)
-            )
-        )
+        strike = Variation().of(Strike().towards(ball.numpy(), model), model, generator)
+        recordings.append(record_strike(model, strike))
     print("demonstration  time of the hit (s)")
     for number, recording in enumerate(recordings):
         print(f"{number:13d}  {recording.hit_time or float('nan'):19.3f}")
     if not all(recording.hit_time for recording in recordings):
         raise RuntimeError("every demonstration must hit the ball")
     stride = round(RECORDED_PERIOD / recordings[0].time_step)
-    aligned = align(
-        [torch.from_numpy(recording.states[::stride]) for recording in recordings],
-        velocities=(3, 4, 5),
-    )
+    strikes = [torch.from_numpy(recording.states[::stride]) for recording in recordings]
+    aligned = align(strikes, velocities=(3, 4, 5))
     space, period = biorob_space(), BioRobEnv().control_period
-    return Demonstrations(
-        aligned[:, :: round(period / RECORDED_PERIOD)], period, space.match_space.names
-    )
+    positions = aligned[:, :: round(period / RECORDED_PERIOD)]
+    return Demonstrations(positions, period, space.match_space.names)
 
 
-EXPERIMENTS: dict[str, Callable[..., Demonstrations]] = {
+RECORDERS: dict[str, Callable[..., Demonstrations]] = {
     "biorob": record_biorob,
     "biorob_targets": record_biorob_targets,
     "double_pendulum": record_double_pendulum,
@@ -237,7 +211,7 @@ LED_BY_HAND = {"biorob", "biorob_targets"}
 
 
 def torque_noise_of(config: DictConfig) -> float | None:
-    """What the teacher adds to its torques; None for a teacher who applies none."""
+    """The standard deviation of the teacher's noise; None for a teacher who applies no torques."""
     if config.experiment not in LED_BY_HAND:
         return TORQUE_NOISE if config.torque_noise is None else config.torque_noise
     if config.torque_noise is not None:
@@ -251,14 +225,14 @@ def torque_noise_of(config: DictConfig) -> float | None:
 @hydra.main(version_base="1.3", config_path=".", config_name="record_demonstrations")
 def main(config: DictConfig) -> None:
     """Record the demonstrations of one experiment and save them."""
-    if config.experiment not in EXPERIMENTS:
-        sys.exit(f"experiment must be one of {sorted(EXPERIMENTS)}, got {config.experiment}")
+    if config.experiment not in RECORDERS:
+        sys.exit(f"experiment must be one of {sorted(RECORDERS)}, got {config.experiment}")
     shipped = Path(torch_pmil.demonstrations.__file__).parent / "data" / f"{config.experiment}.npz"
     out = Path(config.out or shipped)
     if not out.parent.is_dir():
         sys.exit(f"cannot write {out}: there is no folder {out.parent}")
     try:
-        EXPERIMENTS[config.experiment](config.seed, torque_noise_of(config)).save(out)
+        RECORDERS[config.experiment](config.seed, torque_noise_of(config)).save(out)
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         sys.exit(f"cannot record {out}: {error}")
     print(f"wrote {out}")

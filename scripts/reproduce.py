@@ -1,4 +1,4 @@
-"""Reproduce an experiment of the paper: its numbers in results/, and its figures beside them."""
+"""``python -m reproduction`` under a shorter name: reproduce an experiment of the paper."""
 
 from reproduction.__main__ import main
 

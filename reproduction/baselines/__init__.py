@@ -1,1 +1,1 @@
-"""Methods that Section 5.1 compares with; the main path knows nothing of them."""
+"""The baselines of Section 5.1: behavioural cloning, movement primitives, separate policies."""

@@ -1,9 +1,7 @@
-r"""Behavioural cloning: a policy fitted to recorded pairs of state and action, as supervised
-learning (Section 5.1.2).
+r"""Behavioural cloning: a policy fitted to recorded states and actions (Section 5.1.2).
 
-It is the only method that is told the demonstrator's torques. What it learns is the demonstrator's
-policy, whatever the robot that will use it: where their bodies differ, so do the torques that they
-need.
+It is the only method that sees the demonstrator's torques. It learns the demonstrator's policy,
+whatever the robot that will use it: where their bodies differ, so do the torques that they need.
 
 The regression is a GP for each torque with hyper-parameters of maximum marginal likelihood. Its
 posterior mean is a network of as many Gaussian basis functions as there are pairs, so the result is
@@ -24,8 +22,9 @@ from torch_pmil.model.dynamics import GPDynamics
 def clone_behavior(
     states: Tensor, torques: Tensor, space: StateSpace, u_max: Tensor, control_period: float
 ) -> StatePolicy:
-    r"""The policy :math:`\pi(x) = u_{\max} \sin m(x)`, with m the mean of a GP of :math:`\arcsin(u
-    / u_{\max})` on the state's features.
+    r"""The policy :math:`\pi(x) = u_{\max} \sin m(x)` with the mean m of a GP.
+
+    The GP is of :math:`\arcsin(u / u_{\max})` on the state's features.
 
     Args:
         states: (S, D), in which the demonstrator acted.
@@ -46,8 +45,10 @@ def clone_behavior(
         >>> from torch_pmil.control.state_space import joint_match
         >>> names, units = ("q", "dq"), ("rad", "rad/s")
         >>> space = StateSpace(names, units, (0,), joint_match(names, units))
-        >>> states = torch.randn(60, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-        >>> policy = clone_behavior(states, -states[:, :1].sin(), space, torch.tensor([2.0]), control_period=0.1)
+        >>> generator = torch.Generator().manual_seed(0)
+        >>> states = torch.randn(60, 2, dtype=torch.float64, generator=generator)
+        >>> torques, u_max = -states[:, :1].sin(), torch.tensor([2.0])
+        >>> policy = clone_behavior(states, torques, space, u_max, control_period=0.1)
         >>> round(policy(torch.tensor([torch.pi / 6, 0.0])).item(), 2)
         -0.5
     """

@@ -1,5 +1,4 @@
-r"""Dynamic movement primitives: a demonstrated motion as a spring-damper that a learned force
-shapes.
+r"""Dynamic movement primitives: a motion as a spring-damper that a learned force shapes.
 
 ====================  =====================================================
 Ijspeert et al. 2013  here
@@ -37,9 +36,10 @@ NODES = 16  # of Gauss and Legendre, in each panel
 
 @dataclass(frozen=True, eq=False)
 class DMP:
-    r"""A motion of D joints.
+    r"""A motion of D joints as a dynamic movement primitive.
 
-    .. math:: \tau^2 \ddot y = \alpha \left(\tfrac{\alpha}{4} (g - y) - \tau \dot y\right) + f(t / \tau), \qquad
+    .. math:: \tau^2 \ddot y = \alpha \left(\tfrac{\alpha}{4} (g - y) - \tau \dot y\right)
+        + f(t / \tau), \qquad
         f = x \frac{\sum_k w_k \psi_k(x)}{\sum_k \psi_k(x)}, \quad x = e^{-\alpha_x t / \tau}
 
     It ends at the goal whatever the weights are, since the phase x takes the force away. Another
@@ -69,11 +69,8 @@ class DMP:
 
     def __post_init__(self) -> None:
         shape = tuple(self.goal.shape)
-        if not (
-            len(shape) == 1
-            and self.start.shape == self.start_rate.shape == shape
-            and self.weights.shape[1:] == shape
-        ):
+        others = (self.start.shape, self.start_rate.shape, self.weights.shape[1:])
+        if len(shape) != 1 or any(tuple(other) != shape for other in others):
             raise ValueError(
                 "start, start_rate and goal must be (D,) and weights (K, D), got "
                 f"{tuple(self.start.shape)}, {tuple(self.start_rate.shape)}, {shape} and "
@@ -90,8 +87,7 @@ class DMP:
 
     @classmethod
     def from_demonstrations(cls, positions: Tensor, time_step: float, num_basis: int) -> DMP:
-        """Learn from demonstrated joint positions, by least squares of the force that each
-        demonstration needs.
+        """Learn from demonstrated joint positions, by least squares of the force that they need.
 
         Velocities and accelerations are those of a cubic spline. Start and goal are the mean ones;
         where several demonstrations differ, the motion is their mean.
@@ -105,12 +101,8 @@ class DMP:
             ValueError: fewer than four samples (a cubic spline needs them), a number that is not
                 finite, or fewer than two basis functions.
         """
-        if (
-            positions.ndim != 3
-            or positions.shape[0] < 1
-            or positions.shape[1] < 4
-            or not positions.isfinite().all()
-        ):
+        enough = positions.ndim == 3 and positions.shape[0] >= 1 and positions.shape[1] >= 4
+        if not (enough and positions.isfinite().all()):
             raise ValueError(
                 "positions must be finite, (N, T + 1, D) with at least four samples, got "
                 f"{tuple(positions.shape)}"
@@ -118,9 +110,8 @@ class DMP:
         if num_basis < 2:
             raise ValueError(f"num_basis must be at least 2, got {num_basis}")
         steps = positions.shape[1] - 1
-        spline = CubicSpline(
-            np.linspace(0, 1, steps + 1), positions.detach().cpu().double().numpy(), axis=1
-        )
+        values = positions.detach().cpu().double().numpy()
+        spline = CubicSpline(np.linspace(0, 1, steps + 1), values, axis=1)
         time = torch.linspace(0, 1, steps * SAMPLES + 1, dtype=torch.float64)
         y, rate, curvature = (torch.from_numpy(spline(time.numpy(), order)) for order in range(3))
         goal = y[:, -1:]
@@ -134,8 +125,9 @@ class DMP:
         )
 
     def __call__(self, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        r"""Position (S, D, rad), velocity (rad/s) and acceleration (rad/s²) at times (S,) in s,
-        from 0 on, in any order.
+        r"""Position (S, D, rad), velocity (rad/s) and acceleration (rad/s²) at times (S,) in s.
+
+        Times are from 0 on, in any order.
 
         With u = t / tau, lambda = alpha / 2 and the force f, the solution is closed but for a
         quadrature:
@@ -156,19 +148,17 @@ class DMP:
         slope = self.start_rate + decay * offset
         nodes, node_weights = _quadrature(PANELS * math.ceil(max(time.max().item(), 1)))
         lag = time * nodes  # r, (S, n)
-        force = (
-            self._force(time - lag) * (time * node_weights * torch.exp(-decay * lag))[..., None]
-        )  # (S, n, D)
+        shares = time * node_weights * torch.exp(-decay * lag)  # (S, n)
+        force = self._force(time - lag) * shares[..., None]  # (S, n, D)
         free = torch.exp(-decay * time)
         y = self.goal + (offset + slope * time) * free + (lag[..., None] * force).sum(1)
-        rate = (slope - decay * (offset + slope * time)) * free + (
-            (1 - decay * lag)[..., None] * force
-        ).sum(1)
+        forced_rate = ((1 - decay * lag)[..., None] * force).sum(1)
+        rate = (slope - decay * (offset + slope * time)) * free + forced_rate
         curvature = STIFFNESS * (STIFFNESS / 4 * (self.goal - y) - rate) + self._force(time[:, 0])
         return y, rate / self.duration, curvature / self.duration**2
 
     def _force(self, time: Tensor) -> Tensor:
-        """At times in units of the duration (*batch): (*batch, D)."""
+        """The force (*batch, D) at times (*batch) in units of the duration."""
         return _basis(time, len(self.weights)) @ self.weights
 
 
@@ -184,8 +174,9 @@ def _phase(time: Tensor) -> Tensor:
 
 
 def _basis(time: Tensor, count: int) -> Tensor:
-    """Normalised Gaussians in the phase, times the phase, (*batch, K); their centres are equally
-    spaced in time.
+    """Normalised Gaussians in the phase, times the phase, (*batch, K).
+
+    Their centres are equally spaced in time.
     """
     centres = _phase(torch.linspace(0, 1, count, dtype=torch.float64))
     gaps = centres.diff().square()

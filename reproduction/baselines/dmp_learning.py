@@ -1,6 +1,4 @@
-"""Imitation with movement primitives, an inverse model learned from the robot's own motion, and a
-PD controller (Section 5.1).
-"""
+"""Imitation with movement primitives, a learned inverse model and a PD controller (Sec. 5.1)."""
 
 from __future__ import annotations
 
@@ -9,10 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from reproduction.baselines.dmp import DMP
-from reproduction.baselines.inverse_dynamics import (
+from reproduction.baselines.learned_inverse_dynamics import (
     InverseDynamics,
     Reference,
     TrackingController,
@@ -23,14 +22,13 @@ from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.dynamics import FitResult
 
-Controller = Callable[
-    [int, Tensor], Tensor
-]  # torques (*batch, F) at a step of the feedback in states (*batch, D)
+# torques (*batch, F) at a step of the feedback in states (*batch, D)
+Controller = Callable[[int, Tensor], Tensor]
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a robot did, at its control steps.
+    """The motion of a robot, at its control steps.
 
     Args:
         states: x_0..x_T, (*batch, T + 1, D).
@@ -47,7 +45,8 @@ def dmp_reference(dmp: DMP, steps: int, time_step: float, hold: int) -> Referenc
 
     Example:
         >>> rest = torch.zeros(1, dtype=torch.float64)
-        >>> dmp_reference(DMP(rest, rest, rest, torch.zeros(2, 1).double(), 1.0), steps=10, time_step=0.1, hold=5).states.shape
+        >>> dmp = DMP(rest, rest, rest, torch.zeros(2, 1).double(), duration=1.0)
+        >>> dmp_reference(dmp, steps=10, time_step=0.1, hold=5).states.shape
         torch.Size([51, 2])
     """
     y, dy, ddy = dmp(torch.arange(steps * hold + 1, dtype=torch.float64) * (time_step / hold))
@@ -57,43 +56,39 @@ def dmp_reference(dmp: DMP, steps: int, time_step: float, hold: int) -> Referenc
 def random_torques(
     u_max: Tensor, fraction: float, hold: int, generator: torch.Generator
 ) -> Controller:
-    """Torques (F,) for one robot, uniform up to a fraction of the limits, drawn anew at each
-    control step.
+    """A controller of uniform random torques (F,) for one robot, up to a fraction of the limits.
+
+    They are drawn anew at each control step.
     """
     torques = torch.zeros_like(u_max)
 
     def controller(step: int, state: Tensor) -> Tensor:
         nonlocal torques
         if step % hold == 0:
-            torques = (
-                fraction
-                * u_max
-                * (2 * torch.rand(u_max.shape, dtype=torch.float64, generator=generator) - 1)
-            )
+            uniform = torch.rand(u_max.shape, dtype=torch.float64, generator=generator)
+            torques = fraction * u_max * (2 * uniform - 1)
         return torques
 
     return controller
 
 
 def execute(env: MujocoRobotEnv, controller: Controller, steps: int, hold: int) -> Motion:
-    """Run a controller from a fresh start; the environment's period is that of the feedback,
-    ``hold`` of them make a control step.
+    """Run a controller from a fresh start.
+
+    The environment's period is that of the feedback; ``hold`` of them make a control step.
     """
     time = itertools.count()
-    rollout = env.rollout(
-        steps * hold,
-        lambda tensordict: tensordict.set(
-            "action", controller(next(time), tensordict["observation"])
-        ),
-    )
-    return Motion(
-        states_of(rollout)[..., ::hold, :], rollout["action"].unflatten(-2, (steps, hold)).mean(-2)
-    )
+
+    def act(tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set("action", controller(next(time), tensordict["observation"]))
+
+    rollout = env.rollout(steps * hold, act)
+    torques = rollout["action"].unflatten(-2, (steps, hold)).mean(-2)
+    return Motion(states_of(rollout)[..., ::hold, :], torques)
 
 
 class InverseDynamicsLearner:
-    """Learns the inverse model from all motion of the robot so far; the controller then tracks the
-    reference with it.
+    """Learns the inverse model from all motion of the robot so far, and tracks a reference with it.
 
     Args:
         space: of the robot's states.
@@ -124,7 +119,7 @@ class InverseDynamicsLearner:
         return self.time_step * sum(len(motion.torques) for motion in self.experience)
 
     def add(self, motion: Motion) -> None:
-        """One rollout becomes experience; states (T + 1, D)."""
+        """Add one rollout, of states (T + 1, D), to the experience."""
         self.experience.append(motion)
 
     def fit(self) -> FitResult:

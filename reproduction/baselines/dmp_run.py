@@ -1,6 +1,4 @@
-"""The baseline of Section 5.1 with movement primitives on the double pendulum: one run, and what it
-leaves in its folder.
-"""
+"""A run of the baseline with movement primitives on the double pendulum, and its folder."""
 
 from __future__ import annotations
 
@@ -21,7 +19,7 @@ from reproduction.baselines.dmp_learning import (
     execute,
     random_torques,
 )
-from reproduction.baselines.inverse_dynamics import POSITION_GAIN, VELOCITY_GAIN
+from reproduction.baselines.learned_inverse_dynamics import POSITION_GAIN, VELOCITY_GAIN
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import rollout_of
 from torch_pmil.experiments.runs.run_folder import (
@@ -39,7 +37,7 @@ from torch_pmil.trainer.trials import Measurement, success_rate
 
 NUM_BASIS = 30  # of the primitive; with them it is within 1 mrad of the demonstrations' mean
 # s; held for 0.1 s, the paper's gains are unstable on this robot
-# (tests/reproduction/baselines/test_inverse_dynamics.py)
+# (tests/reproduction/baselines/test_learned_inverse_dynamics.py)
 FEEDBACK_PERIOD = 0.01
 
 
@@ -58,8 +56,9 @@ class DMPTrial(Measurement):
 
 
 def joint_trajectories(experiment: Experiment) -> Tensor:
-    """Joint angles (N, T + 1, J), rad, that the demonstrations show, each with the turns that begin
-    nearest to the robot's start.
+    """Joint angles (N, T + 1, J), rad, that the demonstrations show.
+
+    Each has the turns that begin nearest to the robot's start.
     """
     demonstrations = experiment.demonstrations
     angles = states_from_positions(demonstrations.positions, demonstrations.time_step)[..., 0::2]
@@ -76,8 +75,9 @@ def run_dmp(
     feedback_period: float = FEEDBACK_PERIOD,
     on_trial: Callable[[DMPTrial], None] = lambda trial: None,
 ) -> dict:
-    """Learn the double pendulum with the baseline and write ``metrics.csv`` (after every trial) and
-    ``summary.json``.
+    """Learn the double pendulum with the baseline, and write numbers into the folder of the run.
+
+    These are ``metrics.csv``, after every trial, and ``summary.json``.
 
     The first experience is the very random rollout that our learner gets with that seed, and all
     starts are the same too. Training does not end before the limit of trials. After the last one
@@ -138,8 +138,9 @@ def run_dmp(
 
 
 def make_learner(experiment: Experiment, hold: int) -> InverseDynamicsLearner:
-    """The learner of an experiment, with the primitive of its demonstrations; ``hold`` steps of the
-    feedback make a control step.
+    """The learner of an experiment, with the primitive of its demonstrations as reference.
+
+    A control step has ``hold`` steps of the feedback.
     """
     time_step = experiment.demonstrations.time_step
     dmp = DMP.from_demonstrations(joint_trajectories(experiment), time_step, NUM_BASIS)
@@ -150,12 +151,11 @@ def make_learner(experiment: Experiment, hold: int) -> InverseDynamicsLearner:
 
 
 def random_rollout(experiment: Experiment, env: MujocoRobotEnv, hold: int, seed: int) -> Motion:
-    """The first experience, the same as our learner's with that seed."""
+    """The first experience: the random rollout that our learner gets with that seed."""
     generator = torch.Generator().manual_seed(seed + 1_000_000)
     torques = random_torques(experiment.u_max, experiment.random_torque, hold, generator)
-    torques(
-        0, env.reset()["observation"]
-    )  # our learner's collector, too, tries out robot and torques when it is made
+    # our learner's collector, too, tries out robot and torques when it is made
+    torques(0, env.reset()["observation"])
     return execute(env, torques, experiment.horizon, hold)
 
 
@@ -166,9 +166,7 @@ def run_trial(
     fresh: MujocoRobotEnv,
     number: int,
 ) -> DMPTrial:
-    """Learn from all experience, measure from fresh starts, and run on the robot, which is new
-    experience.
-    """
+    """Learn from all experience, measure from fresh starts, and gain experience on the robot."""
     experience_s, fit = learner.experience_s, learner.fit()
     measured, own = learner.execute(fresh), learner.execute(env)
     errors, own_error = (experiment.error(rollout_of(motion.states)) for motion in (measured, own))
@@ -186,7 +184,7 @@ def run_trial(
 
 
 def settings(experiment: Experiment, trials: int, feedback_period: float) -> dict[str, object]:
-    """What the summary says of how it was run."""
+    """The settings of the run, for its summary."""
     return {
         "trials": trials,
         "horizon": experiment.horizon,
@@ -209,7 +207,7 @@ def _check(experiment: Experiment, seed: int, trials: int) -> None:
 
 
 def _hold(control_period: float, feedback_period: float) -> int:
-    """How many steps of the feedback make a control step."""
+    """Number of steps of the feedback in a control step."""
     hold = round(control_period / feedback_period) if feedback_period > 0 else 0
     if hold < 1 or abs(hold * feedback_period - control_period) > 1e-9:
         raise ValueError(

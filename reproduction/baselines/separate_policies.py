@@ -1,6 +1,4 @@
-"""What one policy of all targets is compared with: a policy for each target, and the torques of
-these blended, or those of the nearest.
-"""
+"""A policy for each target, to compare with one policy of all: blended, or the nearest alone."""
 
 from __future__ import annotations
 
@@ -48,14 +46,14 @@ class SeparatePolicies(nn.Module):
         return (torques @ self.shares(target)[..., None]).squeeze(-1)
 
     def shares(self, target: Tensor) -> Tensor:
-        """Of each policy for targets (*batch, K), (*batch, S), which sum to 1; at a target of a
-        policy, that one's is 1.
+        """Shares (*batch, S) of the policies for targets (*batch, K), which sum to 1.
+
+        At a target of a policy, the share of that policy is 1.
         """
         distance = (target[..., None, :] - self.targets).norm(dim=-1)
         own = nn.functional.one_hot(distance.argmin(-1), len(self.targets)).to(distance)
         if self.nearest:
             return own
         closeness = distance.pow(-2)
-        return torch.where(
-            distance.amin(-1, keepdim=True) == 0, own, closeness / closeness.sum(-1, keepdim=True)
-        )
+        blended = closeness / closeness.sum(-1, keepdim=True)
+        return torch.where(distance.amin(-1, keepdim=True) == 0, own, blended)

@@ -1,5 +1,4 @@
-"""Learn the double pendulum with the paper's baseline: movement primitives, an inverse model and a
-PD controller (Eq. 29).
+"""Learn the double pendulum with the paper's baseline of movement primitives (Eq. 29).
 
 Example:
     python -m reproduction.baselines.train_dmp seed=0 out=runs/double_pendulum_dmp/seed_0
@@ -25,25 +24,24 @@ from torch_pmil.plotting import plot_learning_curve, save_figure
 
 @hydra.main(version_base="1.3", config_path=str(Path(__file__).parent), config_name="train_dmp")
 def main(config: DictConfig) -> None:
-    """Learn, and say what came of it."""
+    """Learn, and print the results."""
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     out = Path(config.out)
     command = shlex.join(
         ["python", "-m", "reproduction.baselines.train_dmp", *HydraConfig.get().overrides.task]
     )
     try:
-        demonstrations = (
-            load_demonstrations(config.demonstrations) if config.demonstrations else None
-        )
-        experiment = load_experiment("double_pendulum", demonstrations)
+        demonstrations = None
+        if config.demonstrations:
+            demonstrations = load_demonstrations(config.demonstrations)
         summary = run_dmp(
-            experiment,
+            load_experiment("double_pendulum", demonstrations),
             config.seed,
             config.trials,
             out,
             command,
-            config.feedback_period,
-            print_trial,
+            feedback_period=config.feedback_period,
+            on_trial=print_trial,
         )
     except KeyboardInterrupt:
         print("\nstopped", file=sys.stderr)
@@ -60,7 +58,7 @@ def main(config: DictConfig) -> None:
 
 
 def print_trial(trial: DMPTrial) -> None:
-    """One line for each trial."""
+    """Print one line for a trial."""
     print(
         f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, own rollout "
         f"{'succeeded' if trial.own_success else 'failed'}, success rate "
@@ -71,15 +69,12 @@ def print_trial(trial: DMPTrial) -> None:
 
 
 def draw(trials: list[dict], out: Path) -> None:
-    """Learning curve and report of a run."""
-    experience, rates, errors = (
-        [trial[field] for trial in trials]
-        for field in ("experience_s", "success_rate", "tracking_error")
-    )
-    save_figure(
-        plot_learning_curve(experience, rates, errors, "tracking error (rad)"),
-        out / "figures" / "learning_curve.png",
-    )
+    """Draw the learning curve of a run and write its report."""
+    experience = [trial["experience_s"] for trial in trials]
+    rates = [trial["success_rate"] for trial in trials]
+    errors = [trial["tracking_error"] for trial in trials]
+    figure = plot_learning_curve(experience, rates, errors, "tracking error (rad)")
+    save_figure(figure, out / "figures" / "learning_curve.png")
     write_report(out)
 
 

@@ -1,4 +1,4 @@
-"""Tracking with a learned inverse model and a PD controller (Eq. 29).
+"""Tracking with learned inverse dynamics and a PD controller (Eq. 29).
 
 States are [q1, dq1, q2, dq2, ...], rad and rad/s.
 """
@@ -20,10 +20,11 @@ VELOCITY_GAIN = 0.25  # N·m s/rad, K_d
 
 
 class InverseDynamics:
-    r"""GPs of the torques :math:`u_t = f_{\mathrm{inv}}(q_t, \dot q_t, q_{t+1}, \dot q_{t+1}, \ddot
-    q_{t+1})` of Eq. 29.
+    r"""GPs of the torques, the inverse model of Eq. 29.
 
-    They are those of the forward model (Section 3.2) with the roles exchanged. As there, sin and
+    .. math:: u_t = f_{\mathrm{inv}}(q_t, \dot q_t, q_{t+1}, \dot q_{t+1}, \ddot q_{t+1})
+
+    The GPs are those of the forward model (Section 3.2) with the roles exchanged. Here too, sin and
     cos stand in place of each angle, and the next state is told as its difference from the present
     one: the same inputs as the paper's, but with x_{t+1} itself a GP of few data shares what
     depends on the pose, such as gravity, between two inputs that are nearly the same.
@@ -35,7 +36,8 @@ class InverseDynamics:
         >>> from torch_pmil.control.state_space import joint_match
         >>> names, units = ("q", "dq"), ("rad", "rad/s")
         >>> inverse = InverseDynamics(StateSpace(names, units, (), joint_match(names, units)))
-        >>> states, rest = torch.linspace(-1, 1, 10).double()[:, None].expand(10, 2), torch.zeros(10, 1).double()
+        >>> states = torch.linspace(-1, 1, 10).double()[:, None].expand(10, 2)
+        >>> rest = torch.zeros(10, 1).double()
         >>> result = inverse.fit(states, states, rest, states[:, :1])
         >>> torch.allclose(inverse(states, states, rest), states[:, :1], atol=0.02)
         True
@@ -48,9 +50,8 @@ class InverseDynamics:
             )
         self.space = space
         joints = space.dim // 2
-        self.gp = GPDynamics(
-            len(space.feature_names) + space.dim + joints, joints, targets="successor"
-        )
+        inputs = len(space.feature_names) + space.dim + joints
+        self.gp = GPDynamics(inputs, joints, targets="successor")
 
     def fit(
         self, states: Tensor, next_states: Tensor, accelerations: Tensor, torques: Tensor
@@ -70,8 +71,9 @@ class InverseDynamics:
 
     @torch.no_grad()
     def __call__(self, states: Tensor, next_states: Tensor, accelerations: Tensor) -> Tensor:
-        """Mean torques (*batch, D / 2) that lead from states to next ones (*batch, D). Raises
-        RuntimeError before any data.
+        """Mean torques (*batch, D / 2) that lead from states to next ones (*batch, D).
+
+        Raises RuntimeError before any data.
         """
         return self.gp.expansion.mean(self._inputs(states, next_states, accelerations))
 
@@ -81,7 +83,7 @@ class InverseDynamics:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What the robot is to do: a motion at the control steps, and between them.
+    """The motion to track, at the control steps and between them.
 
     Args:
         states: at every step of the feedback, (T * hold + 1, D).
@@ -106,10 +108,10 @@ class Reference:
 
 
 class TrackingController:
-    r"""The learned torques, held for a control step, and a PD controller around the reference (Eq.
-    29).
+    r"""Learned torques, held for a control step, and a PD controller around the reference (Eq. 29).
 
-    .. math:: u = f_{\mathrm{inv}}(q_t, \dot q_t, q^{\exp}_{t+1}, \dot q^{\exp}_{t+1}, \ddot q^{\exp}_{t+1})
+    .. math:: u = f_{\mathrm{inv}}(q_t, \dot q_t,
+            q^{\exp}_{t+1}, \dot q^{\exp}_{t+1}, \ddot q^{\exp}_{t+1})
         + K_p (q^{\exp} - q) + K_d (\dot q^{\exp} - \dot q), \qquad K_p = 0.5 I, \quad K_d = 0.25 I
 
     Args:
@@ -123,8 +125,9 @@ class TrackingController:
         self._feedforward = torch.zeros_like(u_max)
 
     def __call__(self, step: int, states: Tensor) -> Tensor:
-        """Torques (*batch, F), N·m, in states (*batch, D) at a step of the feedback; steps come one
-        after the other from 0 on.
+        """Torques (*batch, F), N·m, in states (*batch, D) at a step of the feedback.
+
+        Steps come one after the other from 0 on.
         """
         reference, hold = self.reference, self.reference.hold
         if step % hold == 0:
@@ -137,8 +140,7 @@ class TrackingController:
 
 
 def accelerations_from_velocities(velocities: Tensor, time_step: float) -> Tensor:
-    """Slopes of a cubic spline through velocities of one rollout (T + 1, J), T >= 3: as many
-    accelerations.
+    """Accelerations of one rollout: slopes of a cubic spline through velocities (T + 1, J), T >= 3.
 
     Example:
         >>> t = torch.linspace(0, 1, 11, dtype=torch.float64)[:, None]

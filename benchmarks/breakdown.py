@@ -1,12 +1,11 @@
-"""Where the time of one KL with its policy gradient goes: CPU milliseconds of its parts, for
-several numbers n of data.
+"""CPU time of the parts of one KL with its policy gradient, for several numbers n of data.
 
 The parts are timed where they are called, in one process with one thread, and the least of several
 evaluations counts for each, so that they need not add up exactly. What a part contains stands in
 ``PARTS``.
 
 Example:
-    python -m benchmarks.breakdown --sizes 50 100 200 400 --json results/benchmarks/prediction/breakdown.json
+    python -m benchmarks.breakdown --sizes 50 100 200 400
 """
 
 from __future__ import annotations
@@ -75,17 +74,14 @@ def main() -> None:
         {"n": n, "horizon": HORIZON, "cpu_ms": clock.least(evaluation(n), arguments.repeats)}
         for n in arguments.sizes
     ]
-    report = provenance(shlex.join(["python", "-m", "benchmarks.breakdown", *sys.argv[1:]])) | {
-        "parts": PARTS,
-        "rows": rows,
-    }
+    source = provenance(shlex.join(["python", "-m", "benchmarks.breakdown", *sys.argv[1:]]))
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    write_json(arguments.json, report)
+    write_json(arguments.json, {**source, "parts": PARTS, "rows": rows})
     print("\n".join(table(rows)))
 
 
 def evaluation(n: int) -> Callable[[], object]:
-    """Value and gradient of the benchmark's problem."""
+    """A function that computes value and gradient of the benchmark's problem."""
     problem = make_problem(n, HORIZON)
     loss, parameters = problem.loss, list(problem.policy.parameters())
     return lambda: torch.autograd.grad(loss.per_step(problem.experiment.initial).sum(), parameters)
@@ -110,9 +106,7 @@ class Clock:
         setattr(owner, name, timed)
 
     def least(self, evaluate: Callable[[], object], repeats: int) -> dict[str, float]:
-        """The least milliseconds of each part in several evaluations, after one that is not
-        counted.
-        """
+        """The least milliseconds of each part in several evaluations, the first not counted."""
         evaluate()
         runs = []
         for _ in range(repeats):
@@ -124,7 +118,7 @@ class Clock:
 
 
 def table(rows: list[dict]) -> list[str]:
-    """Lines for the eye."""
+    """Lines of the printed table."""
     header = "".join(f"{'n = ' + str(row['n']):>10}" for row in rows)
     return [f"{'CPU ms':<18}{header}"] + [
         f"{part:<18}" + "".join(f"{row['cpu_ms'][part]:>10.1f}" for row in rows) for part in PARTS

@@ -1,5 +1,4 @@
-"""What the thresholds of ``torch_pmil/experiments/diagnosis/causes.py`` come from: its measures of
-runs that learned and of runs that did not.
+"""The measures behind the diagnosis' thresholds, of runs that learned and runs that did not.
 
     python benchmarks/diagnosis.py runs results/benchmarks/diagnosis/summary.json
 
@@ -13,6 +12,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -39,14 +39,12 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.trainer.trials import success_rate
 
 STARTS, START_SEED = 20, 7_000_000  # no start that a run has seen
-SMALLEST, LARGEST = (
-    ("covered", "followed", "moved"),
-    ("unknown", "saturated", "mismatch"),
-)  # values that are bad
+SMALLEST = ("covered", "followed", "moved")  # measures that are bad when they are small
+LARGEST = ("unknown", "saturated", "mismatch")  # measures that are bad when they are large
 
 
 def known_experiments() -> dict[str, Experiment]:
-    """All that runs may be of, but for handwriting."""
+    """All experiments of which runs may be, except handwriting."""
     shipped = [load_experiment(name) for name in EXPERIMENTS if name != "handwriting"]
     varied = [
         *varied_experiments().values(),
@@ -57,7 +55,7 @@ def known_experiments() -> dict[str, Experiment]:
 
 
 def experiment_of(name: str, known: dict[str, Experiment]) -> Experiment:
-    """That of a run."""
+    """The experiment of a run."""
     if name.startswith("handwriting_") and name not in known:
         _, shape, robot = name.split("_", 2)
         known[name] = load_experiment("handwriting", None, shape, robot)
@@ -66,84 +64,67 @@ def experiment_of(name: str, known: dict[str, Experiment]) -> Experiment:
 
 @torch.no_grad()
 def measured(folder: Path, experiment: Experiment) -> dict[str, object]:
-    """What is measured of the saved policy of a run, of the worst of its targets, and what is said
-    of it.
-    """
+    """Measures of the saved policy of a run, the worst over its targets, and its diagnosis."""
     learned = load_learned(folder, experiment)
     loss = experiment.make_loss(learned.policy.policy, learned.dynamics)
     rollouts = learned.rollouts(experiment, STARTS, START_SEED)
     outcomes = experiment.outcomes(loss.predict_states(experiment.initial), rollouts)
     of_each = [of_outcome(experiment, learned.dynamics, outcome) for outcome in outcomes]
     horizons = [trial["horizon"] for trial in learned.summary["trials"]]
+    largest_loss = loss.step_loss_for_trust(experiment.initial).amax().item()
+    reasons = likely_reasons(experiment, loss, outcomes, horizons)
     return {
         "run": str(folder),
         "experiment": experiment.name,
         "success_rate": success_rate(experiment.error(rollouts), experiment.tolerance),
-        **{
-            name: (min if name in SMALLEST else max)(each[name] for each in of_each)
-            for name in of_each[0]
-        },
-        "mismatch": loss.step_loss_for_trust(experiment.initial).amax().item()
-        / experiment.search.trust_threshold,
-        "causes": [reason.cause for reason in likely_reasons(experiment, loss, outcomes, horizons)],
+        **{name: worst(name, of_each) for name in of_each[0]},
+        "mismatch": largest_loss / experiment.search.trust_threshold,
+        "causes": [reason.cause for reason in reasons],
     }
 
 
+def worst(name: str, measures: Sequence[Mapping]) -> float:
+    """The worst value of a measure among several."""
+    return (min if name in SMALLEST else max)(each[name] for each in measures)
+
+
 def of_outcome(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> dict[str, float]:
-    """The same of one target."""
-    residuals = standardised_residuals(
-        dynamics, experiment.space, outcome.executed, outcome.rollouts["action"]
-    )
+    """Measures of one target."""
+    actions = outcome.rollouts["action"]
+    residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, actions)
     known = known_steps(experiment, dynamics, outcome)
     noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
-    executed, demonstrated = (
-        experiment.space.observe(outcome.executed),
-        outcome.demonstrations.positions,
-    )
+    executed = experiment.space.observe(outcome.executed)
+    covered = 1.0
+    if known.sum() >= FEWEST_STEPS:
+        covered = covered_fraction(residuals[known]).amin().item()
     return {
-        "covered": covered_fraction(residuals[known]).amin().item()
-        if known.sum() >= FEWEST_STEPS
-        else 1.0,
+        "covered": covered,
         "followed": two_sigma_coverage(outcome.predicted, outcome.executed),
         "unknown": (~known).double().mean().item(),
-        "saturated": saturated_fraction(outcome.rollouts["action"], experiment.u_max).amax().item(),
-        "moved": moved_fraction(executed, demonstrated, noise_std),
+        "saturated": saturated_fraction(actions, experiment.u_max).amax().item(),
+        "moved": moved_fraction(executed, outcome.demonstrations.positions, noise_std),
     }
 
 
 def main(root: str, out: str) -> None:
     """Measure, write, print."""
     torch.set_num_threads(1)
-    known, runs = (
-        known_experiments(),
-        json.loads(Path(out).read_text())["runs"] if Path(out).exists() else [],
-    )
+    known = known_experiments()
+    runs = json.loads(Path(out).read_text())["runs"] if Path(out).exists() else []
     before = {run["run"] for run in runs}
     for path in sorted(Path(root).rglob("summary.json")):
-        if str(path.parent) not in before:
-            runs.append(
-                measured(path.parent, experiment_of(read_summary(path.parent)["experiment"], known))
-            )
+        folder = path.parent
+        if str(folder) not in before:
+            experiment = experiment_of(read_summary(folder)["experiment"], known)
+            runs.append(measured(folder, experiment))
             print(runs[-1], flush=True)
     learned = [run for run in runs if run["success_rate"] >= LEARNED]
-    nearest = {
-        name: (min if name in SMALLEST else max)(run[name] for run in learned)
-        for name in (*SMALLEST, *LARGEST)
-    }
-    headline = {
-        "runs_that_learned": len(learned),
-        "other_runs": len(runs) - len(learned),
-        **nearest,
-    }
-    write_json(
-        Path(out),
-        {
-            **provenance(shlex.join(["python", *sys.argv])),
-            "starts": STARTS,
-            "headline": headline,
-            "runs": runs,
-        },
-    )
+    nearest = {name: worst(name, learned) for name in (*SMALLEST, *LARGEST)}
+    numbers = {"runs_that_learned": len(learned), "other_runs": len(runs) - len(learned)}
+    headline = {**numbers, **nearest}
+    source = provenance(shlex.join(["python", *sys.argv]))
+    write_json(Path(out), {**source, "starts": STARTS, "headline": headline, "runs": runs})
     print(headline)
 
 

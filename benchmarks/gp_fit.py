@@ -1,5 +1,6 @@
-"""CPU time and marginal likelihood of fitting the double pendulum's forward model, beside plain
-GPyTorch; one thread.
+"""CPU time and likelihood of fitting the double pendulum's model, beside plain GPyTorch.
+
+One thread.
 
 Ours starts cold (from PILCO's starts) or warm (from the optimum of the data without their last
 rollout). Plain GPyTorch is a batch of exact GPs on the same data, from the first of PILCO's starts,
@@ -38,9 +39,8 @@ from torch_pmil.trainer.collector import RobotActor
 ROLLOUT = 25  # transitions
 ITERATIONS = 100
 
-Fit = Callable[
-    [], tuple[gpytorch.models.ExactGP, int]
-]  # the fitted batch and the number of evaluations
+# returns the fitted batch and the number of evaluations
+Fit = Callable[[], tuple[gpytorch.models.ExactGP, int]]
 
 
 def main() -> None:
@@ -87,15 +87,14 @@ def main() -> None:
 
 
 def experience(n: int, seed: int) -> tuple[Tensor, Tensor]:
-    """GP inputs (n, 8) and targets (n, 4) of random rollouts with the first trial's moderate
-    torques, as the trainer has them.
+    """GP inputs (n, 8) and targets (n, 4) of exploration, as the trainer has them.
+
+    They are random rollouts with the moderate torques of the first trial.
     """
     task = load_experiment("double_pendulum")
     rollouts = 2 * -(-n // ROLLOUT)  # of some, a part is beyond the limits
-    env, generator = (
-        task.make_env(num_envs=rollouts, seed=seed),
-        torch.Generator().manual_seed(seed),
-    )
+    env = task.make_env(num_envs=rollouts, seed=seed)
+    generator = torch.Generator().manual_seed(seed)
     actor = RobotActor(task.make_policy(generator), task.space, task.exploration.motion(generator))
     past = Experience(capacity=rollouts * ROLLOUT)
     past.extend(env.rollout(ROLLOUT, actor))
@@ -108,8 +107,9 @@ def experience(n: int, seed: int) -> tuple[Tensor, Tensor]:
 
 
 def measure(inputs: Tensor, targets: Tensor, repeats: int) -> list[dict[str, object]]:
-    """A row for each kind of fit; the kinds take turns, so that what else the machine does meets
-    all of them.
+    """A row for each kind of fit.
+
+    The kinds take turns, so that what else the machine does meets all of them.
     """
     earlier = GPDynamics(inputs.shape[-1], targets.shape[-1])
     earlier.fit(inputs[:-ROLLOUT], targets[:-ROLLOUT])
@@ -178,8 +178,9 @@ def plain_gpytorch(inputs: Tensor, targets: Tensor) -> Fit:
 
 
 class PlainGP(gpytorch.models.ExactGP):
-    """A batch of outputs at PILCO's start; GPyTorch's own constraints, but for its least noise,
-    which is more than the robot's.
+    """A batch of outputs at PILCO's start, with GPyTorch's own constraints.
+
+    The exception is GPyTorch's least noise, which is more than the robot's.
     """
 
     def __init__(self, inputs: Tensor, targets: Tensor) -> None:
@@ -193,11 +194,9 @@ class PlainGP(gpytorch.models.ExactGP):
         self.covar_module = gpytorch.kernels.ScaleKernel(rbf, batch_shape=batch)
         self.double()
         start = torch.stack([pilco_starts(inputs, target)[0] for target in targets.mT]).exp()
-        rbf.lengthscale, self.covar_module.outputscale, likelihood.noise = (
-            start[:, None, :-2],
-            start[:, -2],
-            start[:, -1:],
-        )
+        rbf.lengthscale = start[:, None, :-2]
+        self.covar_module.outputscale = start[:, -2]
+        likelihood.noise = start[:, -1:]
 
     def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
@@ -207,7 +206,7 @@ class PlainGP(gpytorch.models.ExactGP):
 def total_negative_log_likelihood(
     model: gpytorch.models.ExactGP, inputs: Tensor, targets: Tensor
 ) -> float:
-    """Over the outputs, nats, without penalties."""
+    """Negative log likelihood summed over the outputs, nats, without penalties."""
     kernel = model.covar_module
     parts = (
         kernel.base_kernel.lengthscale[:, 0],
@@ -215,10 +214,8 @@ def total_negative_log_likelihood(
         model.likelihood.noise,
     )
     log_parameters = torch.cat(parts, -1).log()
-    return sum(
-        negative_log_likelihood(inputs, *pair).item()
-        for pair in zip(targets.mT, log_parameters, strict=True)
-    )
+    outputs = zip(targets.mT, log_parameters, strict=True)
+    return sum(negative_log_likelihood(inputs, *output).item() for output in outputs)
 
 
 def headline(rows: list[dict[str, object]]) -> dict[str, object]:
@@ -228,7 +225,7 @@ def headline(rows: list[dict[str, object]]) -> dict[str, object]:
 
 
 def table(rows: list[dict[str, object]]) -> str:
-    """The rows for the eye."""
+    """The printed table."""
     lines = [
         f"{'n':>4}  {'fit':<9} {'CPU s min':>9} {'median':>7} {'-log likelihood, nats':>22} "
         f"{'evaluations':>12}"

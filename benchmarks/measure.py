@@ -1,5 +1,6 @@
-"""Measure one piece of work in this process and print its row as JSON; ``prediction.py`` starts one
-process for each.
+"""Measure one piece of work in this process and print its row as JSON.
+
+``prediction.py`` starts one process for each row.
 
 Example:
     python -m benchmarks.measure torch_pmil --n 100 --horizon 25 --threads 1 --repeats 7
@@ -87,16 +88,14 @@ def timed(evaluate: Callable[[], object]) -> tuple[float, float, float]:
 
 def clocks() -> tuple[float, float, float]:
     """CPU seconds of this process, its seconds in the kernel, and wall seconds."""
-    return (
-        time.process_time(),
-        resource.getrusage(resource.RUSAGE_SELF).ru_stime,
-        time.perf_counter(),
-    )
+    system = resource.getrusage(resource.RUSAGE_SELF).ru_stime
+    return time.process_time(), system, time.perf_counter()
 
 
 def memory_mb(name: str) -> float:
-    """What this process holds now (``VmRSS``), or held at most since its peak was forgotten
-    (``VmHWM``), in 10^6 bytes.
+    """Memory of this process in 10^6 bytes, now (``VmRSS``) or at its peak (``VmHWM``).
+
+    The peak is since it was forgotten.
     """
     lines = Path("/proc/self/status").read_text().splitlines()
     kibibytes = next(line.split()[1] for line in lines if line.startswith(f"{name}:"))
@@ -104,9 +103,7 @@ def memory_mb(name: str) -> float:
 
 
 def forget_peak() -> None:
-    """Give freed memory back, and let ``VmHWM`` begin again at what the process then holds (see
-    proc(5), clear_refs).
-    """
+    """Give freed memory back, and let ``VmHWM`` begin again (see proc(5), clear_refs)."""
     ctypes.CDLL(None).malloc_trim(0)
     Path("/proc/self/clear_refs").write_text("5")
 

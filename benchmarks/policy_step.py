@@ -1,5 +1,4 @@
-"""Time of one step of the double pendulum's policy, from a state to a torque: NumPy, PyTorch and
-exported; one thread.
+"""Time of one policy step of the double pendulum: NumPy, PyTorch and exported; one thread.
 
 CPU and wall time of each single call, in microseconds, after some that are not counted. The three
 forms take turns, so that what else the machine does meets all of them; where it does much, the wall
@@ -52,8 +51,10 @@ def main() -> None:
 
 
 def measure(steps: int) -> list[dict[str, object]]:
-    """A row for each form: least and median CPU time, median and 99th percentile of the wall time,
-    in microseconds.
+    """A row for each form, with CPU and wall times in microseconds.
+
+    These are the least and the median CPU time, and the median and 99th percentile of the wall
+    time.
     """
     forms = make_forms()
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in forms}
@@ -74,7 +75,7 @@ def timed(step: Callable[[], object]) -> tuple[float, float]:
 
 
 def statistics_of(microseconds: np.ndarray) -> dict[str, float]:
-    """What a row says of the CPU and wall times (steps, 2)."""
+    """The entries of a row, given CPU and wall times (steps, 2)."""
     cpu, wall = microseconds.T
     values = {"cpu_us_min": cpu.min(), "cpu_us_median": np.median(cpu)}
     values |= {"wall_us_median": np.median(wall), "wall_us_99_percent": np.percentile(wall, 99)}
@@ -102,7 +103,7 @@ def make_forms() -> dict[str, Callable[[], object]]:
 
 
 def table(rows: list[dict[str, object]]) -> list[str]:
-    """Lines for the eye."""
+    """Lines of the printed table."""
     lines = [
         f"{'form':<9} {'CPU least':>10} {'median':>10} {'wall median':>12} {'99 %':>10}  "
         "(microseconds)"

@@ -1,12 +1,12 @@
-"""Time and memory of a predicted trajectory's KL with its policy gradient: this package, TorchRL,
-and the exponentials alone.
+"""Time and memory of a predicted trajectory's KL with its policy gradient.
+
+This package, TorchRL, and the exponentials alone are measured.
 
 What is measured, and how, stands in ``workloads.py`` and ``measure.py``; each row comes from a
 process of its own.
 
 Example:
-    python benchmarks/prediction.py --sizes 50 100 200 400 --threads 1 --json
-    results/benchmarks/prediction/summary.json
+    python benchmarks/prediction.py --sizes 50 100 200 400 --threads 1
 """
 
 from __future__ import annotations
@@ -35,8 +35,10 @@ ROOT = Path(__file__).parents[1]
 OURS, RAW, TORCHRL, FLOOR = "torch_pmil", "torch_pmil_raw_angles", "torchrl", "exp_floor"
 NOTES = {
     OURS: "model and policy see sin and cos of the two angles: 8 GP inputs",
-    RAW: "model and policy see the four states themselves: 6 GP inputs, the same computation as torchrl",
-    TORCHRL: "takes no sin and cos of angles: 6 GP inputs; adds 1e-6 to the raw action's covariance and 1e-8 to the state's",
+    RAW: "model and policy see the four states themselves: 6 GP inputs, the same computation as "
+    "torchrl",
+    TORCHRL: "takes no sin and cos of angles: 6 GP inputs; adds 1e-6 to the raw action's "
+    "covariance and 1e-8 to the state's",
     FLOOR: "D (D + 1) / 2 n^2 T exponentials, forward only",
 }
 DRAWN = {OURS: (BLUE, "o"), TORCHRL: (VERMILLION, "s"), FLOOR: (GREY, "^")}  # colour and marker
@@ -49,16 +51,15 @@ def main() -> None:
     try:
         check(arguments)
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
-        report = make_report(arguments)
-        if not any(row["library"] == OURS for row in report["rows"]):
+        summary = make_summary(arguments)
+        if not any(row["library"] == OURS for row in summary["rows"]):
             raise RuntimeError(f"{OURS} could not be measured")
-        write_json(arguments.json, report)
-        save_figure(
-            plot(report["rows"], arguments.horizon), arguments.json.with_name("prediction.png")
-        )
+        write_json(arguments.json, summary)
+        figure = plot(summary["rows"], arguments.horizon)
+        save_figure(figure, arguments.json.with_name("prediction.png"))
     except (ValueError, OSError, RuntimeError) as error:
         sys.exit(f"error: {error}")
-    print("\n".join(f"{name}: {value:.4g}" for name, value in report["headline"].items()))
+    print("\n".join(f"{name}: {value:.4g}" for name, value in summary["headline"].items()))
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -126,7 +127,7 @@ def check(arguments: argparse.Namespace) -> None:
                 raise ValueError(f"{name} must be at least {smallest}, got {value}")
 
 
-def make_report(arguments: argparse.Namespace) -> dict[str, object]:
+def make_summary(arguments: argparse.Namespace) -> dict[str, object]:
     """Everything that the JSON file holds."""
     source = provenance(shlex.join(["python", *sys.argv]))
     libraries, left_out = [FLOOR, OURS, RAW], []
@@ -139,9 +140,9 @@ def make_report(arguments: argparse.Namespace) -> dict[str, object]:
             "'.[benchmark]'"
         )
         print(left_out[-1])
-    print(
-        f"{'library':<22}{'n':>6}{'T':>5}{'threads':>9}{'CPU s':>10}{'wall s':>10}{'peak MB':>10}{'of ours':>10}{'of floor':>10}"
-    )
+    columns = ("CPU s", "wall s", "peak MB", "of ours", "of floor")
+    heads = "".join(f"{column:>10}" for column in columns)
+    print(f"{'library':<22}{'n':>6}{'T':>5}{'threads':>9}{heads}")
     rows: list[dict] = []
     for library, n, horizon in plan(arguments, libraries):
         row = measure(library, n, horizon, arguments.threads, arguments.repeats, left_out)
@@ -175,15 +176,10 @@ def plan(arguments: argparse.Namespace, libraries: list[str]) -> list[tuple[str,
 def measure(
     library: str, n: int, horizon: int, threads: int, repeats: int, left_out: list[str]
 ) -> dict | None:
-    """A row, from a process of its own; None, with a line in ``left_out``, if that process fails."""
+    """A row from a process of its own; None, with a line in ``left_out``, if that fails."""
     numbers = {"--n": n, "--horizon": horizon, "--threads": threads, "--repeats": repeats}
-    command = [
-        sys.executable,
-        "-m",
-        "benchmarks.measure",
-        library,
-        *(str(part) for item in numbers.items() for part in item),
-    ]
+    options = [str(part) for item in numbers.items() for part in item]
+    command = [sys.executable, "-m", "benchmarks.measure", library, *options]
     limits = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS"), str(threads))
     process = subprocess.run(
         command, cwd=ROOT, env=os.environ | limits, capture_output=True, text=True, check=False
@@ -212,29 +208,24 @@ def thread_rows(n: int, arguments: argparse.Namespace, left_out: list[str]) -> l
 
 
 def line(row: dict, rows: list[dict]) -> str:
-    """A row of the table, with its CPU seconds over those of ours and of the floor at the same n
-    and T.
+    """A row of the printed table.
+
+    It has the ratios of its CPU seconds to those of ours and of the floor at the same n and T.
     """
-    ratios = (
-        ratio(row, find(rows, library, row["n"], row["horizon"])) for library in (OURS, FLOOR)
-    )
+    n, horizon = row["n"], row["horizon"]
+    values = [ratio(row, find(rows, library, n, horizon)) for library in (OURS, FLOOR)]
+    ratios = "".join(f"{value:>10.3g}" if value else f"{'':>10}" for value in values)
     return (
-        f"{row['library']:<22}{row['n']:>6}{row['horizon']:>5}{row['threads']:>9}{row['cpu_seconds']:>10.4f}{row['wall_seconds']:>10.4f}"
-        f"{row['peak_mb']:>10.1f}"
-        + "".join(f"{value:>10.3g}" if value else f"{'':>10}" for value in ratios)
+        f"{row['library']:<22}{n:>6}{horizon:>5}{row['threads']:>9}{row['cpu_seconds']:>10.4f}"
+        f"{row['wall_seconds']:>10.4f}{row['peak_mb']:>10.1f}{ratios}"
     )
 
 
 def find(rows: list[dict], library: str, n: int, horizon: int) -> dict | None:
     """The row of that library, n and T."""
-    return next(
-        (
-            row
-            for row in rows
-            if (row["library"], row["n"], row["horizon"]) == (library, n, horizon)
-        ),
-        None,
-    )
+    wanted = (library, n, horizon)
+    found = (row for row in rows if (row["library"], row["n"], row["horizon"]) == wanted)
+    return next(found, None)
 
 
 def ratio(row: dict | None, other: dict | None) -> float | None:
@@ -243,8 +234,9 @@ def ratio(row: dict | None, other: dict | None) -> float | None:
 
 
 def headline(rows: list[dict], horizon: int) -> dict[str, float]:
-    """Main numbers: CPU seconds (system: those of them in the kernel), peak memory (10^6 bytes) and
-    ratios of CPU seconds.
+    """Main numbers: CPU seconds, peak memory (10^6 bytes) and ratios of CPU seconds.
+
+    The system seconds are those of the CPU seconds in the kernel.
     """
     numbers = {}
     for row in rows:
@@ -265,14 +257,11 @@ def headline(rows: list[dict], horizon: int) -> dict[str, float]:
 
 def thread_headline(rows: list[dict], n: int) -> dict[str, float]:
     """Wall seconds with one thread over those with two: medians over the processes."""
-    one, two = (
-        [row["wall_seconds"] for row in rows if row["threads"] == threads] for threads in (1, 2)
-    )
-    return (
-        {f"thread_speedup_n{n}": statistics.median(one) / statistics.median(two)}
-        if one and two
-        else {}
-    )
+    one = [row["wall_seconds"] for row in rows if row["threads"] == 1]
+    two = [row["wall_seconds"] for row in rows if row["threads"] == 2]
+    if not (one and two):
+        return {}
+    return {f"thread_speedup_n{n}": statistics.median(one) / statistics.median(two)}
 
 
 def cores() -> int:
@@ -283,10 +272,8 @@ def cores() -> int:
 def cpu_model() -> str:
     """Name of the processor."""
     lines = Path("/proc/cpuinfo").read_text().splitlines()
-    return next(
-        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
-        platform.machine(),
-    )
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())
 
 
 def plot(rows: list[dict], horizon: int) -> Figure:

@@ -1,10 +1,10 @@
-"""Time of the loss of several targets, and its policy gradient, beside that of one: the BioRob's
-policy of 250 basis functions.
+"""Time of the loss of several targets, with its policy gradient, beside that of one.
+
+The policy is the BioRob's, of 250 basis functions.
 
 Targets are one batch (Eq. 31), so three need not take three times as long. The numbers of targets
 take turns in one process; CPU and wall seconds are the least of the repeats; the ratio is that of
-CPU seconds for one thread, of wall seconds for more. The data are transitions of the robot's first
-movements.
+CPU seconds for one thread, of wall seconds for more. The data are transitions of exploration.
 
 Example:
     python -m benchmarks.targets --sizes 60 120 240 --threads 1 2
@@ -31,7 +31,7 @@ from torch_pmil.files import write_json
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
 
-SEED, STEPS = 0, 20  # steps of a rollout of the first movements
+SEED, STEPS = 0, 20  # steps of a rollout of exploration
 COUNTS = (1, 3)  # of targets
 
 
@@ -64,9 +64,8 @@ def main() -> None:
     ]
     headline = {f"three_over_one_{row['n']}_threads_{row['threads']}": row["ratio"] for row in rows}
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    write_json(
-        arguments.json, {**source, "repeats": arguments.repeats, "headline": headline, "rows": rows}
-    )
+    summary = {**source, "repeats": arguments.repeats, "headline": headline, "rows": rows}
+    write_json(arguments.json, summary)
     for row in rows:
         one, ratio = row["cpu_s"][0], row["ratio"]
         print(
@@ -92,36 +91,27 @@ def measure(n: int, threads: list[int], repeats: int) -> list[dict[str, object]]
         evaluations = [evaluation(loss, experiment) for loss in losses]
         times = [[timed(evaluate) for evaluate in evaluations] for _ in range(repeats + 1)][1:]
         cpu, wall = torch.tensor(times, dtype=torch.float64).amin(0).T.tolist()
-        rows.append(
-            {
-                "n": n,
-                "threads": count,
-                "targets": COUNTS,
-                "cpu_s": cpu,
-                "wall_s": wall,
-                "ratio": (cpu[1] / cpu[0] if count == 1 else wall[1] / wall[0]),
-            }
-        )
+        ratio = cpu[1] / cpu[0] if count == 1 else wall[1] / wall[0]
+        row = {"n": n, "threads": count, "targets": COUNTS, "cpu_s": cpu, "wall_s": wall}
+        rows.append({**row, "ratio": ratio})
     return rows
 
 
 def evaluation(loss: MultiTargetKLLoss, experiment: TargetExperiment) -> Callable[[], object]:
-    """Value and gradient."""
+    """A function that computes value and gradient of a loss."""
     parameters = list(loss.parameters())
     return lambda: torch.autograd.grad(loss.per_step(experiment.initial).sum(), parameters)
 
 
 def make_dynamics(experiment: TargetExperiment, n: int) -> GPDynamics:
-    """The model of n transitions of the first movements, with PILCO's first hyper-parameters."""
+    """The model of n transitions of exploration, with PILCO's first hyper-parameters."""
     env = experiment.robots_at(experiment.targets[:1].expand(-(-n // STEPS), -1), SEED)
     motion = replace(experiment.exploration, rollouts=1).motion(torch.Generator().manual_seed(SEED))
-    rollout = env.rollout(
-        STEPS, TensorDictModule(motion, in_keys=["observation"], out_keys=["action"])
-    )
+    actor = TensorDictModule(motion, in_keys=["observation"], out_keys=["action"])
+    rollout = env.rollout(STEPS, actor)
     states = states_of(rollout)
-    inputs = torch.cat([experiment.space.features(states[:, :-1]), rollout["action"]], -1).flatten(
-        0, 1
-    )[:n]
+    inputs = torch.cat([experiment.space.features(states[:, :-1]), rollout["action"]], -1)
+    inputs = inputs.flatten(0, 1)[:n]
     changes = states.diff(dim=1).flatten(0, 1)[:n]
     dynamics = experiment.make_dynamics()
     dynamics.set_data(inputs, changes)

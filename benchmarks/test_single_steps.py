@@ -1,5 +1,6 @@
-"""Time of single steps, with pytest-benchmark: ``make benchmark-steps``. ``make test`` leaves them
-out.
+"""Time of single steps, with pytest-benchmark: ``make benchmark-steps``.
+
+``make test`` leaves them out.
 
 Every one is measured with its gradient: the least time is comparable between machines that do other
 work besides.
@@ -69,7 +70,7 @@ def test_action_of_a_belief(benchmark) -> None:
 
 @each_size
 def test_step_of_a_prediction(benchmark, n: int) -> None:
-    """From one belief to the next."""
+    """One step of the prediction, from one belief to the next."""
     problem = make_problem(n, horizon=1)
 
     def step() -> torch.Tensor:

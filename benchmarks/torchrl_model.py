@@ -1,4 +1,4 @@
-r"""Where TorchRL's ``GPWorldModel`` differs from its own Gaussian process, and ours does not.
+r"""Differences of TorchRL's ``GPWorldModel`` from its own Gaussian process, where ours has none.
 
 Both models are fitted, each by its own ``fit``, to the same transitions of the double pendulum
 under random torques, and see the four states themselves. The noise that is said beside each is its
@@ -45,8 +45,9 @@ POINTS = 20  # at which posterior and moments are compared
 
 @dataclass(frozen=True)
 class Posterior:
-    """A model's own GP at some points: mean (N, D) and noisy variance (N, D) of the next state, and
-    the noise (D,), in physical units.
+    """A model's own GP at some points, in physical units.
+
+    Mean (N, D) and noisy variance (N, D) are of the next state; the noise is (D,).
     """
 
     mean: Tensor
@@ -116,7 +117,7 @@ def measure(n: int, seed: int) -> list[dict[str, object]]:
 
 @torch.no_grad()
 def own_posterior(model: GPWorldModel, points: TensorDictBase) -> Posterior:
-    """As GPyTorch computes it."""
+    """The posterior of our model's GP, as GPyTorch computes it."""
     gp = model.dynamics.gp.eval()
     x = torch.cat([points["observation"], points["action"]], -1)
     prediction = gp.likelihood(gp(x.expand(model.obs_dim, *x.shape)))
@@ -129,16 +130,13 @@ def own_posterior(model: GPWorldModel, points: TensorDictBase) -> Posterior:
 
 @torch.no_grad()
 def torchrl_posterior(model: TorchRLModel, points: TensorDictBase) -> Posterior:
-    """As botorch computes it, back in physical units."""
+    """The posterior of TorchRL's model, as botorch computes it, back in physical units."""
     x = torch.cat([points["observation"], points["action"]], -1)
-    noisy, noiseless = (
-        [gp.posterior(x, observation_noise=noise) for gp in model.model_list.models]
-        for noise in (True, False)
-    )
-    mean, variance = (
-        torch.cat([p.mean for p in noisy], -1),
-        torch.cat([p.variance for p in noisy], -1),
-    )
+    models = model.model_list.models
+    noisy = [gp.posterior(x, observation_noise=True) for gp in models]
+    noiseless = [gp.posterior(x, observation_noise=False) for gp in models]
+    mean = torch.cat([p.mean for p in noisy], -1)
+    variance = torch.cat([p.variance for p in noisy], -1)
     noise = variance - torch.cat([p.variance for p in noiseless], -1)
     return Posterior(points["observation"] + mean, variance, noise.mean(0))
 
@@ -162,15 +160,13 @@ def limit(model: nn.Module, posterior: Posterior, points: TensorDictBase) -> dic
 
 def taken_noise(model: nn.Module) -> Tensor:
     """The noise that moment matching adds, (D,)."""
-    return (
-        model.sigma_sq_eps
-        if isinstance(model, TorchRLModel)
-        else model.dynamics.expansion.noise_variance
-    )
+    if isinstance(model, TorchRLModel):
+        return model.sigma_sq_eps
+    return model.dynamics.expansion.noise_variance
 
 
 def beliefs(states: Tensor, actions: Tensor) -> TensorDictBase:
-    """Certain ones, with all of TorchRL's keys."""
+    """Beliefs without uncertainty, with all of TorchRL's keys."""
     (n, D), F = states.shape, actions.shape[-1]
     action = {
         "mean": actions,
@@ -183,8 +179,9 @@ def beliefs(states: Tensor, actions: Tensor) -> TensorDictBase:
 
 
 def habits(model: nn.Module, points: TensorDictBase) -> dict[str, object]:
-    """Whether the state loads into a new model, with the first words of the error where it does
-    not; and whether there are gradients.
+    """Whether a saved state loads into a new model, and whether there are gradients.
+
+    Where it does not load, the first words of the error are told.
     """
     try:
         type(model)(obs_dim=4, action_dim=2).load_state_dict(model.state_dict())
@@ -200,7 +197,7 @@ def habits(model: nn.Module, points: TensorDictBase) -> dict[str, object]:
 
 
 def table(rows: list[dict[str, object]]) -> str:
-    """The rows for the eye."""
+    """The printed table."""
     lines = [
         f"{'model':<22} {'variance / GP variance':>24} {'mean error, std':>16} "
         f"{'noise / GP noise':>22}  gradients  state_dict"

@@ -1,17 +1,21 @@
-r"""What ``prediction.py`` compares: value and policy gradient of the KL of a predicted trajectory,
-the same work in several ways.
+r"""The workloads of ``prediction.py``: a predicted trajectory's KL and its policy gradient.
+
+All do the same work, in several ways.
 
 The task is the double pendulum's (D = 4 states, F = 2 torques, 100 basis functions), float64. The
 data are n transitions of the robot under random torques, with PILCO's first hyper-parameters
 (lengthscales std(input), signal std(target), noise a tenth of it), the policy has random weights,
 and beyond the demonstrated 25 steps the demonstration stays where it ends.
 
-=========================  ==========================================================================================
-``torch_pmil``             ``TrajectoryKLLoss``; model and policy see sin and cos of the two angles: 6 features, 8 GP inputs
-``torch_pmil_raw_angles``  the same where both see the four states themselves: 6 GP inputs, as ``torchrl``
+=========================  =====================================================================
+``torch_pmil``             ``TrajectoryKLLoss``; model and policy see sin and cos of the two
+                           angles: 6 features, 8 GP inputs
+``torch_pmil_raw_angles``  ``TrajectoryKLLoss``; model and policy see the four states themselves:
+                           6 GP inputs, as ``torchrl``
 ``torchrl``                ``GPWorldModel`` and ``RBFController``, see :func:`torchrl_rollout`
-``exp_floor``              D (D + 1) / 2 · n² · T exponentials alone, which exact moment matching cannot do without
-=========================  ==========================================================================================
+``exp_floor``              D (D + 1) / 2 · n² · T exponentials alone, which exact moment matching
+                           cannot do without
+=========================  =====================================================================
 """
 
 from __future__ import annotations
@@ -25,7 +29,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.modules import GPWorldModel, RBFController
 
-from torch_pmil import Gaussian, GPDynamics, RBFPolicy, StateSpace, TrajectoryKLLoss, trajectory_kl
+from torch_pmil import Gaussian, GPDynamics, RBFPolicy, TrajectoryKLLoss, trajectory_kl
 from torch_pmil.experiments import Experiment, load_experiment
 
 SEED = 0
@@ -33,9 +37,8 @@ ROLLOUT_STEPS = 25  # of the rollouts that the data are taken from
 # of those rollouts, as a fraction of the limits: the pendulum swings and does not turn over
 RANDOM_TORQUE = 0.1
 NOISE_RATIO = 0.1  # noise over signal, standard deviations
-CHUNK = (
-    2**15
-)  # exponentials at a time: argument and result are 0.25 MB each and stay in the level-2 cache
+# exponentials at a time: argument and result are 0.25 MB each and stay in the level-2 cache
+CHUNK = 2**15
 
 Evaluate = Callable[[], list[Tensor]]  # the loss (nats) and its gradients; the floor has neither
 
@@ -62,7 +65,7 @@ class Problem:
 
 
 def make_problem(n: int, horizon: int, raw_angles: bool = False) -> Problem:
-    """The same problem for the same arguments.
+    """The benchmark's problem, always the same for the same arguments.
 
     Args:
         n: number of transitions that the model knows.
@@ -72,10 +75,7 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False) -> Problem:
     """
     experiment = load_experiment("double_pendulum")
     if raw_angles:
-        space = experiment.space
-        experiment = replace(
-            experiment, space=StateSpace(space.names, space.units, (), space.match_space)
-        )
+        experiment = replace(experiment, space=replace(experiment.space, angles=()))
     generator = torch.Generator().manual_seed(SEED)
     states, torques, successors = random_transitions(experiment, n, generator)
     inputs = torch.cat([experiment.space.features(states), torques], -1)
@@ -91,18 +91,17 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False) -> Problem:
 def random_transitions(
     experiment: Experiment, n: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """States (n, D), torques (n, F) in N·m and successors (n, D) of rollouts from the initial
-    belief with random torques.
+    """States (n, D), torques (n, F) in N·m and successors (n, D) under random torques.
+
+    Rollouts start from the initial belief.
     """
     robots = math.ceil(n / ROLLOUT_STEPS)
     env = experiment.make_env(num_envs=robots, seed=SEED)
     states, torques = [experiment.initial.sample(robots, generator)], []
     for _ in range(ROLLOUT_STEPS):
-        uniform = (
-            2 * torch.rand(robots, len(experiment.u_max), dtype=torch.float64, generator=generator)
-            - 1
-        )
-        torques.append(RANDOM_TORQUE * experiment.u_max * uniform)
+        shape = (robots, len(experiment.u_max))
+        uniform = torch.rand(shape, dtype=torch.float64, generator=generator)
+        torques.append(RANDOM_TORQUE * experiment.u_max * (2 * uniform - 1))
         states.append(env.simulate(states[-1], torques[-1]))
     before, actions, after = (torch.cat(parts)[:n] for parts in (states[:-1], torques, states[1:]))
     return before, actions, after
@@ -141,9 +140,8 @@ def torchrl(n: int, horizon: int) -> Evaluate:
     parameters = list(controller.parameters())
 
     def evaluate() -> list[Tensor]:
-        predicted = experiment.space.match_space.moments(
-            torchrl_rollout(model, controller, experiment.initial, horizon)
-        )
+        states = torchrl_rollout(model, controller, experiment.initial, horizon)
+        predicted = experiment.space.match_space.moments(states)
         value = trajectory_kl(problem.demonstrated, predicted.add_noise(experiment.noise_std**2))
         return [value, *torch.autograd.grad(value, parameters)]
 
@@ -153,19 +151,19 @@ def torchrl(n: int, horizon: int) -> Evaluate:
 def torchrl_rollout(
     model: GPWorldModel, controller: RBFController, initial: Gaussian, horizon: int
 ) -> Gaussian:
-    """p(x_1), ..., p(x_T) by TorchRL's moment matching, a plain loop: its ``ImaginedEnv`` takes one
-    action only.
+    """p(x_1), ..., p(x_T) by TorchRL's moment matching, in a plain loop.
 
-    The same mathematics as ``torch_pmil_raw_angles``, data, hyper-parameters and policy included,
-    but for the terms that TorchRL adds to keep its matrices definite: 1e-6 to the raw action's
+    TorchRL's ``ImaginedEnv`` takes one action only.
+
+    The mathematics, data, hyper-parameters and policy are those of ``torch_pmil_raw_angles``, but
+    for the terms that TorchRL adds to keep its matrices definite: 1e-6 to the raw action's
     covariance and 1e-8 to the state's.
     """
     mean, var, means, covs = initial.mean, initial.cov, [], []
     for _ in range(horizon):
         action = dict(zip(("mean", "var", "cross_covariance"), controller(mean, var), strict=True))
-        successor = model(
-            TensorDict({"observation": {"mean": mean, "var": var}, "action": action})
-        )["next", "observation"]
+        beliefs = TensorDict({"observation": {"mean": mean, "var": var}, "action": action})
+        successor = model(beliefs)["next", "observation"]
         mean, var = successor["mean"], successor["var"]
         means.append(mean)
         covs.append(var)
@@ -173,8 +171,9 @@ def torchrl_rollout(
 
 
 def world_model(dynamics: GPDynamics) -> GPWorldModel:
-    """TorchRL's model with the posterior of ours: its own ``fit`` standardises the targets and
-    reads the result in other units.
+    """TorchRL's model with the posterior of ours.
+
+    Its own ``fit`` standardises the targets and reads the result in other units.
 
     Raises:
         ImportError: botorch is missing.
@@ -184,18 +183,16 @@ def world_model(dynamics: GPDynamics) -> GPWorldModel:
         obs_dim=dynamics.num_outputs, action_dim=dynamics.num_inputs - dynamics.num_outputs
     )
     model.X_tilde_train = dynamics.train_inputs
-    model.ell, model.alpha_sq, model.sigma_sq_eps = (
-        posterior.lengthscales,
-        posterior.signal_variance[:, None],
-        posterior.noise_variance,
-    )
+    model.ell, model.alpha_sq = posterior.lengthscales, posterior.signal_variance[:, None]
+    model.sigma_sq_eps = posterior.noise_variance
     model._cached_inv_K_noisy, model._cached_beta = posterior.gram_inverse, posterior.weights
     return model
 
 
 def rbf_controller(policy: RBFPolicy) -> RBFController:
-    """TorchRL's policy with the centres, weights and (unit) widths of ours; all its outputs share
-    one vector of lengthscales.
+    """TorchRL's policy with the centres, weights and (unit) widths of ours.
+
+    All its outputs share one vector of lengthscales.
     """
     m, inputs = policy.centres.shape
     controller = RBFController(inputs, len(policy.u_max), policy.u_max, n_basis=m).double()
@@ -207,8 +204,9 @@ def rbf_controller(policy: RBFPolicy) -> RBFController:
 
 
 def exp_floor(n: int, horizon: int) -> Evaluate:
-    """The exponentials of the D (D + 1) / 2 pairs of outputs, at arguments between -10 and 0,
-    forward only.
+    """The exponentials of the D (D + 1) / 2 pairs of outputs alone, forward only.
+
+    Arguments are between -10 and 0.
     """
     states = load_experiment("double_pendulum").space.dim
     count = states * (states + 1) // 2 * n**2 * horizon

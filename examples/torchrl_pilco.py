@@ -1,5 +1,4 @@
-"""TorchRL's PILCO task, InvertedPendulum-v5, with this package's world model, policy and imagined
-environment dropped in.
+"""TorchRL's PILCO task, InvertedPendulum-v5, with this package's model, policy and environment.
 
 The recipe is that of TorchRL's ``sota-implementations/pilco``: 200 steps of random forces, then
 three times a fit of the model, a minimisation of TorchRL's expected cost of an imagined rollout,
@@ -41,9 +40,7 @@ TRANSITION = ("observation", "action", ("next", "observation"))
 
 
 def main() -> int:
-    """Read the command line, learn, and say whether the task was learned: the exit status is 0 if
-    it was.
-    """
+    """Read the command line, learn, and return 0 if the task was learned, else 1."""
     arguments = parse()
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)
@@ -110,21 +107,16 @@ def parse() -> argparse.Namespace:
             f"needs {' and '.join(missing)}: pip install 'torch_pmil[gym]', and [benchmark] for "
             "--compare"
         )
-    wrong = [
-        name
-        for name, value in vars(arguments).items()
-        if value <= 0 and name not in ("seed", "compare")
-    ]
-    if wrong:
-        parser.error(
-            f"--{wrong[0].replace('_', '-')} must be positive, got {vars(arguments)[wrong[0]]}"
-        )
+    for name, value in vars(arguments).items():
+        if value <= 0 and name not in ("seed", "compare"):
+            parser.error(f"--{name.replace('_', '-')} must be positive, got {value}")
     return arguments
 
 
 def make_policy(env: EnvBase, basis: int) -> BeliefPolicy:
-    """Random, as TorchRL's ``RBFController`` begins: centres of standard deviation 0.5, weights
-    0.1, unit widths.
+    """A random policy, as TorchRL's ``RBFController`` begins.
+
+    Centres have standard deviation 0.5, weights 0.1, and widths are 1.
     """
     policy = RBFPolicy(0.5 * torch.randn(basis, 4), u_max=env.action_spec.high, scale=torch.ones(4))
     torch.nn.init.normal_(policy.weights, std=0.1)
@@ -145,9 +137,7 @@ def act(env: EnvBase, policy: BeliefPolicy, steps: int) -> TensorDictBase:
 def improve(
     model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, arguments: argparse.Namespace
 ) -> tuple[MinimiseResult, float]:
-    """Minimise the expected cost of imagined rollouts; also says the mean CPU seconds of a gradient
-    step.
-    """
+    """Minimise the expected cost of imagined rollouts; also return a step's mean CPU seconds."""
     evaluate = imagined_cost(ImaginedEnv(model, env), policy, arguments.horizon)
     start = time.process_time()
     with tqdm(desc="gradient steps", leave=False, disable=not sys.stderr.isatty()) as bar:
@@ -165,35 +155,24 @@ def improve(
 def imagined_cost(
     env: EnvBase, policy: TensorDictModule, horizon: int
 ) -> Callable[[], torch.Tensor]:
-    """The sum of TorchRL's expected saturating costs over an imagined rollout from the start
-    belief.
-    """
+    """TorchRL's expected saturating costs, summed over an imagined rollout from the start."""
     loss = ExponentialQuadraticCost(reduction="none")
-    start = TensorDict(
-        {
-            "observation": {
-                "mean": torch.zeros(4).double(),
-                "var": START_VARIANCE * torch.eye(4).double(),
-            }
-        }
-    )
-    start = start.expand(env.batch_size)
+    belief = {"mean": torch.zeros(4).double(), "var": START_VARIANCE * torch.eye(4).double()}
+    start = TensorDict({"observation": belief}).expand(env.batch_size)
     return lambda: loss(env.rollout(horizon, policy, tensordict=start))["loss_cost"].sum(-1).mean()
 
 
 def loop_cost(
     model: GPWorldModel, policy: BeliefPolicy, horizon: int
 ) -> Callable[[], torch.Tensor]:
-    """The same cost by the package's own loop, without an environment."""
+    """The cost of ``imagined_cost`` by the package's own loop, without an environment."""
     loss = ExponentialQuadraticCost(reduction="sum")
     start = Gaussian(torch.zeros(4).double(), START_VARIANCE * torch.eye(4).double())
 
     def evaluate() -> torch.Tensor:
         later = predict_trajectory(start, policy.policy, model.dynamics, model.space, horizon - 1)
-        mean, var = (
-            torch.cat([start.mean[None], later.mean]),
-            torch.cat([start.cov[None], later.cov]),
-        )
+        mean = torch.cat([start.mean[None], later.mean])
+        var = torch.cat([start.cov[None], later.cov])
         return loss(TensorDict({"observation": {"mean": mean, "var": var}}))["loss_cost"]
 
     return evaluate
@@ -202,20 +181,20 @@ def loop_cost(
 def compare(
     model: GPWorldModel, policy: BeliefPolicy, env: EnvBase, horizon: int, steps: int
 ) -> None:
-    """Print the time of a gradient step of ours and of TorchRL's pieces, which are given the same
-    posterior and the same policy.
+    """Print the time of a gradient step of ours and of TorchRL's pieces.
+
+    Both are given the same posterior and the same policy.
     """
     torchrl_policy = TensorDictModule(
         rbf_controller(policy.policy), in_keys=STATE_BELIEF, out_keys=ACTION_BELIEF
     )
     torchrl_env = TorchRLImaginedEnv(world_model(model.dynamics), env)
+    ours = imagined_cost(ImaginedEnv(model, env), policy, horizon)
+    theirs = imagined_cost(torchrl_env, torchrl_policy, horizon)
     ways = {
-        "torch_pmil in TorchRL's form": (
-            imagined_cost(ImaginedEnv(model, env), policy, horizon),
-            policy,
-        ),
+        "torch_pmil in TorchRL's form": (ours, policy),
         "torch_pmil's own loop": (loop_cost(model, policy, horizon), policy),
-        "TorchRL's pieces": (imagined_cost(torchrl_env, torchrl_policy, horizon), torchrl_policy),
+        "TorchRL's pieces": (theirs, torchrl_policy),
     }
     print(
         f"a gradient step with n = {len(model.dynamics.train_inputs)} transitions and {horizon} "

@@ -165,6 +165,20 @@ def options_of_command_line() -> argparse.Namespace:
         metavar="NAME",
         help="columns that are velocities, not positions",
     )
+    _add_steps(parser)
+    _add_timing(parser)
+    _add_reading(parser)
+    parser.add_argument(
+        "--draw",
+        type=Path,
+        metavar="PICTURE.png",
+        help="what was recorded beside what became of it",
+    )
+    return parser.parse_args()
+
+
+def _add_steps(parser: argparse.ArgumentParser) -> None:
+    """Add the options that prepare each recording by itself."""
     parser.add_argument(
         "--marker",
         nargs=4,
@@ -198,6 +212,10 @@ def options_of_command_line() -> argparse.Namespace:
         action="store_true",
         help="keep only the part that moves of each, not the rest before and after it",
     )
+
+
+def _add_timing(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the alignment."""
     parser.add_argument(
         "--reference",
         metavar="DEMONSTRATION",
@@ -209,6 +227,10 @@ def options_of_command_line() -> argparse.Namespace:
         default=0.2,
         help="largest shift in time, as a fraction of the longest recording (0.2)",
     )
+
+
+def _add_reading(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say how the recording is read."""
     parser.add_argument(
         "--keys",
         nargs="+",
@@ -229,13 +251,6 @@ def options_of_command_line() -> argparse.Namespace:
         metavar="S",
         help="of the recording, in s, where it has no times",
     )
-    parser.add_argument(
-        "--draw",
-        type=Path,
-        metavar="PICTURE.png",
-        help="what was recorded beside what became of it",
-    )
-    return parser.parse_args()
 
 
 def main() -> None:

@@ -130,14 +130,7 @@ def train(
     write_metrics(out / "metrics.csv", Trial, trainer.trials)
     trainer.train()
     best = trainer.best_policy()
-    network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
-    policy = StatePolicy(
-        network, experiment.space, trainer.control_period, experiment.demonstrations.target_names
-    )
-    save_policy(
-        out / "policy.pt", network, experiment.space, trainer.control_period, policy.target_names
-    )
-    save_tensors(out / "dynamics.pt", dynamics.state_dict())
+    policy, dynamics = _save_learned(trainer, experiment, out)
     outcomes = experiment.outcomes(*_predict_and_execute(trainer, experiment))
     summary = {
         "experiment": experiment.name,
@@ -151,6 +144,18 @@ def train(
     }
     write_json(out / "summary.json", summary)
     return RunResult(summary, trainer.trials, outcomes, policy, dynamics)
+
+
+def _save_learned(
+    trainer: PMILTrainer, experiment: Experiment, out: Path
+) -> tuple[StatePolicy, GPDynamics]:
+    """Write ``policy.pt`` and ``dynamics.pt``, and return what they hold."""
+    network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
+    space, period = experiment.space, trainer.control_period
+    target_names = experiment.demonstrations.target_names
+    save_policy(out / "policy.pt", network, space, period, target_names)
+    save_tensors(out / "dynamics.pt", dynamics.state_dict())
+    return StatePolicy(network, space, period, target_names), dynamics
 
 
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:

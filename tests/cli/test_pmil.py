@@ -80,7 +80,7 @@ def test_stopped_run_is_resumed_by_its_folder(
     monkeypatch.chdir(tmp_path)
     quick_fits(monkeypatch)
 
-    def interrupted(*args: object) -> None:
+    def interrupted(*args: object, **kwargs: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(SystemExit):

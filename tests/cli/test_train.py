@@ -139,7 +139,7 @@ def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_say
 def test_interrupted_run_ends_with_how_to_go_on(
     script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(*args: object) -> None:
+    def interrupted(*args: object, **kwargs: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(policy_search, "minimise", interrupted)

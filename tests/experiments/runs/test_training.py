@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import asdict, fields
 from datetime import datetime
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -94,7 +95,7 @@ def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> Non
     )
     assert datetime.fromisoformat(summary["date"]).utcoffset().total_seconds() == 0
     assert summary["commit"]
-    assert summary["versions"]["torch"] == torch.__version__
+    assert summary["versions"]["torch"] == version("torch")
     assert {
         "python",
         "torch_pmil",

@@ -38,7 +38,7 @@ Timed = tuple[Tensor, Tensor]  # times (T_n,) in s and values (T_n, M)
 
 
 def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Demonstrations:
-    """The demonstrations that become of recordings.
+    """Demonstrations made of recordings: prepared, aligned and resampled as the options say.
 
     Args:
         recordings: of any lengths.
@@ -73,7 +73,9 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
 def preprocessed_one(
     times: Tensor, values: Tensor, names: tuple[str, ...], options: argparse.Namespace
 ) -> Timed:
-    """One recording after the steps that were asked for.
+    """One recording, prepared: in metres, without jumps, smoothed, with velocities.
+
+    Steps that were not asked for are left out.
 
     These are metres for pixels, without jumps, smoothed, with velocities.
     """
@@ -124,7 +126,7 @@ def number_of(label: str, labels: tuple[str, ...]) -> int:
 
 
 def draw(recordings: Recordings, demonstrations: Demonstrations, path: Path) -> None:
-    """Draw the recordings beside the demonstrations that became of them."""
+    """Draw recordings beside the demonstrations that were made of them."""
     before = [
         (times - times[0], values)
         for times, values in zip(recordings.times, recordings.values, strict=True)

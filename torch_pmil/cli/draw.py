@@ -146,7 +146,9 @@ class DrawingHandler(BaseHTTPRequestHandler):
         """Keeps quiet: the terminal is for the person."""
 
     def _allowed(self) -> bool:
-        """Whether the request is the page's own.
+        """Check that a request is the page's own, and answer it with an error if not.
+
+        It may not come from another site through this browser, or by another name of this address.
 
         It may not come from another site through this browser, or by another name of this address.
         """

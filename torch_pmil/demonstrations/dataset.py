@@ -97,7 +97,7 @@ class Demonstrations:
             )
 
     def by_target(self) -> tuple[Tensor, tuple[Demonstrations, ...]]:
-        """The S different targets (S, K), in the order in which they came, and the sets of each.
+        """The S different targets (S, K), in the order in which they came, and each one's set.
 
         Raises:
             DemonstrationError: they have no targets.

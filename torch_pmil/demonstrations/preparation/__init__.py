@@ -1,1 +1,1 @@
-"""From recordings to demonstrations: alignment, smoothing, jumps, camera pixels, drawings."""
+"""Preparation of demonstrations: alignment, smoothing, jumps, camera pixels, drawings."""

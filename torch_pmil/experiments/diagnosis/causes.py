@@ -160,7 +160,7 @@ def check_saturation(
 
 
 def _need(limit: float, needed: float | None) -> str:
-    """What the demonstrations need of a motor, and what to do, as the end of a sentence."""
+    """The end of a sentence: what the demonstrations need of a motor, and what to do."""
     if needed is None:
         return "; a stronger motor, or a slower or smaller demonstration, leaves it room to correct"
     if needed > limit:

@@ -115,7 +115,9 @@ def check_whole(name: str, value: int, least: int) -> None:
 
 
 def provenance(command: str) -> dict[str, object]:
-    """Where a result comes from: command, date, commit and versions.
+    """Provenance of a result: command, date, commit and versions.
+
+    The commit is that of the source tree, "unknown" outside one.
 
     The commit is that of the source tree, "unknown" outside one.
     """

@@ -62,7 +62,7 @@ def percent(fraction: float) -> str:
 
 
 def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
-    """What can be done with a run: a sentence each, with the command or the lines of Python."""
+    """Next steps with a run: a sentence each, with the command or the lines of Python for it."""
     words = _words(summary["command"])
     if words[:2] == ["pmil", "train"]:
         if summary["stop_reason"] == "limit of trials":

@@ -64,10 +64,9 @@ def test_documentation_builds_without_a_warning_and_equations_and_code_point_to_
 ) -> None:
     built = build(ROOT / "docs", tmp_path)
     assert (built.returncode, built.stderr) == (0, "")
-    assert (
-        'href="_modules/torch_pmil/kl.html#gaussian_kl"' in (tmp_path / "method.html").read_text()
-    )
-    assert 'href="../method.html#eq-19"' in (tmp_path / "api" / "mathematics.html").read_text()
+    page = (tmp_path / "start" / "method.html").read_text()
+    assert 'href="../_modules/torch_pmil/search/kl.html#gaussian_kl"' in page
+    assert 'href="../start/method.html#eq-19"' in (tmp_path / "api" / "search.html").read_text()
 
 
 @pytest.mark.slow

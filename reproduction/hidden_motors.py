@@ -15,7 +15,7 @@ from torch import Tensor
 
 from reproduction.reproduction import PaperExperiment, Results, Run
 from torch_pmil.envs.biorob import ROTORS, BioRobEnv
-from torch_pmil.envs.mujoco import state_columns
+from torch_pmil.envs.mujoco_model import state_columns
 from torch_pmil.experiments import load_experiment
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.plotting import plot_errors_over_data

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_pmil.envs.biorob import STRING, biorob_model
 from torch_pmil.envs.hitting_plane import GRID, TRAINING_TARGETS, ball_at
-from torch_pmil.envs.mujoco import open_renderer
+from torch_pmil.envs.mujoco_model import open_renderer
 
 BLUE, CLEAR_BLUE = (0.0, 0.447, 0.698, 1.0), (0.0, 0.447, 0.698, 0.25)
 FRAME = 0.005  # m, radius of the region's edges

@@ -16,7 +16,7 @@ import numpy as np
 
 from reproduction.target_picture import draw_targets
 from torch_pmil.envs.biorob import biorob_model
-from torch_pmil.envs.mujoco import open_renderer
+from torch_pmil.envs.mujoco_model import open_renderer
 
 SIZE = 560  # pixels
 

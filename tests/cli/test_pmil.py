@@ -9,6 +9,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
+from hydra.core.config_store import ConfigStore
 
 from tests.helpers.run_script import ROOT, run_command
 from tests.helpers.short_run import quick_fits, short_experiment
@@ -77,6 +78,8 @@ def test_stopped_run_is_resumed_by_its_folder(
 ) -> None:
     short = short_experiment(4)
     monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
+    # other tests may have imported TorchRL's configurations
+    monkeypatch.delitem(ConfigStore.instance().repo, "logger", raising=False)
     monkeypatch.chdir(tmp_path)
     quick_fits(monkeypatch)
 

@@ -2,8 +2,7 @@
 
 Example:
     pmil align recorded.csv demonstrations.npz --time-step 0.1 --velocities dq1 dq2
-    pmil align tracked.csv demonstrations.npz --fastest 5 --smooth 0.2 --draw steps.png \\
-        --marker 105 912 0 0 --marker 1480 905 1 0 --marker 1466 130 1 0.5 --marker 118 121 0 0.5
+    pmil align tracked.csv demonstrations.npz --fastest 5 --smooth 0.2 --draw steps.png
 
 The recording is a file or folder of NPZ, CSV, LASA, Minari, robomimic or LeRobot data. A CSV file
 has the columns demonstration,time,NAME,... and, if there are several targets, "target NAME",... for

@@ -15,7 +15,8 @@ from torch import Tensor
 from torchrl.data import Binary, Unbounded
 
 from torch_pmil.envs.equilibrium import Equilibrium
-from torch_pmil.envs.mujoco import MujocoRobotEnv, state_columns
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.mujoco_model import state_columns
 
 JOINTS = ("yaw", "shoulder", "elbow")
 ROTORS = ("yaw_motor", "shoulder_motor", "elbow_motor")

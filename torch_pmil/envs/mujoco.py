@@ -5,8 +5,6 @@ This module knows no particular robot.
 
 from __future__ import annotations
 
-import copy
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,9 +18,16 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 
 from torch_pmil.envs.inverse_dynamics import inverse_dynamics
+from torch_pmil.envs.mujoco_model import (
+    FULL_PHYSICS,
+    at_rest,
+    limited_models,
+    open_renderer,
+    state_columns,
+    whole_substeps,
+)
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
 
-FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 MOMENTS = 5  # of a control period, at which inverse dynamics are averaged
 
 
@@ -94,9 +99,9 @@ class MujocoRobotEnv(RobotEnv):
     ) -> None:
         check_num_envs(num_envs)
         super().__init__(() if num_envs is None else (num_envs,), control_period, from_pixels, seed)
-        self._models = _limited_models(model, torque_limit, num_envs or 1)
+        self._models = limited_models(model, torque_limit, num_envs or 1)
         self.model = self._models[0]
-        self.substeps = _substeps(control_period, self.model.opt.timestep)
+        self.substeps = whole_substeps(control_period, self.model.opt.timestep)
         self.pixel_size = pixel_size
         self._data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
@@ -300,8 +305,8 @@ class MujocoRobotEnv(RobotEnv):
 
         There are N models, or one for all.
         """
-        at_rest = {model: _at_rest(model) for model in set(models)}
-        physics = torch.stack([at_rest[model] for model in models])
+        rest = {model: at_rest(model) for model in set(models)}
+        physics = torch.stack([rest[model] for model in models])
         physics = physics.expand(state.shape[0], -1).clone()
         physics[:, self._state_columns] = state.to(torch.float64)
         return physics
@@ -415,78 +420,6 @@ class MujocoRobotEnv(RobotEnv):
         if self._renderer is None:
             self._renderer = open_renderer(self.model, self.pixel_size)
         return self._renderer
-
-
-def open_renderer(model: mujoco.MjModel, pixel_size: tuple[int, int]) -> mujoco.Renderer:
-    """A renderer of pictures of this height and width. Raises RuntimeError without OpenGL."""
-    model.vis.global_.offheight, model.vis.global_.offwidth = pixel_size
-    try:
-        return mujoco.Renderer(model, *pixel_size)
-    except Exception as error:  # every OpenGL platform fails with a type of its own
-        backend = os.environ.get("MUJOCO_GL", "not set")
-        raise RuntimeError(
-            f"pictures need OpenGL, which failed with MUJOCO_GL {backend} ({error}); headless: "
-            "MUJOCO_GL=egl"
-        ) from error
-
-
-def _substeps(control_period: float, timestep: float) -> int:
-    substeps = round(control_period / timestep)
-    if substeps < 1 or abs(substeps * timestep - control_period) > 1e-9:
-        raise ValueError(
-            f"control_period must be a whole number of {timestep} s time steps, got "
-            f"{control_period} s"
-        )
-    return substeps
-
-
-def _limited_models(
-    models: mujoco.MjModel | Sequence[mujoco.MjModel],
-    torque_limit: float | Sequence[float],
-    count: int,
-) -> tuple[mujoco.MjModel, ...]:
-    """Copies with limited torques, one for each of ``count`` robots; equal models share one."""
-    models = [models] * count if isinstance(models, mujoco.MjModel) else list(models)
-    if len(models) != count:
-        raise ValueError(
-            f"model must be one or {count} models, one for each robot, got {len(models)}"
-        )
-    limited = {model: _limited_model(model, torque_limit) for model in set(models)}
-    return tuple(limited[model] for model in models)
-
-
-def _limited_model(model: mujoco.MjModel, torque_limit: float | Sequence[float]) -> mujoco.MjModel:
-    limit = np.asarray(torque_limit, dtype=np.float64)
-    if limit.shape not in ((), (model.nu,)) or not (np.isfinite(limit) & (limit > 0)).all():
-        raise ValueError(
-            f"torque_limit must be one or {model.nu} positive finite numbers in N·m, got "
-            f"{torque_limit}"
-        )
-    model = copy.copy(model)
-    model.actuator_ctrllimited[:] = 1
-    model.actuator_ctrlrange[:] = np.broadcast_to(limit, model.nu)[:, None] * [-1, 1]
-    # Without this flag MuJoCo silently restarts a diverged simulation at its default pose.
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    model.vis.quality.shadowsize = 0
-    return model
-
-
-def _at_rest(model: mujoco.MjModel) -> Tensor:
-    """Full simulation state (P,) at time 0, where nothing has moved."""
-    physics = np.empty(mujoco.mj_stateSize(model, FULL_PHYSICS))
-    mujoco.mj_getState(model, mujoco.MjData(model), physics, FULL_PHYSICS)
-    return torch.from_numpy(physics)
-
-
-def state_columns(model: mujoco.MjModel, joints: Sequence[str], positions_first: bool) -> Tensor:
-    """Columns of the joints' positions and velocities in MuJoCo's full state.
-
-    That state is [time, qpos, qvel, ...].
-    """
-    observed = [model.joint(name) for name in joints]
-    pairs = [[1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]] for joint in observed]
-    columns = torch.tensor(pairs)
-    return (columns.T if positions_first else columns).flatten()
 
 
 def _targets(values: Tensor, batch: Sequence[int]) -> Tensor:

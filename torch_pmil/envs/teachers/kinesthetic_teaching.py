@@ -16,7 +16,7 @@ from scipy.interpolate import BPoly
 
 from torch_pmil.envs.biorob import BALL, JOINTS, ROTORS, START
 from torch_pmil.envs.equilibrium import Equilibrium
-from torch_pmil.envs.mujoco import FULL_PHYSICS
+from torch_pmil.envs.mujoco_model import FULL_PHYSICS
 
 Array = NDArray[np.floating]
 

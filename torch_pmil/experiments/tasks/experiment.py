@@ -67,7 +67,7 @@ class Experiment:
             centres are drawn.
         num_centres: m.
         error: of rollouts (*batch, T), as the environment gives them, (*batch);
-            :func:`~torch_pmil.trainer.collector.of_states` makes it of a function of the states
+            :func:`~torch_pmil.envs.rollouts.of_states` makes it of a function of the states
             x_0..x_T.
         tolerance: error up to which a rollout is a success.
         confirmations: successes of own rollouts in a row that end a run: more where a success is a

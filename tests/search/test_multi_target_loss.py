@@ -169,7 +169,7 @@ def test_search_lowers_the_loss_of_all_targets_together(initial: Gaussian) -> No
     assert result.loss == pytest.approx(loss.per_step(initial).sum().item())
 
 
-def test_renewed_policy_acts_as_the_old_one_at_every_target(initial: Gaussian) -> None:
+def test_refitted_policy_acts_as_the_old_one_at_every_target(initial: Gaussian) -> None:
     loss, draws = make_loss(4, centres=80), Draws(5)
     starts, old = initial.sample(50, draws.generator), PolicyAtTargets(loss.actor_network, TARGETS)
     features = SPACE.features(starts)[:, None]

@@ -307,7 +307,7 @@ def test_failures_within_a_run_are_survived_and_counted(
     assert result.evaluations > len(calls) > 2
 
 
-def renewed(
+def refitted(
     loss: TrajectoryKLLoss, settings: SearchSettings = SETTINGS
 ) -> tuple[Tensor, Tensor, RBFPolicy]:
     """Actions before and after along the mean of the old policy, x_0 first, and the new policy as
@@ -325,17 +325,17 @@ def renewed(
     return before, after, new
 
 
-def test_renewed_policy_acts_nearly_as_the_old_one_along_the_prediction(
+def test_refitted_policy_acts_nearly_as_the_old_one_along_the_prediction(
     found: TrajectoryKLLoss,
 ) -> None:
-    before, after, drawn = renewed(found)
+    before, after, drawn = refitted(found)
     assert (after - before).abs().max() < 0.05 * U_MAX
     features = SPACE.features(INITIAL.mean)
     assert (drawn(features) - before[0]).abs() > 0.2 * U_MAX
 
 
-def test_renewed_policy_has_the_centres_and_widths_of_the_new_one(found: TrajectoryKLLoss) -> None:
-    _, _, drawn = renewed(found)
+def test_refitted_policy_has_the_centres_and_widths_of_the_new_one(found: TrajectoryKLLoss) -> None:
+    _, _, drawn = refitted(found)
     assert torch.equal(found.actor_network.centres, drawn.centres)
     assert torch.equal(found.actor_network.log_widths, drawn.log_widths)
     assert not torch.equal(found.actor_network.weights, drawn.weights)
@@ -344,7 +344,7 @@ def test_renewed_policy_has_the_centres_and_widths_of_the_new_one(found: Traject
 @pytest.mark.parametrize(
     ("threshold", "same"), [(0.0, True), (math.inf, False)], ids=["nowhere", "everywhere"]
 )
-def test_policy_is_renewed_at_the_start_and_where_the_prediction_is_trusted(
+def test_policy_is_refitted_at_the_start_and_where_the_prediction_is_trusted(
     found: TrajectoryKLLoss, threshold: float, same: bool
 ) -> None:
     """What a model predicts matters only where it is trusted."""
@@ -363,7 +363,7 @@ def test_policy_is_renewed_at_the_start_and_where_the_prediction_is_trusted(
 
 def test_renewal_with_the_same_seed_is_the_same(dynamics: GPDynamics) -> None:
     losses = [make_loss(dynamics, Draws(seed=0), REACHABLE) for _ in range(2)]
-    (_, one, _), (_, other, _) = (renewed(loss) for loss in losses)
+    (_, one, _), (_, other, _) = (refitted(loss) for loss in losses)
     assert torch.equal(one, other)
 
 
@@ -398,7 +398,7 @@ def test_policy_whose_prediction_fails_early_is_renewed_as_far_as_it_can_be_foll
         return predict_trajectory(*arguments)
 
     found.prediction = failing
-    before, after, _ = renewed(found, replace(SETTINGS, first_horizon=HORIZON))
+    before, after, _ = refitted(found, replace(SETTINGS, first_horizon=HORIZON))
     assert (after - before)[:3].abs().max() < 0.05 * U_MAX
 
 

@@ -357,7 +357,7 @@ class ScriptedSearches:
         restarts: int = 0,
     ) -> None:
         self.loss = make(trials=1)[0].loss_module
-        self.refitted_from: list[int] = []  # numbers of the searches whose policies were renewed
+        self.refitted_from: list[int] = []  # numbers of the searches whose policies were refitted
         self.random_at: list[int] = []  # and of those that were told that theirs is random
         self.searches = 0
         self._results = iter(results)

@@ -25,6 +25,8 @@ PARTS = {  # by folder; the first that fits
     "tests/envs/teachers/test_trajectory_optimization.py": "",  # knows no robot
     "tests/envs": "robot",
     "tests/cli/test_train_gym.py": "robot",
+    "tests/experiments/diagnosis/test_after_a_run.py": "robot",
+    "tests/experiments/diagnosis/test_before_a_run.py": "robot",
     "tests/experiments/tasks": "robot",
     "tests/reproduction": "robot",
     "tests/scripts": "robot",

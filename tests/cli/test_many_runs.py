@@ -142,6 +142,7 @@ def test_runs_that_fail_are_named_and_the_others_go_on(folder: Path) -> None:
     assert not (folder / "some" / "seed_x").exists()
 
 
+@pytest.mark.slow
 def test_runs_that_would_share_a_folder_are_refused_in_one_line(tmp_path: Path) -> None:
     result = train(tmp_path, "-m", "trials=1,2")
     assert (result.returncode, result.stdout) == (1, "")

@@ -26,6 +26,7 @@ from torch_pmil.control.exploration import PDMovements
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.runs.training import RunResult, train
+from torch_pmil.gp.hyperparameters import pilco_starts
 from torch_pmil.model import dynamics
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search import policy_search
@@ -69,8 +70,9 @@ def short_experiment(
 
 
 def quick_fits(patch: pytest.MonkeyPatch) -> None:
-    """Let the model's fits end after a few iterations."""
+    """Let the model's fits begin at one start and end after a few iterations."""
     patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+    patch.setattr(dynamics, "pilco_starts", lambda *data: pilco_starts(*data)[:1])
 
 
 def run(

@@ -610,6 +610,7 @@ def test_several_actions_and_batches_with_torchrls_pieces(
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.docs
 def test_the_code_of_the_page_runs() -> None:
     blocks = re.findall(
         r"```python\n(.*?)```", (ROOT / "docs/how_to/torchrl.md").read_text(), re.DOTALL

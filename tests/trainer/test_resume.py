@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -63,10 +64,15 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def stopped_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return stopped_run(tmp_path_factory.mktemp("runs") / "stopped", "search", 5)
+
+
 @pytest.fixture
-def stopped(tmp_path: Path) -> Path:
+def stopped(stopped_once: Path, tmp_path: Path) -> Path:
     """A run that was stopped in a search after the first trial."""
-    return stopped_run(tmp_path / "stopped", "search", 5)
+    return shutil.copytree(stopped_once, tmp_path / "stopped")
 
 
 def stopped_run(folder: Path, phase: str, count: int) -> Path:
@@ -127,6 +133,7 @@ def test_killed_run_ends_as_one_that_was_not_killed(
     assert_same_end(folder, whole)
 
 
+@pytest.mark.robot
 def test_run_of_the_baseline_goes_on_too(tmp_path: Path) -> None:
     pilco = {"name": "double_pendulum_pilco"}
     run(tmp_path / "whole", **pilco)
@@ -137,6 +144,7 @@ def test_run_of_the_baseline_goes_on_too(tmp_path: Path) -> None:
     assert_same_end(tmp_path / "stopped", tmp_path / "whole")
 
 
+@pytest.mark.robot
 def test_run_with_noisy_sensors_goes_on_with_the_same_noise(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,9 +155,8 @@ def test_run_with_noisy_sensors_goes_on_with_the_same_noise(
     assert_same_end(tmp_path / "stopped", tmp_path / "whole")
 
 
-@pytest.mark.parametrize(
-    ("phase", "count"), [("fit", 1), pytest.param("search", 5, marks=pytest.mark.slow)], ids=str
-)
+@pytest.mark.robot
+@pytest.mark.parametrize(("phase", "count"), [("fit", 1), ("search", 5)], ids=str)
 def test_run_with_an_exploration_of_its_own_goes_on_too(
     phase: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,6 +56,18 @@ def test_plan_for_a_linear_system_is_the_optimum_within_the_limits(limit, hold_a
     assert np.abs(plan.actions).max() <= limit
 
 
+@pytest.mark.parametrize("limit", [100.0, 2.0])
+def test_plan_that_begins_at_its_optimum_has_converged(limit: float) -> None:
+    """There rounding alone decides whether a step lowers the cost."""
+    limits = np.array([limit])
+    found = plan_trajectory(
+        linear_dynamics, START, COST, np.zeros((STEPS, 1)), limits, tolerance=1e-12
+    )
+    again = plan_trajectory(linear_dynamics, START, COST, found.actions, limits, tolerance=1e-12)
+    assert again.converged
+    np.testing.assert_allclose(again.actions, found.actions, rtol=0, atol=1e-7)
+
+
 def test_derivatives_of_a_pendulum():
     states = np.array([[0.3, 0.1], [2.0, -1.0]])
     by_state, by_action = linearize(pendulum, states, np.zeros((2, 1)))

@@ -81,6 +81,7 @@ def test_each_run_of_a_sweep_is_whole_and_tells_its_progress_by_name(
     assert (joblib.returncode, joblib.stderr) == (0, "")
     files = {
         "metrics.csv",
+        "run.json",
         "summary.json",
         "policy.pt",
         "dynamics.pt",

@@ -7,7 +7,8 @@ ARGS ?=
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=
-export OMP_NUM_THREADS ?= 1  # the matrices are small: more threads wait for each other
+# the matrices are small: more threads wait for each other
+export OMP_NUM_THREADS ?= 1
 NUMERICAL := tests/gp tests/control tests/model tests/search tests/trainer tests/test_reference.py \
   tests/envs/teachers/test_trajectory_optimization.py
 PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Nehalem

@@ -176,7 +176,7 @@ def test_own_inputs_that_are_the_same_are_shared_ones(draws: Draws) -> None:
 
 def test_singular_gram_matrix_of_own_inputs_is_an_error_that_names_the_output(draws: Draws) -> None:
     inputs = torch.stack([draws.normal(3, 1), torch.zeros(3, 1, dtype=torch.float64)])
-    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, -1e-3], dtype=torch.float64)
+    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, 0.0], dtype=torch.float64)
     with pytest.raises(NotPositiveDefiniteError, match=r"Gram matrix .* batch element \(1,\)"):
         KernelExpansion.from_data(inputs, draws.normal(2, 3), one[:, None], one, noise)
 

@@ -387,7 +387,10 @@ def test_unsupported_likelihood_is_an_error(draws: Draws) -> None:
 
 @pytest.mark.parametrize(
     ("cov", "message"),
-    [(-10.0, r"must be positive definite, got eigenvalues from"), (float("nan"), "not finite")],
+    [
+        (-10.0, r"must be positive definite, got eigenvalues from"),
+        (float("nan"), "must be finite, got nan"),
+    ],
     ids=["negative", "nan"],
 )
 def test_covariance_that_is_none_is_an_error(draws: Draws, cov: float, message: str) -> None:
@@ -398,7 +401,7 @@ def test_covariance_that_is_none_is_an_error(draws: Draws, cov: float, message: 
 
 
 def test_singular_gram_matrix_is_an_error_that_names_the_output(draws: Draws) -> None:
-    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, -1e-3], dtype=torch.float64)
+    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, 0.0], dtype=torch.float64)
     with pytest.raises(NotPositiveDefiniteError, match=r"Gram matrix .* batch element \(1,\)"):
         KernelExpansion.from_data(
             torch.zeros(3, 1, dtype=torch.float64), draws.normal(2, 3), one[:, None], one, noise

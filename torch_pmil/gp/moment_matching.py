@@ -21,9 +21,14 @@ import torch
 from torch import Tensor
 
 from torch_pmil.gp.exponential_sums import ExponentialSum
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian, check_belief
 from torch_pmil.gp.gaussian_integrals import GaussianIntegrals
 from torch_pmil.gp.kernel_expansion import KernelExpansion
+from torch_pmil.gp.moment_accuracy import check_variances
+
+# squared lengthscales by which an eigenvalue of a belief may be negative: rounding, as of the
+# features of a state that is certain
+NO_VARIANCE = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +91,17 @@ def moment_match(
         Moments in the units of the outputs.
 
     Raises:
-        ValueError: the belief's entries are not the model's inputs.
-        NotPositiveDefiniteError: the covariance has a clearly negative eigenvalue, or is not
-            finite.
+        ValueError: the belief's entries are not the model's inputs, its mean is not finite, or its
+            dtype is not the model's.
+        NotPositiveDefiniteError: the covariance has a clearly negative eigenvalue, is not
+            symmetric, or is not finite.
+        InaccurateMomentsError: a variance of a GP is less than its rounding error.
+
+    Accuracy: the errors of all moments are below :func:`rounding_errors`, and those of a GP's
+    variances below the variances, or the moments are refused. Gradients by the belief's mean have
+    errors of that estimate over a lengthscale; a difference quotient of step h has that estimate
+    over h, and is the less accurate of the two. The variance of a network that hardly varies over
+    the belief may be a negative number within its estimate.
 
     Source: Deisenroth (2010), section 2.3.
 
@@ -99,6 +112,8 @@ def moment_match(
         tensor([1.])
     """
     f = model if isinstance(model, KernelExpansion) else KernelExpansion.from_exact_gp(model)
+    if products is None:
+        check_belief(belief, "belief", f.inputs, NO_VARIANCE * f.lengthscales.detach().amin() ** 2)
     beliefs = belief.flattened
     integrals = GaussianIntegrals.of(f, beliefs)
     sums = (f.weights * integrals.q) @ integrals.nu1.mT  # sum_i beta_i q_i [nu_i, 1], (N, E, D + 1)
@@ -107,6 +122,8 @@ def moment_match(
     )
     slope = first_slope(integrals.precision, sums)
     moments = combine(f, sums[..., -1], slope, second, observation_noise)
+    if f.gram_inverse is not None and products is None:
+        check_variances(f, integrals, moments.cov.diagonal(dim1=-2, dim2=-1))
     return moments.unflatten(belief.batch_shape)
 
 

@@ -406,3 +406,18 @@ def test_singular_gram_matrix_is_an_error_that_names_the_output(draws: Draws) ->
         KernelExpansion.from_data(
             torch.zeros(3, 1, dtype=torch.float64), draws.normal(2, 3), one[:, None], one, noise
         )
+
+
+@pytest.mark.parametrize("make", [Draws.gp, Draws.network])
+def test_belief_that_is_none_is_an_error(
+    draws: Draws, make: Callable[..., KernelExpansion]
+) -> None:
+    f, belief = make(draws, 5, 2, 1), draws.belief(2)
+    with pytest.raises(ValueError, match="mean of belief must be finite"):
+        moment_match(f, Gaussian(belief.mean * torch.nan, belief.cov))
+    with pytest.raises(NotPositiveDefiniteError, match="must be symmetric"):
+        moment_match(f, Gaussian(belief.mean, belief.cov + torch.ones(2, 2).triu(1)))
+    with pytest.raises(NotPositiveDefiniteError, match="must be positive definite"):
+        moment_match(f, Gaussian(belief.mean, -0.1 * belief.cov))
+    with pytest.raises(ValueError, match=r"of torch\.float64, got torch\.float32"):
+        moment_match(f, Gaussian(belief.mean.float(), belief.cov.float()))

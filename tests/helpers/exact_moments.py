@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import mpmath
 import numpy as np
 from torch import Tensor
 
+from tests.helpers.draws import Draws
 from torch_pmil.gp.gaussian import Gaussian
 
-BITS = 256  # of every number, and behind the point where matrices are inverted
+BITS = 192  # of every number, and behind the point where matrices are inverted
 Array = np.ndarray[Any, Any]  # of mpf
 exp = np.frompyfunc(mpmath.exp, 1, 1)
 
@@ -99,3 +101,37 @@ class ExactMoments:
     def at_belief(self, belief: Gaussian) -> tuple[Array, Array, Array]:
         """:meth:`at` for a belief of one batch element."""
         return self.at(exact(belief.mean), exact(belief.cov))
+
+
+def hard_problem(
+    seed: int, most_data: int = 150, signal_to_noise: tuple[float, float] = (10.0, 5000.0)
+) -> tuple[tuple[Tensor, ...], Gaussian]:
+    """Data and hyper-parameters of one or two outputs, as ``KernelExpansion.from_data`` takes
+    them, and a belief: inputs with units, signals from 1e-3 to 1e4, targets that the prior expects
+    or that contradict it, a belief that is certain or wider than the data.
+    """
+    draws = Draws(seed)
+
+    def number(low: float, high: float) -> float:
+        return draws.uniform(low, high, 1).item()
+
+    def logarithmic(low: float, high: float, *shape: int) -> Tensor:
+        return draws.uniform(math.log(low), math.log(high), *shape).exp()
+
+    n, D, E = int(logarithmic(20, most_data, 1)), int(number(1, 7)), int(number(1, 3))
+    x = draws.normal(n, D) * logarithmic(0.3, 3, D) + 3 * draws.normal(D)
+    spread = x.std(0)
+    lengthscales = spread * logarithmic(0.5, 6, E, D)
+    signal = logarithmic(1e-3, 1e4, E)
+    noise = signal / logarithmic(*signal_to_noise, E) ** 2
+    white = (x - x.mean(0)) / spread
+    shape = {
+        0: ((x - x.mean(0)) / lengthscales[:, None]).sin().sum(-1),  # as the prior expects
+        1: (3 * white).sin().sum(-1).expand(E, n),  # rougher
+        2: white.sum(-1).expand(E, n),  # larger
+        3: draws.normal(E, n),  # noise
+    }[int(number(0, 4))]
+    y = signal.sqrt()[:, None] * shape + noise.sqrt()[:, None] * draws.normal(E, n)
+    cov = (0.0, 1e-6, 1e-2, 0.1, 0.5)[int(number(0, 5))] * draws.cov(D, scale=1.0)
+    mean = x[int(number(0, n))] + number(0, 1) * spread * draws.normal(D)
+    return (x, y, lengthscales, signal, noise), Gaussian(mean, (cov + cov.mT) / 2)

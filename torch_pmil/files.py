@@ -10,9 +10,9 @@ import io
 import json
 import os
 import pickletools
+import reprlib
 import stat
 import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,6 +43,9 @@ GLOBALS = {
 # pickle's ways to call something else, and to repeat what is on its stack
 CALLS = {"INST", "OBJ", "NEWOBJ", "NEWOBJ_EX", "STACK_GLOBAL", "DUP", "MEMOIZE"}
 PUTS, GETS = {"BINPUT", "LONG_BINPUT", "PUT"}, {"BINGET", "LONG_BINGET", "GET"}
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 120
 
 
 class FileError(ValueError):
@@ -143,8 +146,7 @@ def parse_json(text: bytes, finite: bool = False) -> Any:
         {'seed': 0}
     """
     try:
-        constants = {"parse_constant": _refuse_constant} if finite else {}
-        return json.loads(text.decode(), **constants)
+        return json.loads(text.decode(), parse_constant=_refuse_constant if finite else None)
     except RecursionError as error:
         raise FileError("must be JSON, got lists in lists without end") from error
     except ValueError as error:
@@ -179,15 +181,9 @@ def read_zip(content: bytes, most: int, stored: bool = True) -> dict[str, bytes]
             members = archive.infolist()
             _check_members(members, min(most, len(content)) if stored else most, stored)
             return {member.filename: _member(archive, member) for member in members}
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        EOFError,
-        OSError,
-        NotImplementedError,
-        LookupError,
-        RuntimeError,
-    ) as error:
+    except FileError:
+        raise
+    except Exception as error:  # zipfile fails at other bytes with any type
         raise FileError(f"must be a whole ZIP archive, got: {error}") from error
 
 
@@ -233,6 +229,16 @@ def is_whole(tensor: torch.Tensor) -> bool:
         (True, False)
     """
     return tensor.numel() * tensor.element_size() <= tensor.untyped_storage().nbytes()
+
+
+def short(value: object) -> str:
+    """A value as a message shows it: in one line of bounded length, whatever it holds.
+
+    Example:
+        >>> short(["x\\n", 10**30]), len(short("x" * 10**6))
+        ("['x\\\\n', 1000000000000000000000000000000]", 120)
+    """
+    return " ".join(_SHORT.repr(value).split())
 
 
 def _open_at_once(path: str, flags: int) -> int:

@@ -24,7 +24,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from reprlib import repr as short
 
 import torch
 from torch import Tensor
@@ -32,7 +31,7 @@ from torch import Tensor
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.files import FileError, is_whole, load_tensors, replacing
+from torch_pmil.files import FileError, is_whole, load_tensors, replacing, short
 
 FORMAT, FORMAT_VERSION = "torch_pmil policy", 1
 LISTS = {"names": str, "units": str, "angles": int, "target_names": str}
@@ -232,16 +231,16 @@ def _check_parameter(name: str, value: object, shape: tuple[int, ...]) -> None:
 
 def _check_magnitudes(policy: RBFPolicy) -> None:
     """Refuse numbers each of which is finite, while what the network makes of them is not."""
-    controller = policy.controller
-    centres, _, widths = controller.parameters
-    for name, values in (("centres", centres.square()), ("widths", widths.square().log())):
-        if not values.isfinite().all():
-            raise PolicyFileError(
-                f"{name} must have squares that are positive and finite, got {name} of "
-                f"{'log_widths = ' if name == 'widths' else 'centres x scale = '}"
-                f"{_largest(policy.log_widths if name == 'widths' else centres)}"
-            )
-
-
-def _largest(values: Tensor) -> float:
-    return values.flatten()[values.abs().argmax()].item()
+    centres, _, widths = policy.controller.parameters
+    endless = ~centres.square().isfinite()
+    if endless.any():
+        raise PolicyFileError(
+            f"centres must have finite squares, got {centres[endless][0].item():g}"
+        )
+    squares = widths.square()
+    none = ~squares.isfinite() | (squares == 0)
+    if none.any():
+        raise PolicyFileError(
+            "widths must have squares that are positive and finite, got log_widths = "
+            f"{policy.log_widths[none][0].item():g}"
+        )

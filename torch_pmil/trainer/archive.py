@@ -24,7 +24,6 @@ import re
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
-from reprlib import repr as short
 from typing import Any
 from urllib.parse import quote
 
@@ -32,7 +31,7 @@ import torch
 from torch import Tensor
 from torchrl.checkpoint import CheckpointError
 
-from torch_pmil.files import MIB, TEXT_BYTES, FileError, parse_json, read_bytes, read_zip
+from torch_pmil.files import MIB, TEXT_BYTES, FileError, parse_json, read_bytes, read_zip, short
 
 ARCHIVE_BYTES = 128 * MIB  # those of the tasks here have 0.2 MiB; reading takes some five times it
 ADAPTER = {"adapter": "torchrl.state_dict", "adapter_version": 1}
@@ -210,8 +209,10 @@ def _decoded(node: Any, tensors: dict[str, Tensor]) -> Any:
         return LISTS[kind](_decoded(item, tensors) for item in node["items"])
     if kind in ("dict", "ordered_dict"):
         pairs = [(_decoded(key, tensors), _decoded(value, tensors)) for key, value in node["items"]]
-        mapping = OrderedDict(pairs) if kind == "ordered_dict" else dict(pairs)
+        if kind == "dict":
+            return dict(pairs)
+        mapping = OrderedDict(pairs)
         if "metadata" in node:
-            mapping._metadata = _decoded(node["metadata"], tensors)  # type: ignore[union-attr]
+            mapping._metadata = _decoded(node["metadata"], tensors)  # type: ignore[attr-defined]
         return mapping
     raise FileError(f"kinds must be those of numbers, text and tensors, got {short(kind)}")

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from reprlib import repr as short
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torch_pmil.control.policy_file import policy_of
+from torch_pmil.files import is_whole, short
 from torch_pmil.trainer.trials import Candidate, Trial
 
 NUMPY_WORDS = 624  # of the state of NumPy's generator, of which an index goes on
@@ -119,23 +119,17 @@ def check_motion(place: str, shape: Sequence[int], entries: Any, states: int, to
         _check_tensor(f"{place}.{name}", wanted, value)
 
 
-def _check_tensor(place: str, fresh: Tensor, saved: object) -> None:
+def _check_tensor(place: str, fresh: Tensor, saved: Any) -> None:
     grows = fresh.ndim > 0 and len(fresh) == 0
-    if (
-        not isinstance(saved, Tensor)
-        or saved.dtype != fresh.dtype
-        or saved.ndim != fresh.ndim
-        or saved.shape[grows:] != fresh.shape[grows:]
-    ):
-        shape = (*(("n",) if grows else ()), *fresh.shape[grows:])
-        raise StateError(
-            f"{place} must be {fresh.dtype} of shape {shape}, got "
-            + (
-                f"{saved.dtype} of shape {tuple(saved.shape)}"
-                if isinstance(saved, Tensor)
-                else short(saved)
-            )
-        )
+    same = isinstance(saved, Tensor) and saved.dtype == fresh.dtype and saved.ndim == fresh.ndim
+    if not same or saved.shape[grows:] != fresh.shape[grows:]:
+        wanted = (*(("n",) if grows else ()), *fresh.shape[grows:])
+        found = short(saved)
+        if isinstance(saved, Tensor):
+            found = f"{saved.dtype} of shape {tuple(saved.shape)}"
+        raise StateError(f"{place} must be {fresh.dtype} of shape {wanted}, got {found}")
+    if not is_whole(saved):
+        raise StateError(f"{place} must hold its numbers, got one repeated")
     finite = saved.isfinite()
     if not grows and not fresh.is_meta:
         finite |= saved == fresh  # bounds of a constraint may be infinite

@@ -21,7 +21,6 @@ from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
 
 from torch_pmil.control.exploration import Exploration
-from torch_pmil.control.policy_file import PolicyFileError
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.experience import Experience
@@ -31,7 +30,7 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.archive import SavedRun
 from torch_pmil.trainer.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
-from torch_pmil.trainer.restoring import StateError, check_motion, check_run, check_state
+from torch_pmil.trainer.restoring import check_motion, check_run, check_state
 from torch_pmil.trainer.search_stepper import PolicySearchStepper
 from torch_pmil.trainer.trials import Candidate, Trial, success_rate
 
@@ -167,15 +166,17 @@ class PMILTrainer(Trainer):
         components = self._sync_checkpoint_components().components
         try:
             self._check(components, saved.states)
-            for name in sorted(components.keys() & saved.states.keys()):
+        except (ValueError, TypeError, LookupError, RuntimeError) as error:
+            reason = " ".join(str(error).split())
+            raise CheckpointError(f"checkpoint {saved.path}: {reason}") from error
+        for name in sorted(components.keys() & saved.states.keys()):
+            try:
                 components[name].load_state_dict(saved.states[name])
-        except (StateError, PolicyFileError) as error:
-            raise CheckpointError(f"checkpoint {saved.path}: {error}") from error
-        except Exception as error:  # parts of TorchRL fail at other states with any type
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise CheckpointError(
-                f"checkpoint {saved.path}: component {name} does not fit: {reason}"
-            ) from error
+            except Exception as error:  # parts of TorchRL fail at other states with any type
+                reason = " ".join(str(error).split()) or type(error).__name__
+                raise CheckpointError(
+                    f"checkpoint {saved.path}: component {name} does not fit: {reason}"
+                ) from error
         self.collector.update_policy_weights_()
         return saved.path
 

@@ -174,7 +174,9 @@ def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
 def _same_run(rotation: CheckpointRotation, identity: dict[str, object]) -> SavedRun | None:
     """The checkpoint to go on from, if there is one, or ValueError if it is of another run."""
     saved = newest_undamaged(rotation)
-    for name, value in identity.items() if saved else ():
+    if saved is None:
+        return None
+    for name, value in identity.items():
         if saved.metadata.get(name) != value:
             found = " ".join(str(saved.metadata.get(name)).split())
             raise ValueError(

@@ -21,8 +21,8 @@ from typing import Any, BinaryIO, NoReturn
 import torch
 
 MIB = 2**20
-# of JSON and CSV that a run leaves, a few hundred kB; objects take some 30 times their text
-TEXT_BYTES = 16 * MIB
+# of JSON and CSV that a run leaves, a few hundred kB; Python takes some 30 times that for it
+TEXT_BYTES = 4 * MIB
 TENSOR_BYTES = 64 * MIB  # of policy.pt and dynamics.pt, some 50 kB
 ZIP_MEMBERS = 20_000  # of any archive; that of a run has some hundred
 KINDS = {

@@ -32,8 +32,8 @@ def test_gymnasium_accepts_the_robot(name: str) -> None:
 
 @pytest.mark.slow
 @each_robot
-def test_robot_is_known_to_gymnasium_when_the_package_is_imported(name: str) -> None:
-    command = f"import torch_pmil, gymnasium; print(gymnasium.make('torch_pmil/{name}').spec.id)"
+def test_robot_is_known_to_gymnasium_when_the_environments_are_imported(name: str) -> None:
+    command = f"import torch_pmil.envs, gymnasium; print(gymnasium.make('torch_pmil/{name}').spec.id)"
     result = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", command], capture_output=True, text=True, check=True
     )

@@ -29,7 +29,7 @@ class GymnasiumRobot(gymnasium.Env):
         ValueError: a setting is wrong.
 
     Example:
-        >>> import torch_pmil
+        >>> import torch_pmil.envs
         >>> env = gymnasium.make("torch_pmil/DoublePendulum-v0", torque_limit=2.0)
         >>> observation, info = env.reset(seed=0)
         >>> observation.shape, env.action_space.high

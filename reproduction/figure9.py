@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -16,7 +15,7 @@ from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.files import write_json
+from torch_pmil.files import read_json, write_json
 from torch_pmil.model.sampling_frequency import (
     FrequencyScore,
     Interval,
@@ -116,7 +115,7 @@ def read_score(folder: Path) -> FrequencyScore:
         RunError: it cannot be read, or is not that of a score.
     """
     try:
-        summary = json.loads((folder / "summary.json").read_text())
+        summary = read_json(folder / "summary.json")
         values = (
             torch.tensor(summary[name], dtype=torch.float64)
             for name in ("log_likelihood", "spread")

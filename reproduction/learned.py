@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,8 +13,10 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs.rollouts import without_sensor_noise
 from torch_pmil.experiments.runs.summaries import RunError, read_summary
 from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.files import load_tensors
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.trainer.restoring import check_model, check_state
 from torch_pmil.trainer.trials import success_rate
 
 
@@ -64,9 +65,11 @@ def load_learned(folder: Path, experiment: Experiment) -> Learned:
         )
     dynamics = experiment.make_dynamics()
     try:
-        state = torch.load(folder / "dynamics.pt", weights_only=True, map_location="cpu")
+        state = load_tensors(folder / "dynamics.pt")
+        check_state("dynamics", dynamics.state_dict(), state)
+        check_model("dynamics", state)
         dynamics.load_state_dict(state)
-    except (RuntimeError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
+    except (RuntimeError, ValueError, TypeError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise RunError(
             f"{folder}: dynamics.pt is damaged, or of another version: {reason}"

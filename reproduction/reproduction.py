@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.experiments.runs.summaries import RunError, is_finished
 from torch_pmil.experiments.runs.training import train
 from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.files import write_json
+from torch_pmil.files import read_json, write_json
 from torch_pmil.plotting import Figure, save_figure
 from torch_pmil.trainer.trials import Measurement
 
@@ -190,5 +189,5 @@ def tell_trial(out: Path, trial: Measurement) -> None:
 
 def _origin(folder: Path) -> dict[str, object]:
     """The folder of a run and the entries of its summary that results repeat."""
-    summary = json.loads((folder / "summary.json").read_text())
+    summary = read_json(folder / "summary.json")
     return {"folder": str(folder), **{key: summary[key] for key in OF_RUN if key in summary}}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.experiments.runs.summaries import RunError, is_finished
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
-from torch_pmil.files import write_json
+from torch_pmil.files import read_json, write_json
 from torch_pmil.plotting import Figure, plot_heat_map
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import search_policy
@@ -244,7 +243,7 @@ def read_measurement(folder: Path) -> dict:
         RunError: it cannot be read, or is of something else.
     """
     try:
-        summary = json.loads((folder / "summary.json").read_text())
+        summary = read_json(folder / "summary.json")
         run = {key: summary[key] for key in MEASURED}
         return {**run, "grid": {name: run["grid"][name] for name in METHODS}}
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -1,13 +1,28 @@
-"""A file is either whole or not there."""
+"""A file is either whole or not there, and a stranger's is what it must be or refused."""
 
 from __future__ import annotations
 
+import io
 import os
+import socket
+import zipfile
 from pathlib import Path
 
 import pytest
+import torch
 
-from torch_pmil.files import replacing
+from tests.helpers.hostile import Trap
+from torch_pmil.files import (
+    FileError,
+    load_tensors,
+    opened,
+    parse_json,
+    read_bytes,
+    read_json,
+    read_text,
+    read_zip,
+    replacing,
+)
 
 
 def test_block_that_ends_well_leaves_its_file_and_nothing_else(tmp_path: Path) -> None:
@@ -97,3 +112,121 @@ def test_path_that_is_a_folder_is_an_oserror_and_leaves_nothing(tmp_path: Path) 
     with pytest.raises(IsADirectoryError), replacing(tmp_path / "folder") as temporary:
         temporary.write_text("1,2")
     assert os.listdir(tmp_path) == ["folder"]
+
+
+def test_file_of_the_size_is_read_and_one_larger_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"four")
+    assert read_bytes(tmp_path / "a", 4) == b"four"
+    with pytest.raises(FileError, match="of at most 3 bytes, got 4 bytes"):
+        read_bytes(tmp_path / "a", 3)
+
+
+def test_link_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("here")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    assert read_text(tmp_path / "b") == "here"
+
+
+def test_pipe_is_refused_without_waiting_for_a_writer(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FileError, match="got a pipe"):
+        read_bytes(tmp_path / "pipe", 10)
+
+
+def test_pipe_that_takes_the_name_of_a_file_is_refused_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between the look at the name and the opening."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "file").touch()
+    before = os.stat(tmp_path / "file")
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "stat", lambda *arguments, **options: before)
+        with pytest.raises(FileError, match="got a pipe"), opened(tmp_path / "pipe", 10):
+            pass
+
+
+def test_socket_and_folder_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # names of sockets are short
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind("s")
+        with pytest.raises(FileError, match="got a socket"):
+            read_bytes("s", 10)
+    with pytest.raises(FileError, match="got a folder"):
+        read_bytes(tmp_path, 10)
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs Linux")
+def test_file_that_says_no_size_is_bounded_too() -> None:
+    with pytest.raises(FileError, match="of at most 10 bytes, got more"):
+        read_bytes("/proc/self/maps", 10)
+
+
+def test_missing_file_is_an_oserror(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        read_json(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize("text", [b"", b"{", b"\xff", b"[" * 10**5, b"1" * 10**5])
+def test_what_is_no_json_is_refused_in_one_line(text: bytes) -> None:
+    with pytest.raises(FileError, match=r"^must be JSON, got .*$"):
+        parse_json(text)
+
+
+@pytest.mark.parametrize("text", [b"NaN", b"[-Infinity]", b'{"a": Infinity}'])
+def test_numbers_that_json_has_not_may_be_refused(text: bytes) -> None:
+    parse_json(text)
+    with pytest.raises(FileError, match=r"must be JSON, got -?(NaN|Infinity)"):
+        parse_json(text, finite=True)
+
+
+def packed(method: int, *contents: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for number, content in enumerate(contents):
+            archive.writestr(str(number), content)
+    return buffer.getvalue()
+
+
+def test_packed_members_are_read_where_they_may_be_up_to_their_bound() -> None:
+    content = packed(zipfile.ZIP_DEFLATED, bytes(600), bytes(400))
+    assert read_zip(content, most=1000, stored=False) == {"0": bytes(600), "1": bytes(400)}
+    with pytest.raises(FileError, match="at most 999 bytes together, got 1000 bytes"):
+        read_zip(content, most=999, stored=False)
+    with pytest.raises(FileError, match="must be stored as they are, got '0' packed"):
+        read_zip(content, most=1000)
+
+
+def test_member_that_unpacks_to_more_than_it_says_is_cut_and_refused() -> None:
+    content = packed(zipfile.ZIP_DEFLATED, bytes(10**6))
+    said = (10**6).to_bytes(4, "little")
+    with pytest.raises(FileError):
+        read_zip(content.replace(said, (100).to_bytes(4, "little")), most=1000, stored=False)
+
+
+def test_archive_of_very_many_members_is_refused_before_they_are_listed() -> None:
+    with pytest.raises(FileError, match="at most 20000 members, got more"):
+        read_zip(b"PK\1\2" * 20_001, most=10**9)
+
+
+def test_tensors_come_back(tmp_path: Path) -> None:
+    kinds = (torch.float64, torch.float32, torch.int64, torch.uint8, torch.bool, torch.bfloat16)
+    saved = {str(kind): torch.ones(2, 3).to(kind).mT for kind in kinds} | {"n": [1, 2.5, "x", None]}
+    torch.save(saved, tmp_path / "saved.pt")
+    loaded = load_tensors(tmp_path / "saved.pt")
+    assert loaded.pop("n") == saved.pop("n")
+    assert all(torch.equal(loaded[name], saved[name]) for name in saved)
+
+
+def test_parameters_of_a_module_come_back(tmp_path: Path) -> None:
+    module = torch.nn.Linear(2, 3)
+    torch.save(module.state_dict(), tmp_path / "saved.pt")
+    module.load_state_dict(load_tensors(tmp_path / "saved.pt"))
+
+
+@pytest.mark.parametrize("protocol", [2, 4, 5])
+def test_code_among_tensors_is_refused_and_not_executed(tmp_path: Path, protocol: int) -> None:
+    torch.save([Trap(tmp_path / "sprung")], tmp_path / "a.pt", pickle_protocol=protocol)
+    with pytest.raises(FileError, match=r"data\.pkl must name tensors alone, got"):
+        load_tensors(tmp_path / "a.pt")
+    assert os.listdir(tmp_path) == ["a.pt"]

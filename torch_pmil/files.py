@@ -1,12 +1,55 @@
-"""Files that are either whole or not there."""
+"""Files that are either whole or not there, and strangers' files, of which nothing is trusted.
+
+A file that is read is a regular one of a stated size, before a byte of it is read. Of a ZIP archive
+all members are measured before one is unpacked; JSON is JSON; tensors come without code.
+"""
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import pickletools
+import reprlib
+import stat
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, BinaryIO, NoReturn
+
+import torch
+
+MIB = 2**20
+# of JSON and CSV that a run leaves, a few hundred kB; Python takes some 30 times that for it
+TEXT_BYTES = 4 * MIB
+TENSOR_BYTES = 64 * MIB  # of policy.pt and dynamics.pt, some 50 kB
+ZIP_MEMBERS = 20_000  # of any archive; that of a run has some hundred
+KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+STORAGES = ["Double", "Float", "Half", "BFloat16", "Long", "Int", "Short", "Char", "Byte", "Bool"]
+# all that the pickle of a dictionary of tensors, lists and numbers names; torch.load takes more, as
+# bytearray(10**12)
+GLOBALS = {
+    "collections OrderedDict",
+    "torch._utils _rebuild_tensor_v2",
+    *(f"torch {kind}Storage" for kind in STORAGES),
+}
+# pickle's ways to call something else, and to repeat what is on its stack
+CALLS = {"INST", "OBJ", "NEWOBJ", "NEWOBJ_EX", "STACK_GLOBAL", "DUP", "MEMOIZE"}
+PUTS, GETS = {"BINPUT", "LONG_BINPUT", "PUT"}, {"BINGET", "LONG_BINGET", "GET"}
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 120
+
+
+class FileError(ValueError):
+    """A file is not what it must be: one line says what was expected and what came."""
 
 
 @contextmanager
@@ -43,3 +86,228 @@ def write_json(path: Path | str, content: object) -> None:
     text = json.dumps(content, indent=2, allow_nan=False)
     with replacing(path) as temporary:
         temporary.write_text(text + "\n")
+
+
+@contextmanager
+def opened(path: Path | str, most: int) -> Iterator[BinaryIO]:
+    """A regular file of at most ``most`` bytes, open for reading. Links are followed.
+
+    It waits for nobody, as for the writer of a pipe.
+
+    Raises:
+        FileError: it is no regular file, or larger.
+        OSError: it cannot be opened.
+
+    Example:
+        >>> try:
+        ...     with opened("/dev/zero", most=100):
+        ...         pass
+        ... except FileError as error:
+        ...     print(error)
+        must be a regular file of at most 100 bytes, got a device
+    """
+    _check_regular(os.stat(path), most)
+    with open(path, "rb", opener=_open_at_once) as file:
+        _check_regular(os.fstat(file.fileno()), most)  # another one may have taken its name
+        yield file
+
+
+def read_bytes(path: Path | str, most: int) -> bytes:
+    """All of a regular file of at most ``most`` bytes. Errors as of :func:`opened`."""
+    with opened(path, most) as file:
+        content = file.read(most + 1)  # those of /proc do not say their size
+    if len(content) > most:
+        raise FileError(f"must be a regular file of at most {_size(most)}, got more")
+    return content
+
+
+def read_text(path: Path | str, most: int = TEXT_BYTES) -> str:
+    """All of a regular file of UTF-8. Errors as of :func:`opened`, and FileError at other bytes."""
+    try:
+        return read_bytes(path, most).decode()
+    except UnicodeDecodeError as error:
+        raise FileError(f"must be UTF-8, got {error}") from error
+
+
+def read_json(path: Path | str, most: int = TEXT_BYTES) -> Any:
+    """What a regular file of JSON holds. Errors as of :func:`opened`, and FileError at no JSON."""
+    return parse_json(read_bytes(path, most))
+
+
+def parse_json(text: bytes, finite: bool = False) -> Any:
+    """What JSON says, or FileError.
+
+    Args:
+        text: in UTF-8.
+        finite: whether NaN and Infinity, which Python reads, are errors.
+
+    Example:
+        >>> parse_json(b'{"seed": 0}')
+        {'seed': 0}
+    """
+    try:
+        return json.loads(text.decode(), parse_constant=_refuse_constant if finite else None)
+    except RecursionError as error:
+        raise FileError("must be JSON, got lists in lists without end") from error
+    except ValueError as error:
+        raise FileError(f"must be JSON, got {error}") from error
+
+
+def read_zip(content: bytes, most: int, stored: bool = True) -> dict[str, bytes]:
+    """Members of a ZIP archive by name, all of them with their checksum compared.
+
+    Their number and sizes are checked before one is read.
+
+    Args:
+        content: the archive.
+        most: largest sum of the members' sizes.
+        stored: whether they must be stored as they are, that is, not compressed; then they can be
+            no larger together than the archive.
+
+    Raises:
+        FileError: it is no such archive.
+
+    Example:
+        >>> buffer = io.BytesIO()
+        >>> with zipfile.ZipFile(buffer, "w") as archive:
+        ...     archive.writestr("a.txt", "ab")
+        >>> read_zip(buffer.getvalue(), most=100)
+        {'a.txt': b'ab'}
+    """
+    if content.count(b"PK\1\2") > ZIP_MEMBERS:  # with which each entry of the directory begins
+        raise FileError(f"must be an archive of at most {ZIP_MEMBERS} members, got more")
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            members = archive.infolist()
+            _check_members(members, min(most, len(content)) if stored else most, stored)
+            return {member.filename: _member(archive, member) for member in members}
+    except FileError:
+        raise
+    except Exception as error:  # zipfile fails at other bytes with any type
+        raise FileError(f"must be a whole ZIP archive, got: {error}") from error
+
+
+def load_tensors(path: Path | str) -> Any:
+    """What ``torch.save`` wrote of tensors, numbers, text, lists and dictionaries, on the CPU.
+
+    Nothing is executed: the pickle may name no function but those that make such tensors. No tensor
+    is larger than what the file holds of it.
+
+    Raises:
+        FileError: the file is damaged, of another kind, or larger than ``TENSOR_BYTES``.
+        OSError: it cannot be opened.
+
+    Example:
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "numbers.pt"
+        >>> torch.save({"weights": torch.zeros(2)}, path)
+        >>> load_tensors(path)
+        {'weights': tensor([0., 0.])}
+    """
+    members = read_zip(read_bytes(path, TENSOR_BYTES), TENSOR_BYTES)
+    for name, content in members.items():
+        if name.endswith("data.pkl"):
+            _check_pickle(name, content)
+    copy = io.BytesIO()  # of what was checked, as torch.load has a reader of archives of its own
+    with zipfile.ZipFile(copy, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    copy.seek(0)
+    try:
+        return torch.load(copy, weights_only=True, map_location="cpu")
+    except Exception as error:  # other files can make the reader fail with any type
+        raise FileError(f"must be tensors, got what torch.load cannot read ({_line(error)})") from (
+            error
+        )
+
+
+def is_whole(tensor: torch.Tensor) -> bool:
+    """Whether there is memory for each number of a tensor: a view may repeat one without end.
+
+    Example:
+        >>> is_whole(torch.zeros(2)), is_whole(torch.zeros(1).expand(10**12))
+        (True, False)
+    """
+    return tensor.numel() * tensor.element_size() <= tensor.untyped_storage().nbytes()
+
+
+def short(value: object) -> str:
+    """A value as a message shows it: in one line of bounded length, whatever it holds.
+
+    Example:
+        >>> short(["x\\n", 10**30]), len(short("x" * 10**6))
+        ("['x\\\\n', 1000000000000000000000000000000]", 120)
+    """
+    return " ".join(_SHORT.repr(value).split())
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def _check_regular(status: os.stat_result, most: int) -> None:
+    kind = stat.S_IFMT(status.st_mode)
+    if kind == stat.S_IFREG and status.st_size <= most:
+        return
+    came = KINDS.get(kind, "another kind") if kind != stat.S_IFREG else _size(status.st_size)
+    raise FileError(f"must be a regular file of at most {_size(most)}, got {came}")
+
+
+def _size(count: int) -> str:
+    return f"{count / MIB:.0f} MiB" if count >= MIB else f"{count} bytes"
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(name)
+
+
+def _check_members(members: list[zipfile.ZipInfo], most: int, stored: bool) -> None:
+    seen: set[str] = set()
+    for member in members:
+        if member.filename in seen:
+            raise FileError(f"must hold each member once, got {member.filename!r} twice")
+        if member.flag_bits & 1 or (stored and member.compress_type != zipfile.ZIP_STORED):
+            raise FileError(f"members must be stored as they are, got {member.filename!r} packed")
+        seen.add(member.filename)
+    total = sum(member.file_size for member in members)
+    if total > most:
+        raise FileError(f"members must have at most {_size(most)} together, got {_size(total)}")
+
+
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """A member; its size is asked for, as a packed one may unpack to more than it says."""
+    with archive.open(member) as file:
+        parts = []
+        while part := file.read(MIB):
+            parts.append(part)
+    content = b"".join(parts)
+    if len(content) != member.file_size:
+        raise FileError(f"{member.filename!r} must have {member.file_size} bytes, got other")
+    return content
+
+
+def _check_pickle(name: str, content: bytes) -> None:
+    """Refuse a pickle that names more than tensors, or puts a tuple into several places.
+
+    Tuples of tuples, each twice, have 2^depth parts, and as a key a tuple is hashed part by part.
+    """
+    tuples: set[object] = set()
+    last = ""
+    try:
+        for opcode, argument, _ in pickletools.genops(content):
+            if opcode.name in CALLS or (opcode.name == "GLOBAL" and argument not in GLOBALS):
+                raise FileError(f"{name} must name tensors alone, got {argument or opcode.name}")
+            if opcode.name in PUTS and last.startswith("TUPLE"):
+                tuples.add(argument)
+            if opcode.name in GETS and argument in tuples:
+                raise FileError(f"{name} must hold each tuple once, got one twice")
+            last = opcode.name
+    except FileError:
+        raise
+    except Exception as error:  # pickletools fails at other bytes with any type
+        raise FileError(f"{name} must be a pickle, got {_line(error)}") from error
+
+
+def _line(error: Exception) -> str:
+    """An error's type and what it says, in one short line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

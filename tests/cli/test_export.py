@@ -71,7 +71,7 @@ def test_exported_file_is_the_saved_policy(
         (("other.pt", "policy.pt2"), "error: [Errno 2] No such file or directory: 'other.pt'"),
         (
             ("text.pt", "policy.pt2"),
-            "error: text.pt: must be a file of save_policy, got what torch.load cannot read",
+            "error: text.pt: must be a file of save_policy: must be a whole ZIP archive, got",
         ),
     ],
 )

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import pickle
+import random
+import time
 import zipfile
+from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +15,7 @@ import pytest
 import torch
 
 from tests.helpers.draws import Draws
+from tests.helpers.hostile import Trap, damaged, members_of, write_members
 from torch_pmil.control.policy_file import PolicyFileError, load_policy, save_policy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
@@ -159,7 +163,7 @@ def test_other_version_is_refused_with_its_writer(path: Path) -> None:
 def test_files_that_torch_cannot_read_are_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "policy.pt").write_bytes(content)
     assert error_of(tmp_path / "policy.pt").startswith(
-        "must be a file of save_policy, got what torch.load cannot read"
+        "must be a file of save_policy: must be a whole ZIP archive, got"
     )
 
 
@@ -169,27 +173,114 @@ def test_other_zip_archives_are_refused(tmp_path: Path) -> None:
     assert "torch.load cannot read" in error_of(tmp_path / "policy.pt")
 
 
-class Trap:
-    """A pickle of it makes a folder when it is read."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Callable, tuple]:
-        return os.mkdir, (str(self.path),)
-
-
 def test_code_in_a_file_is_refused_and_not_run(path: Path, tmp_path: Path) -> None:
     edited(path, names=Trap(tmp_path / "sprung"))
-    assert "torch.load cannot read (UnpicklingError)" in error_of(path)
+    assert error_of(path).endswith("data.pkl must name tensors alone, got posix mkdir")
     assert os.listdir(tmp_path) == ["policy.pt"]
+
+
+def with_pickle(path: Path, change: Callable[[bytes], bytes]) -> Path:
+    members = members_of(path)
+    name = next(name for name in members if name.endswith("data.pkl"))
+    write_members(path, {**members, name: change(members[name])})
+    return path
+
+
+def test_pickle_that_asks_for_memory_is_refused(path: Path) -> None:
+    """``torch.load`` would make these 10^10 bytes."""
+    pickled = b"\x80\x02cbuiltins\nbytearray\n\x8a\x05\x00\xe4\x0bT\x02\x85R."
+    assert error_of(with_pickle(path, lambda old: pickled)).endswith("got builtins bytearray")
+
+
+def test_key_that_takes_forever_to_hash_is_refused(path: Path) -> None:
+    """Tuples of two tuples each, sixty deep."""
+    doubled = b"".join(b"q%ch%c\x86" % (depth, depth) for depth in range(60))
+    pickled = b"\x80\x02}K\x00\x85" + doubled + b"K\x01s."
+    assert error_of(with_pickle(path, lambda old: pickled)).endswith("got one twice")
+
+
+def test_entry_that_takes_forever_to_show_is_refused_in_one_line(path: Path) -> None:
+    names: list = []
+    for _ in range(60):
+        names = [names, names]
+    assert len(error_of(edited(path, names=names))) < 2000
+
+
+def test_dictionary_that_lies_about_its_methods_is_read_by_its_entries(path: Path) -> None:
+    content = OrderedDict(torch.load(path, weights_only=True))
+    content.get = content.keys = None  # type: ignore[method-assign]
+    torch.save(content, path)
+    assert load_policy(path).space.names == NAMES
+
+
+def test_version_that_is_no_number_is_named(path: Path) -> None:
+    assert "format version must be 1, got tensor([1, 1])" in error_of(
+        edited(path, version=torch.tensor([1, 1]))
+    )
+
+
+def test_packed_file_is_refused_before_it_is_unpacked(path: Path) -> None:
+    members = members_of(path)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    assert "members must be stored as they are, got 'archive/" in error_of(path)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_what_is_no_file_is_refused_at_once(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "policy.pt"
+    make = {"pipe": os.mkfifo, "device": link_to_zeros, "folder": os.mkdir}[kind]
+    make(path)
+    assert error_of(path) == (
+        f"must be a file of save_policy: must be a regular file of at most 64 MiB, got a {kind}"
+    )
+
+
+def test_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    with (tmp_path / "policy.pt").open("wb") as file:
+        file.truncate(2**40)
+    assert error_of(tmp_path / "policy.pt").endswith("at most 64 MiB, got 1048576 MiB")
+
+
+def link_to_zeros(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def test_link_to_a_policy_is_one(path: Path, tmp_path: Path) -> None:
+    (tmp_path / "link.pt").symlink_to(path)
+    assert load_policy(tmp_path / "link.pt").control_period == 0.1
+
+
+def fuzz(path: Path, count: int) -> None:
+    whole, source, refused = path.read_bytes(), random.Random(0), 0
+    for number in range(count):
+        path.write_bytes(whole)
+        kind = damaged(path, source)
+        begun = time.monotonic()
+        try:
+            load_policy(path)(torch.zeros(4))
+        except PolicyFileError as error:
+            assert "\n" not in str(error), (number, kind)
+            refused += 1
+        assert time.monotonic() - begun < 5, (number, kind)
+    assert refused > count / 2
+
+
+def test_damage_at_random_is_refused_by_name(path: Path) -> None:
+    fuzz(path, 200)
+
+
+@pytest.mark.slow
+def test_much_damage_at_random_is_refused_by_name(path: Path) -> None:
+    fuzz(path, 5000)
 
 
 @pytest.mark.parametrize("kept", [0.1, 0.5, 0.9, 0.999])
 def test_file_that_was_cut_is_refused(path: Path, kept: float) -> None:
     data = path.read_bytes()
     path.write_bytes(data[: int(kept * len(data))])
-    assert "torch.load cannot read" in error_of(path)
+    assert "must be a whole ZIP archive, got" in error_of(path)
 
 
 def test_one_wrong_bit_of_a_parameter_is_refused(path: Path, policy: RBFPolicy) -> None:
@@ -200,7 +291,9 @@ def test_one_wrong_bit_of_a_parameter_is_refused(path: Path, policy: RBFPolicy) 
     assert not torch.equal(
         torch.load(path, weights_only=True)["parameters"]["weights"], policy.weights
     )
-    assert error_of(path).startswith("must be whole, got a wrong checksum of ")
+    assert "must be a whole ZIP archive, got: Bad CRC-32 for file 'archive/data/1'" in error_of(
+        path
+    )
 
 
 def test_damage_anywhere_is_refused_or_changes_nothing(
@@ -265,6 +358,26 @@ WRONG_PARAMETERS = [
     (
         {"weights": torch.zeros(6, 2).double()},
         "parameter centres must have shape (6, 5), got (7, 5)",
+    ),
+    (
+        {"weights": torch.zeros(0, 2).double(), "centres": torch.zeros(0, 5).double()},
+        "a policy must have centres, inputs and torques, got 0, 5 and 2",
+    ),
+    (
+        {"log_widths": torch.full((2, 5), 1e4).double()},
+        "widths must have squares that are positive and finite, got log_widths = 10000",
+    ),
+    (
+        {"log_widths": torch.full((2, 5), -1e4).double()},
+        "widths must have squares that are positive and finite, got log_widths = -10000",
+    ),
+    (
+        {"centres": torch.full((7, 5), 1e200, dtype=torch.float64)},
+        "centres must have finite squares, got ",
+    ),
+    (
+        {"centres": torch.zeros(1).double().expand(7, 5)},
+        "parameter centres must hold its numbers, got one repeated",
     ),
     (
         {"weights": torch.tensor(0.0).double()},

@@ -141,3 +141,21 @@ def test_scale_that_does_not_fit_is_an_error(scale: torch.Tensor) -> None:
 def test_limits_that_are_none_are_an_error(u_max: torch.Tensor) -> None:
     with pytest.raises(ValueError, match="u_max must be a vector of positive torque limits"):
         RBFPolicy(torch.zeros(4, 2), u_max, torch.ones(2))
+
+
+@pytest.mark.parametrize(
+    ("centres", "u_max", "scale", "message"),
+    [
+        (torch.full((3, 2), torch.nan), torch.ones(1), torch.ones(2), "centres must be finite"),
+        (torch.zeros(0, 2), torch.ones(1), torch.ones(2), r"m >= 1, got shape \(0, 2\)"),
+        (torch.zeros(3), torch.ones(1), torch.ones(2), r"got shape \(3,\)"),
+        (torch.zeros(3, 2), torch.tensor([torch.inf]), torch.ones(2), "u_max must be"),
+        (torch.zeros(3, 2), torch.ones(0), torch.ones(2), "u_max must be"),
+        (torch.zeros(3, 2), torch.ones(1), torch.tensor([1.0, torch.inf]), "scale must hold"),
+    ],
+)
+def test_policy_of_numbers_that_are_none_is_an_error(
+    centres: torch.Tensor, u_max: torch.Tensor, scale: torch.Tensor, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        RBFPolicy(centres, u_max, scale)

@@ -147,3 +147,22 @@ def test_match_space_of_another_state_is_an_error() -> None:
 def test_angles_that_are_no_entries_are_an_error(angles: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="angles must be indices below 4"):
         StateSpace(NAMES, UNITS, angles, joint_match(NAMES, UNITS))
+
+
+def test_names_that_come_twice_are_an_error() -> None:
+    with pytest.raises(ValueError, match="names must be different, got"):
+        joint_match(("q", "q"), ("rad", "rad"))
+    with pytest.raises(ValueError, match="names must be different, got"):
+        StateSpace(("q", "q"), ("rad", "rad"), (), joint_match(("q", "dq"), ("rad", "rad")))
+
+
+def test_angles_that_come_twice_are_an_error() -> None:
+    with pytest.raises(ValueError, match=r"angles must be different indices, got \(0, 0\)"):
+        StateSpace(NAMES, UNITS, (0, 0), joint_match(NAMES, UNITS))
+
+
+def test_match_space_of_numbers_that_are_none_is_an_error() -> None:
+    with pytest.raises(ValueError, match="must be finite"):
+        MatchSpace(("x",), ("m",), torch.zeros(0, 1), torch.full((1, 1), torch.nan))
+    with pytest.raises(ValueError, match=r"angles must have shape \(K, D\), got \(1,\)"):
+        MatchSpace(("x",), ("m",), torch.zeros(1), torch.ones(1, 3))

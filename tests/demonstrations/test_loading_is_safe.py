@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import struct
 import sys
+import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -122,4 +126,83 @@ def test_missing_library_is_one_line_that_says_how_to_get_it(
     assert (
         str(error.value)
         == f"reading this format needs {library}: pip install 'torch_pmil[formats]'"
+    )
+
+
+@pytest.mark.parametrize("load", [load_recordings, load_demonstrations])
+@pytest.mark.parametrize("suffix", ["npz", "csv", "mat", "hdf5", "h5", "parquet"])
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_what_is_no_file_is_refused_at_once(
+    tmp_path: Path, suffix: str, kind: str, load: object
+) -> None:
+    if suffix in ("hdf5", "h5", "parquet"):
+        pytest.importorskip({"parquet": "pyarrow"}.get(suffix, "h5py"))
+    path = tmp_path / f"walks.{suffix}"
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    assert refused(load, path).startswith(f"{path}: must be a regular file of at most ")
+    assert refused(load, path).endswith(f", got a {kind}")
+
+
+def test_pipe_in_a_folder_of_demonstrations_is_named(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "1.csv")
+    assert "1.csv: must be a regular file" in refused(load_recordings, tmp_path)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "csv", "mat"])
+def test_huge_file_is_refused_before_it_is_read(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"walks.{suffix}"
+    with path.open("wb") as file:
+        file.truncate(2**40)
+    assert refused(load_recordings, path).endswith("MiB, got 1048576 MiB")
+
+
+def test_npz_that_unpacks_without_end_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "walks.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for number in range(3):
+            archive.writestr(f"{number}.npy", bytes(90 * 2**20))
+    assert "members must have at most 256 MiB together, got 270 MiB" in refused(
+        load_recordings, path
+    )
+
+
+def test_packed_npz_is_read(tmp_path: Path) -> None:
+    """``numpy.savez_compressed`` writes one."""
+    names = np.array(["x"])
+    np.savez_compressed(
+        tmp_path / "walks.npz", positions=np.zeros((2, 3, 1)), time_step=0.1, names=names
+    )
+    assert load_demonstrations(tmp_path / "walks.npz").positions.shape == (2, 3, 1)
+
+
+def test_matlab_file_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
+    packed = zlib.compress(bytes(70 * 2**20), 1)
+    header = b"MATLAB".ljust(124) + b"\x00\x01IM"
+    path = tmp_path / "shape.mat"
+    path.write_bytes(header + struct.pack("<2I", 15, len(packed)) + packed)
+    assert "must have at most 67108864 bytes unpacked, got more" in refused(load_recordings, path)
+
+
+def test_hdf5_that_says_it_is_endless_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "demo.hdf5", "w") as file:
+        for number in range(2):
+            file.create_dataset(f"data/demo_{number}/obs/x", (10**9, 3), "f8", chunks=(100, 3))
+    assert (tmp_path / "demo.hdf5").stat().st_size < 10**6
+    complaint = refused(load_recordings, tmp_path / "demo.hdf5", time_step=0.1)
+    assert complaint.endswith("must have at most 16777216 numbers, got 6000000000")
+
+
+def test_parquet_that_says_it_is_endless_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    rows = 6_000_000
+    columns = {"episode_index": np.zeros(rows, int), "timestamp": np.zeros(rows)}
+    columns["observation.state"] = np.zeros(rows)
+    pq.write_table(pa.table(columns), tmp_path / "walks.parquet")
+    assert (tmp_path / "walks.parquet").stat().st_size < 10**6
+    assert "at most 16777216 numbers, got 18000000" in refused(
+        load_recordings, tmp_path / "walks.parquet"
     )

@@ -7,7 +7,14 @@ import torch
 from torch import Tensor
 
 from tests.helpers.draws import Draws
-from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, cholesky, joint, symmetric
+from torch_pmil.gp.gaussian import (
+    Gaussian,
+    NotPositiveDefiniteError,
+    check_belief,
+    cholesky,
+    joint,
+    symmetric,
+)
 
 
 def test_marginal_takes_entries_in_the_order_asked_for(draws: Draws) -> None:
@@ -194,3 +201,51 @@ def test_flat_vectors_have_the_cotangents_of_their_graph(
     (by_vector,) = torch.autograd.grad((back.mean, back.cov), vector, (d_mean, d_cov))
     torch.testing.assert_close(Gaussian.flat_cotangent(d_mean, d_cov), by_vector)
     torch.testing.assert_close(by_vector, cotangent)
+
+
+# --- beliefs that are none ---
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("mean", "cov", "message"),
+    [
+        ([NAN, 0.0], [[1.0, 0.0], [0.0, 1.0]], r"mean of start must be finite, got nan in entry"),
+        ([0.0, torch.inf], [[1.0, 0.0], [0.0, 1.0]], r"got inf in entry \(1,\)"),
+        ([0.0, 0.0], [[1.0, NAN], [0.0, 1.0]], r"covariance of start must be finite, got nan"),
+        ([0.0, 0.0], [[1.0, 0.5], [0.0, 1.0]], "must be symmetric, got entries that differ by 0.5"),
+        ([0.0, 0.0], [[1.0, 0.0], [0.0, -0.1]], "must be positive definite, got eigenvalues from"),
+        ([0.0, 0.0], [[1.0, 2.0], [2.0, 1.0]], "must be positive definite, got eigenvalues from"),
+    ],
+    ids=["nan mean", "infinite mean", "nan above", "asymmetric", "negative", "indefinite"],
+)
+def test_what_is_no_belief_is_an_error(mean: list, cov: list, message: str) -> None:
+    belief = Gaussian(torch.tensor(mean), torch.tensor(cov))
+    with pytest.raises(ValueError, match=message) as error:
+        check_belief(belief, "start", belief.mean)
+    assert "\n" not in str(error.value)
+
+
+def test_belief_of_another_dtype_is_an_error() -> None:
+    belief = Gaussian(torch.zeros(2), torch.eye(2, dtype=torch.float64))
+    with pytest.raises(
+        ValueError, match=r"of torch\.float64, got torch\.float32 and torch\.float64"
+    ):
+        check_belief(belief, "start", belief.cov)
+
+
+def test_element_of_the_batch_is_named() -> None:
+    cov = torch.eye(2).repeat(3, 1, 1)
+    cov[2, 0, 0] = -1
+    with pytest.raises(NotPositiveDefiniteError, match=r"at batch element \(2,\)"):
+        check_belief(Gaussian(torch.zeros(3, 2), cov), "start", cov)
+
+
+def test_rounding_makes_a_belief_no_error(draws: Draws) -> None:
+    root = draws.normal(4, 2)
+    cov = root @ root.mT  # singular
+    cov[0, 1] += 1e-15
+    check_belief(Gaussian(draws.normal(4), cov), "start", cov)
+    check_belief(Gaussian(draws.normal(4), 0 * cov), "start", cov)
+    check_belief(Gaussian(draws.normal(0, 4), cov.new_zeros(0, 4, 4)), "start", cov)

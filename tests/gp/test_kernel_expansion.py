@@ -176,7 +176,7 @@ def test_own_inputs_that_are_the_same_are_shared_ones(draws: Draws) -> None:
 
 def test_singular_gram_matrix_of_own_inputs_is_an_error_that_names_the_output(draws: Draws) -> None:
     inputs = torch.stack([draws.normal(3, 1), torch.zeros(3, 1, dtype=torch.float64)])
-    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, -1e-3], dtype=torch.float64)
+    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, 0.0], dtype=torch.float64)
     with pytest.raises(NotPositiveDefiniteError, match=r"Gram matrix .* batch element \(1,\)"):
         KernelExpansion.from_data(inputs, draws.normal(2, 3), one[:, None], one, noise)
 
@@ -279,3 +279,42 @@ def test_expansion_of_a_gpytorch_model_passes_gradients_to_its_hyperparameters(
     KernelExpansion.from_exact_gp(model).mean(draws.normal(2)).sum().backward()
     for name, parameter in model.named_parameters():
         assert parameter.grad is not None and parameter.grad.abs().sum() > 0, name
+
+
+# --- arguments ---
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"noise_variance": [0.1, -1e-9]}, "noise_variance must not be negative, got -1e-09"),
+        ({"lengthscales": [[1.0], [-1.0]]}, "lengthscales must be positive, got -1"),
+        ({"lengthscales": [[1.0], [0.0]]}, "lengthscales must be positive, got 0"),
+        ({"signal_variance": [0.0, 1.0]}, "signal_variance must be positive, got 0"),
+        ({"signal_variance": [torch.nan, 1.0]}, "signal_variance must be finite, got nan"),
+        ({"inputs": [[0.0], [torch.inf]]}, "inputs must be finite, got inf"),
+        ({"targets": [[0.0, 0.0], [torch.nan, 0.0]]}, "targets must be finite, got nan"),
+        ({"targets": [0.0, 0.0]}, "inputs must have shape"),
+        ({"targets": [[0.0, 0.0, 0.0]] * 2}, "inputs must have shape"),
+        ({"lengthscales": [1.0, 1.0]}, r"lengthscales must have shape \(2, 1\)"),
+        ({"offset": [torch.nan, 0.0]}, "offset must be finite"),
+    ],
+)
+def test_data_and_hyperparameters_that_are_none_are_errors(changes: dict, message: str) -> None:
+    arguments = {
+        "inputs": [[0.0], [1.0]],
+        "targets": [[0.0, 0.0], [1.0, 1.0]],
+        "lengthscales": [[1.0], [1.0]],
+        "signal_variance": [1.0, 1.0],
+        "noise_variance": [0.1, 0.1],
+    } | changes
+    tensors = {n: torch.tensor(values, dtype=torch.float64) for n, values in arguments.items()}
+    with pytest.raises(ValueError, match=message) as error:
+        KernelExpansion.from_data(**tensors)
+    assert "\n" not in str(error.value)
+
+
+def test_mixed_dtypes_are_an_error(draws: Draws) -> None:
+    one = torch.ones(1, dtype=torch.float64)
+    with pytest.raises(ValueError, match="targets must be a float like inputs"):
+        KernelExpansion.from_data(draws.normal(3, 1), torch.zeros(1, 3), one[None], one, one)

@@ -387,7 +387,10 @@ def test_unsupported_likelihood_is_an_error(draws: Draws) -> None:
 
 @pytest.mark.parametrize(
     ("cov", "message"),
-    [(-10.0, r"must be positive definite, got eigenvalues from"), (float("nan"), "not finite")],
+    [
+        (-10.0, r"must be positive definite, got eigenvalues from"),
+        (float("nan"), "must be finite, got nan"),
+    ],
     ids=["negative", "nan"],
 )
 def test_covariance_that_is_none_is_an_error(draws: Draws, cov: float, message: str) -> None:
@@ -398,8 +401,23 @@ def test_covariance_that_is_none_is_an_error(draws: Draws, cov: float, message: 
 
 
 def test_singular_gram_matrix_is_an_error_that_names_the_output(draws: Draws) -> None:
-    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, -1e-3], dtype=torch.float64)
+    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, 0.0], dtype=torch.float64)
     with pytest.raises(NotPositiveDefiniteError, match=r"Gram matrix .* batch element \(1,\)"):
         KernelExpansion.from_data(
             torch.zeros(3, 1, dtype=torch.float64), draws.normal(2, 3), one[:, None], one, noise
         )
+
+
+@pytest.mark.parametrize("make", [Draws.gp, Draws.network])
+def test_belief_that_is_none_is_an_error(
+    draws: Draws, make: Callable[..., KernelExpansion]
+) -> None:
+    f, belief = make(draws, 5, 2, 1), draws.belief(2)
+    with pytest.raises(ValueError, match="mean of belief must be finite"):
+        moment_match(f, Gaussian(belief.mean * torch.nan, belief.cov))
+    with pytest.raises(NotPositiveDefiniteError, match="must be symmetric"):
+        moment_match(f, Gaussian(belief.mean, belief.cov + torch.ones(2, 2).triu(1)))
+    with pytest.raises(NotPositiveDefiniteError, match="must be positive definite"):
+        moment_match(f, Gaussian(belief.mean, -0.1 * belief.cov))
+    with pytest.raises(ValueError, match=r"of torch\.float64, got torch\.float32"):
+        moment_match(f, Gaussian(belief.mean.float(), belief.cov.float()))

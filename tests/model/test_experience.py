@@ -119,3 +119,9 @@ def test_more_than_the_capacity_is_refused_and_nothing_is_lost(transitions: Tens
 
 def test_capacity_can_be_filled_to_the_last(transitions: TensorDict) -> None:
     assert len(filled(transitions, capacity=7)) == 7
+
+
+@pytest.mark.parametrize("capacity", [0, -1])
+def test_capacity_for_nothing_is_an_error(capacity: int) -> None:
+    with pytest.raises(ValueError, match=f"capacity must be at least 1 transition, got {capacity}"):
+        Experience(capacity)

@@ -559,3 +559,21 @@ def test_no_array_of_pairs_of_data_is_saved_for_the_gradient(
         predicted.cov.sum().backward()
     assert 0 < max(saved) < n * n / 4
     assert 0 < largest.numbers < n * n / 2
+
+
+def test_start_that_is_none_is_an_error(
+    policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian
+) -> None:
+    def predict(start: Gaussian, horizon: int = 2) -> None:
+        predict_trajectory(start, policy, dynamics, SPACE, horizon)
+
+    with pytest.raises(ValueError, match="mean of initial must be finite, got nan"):
+        predict(Gaussian(initial.mean * torch.nan, initial.cov))
+    with pytest.raises(PredictionError, match=r"step 1 of 2 failed: .* must be symmetric"):
+        predict(Gaussian(initial.mean, initial.cov + torch.ones(2, 2).triu(1)))
+    with pytest.raises(ValueError, match=r"of torch\.float64, got torch\.float32"):
+        predict(Gaussian(initial.mean.float(), initial.cov.float()))
+    with pytest.raises(ValueError, match=r"over the 2 entries .* got 1 entries and 2"):
+        predict(initial.marginal(torch.tensor([0])))
+    with pytest.raises(ValueError, match="horizon at least 1, got 2 entries and 0"):
+        predict(initial, 0)

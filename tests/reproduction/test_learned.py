@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from reproduction.learned import measured_success, remeasured
+from reproduction.learned import load_learned, measured_success, remeasured
 from tests.helpers.short_run import quick_fits, run, short_experiment
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.experiments.tasks.experiment import Experiment
 
 
@@ -63,3 +64,23 @@ def test_outcome_tells_of_the_run_and_measures_its_policy_anew(
         "trials": 1,
         "stop_reason": result.summary["stop_reason"],
     }
+
+
+def test_model_that_does_not_fit_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    quick_fits(monkeypatch)
+    run(tmp_path, trials=1)
+    path = tmp_path / "dynamics.pt"
+    whole = torch.load(path, weights_only=True)
+    inputs, noise = whole["train_inputs"], "gp.likelihood.noise_covar.raw_noise"
+    for entry, value, complaint in (
+        ("train_inputs", inputs * float("nan"), "dynamics.train_inputs must be finite, got nan"),
+        ("train_inputs", inputs[:, 1:], "dynamics.train_inputs must be torch.float64 of shape"),
+        (noise, torch.full_like(whole[noise], 1e4), f"dynamics.{noise} must be logarithms of"),
+    ):
+        torch.save(dict(whole) | {entry: value}, path)
+        with pytest.raises(RunError, match=complaint):
+            load_learned(tmp_path, short_experiment())
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    with pytest.raises(RunError, match="must be a regular file of at most 64 MiB, got a device"):
+        load_learned(tmp_path, short_experiment())

@@ -422,3 +422,23 @@ def test_horizon_that_is_not_trusted_is_searched_on_while_that_lowers_the_loss(
     assert all(fall < WORTHWHILE for fall in falls[:-1])
     assert falls[-1] >= WORTHWHILE
     assert found.result.horizon == 4
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mean_iterations": -1}, "mean_iterations must be an integer of at least 0, got -1"),
+        ({"stage_iterations": 2.5}, "stage_iterations must be an integer"),
+        ({"final_iterations": "40"}, "final_iterations must be an integer"),
+        ({"first_horizon": 0}, "first_horizon must be an integer of at least 1, got 0"),
+        ({"horizon_step": 0}, "horizon_step must be an integer of at least 1, got 0"),
+        ({"restarts": True}, "restarts must be an integer"),
+        ({"trust_threshold": math.nan}, "trust_threshold must not be negative, got nan"),
+        ({"trust_threshold": -1.0}, "trust_threshold must not be negative, got -1.0"),
+        ({"trust_threshold": None}, "trust_threshold must be a number, got None"),
+        ({"skip_matched_steps": "no"}, "skip_matched_steps must be true or false, got 'no'"),
+    ],
+)
+def test_settings_that_are_none_are_errors(changes: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        SearchSettings(**changes)

@@ -21,12 +21,9 @@ entry               holds
 
 from __future__ import annotations
 
-import io
-import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -34,7 +31,7 @@ from torch import Tensor
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.files import replacing
+from torch_pmil.files import FileError, is_whole, load_tensors, replacing, short
 
 FORMAT, FORMAT_VERSION = "torch_pmil policy", 1
 LISTS = {"names": str, "units": str, "angles": int, "target_names": str}
@@ -113,72 +110,26 @@ def load_policy(path: Path | str) -> StatePolicy:
         >>> load_policy(path)(torch.zeros(2))
         tensor([0.], dtype=torch.float64)
     """
-    data = Path(path).read_bytes()
     try:
-        content = _unpickled(data)
+        content = _loaded(path)
         _check_entries(content)
         names, units = tuple(content["names"]), tuple(content["units"])
         space = StateSpace(names, units, tuple(content["angles"]), joint_match(names, units))
         targets = content.get("target_names", [])
-        network = _network(content["parameters"], len(space.feature_names) + len(targets))
+        inputs = len(space.feature_names) + len(targets)
+        network = policy_of(_entries(content["parameters"]), inputs)
         return StatePolicy(network, space, content["control_period"], targets)
     except ValueError as error:
         raise PolicyFileError(f"{path}: {error}") from error
 
 
-def _unpickled(data: bytes) -> Any:
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            damaged = archive.testzip()  # torch.load compares no checksums
-        content = torch.load(io.BytesIO(data), weights_only=True, map_location="cpu")
-    except Exception as error:  # other files can make the readers fail with any type
-        raise PolicyFileError(
-            "must be a file of save_policy, got what torch.load cannot read "
-            f"({type(error).__name__})"
-        ) from error
-    if damaged is not None:
-        raise PolicyFileError(f"must be whole, got a wrong checksum of {damaged}")
-    return content
+def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
+    """The policy with the given parameters, which sees ``inputs`` features, without gradient.
 
-
-def _check_entries(content: object) -> None:
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        found = (
-            f"entries {', '.join(map(str, list(content)[:5]))}"
-            if isinstance(content, dict)
-            else f"a {type(content).__name__}"
-        )
-        raise PolicyFileError(
-            f"must be a file of save_policy, with the entry format = {FORMAT!r}, got {found}"
-        )
-    if content.get("version") != FORMAT_VERSION:
-        writer = f"torch_pmil {content.get('torch_pmil')}"
-        raise PolicyFileError(
-            f"format version must be {FORMAT_VERSION}, got {content.get('version')}, written by "
-            f"{writer}"
-        )
-    for name, kind in LISTS.items():
-        value = content.get(name, [] if name == "target_names" else None)
-        if not isinstance(value, list) or {type(item) for item in value} - {kind}:
-            raise PolicyFileError(f"entry {name} must be a list of {kind.__name__}, got {value!r}")
-    if len(content["units"]) != len(content["names"]):
-        raise PolicyFileError(
-            f"entry units must hold one for each of names {content['names']}, got "
-            f"{content['units']}"
-        )
-    if not isinstance(content.get("control_period"), float):
-        raise PolicyFileError(
-            f"entry control_period must be a float, got {content.get('control_period')!r}"
-        )
-    if not isinstance(content.get("parameters"), dict):
-        raise PolicyFileError(
-            "entry parameters must be a dict of tensors, got "
-            f"{type(content.get('parameters')).__name__}"
-        )
-
-
-def _network(parameters: dict[str, Tensor], inputs: int) -> RBFPolicy:
-    """The policy with the given parameters, which sees ``inputs`` features."""
+    Raises:
+        PolicyFileError: a parameter is missing, or has another shape or type, or is none of which a
+            torque can be computed.
+    """
     m, outputs = (*getattr(parameters.get("weights"), "shape", ()), 0, 0)[:2]
     shapes = {
         "centres": (m, inputs),
@@ -189,14 +140,77 @@ def _network(parameters: dict[str, Tensor], inputs: int) -> RBFPolicy:
     }
     if parameters.keys() != shapes.keys():
         raise PolicyFileError(
-            f"parameters must be {', '.join(shapes)}, got "
-            f"{', '.join(map(str, parameters)) or 'none'}"
+            f"parameters must be {', '.join(shapes)}, got {_listed(parameters) or 'none'}"
         )
     for name, shape in shapes.items():
         _check_parameter(name, parameters[name], shape)
+    if not (m and inputs and outputs):
+        raise PolicyFileError(
+            f"a policy must have centres, inputs and torques, got {m}, {inputs} and {outputs}"
+        )
     policy = RBFPolicy(parameters["centres"], parameters["u_max"], parameters["scale"])
     policy.load_state_dict(parameters)
+    _check_magnitudes(policy)
     return policy.requires_grad_(False)
+
+
+def _loaded(path: Path | str) -> dict:
+    try:
+        content = load_tensors(path)
+    except FileError as error:
+        raise PolicyFileError(f"must be a file of save_policy: {error}") from error
+    entries = _entries(content)
+    if entries.get("format") != FORMAT:
+        found = f"a {type(content).__name__}"
+        if isinstance(content, dict):
+            found = f"entries {_listed(list(entries)[:5])}"
+        raise PolicyFileError(
+            f"must be a file of save_policy, with the entry format = {FORMAT!r}, got {found}"
+        )
+    return entries
+
+
+def _entries(content: object) -> dict:
+    """Entries of a dictionary, not by its own methods: a file can replace those of OrderedDict."""
+    return dict(dict.items(content)) if isinstance(content, dict) else {}
+
+
+def _listed(names: Iterable[object]) -> str:
+    """Names in a line of a message, as they are if they are short words."""
+    return ", ".join(
+        name if isinstance(name, str) and name.isprintable() and len(name) < 40 else short(name)
+        for name in names
+    )
+
+
+def _check_entries(content: dict) -> None:
+    found = content.get("version")
+    if type(found) is not int or found != FORMAT_VERSION:
+        writer = content.get("torch_pmil")
+        raise PolicyFileError(
+            f"format version must be {FORMAT_VERSION}, got {short(found)}, written by torch_pmil "
+            f"{_listed([writer])}"
+        )
+    for name, kind in LISTS.items():
+        value = content.get(name, [] if name == "target_names" else None)
+        if not isinstance(value, list) or {type(item) for item in value} - {kind}:
+            raise PolicyFileError(
+                f"entry {name} must be a list of {kind.__name__}, got {short(value)}"
+            )
+    if len(content["units"]) != len(content["names"]):
+        raise PolicyFileError(
+            f"entry units must hold one for each of names {short(content['names'])}, got "
+            f"{short(content['units'])}"
+        )
+    if not isinstance(content.get("control_period"), float):
+        raise PolicyFileError(
+            f"entry control_period must be a float, got {short(content.get('control_period'))}"
+        )
+    if not isinstance(content.get("parameters"), dict):
+        raise PolicyFileError(
+            "entry parameters must be a dict of tensors, got "
+            f"{type(content.get('parameters')).__name__}"
+        )
 
 
 def _check_parameter(name: str, value: object, shape: tuple[int, ...]) -> None:
@@ -207,7 +221,26 @@ def _check_parameter(name: str, value: object, shape: tuple[int, ...]) -> None:
         )
     if value.shape != shape:
         raise PolicyFileError(f"parameter {name} must have shape {shape}, got {tuple(value.shape)}")
+    if not is_whole(value):
+        raise PolicyFileError(f"parameter {name} must hold its numbers, got one repeated")
     if not value.isfinite().all():
         raise PolicyFileError(
             f"parameter {name} must be finite, got {value[~value.isfinite()][0].item()}"
+        )
+
+
+def _check_magnitudes(policy: RBFPolicy) -> None:
+    """Refuse numbers each of which is finite, while what the network makes of them is not."""
+    centres, _, widths = policy.controller.parameters
+    endless = ~centres.square().isfinite()
+    if endless.any():
+        raise PolicyFileError(
+            f"centres must have finite squares, got {centres[endless][0].item():g}"
+        )
+    squares = widths.square()
+    none = ~squares.isfinite() | (squares == 0)
+    if none.any():
+        raise PolicyFileError(
+            "widths must have squares that are positive and finite, got log_widths = "
+            f"{policy.log_widths[none][0].item():g}"
         )

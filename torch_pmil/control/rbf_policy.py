@@ -62,10 +62,15 @@ class RBFPolicy(nn.Module):
 
     def __init__(self, centres: Tensor, u_max: Tensor, scale: Tensor) -> None:
         super().__init__()
+        if centres.ndim != 2 or centres.numel() == 0 or not centres.isfinite().all():
+            raise ValueError(
+                f"centres must be finite, (m, D') with m >= 1, got shape {tuple(centres.shape)} "
+                f"with {(~centres.isfinite()).sum().item()} entries that are not finite"
+            )
         m, inputs = centres.shape
-        if scale.shape != (inputs,) or not (scale > 0).all():
+        if scale.shape != (inputs,) or not ((scale > 0) & scale.isfinite()).all():
             raise ValueError(f"scale must hold {inputs} positive numbers, got {scale.tolist()}")
-        if u_max.ndim != 1 or not (u_max > 0).all():
+        if u_max.ndim != 1 or not len(u_max) or not ((u_max > 0) & u_max.isfinite()).all():
             raise ValueError(
                 f"u_max must be a vector of positive torque limits, got {u_max.tolist()}"
             )

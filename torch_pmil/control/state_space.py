@@ -42,11 +42,18 @@ class MatchSpace:
     weights: Tensor
 
     def __post_init__(self) -> None:
+        _check_names(self.names)
+        if self.angles.ndim != 2:
+            raise ValueError(f"angles must have shape (K, D), got {tuple(self.angles.shape)}")
         entries = len(self.names), 2 * self.angles.shape[0] + self.angles.shape[1]
         if len(self.units) != len(self.names) or self.weights.shape != entries:
             raise ValueError(
                 f"weights must have shape {entries} and units {len(self.names)} entries, got "
                 f"{tuple(self.weights.shape)}"
+            )
+        if not (self.weights.isfinite().all() and self.angles.isfinite().all()):
+            raise ValueError(
+                f"angles and weights of {self.names} must be finite, got an entry that is not"
             )
 
     @property
@@ -96,6 +103,7 @@ class StateSpace:
     match_space: MatchSpace
 
     def __post_init__(self) -> None:
+        _check_names(self.names)
         matched = self.match_space.angles.shape[-1]
         if len(self.units) != self.dim or matched != self.dim:
             raise ValueError(
@@ -104,6 +112,8 @@ class StateSpace:
             )
         if not set(self.angles) <= set(range(self.dim)):
             raise ValueError(f"angles must be indices below {self.dim}, got {self.angles}")
+        if len(set(self.angles)) < len(self.angles):
+            raise ValueError(f"angles must be different indices, got {self.angles}")
 
     @property
     def dim(self) -> int:
@@ -144,6 +154,11 @@ class StateSpace:
         """The map from the moments of a state to those of its features."""
         identity = torch.eye(self.dim, dtype=torch.float64)
         return Augmentation.of(identity[list(self.plain)], identity[list(self.angles)])
+
+
+def _check_names(names: tuple[str, ...]) -> None:
+    if len(set(names)) < len(names):
+        raise ValueError(f"names must be different, got {names}")
 
 
 def joint_match(names: tuple[str, ...], units: tuple[str, ...]) -> MatchSpace:

@@ -5,7 +5,11 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import ModuleType
+from typing import BinaryIO
+
+from torch_pmil.files import MIB, FileError, opened, read_bytes
 
 # errors that parsers raise at bytes that make no sense; UnicodeDecodeError is a ValueError,
 # NotImplementedError a RuntimeError
@@ -20,6 +24,11 @@ DAMAGE = (
     MemoryError,
     EOFError,
 )
+
+FILE_BYTES = 256 * MIB  # of a file that is read as a whole
+TEXT_BYTES = 64 * MIB  # of a CSV file, whose cells take ten times that, or a MATLAB file
+SET_BYTES = 2**40  # of a data set of which columns are read, beside its pictures
+NUMBERS = 2**24  # in what is read of such a set
 
 
 class DemonstrationError(ValueError):
@@ -53,6 +62,35 @@ def readable(kind: str, *failures: type[Exception]) -> Iterator[None]:
     except damage as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DemonstrationError(f"not a readable {kind} ({reason})") from error
+
+
+def content_of(path: Path, most: int = FILE_BYTES) -> bytes:
+    """All of a regular file.
+
+    Raises:
+        DemonstrationError: it is a pipe, a device or a folder, or has more than ``most`` bytes.
+        OSError: it cannot be opened.
+    """
+    try:
+        return read_bytes(path, most)
+    except FileError as error:
+        raise DemonstrationError(str(error)) from error
+
+
+@contextmanager
+def opened_set(path: Path) -> Iterator[BinaryIO]:
+    """A regular file of a data set, open for reading. Errors as of :func:`content_of`."""
+    try:
+        with opened(path, SET_BYTES) as file:
+            yield file
+    except FileError as error:
+        raise DemonstrationError(str(error)) from error
+
+
+def check_count(numbers: int) -> None:
+    """Raise DemonstrationError at more numbers than are read of a data set."""
+    if numbers > NUMBERS:
+        raise DemonstrationError(f"what is read must have at most {NUMBERS} numbers, got {numbers}")
 
 
 @contextmanager

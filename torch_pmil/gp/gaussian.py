@@ -10,6 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+# part of its largest entry by which a covariance may be asymmetric, or an eigenvalue negative
+NEGLIGIBLE = 1e-5
+
 
 class NotPositiveDefiniteError(ValueError):
     """A matrix that must be positive definite has no Cholesky factor.
@@ -52,6 +55,59 @@ def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> st
         f"{name} must be positive definite, got eigenvalues from {eigenvalues[0]:.3g} to "
         f"{eigenvalues[-1]:.3g}{where}"
     )
+
+
+def check_belief(belief: Gaussian, name: str, like: Tensor, floor: Tensor | float = 0.0) -> None:
+    """Refuse a belief that is none, before anything is computed from it.
+
+    Args:
+        belief: any batch shape; its covariance may be singular or zero, and its eigenvalues
+            negative and its triangles unequal by rounding.
+        name: of the belief, for the error.
+        like: a tensor with the dtype that mean and covariance must have.
+        floor: a variance that does not count.
+
+    Raises:
+        ValueError: an entry of the mean is not finite, or a dtype another one.
+        NotPositiveDefiniteError: the covariance is not finite, not symmetric, or has a clearly
+            negative eigenvalue.
+
+    Example:
+        >>> check_belief(Gaussian(torch.tensor([torch.nan]), torch.eye(1)), "start", torch.ones(1))
+        Traceback (most recent call last):
+        ValueError: mean of start must be finite, got nan in entry (0,)
+    """
+    mean, cov = belief.mean.detach(), belief.cov.detach()
+    if not mean.dtype == cov.dtype == like.dtype:
+        raise ValueError(
+            f"{name} must have mean and covariance of {like.dtype}, got {mean.dtype} and "
+            f"{cov.dtype}"
+        )
+    for part, values, error in (
+        ("mean", mean, ValueError),
+        ("covariance", cov, NotPositiveDefiniteError),
+    ):
+        if not values.isfinite().all():
+            entry = tuple((~values.isfinite()).nonzero()[0].tolist())
+            raise error(f"{part} of {name} must be finite, got {values[entry]} in entry {entry}")
+    if mean.numel():
+        _check_covariance(cov, name, floor)
+
+
+def _check_covariance(cov: Tensor, name: str, floor: Tensor | float) -> None:
+    allowed = NEGLIGIBLE * cov.abs().amax((-2, -1)) + floor
+    difference = (cov - cov.mT).abs().amax((-2, -1))
+    if (difference > allowed).any():
+        raise NotPositiveDefiniteError(
+            f"covariance of {name} must be symmetric, got entries that differ by "
+            f"{difference.max():.3g} from their mirror images"
+        )
+    values = torch.linalg.eigvalsh(cov)
+    if (values[..., 0] < -allowed).any():
+        element = tuple((values[..., 0] < -allowed).nonzero()[0].tolist())
+        raise NotPositiveDefiniteError(
+            _describe_failure(cov[element], element, f"covariance of {name}"), element
+        )
 
 
 @lru_cache

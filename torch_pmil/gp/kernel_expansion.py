@@ -110,6 +110,13 @@ class KernelExpansion:
         )
 
     @cached_property
+    @torch.no_grad()
+    def self_weights_norm(self) -> Tensor:
+        """Frobenius norms of :attr:`self_weights`, (E,), without a graph: how much may cancel."""
+        assert self.self_weights is not None
+        return torch.linalg.matrix_norm(self.self_weights)
+
+    @cached_property
     def prior_cov(self) -> Tensor:
         """Prior covariance of the outputs at one input, (E, E)."""
         return torch.diag_embed(self.signal_variance)
@@ -246,8 +253,11 @@ class KernelExpansion:
                 units of the targets.
 
         Raises:
+            ValueError: shapes or dtypes do not fit, an entry is not finite, a lengthscale or a
+                signal variance is not positive, or a noise variance negative.
             NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
         """
+        _check_data(inputs, targets, lengthscales, signal_variance, noise_variance, offset)
         scaled = (inputs - inputs.mean(-2, keepdim=True)) / lengthscales[:, None, :]
         half_square = scaled.square().sum(-1, keepdim=True) / -2
         one = torch.ones_like(half_square)
@@ -268,6 +278,45 @@ class KernelExpansion:
             weights = torch.einsum("ea,an->ean", own, weights).flatten(1)
             inverse = torch.einsum("ea,eb,anm->eanbm", own, own, inverse).flatten(3).flatten(1, 2)
         return cls(inputs, weights, lengthscales, signal_variance, inverse, noise_variance, offset)
+
+
+def _check_data(
+    inputs: Tensor,
+    targets: Tensor,
+    lengthscales: Tensor,
+    signal_variance: Tensor,
+    noise_variance: Tensor,
+    offset: Tensor | float,
+) -> None:
+    E, n = targets.shape if targets.ndim == 2 else (1, 0)
+    D = inputs.shape[-1] if inputs.ndim else 0
+    expected = {
+        "inputs": (inputs, (E, n, D) if inputs.ndim == 3 else (n, D)),
+        "targets": (targets, (E, n)),
+        "lengthscales": (lengthscales, (E, D)),
+        "signal_variance": (signal_variance, (E,)),
+        "noise_variance": (noise_variance, (E,)),
+    }
+    for name, (values, shape) in expected.items():
+        if values.shape != shape or values.numel() == 0:
+            raise ValueError(
+                f"{name} must have shape {shape} and not be empty, got {tuple(values.shape)}"
+            )
+        if values.dtype != inputs.dtype or not values.is_floating_point():
+            raise ValueError(
+                f"{name} must be a float like inputs ({inputs.dtype}), got {values.dtype}"
+            )
+        if not values.isfinite().all():
+            raise ValueError(f"{name} must be finite, got {values[~values.isfinite()][0].item()}")
+    if not torch.as_tensor(offset).isfinite().all():
+        raise ValueError(f"offset must be finite, got {offset}")
+    for name, (values, _) in list(expected.items())[2:4]:
+        if not (values > 0).all():
+            raise ValueError(f"{name} must be positive, got {values.min().item():.3g}")
+    if not (noise_variance >= 0).all():
+        raise ValueError(
+            f"noise_variance must not be negative, got {noise_variance.min().item():.3g}"
+        )
 
 
 def _check_model(model: gpytorch.models.ExactGP) -> None:

@@ -93,6 +93,11 @@ class GPDynamics(nn.Module):
         super().__init__()
         if targets not in ("difference", "successor"):
             raise ValueError(f'targets must be "difference" or "successor", got {targets!r}')
+        if num_inputs < 1 or num_outputs < 1:
+            raise ValueError(
+                f"the model must have at least one input and one output, got {num_inputs} and "
+                f"{num_outputs}"
+            )
         self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, targets
         self.gp = _BatchGP(
             torch.zeros(num_outputs, 1, num_inputs), torch.zeros(num_outputs, 1)
@@ -156,10 +161,13 @@ class GPDynamics(nn.Module):
             max_iterations: limit of L-BFGS for each start.
 
         Raises:
-            ValueError: shapes do not fit, or an entry is not finite, or fewer than two data.
+            ValueError: shapes do not fit, an entry is not finite or not real, fewer than two data,
+                or no iteration.
             NotPositiveDefiniteError, NotFiniteError: the likelihood of an output has no value at
                 any start.
         """
+        if max_iterations < 1:
+            raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
         start_time = time.perf_counter()
         fitted = len(self.train_inputs) > 0
         self.set_data(inputs, targets)
@@ -228,6 +236,8 @@ class GPDynamics(nn.Module):
                 f"n >= 2, got {tuple(inputs.shape)} and {tuple(targets.shape)}"
             )
         for name, values in (("inputs", inputs), ("targets", targets)):
+            if values.is_complex() or values.dtype == torch.bool:
+                raise ValueError(f"{name} must be real numbers, got {values.dtype}")
             if not values.isfinite().all():
                 row, column = (~values.isfinite()).nonzero()[0].tolist()
                 raise ValueError(

@@ -30,6 +30,8 @@ class Experience:
     """
 
     def __init__(self, capacity: int, folder: Path | str | None = None) -> None:
+        if capacity < 1:
+            raise ValueError(f"capacity must be at least 1 transition, got {capacity}")
         storage = LazyMemmapStorage(capacity, scratch_dir=folder, existsok=True)
         self.buffer = TensorDictReplayBuffer(storage=storage, batch_size=capacity)
         self.capacity = capacity

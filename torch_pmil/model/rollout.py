@@ -9,7 +9,13 @@ from torch import Tensor
 
 from torch_pmil.control.rbf_policy import Controller, Policy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, joint, symmetric
+from torch_pmil.gp.gaussian import (
+    Gaussian,
+    NotPositiveDefiniteError,
+    check_belief,
+    joint,
+    symmetric,
+)
 from torch_pmil.gp.moment_derivatives import RecordedMoments
 from torch_pmil.gp.moment_matching import Moments, moment_match
 from torch_pmil.model.dynamics import GPDynamics, Targets
@@ -111,9 +117,20 @@ def predict_trajectory(
         A Gaussian of mean (*batch, T, D); differentiable in the policy.
 
     Raises:
+        ValueError: ``initial`` has another dtype or number of entries than the state, or a mean
+            that is not finite, or there is no step.
         PredictionError: names the time step and the matrix that has no Cholesky factor, or the
             state that is not finite.
     """
+    try:
+        check_belief(initial, "initial", dynamics.train_inputs)
+    except NotPositiveDefiniteError as error:
+        raise PredictionError(f"prediction of step 1 of {horizon} failed: {error}", 1) from error
+    if initial.dim != space.dim or horizon < 1:
+        raise ValueError(
+            f"initial must be over the {space.dim} entries of the state and horizon at least 1, "
+            f"got {initial.dim} entries and {horizon}"
+        )
     controller = policy.controller
     step = _MomentStep(controller, dynamics, space, observation_noise, horizon)
     start = Gaussian(initial.mean, symmetric(initial.cov)).flattened.flat

@@ -56,6 +56,27 @@ class SearchSettings:
     skip_matched_steps: bool = True
     restarts: int = 0
 
+    def __post_init__(self) -> None:
+        least = {
+            "mean_iterations": 0,
+            "stage_iterations": 0,
+            "final_iterations": 0,
+            "first_horizon": 1,
+            "horizon_step": 1,
+            "restarts": 0,
+        }
+        for name, bound in least.items():
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or value < bound:
+                raise ValueError(f"{name} must be an integer of at least {bound}, got {value!r}")
+        threshold, skip = self.trust_threshold, self.skip_matched_steps
+        if isinstance(threshold, bool) or not isinstance(threshold, (int, float)):
+            raise ValueError(f"trust_threshold must be a number, got {threshold!r}")
+        if not threshold >= 0:  # nor NaN
+            raise ValueError(f"trust_threshold must not be negative, got {threshold!r}")
+        if not isinstance(skip, bool):
+            raise ValueError(f"skip_matched_steps must be true or false, got {skip!r}")
+
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:

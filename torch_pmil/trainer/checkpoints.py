@@ -8,10 +8,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from zipfile import BadZipFile, ZipFile
 
 import torch
 from torchrl.checkpoint import Checkpoint, CheckpointError, CheckpointRotation, GlobalRNGState
+
+from torch_pmil.trainer.archive import SavedRun, read_archive
 
 KEPT = 2  # number of checkpoints of a run that are kept
 
@@ -31,14 +32,26 @@ class GeneratorState:
         self.generator.set_state(state_dict["state"])
 
 
+class RunRotation(CheckpointRotation):
+    """TorchRL's rotation, which opens no file but a checkpoint: others stay and do not count."""
+
+    def prune(self) -> tuple[Path, ...]:
+        """Remove all undamaged checkpoints but the newest ones; return what was removed."""
+        undamaged = [path for path in saved_checkpoints(self) if _read(path)[0]]
+        removed = undamaged[self.keep_last :]
+        for path in removed:
+            path.unlink()
+        return tuple(removed)
+
+
 def new_checkpoint() -> Checkpoint:
     """An archive whose parts have checksums, with the global random generators in it."""
     return Checkpoint(format="archive", rng=GlobalRNGState())
 
 
-def rotation_in(folder: Path | str) -> CheckpointRotation:
+def rotation_in(folder: Path | str) -> RunRotation:
     """Rotation that keeps the newest checkpoints of a run in this folder."""
-    return CheckpointRotation(folder, keep_last=KEPT)
+    return RunRotation(folder, keep_last=KEPT)
 
 
 def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:
@@ -46,8 +59,8 @@ def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:
     return sorted(rotation.directory.glob(f"{rotation.prefix}-*.torchrl"), reverse=True)
 
 
-def newest_undamaged(rotation: CheckpointRotation) -> Path | None:
-    """The newest checkpoint of which every byte can be read, or None if there is no checkpoint.
+def newest_undamaged(rotation: CheckpointRotation) -> SavedRun | None:
+    """The newest checkpoint that holds what a trainer writes, or None if there is no checkpoint.
 
     There is a warning for each newer, damaged one.
 
@@ -56,9 +69,9 @@ def newest_undamaged(rotation: CheckpointRotation) -> Path | None:
     """
     paths = saved_checkpoints(rotation)
     for path in paths:
-        problem = damage(path)
-        if problem is None:
-            return path
+        saved, problem = _read(path)
+        if saved is not None:
+            return saved
         warnings.warn(
             f"checkpoint {path} is damaged ({problem}): the one before it is taken",
             RuntimeWarning,
@@ -69,12 +82,9 @@ def newest_undamaged(rotation: CheckpointRotation) -> Path | None:
     return None
 
 
-def damage(path: Path) -> str | None:
-    """Description of what is wrong with a checkpoint's file, or None."""
+def _read(path: Path) -> tuple[SavedRun | None, str]:
+    """What a checkpoint holds, or None and what is wrong with it."""
     try:
-        with ZipFile(path) as archive:
-            broken = archive.testzip()
-        Checkpoint.manifest(path)
-    except (BadZipFile, CheckpointError, OSError, ValueError, NotImplementedError) as error:
-        return str(error)
-    return None if broken is None else f"{broken} fails its checksum"
+        return read_archive(path), ""
+    except (CheckpointError, OSError) as error:
+        return None, str(error)

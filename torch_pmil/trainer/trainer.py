@@ -15,7 +15,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
-from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.checkpoint import CheckpointError, CheckpointRotation
 from torchrl.envs import EnvBase
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
@@ -27,8 +27,10 @@ from torch_pmil.model.experience import Experience
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.archive import SavedRun
 from torch_pmil.trainer.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
+from torch_pmil.trainer.restoring import check_motion, check_run, check_state
 from torch_pmil.trainer.search_stepper import PolicySearchStepper
 from torch_pmil.trainer.trials import Candidate, Trial, success_rate
 
@@ -146,21 +148,37 @@ class PMILTrainer(Trainer):
         """Wall time since the run began, including the time before a resumption, s."""
         return time.perf_counter() - self._begun
 
-    def resume(self) -> Path | None:
-        """Go on from the newest undamaged checkpoint and return its path, or None if there is none.
+    def resume(self, saved: SavedRun | None = None) -> Path | None:
+        """Go on from a checkpoint and return its path, or None if there is none.
 
-        There is a warning for a damaged one.
+        Nothing that it carries is executed, and all of it is checked before it is loaded.
+
+        Args:
+            saved: what it holds; None for the newest undamaged one. There is a warning for a
+                damaged one.
 
         Raises:
             CheckpointError: all checkpoints are damaged, or the newest is of another kind of run.
         """
-        path = newest_undamaged(self.rotation)
-        if path is not None:
-            saved = Checkpoint.manifest(path)["components"]
-            new = self._sync_checkpoint_components().components.keys() - saved.keys()
-            # a logger may begin at any time
-            self.load_from_file(path, strict="ignore" if new == {"logger"} else "error")
-        return path
+        saved = saved or newest_undamaged(self.rotation)
+        if saved is None:
+            return None
+        components = self._sync_checkpoint_components().components
+        try:
+            self._check(components, saved.states)
+        except (ValueError, TypeError, LookupError, RuntimeError) as error:
+            reason = " ".join(str(error).split())
+            raise CheckpointError(f"checkpoint {saved.path}: {reason}") from error
+        for name in sorted(components.keys() & saved.states.keys()):
+            try:
+                components[name].load_state_dict(saved.states[name])
+            except Exception as error:  # parts of TorchRL fail at other states with any type
+                reason = " ".join(str(error).split()) or type(error).__name__
+                raise CheckpointError(
+                    f"checkpoint {saved.path}: component {name} does not fit: {reason}"
+                ) from error
+        self.collector.update_policy_weights_()
+        return saved.path
 
     def train(self) -> None:
         """Run Algorithm 1 to its end."""
@@ -200,6 +218,19 @@ class PMILTrainer(Trainer):
             return self.loss_module.per_step(self.initial).sum().item()
         except PredictionError:
             return float("inf")
+
+    def _check(self, components: Mapping[str, Any], saved: Mapping[str, Any]) -> None:
+        """Raise StateError or PolicyFileError unless saved states fit this trainer's components."""
+        check_run({name: part.state_dict() for name, part in components.items()}, saved)
+        env = self.collector.env
+        widths = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
+        experience, latest = saved["trainer_module.experience"], saved["collector"]["latest"]
+        if experience["count"]:
+            count = (experience["count"],)
+            check_motion("experience", count, experience["transitions"], *widths)
+        if latest is not None:
+            check_state("collector.latest", {"entries": {}, "shape": []}, latest)
+            check_motion("collector.latest", latest["shape"], latest["entries"], *widths)
 
     def _register_state(
         self, policy_generator: torch.Generator, generator: torch.Generator

@@ -81,7 +81,7 @@ def test_damaged_metrics_are_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("summary", "complaint"),
     [
-        ("{", "summary.json is damaged: Expecting"),
+        ("{", "summary.json is damaged: must be JSON, got Expecting"),
         ("[1]", "summary.json is damaged"),
         ({"seed": 0}, "summary.json has no 'trials'"),
         (make_run(5.0), "summary.json is damaged: it has no trial"),
@@ -132,7 +132,9 @@ def test_damaged_summary_is_named_with_its_folder_in_one_line(
 def test_summary_that_is_a_folder_is_named(tmp_path: Path) -> None:
     run = write_run(tmp_path / "seed_0", None)
     (run / "summary.json").mkdir()
-    with pytest.raises(RunError, match=f"{run}: cannot read summary.json: Is a directory"):
+    with pytest.raises(
+        RunError, match=r"summary\.json is damaged: must be a regular file .* a folder"
+    ):
         read_summary(run)
 
 

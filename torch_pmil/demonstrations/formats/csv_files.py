@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_pmil.demonstrations.errors import DemonstrationError, readable, within
+from torch_pmil.demonstrations.errors import (
+    TEXT_BYTES,
+    DemonstrationError,
+    content_of,
+    readable,
+    within,
+)
 from torch_pmil.demonstrations.formats.entries import choose, natural_order
 from torch_pmil.demonstrations.recordings import Recordings
 
@@ -66,8 +73,10 @@ def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
 
 def _file(path: Path, leading: tuple[str, ...]) -> tuple[list[str], list[_Row]]:
     """Header and rows of a file whose header begins with those names."""
-    with path.open(newline="", encoding="utf-8-sig") as file, readable("CSV file", csv.Error):
-        lines = list(csv.reader(file, strict=True))
+    content = content_of(path, TEXT_BYTES)
+    with readable("CSV file", csv.Error):
+        text = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline="")
+        lines = list(csv.reader(text, strict=True))
     header = [cell.strip() for cell in lines[0]] if lines else []
     if tuple(header[: len(leading)]) != leading or all(
         name.startswith(TARGET_PREFIX) for name in header[len(leading) :]

@@ -10,9 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from torch_pmil.demonstrations.errors import DemonstrationError, optional, readable
+from torch_pmil.demonstrations.errors import (
+    DemonstrationError,
+    check_count,
+    opened_set,
+    optional,
+    readable,
+)
 from torch_pmil.demonstrations.formats.entries import choose, columns_of, names_of, natural_order
 from torch_pmil.demonstrations.recordings import Recordings
+from torch_pmil.files import read_json
 
 
 class _Layout(NamedTuple):
@@ -46,7 +53,7 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
     """
     path = _main_file(path) if path.is_dir() else path
     h5py = optional("h5py")
-    with path.open("rb") as file, readable("HDF5 file"), h5py.File(file) as content:
+    with opened_set(path) as file, readable("HDF5 file"), h5py.File(file) as content:
         layout = _layout(content)
         root = content[layout.root]
         labels = sorted(
@@ -57,6 +64,7 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
         groups = {key: names_of(key, data.shape) for key, data in observed[0].items()}
         entries = choose(groups, keys, _only(observed[0]))
         needed = sorted({entry.key for entry in entries})
+        check_count(sum(one[key].size for one in observed for key in needed if key in one))
         arrays = [
             _arrays(label, data, needed, observed[0])
             for label, data in zip(labels, observed, strict=True)
@@ -76,7 +84,7 @@ def _main_file(folder: Path) -> Path:
     """The file of a Minari data set."""
     folder = folder / "data" if (folder / "data").is_dir() else folder
     with readable("Minari data set"):
-        metadata = json.loads((folder / "metadata.json").read_text())
+        metadata = read_json(folder / "metadata.json")
     kept = metadata.get("data_format") if isinstance(metadata, dict) else None
     if kept != "hdf5":
         raise DemonstrationError(f"data_format of a Minari data set must be hdf5, got {kept}")

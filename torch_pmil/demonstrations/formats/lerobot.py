@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -11,9 +10,17 @@ from typing import Any
 import numpy as np
 import torch
 
-from torch_pmil.demonstrations.errors import DemonstrationError, optional, readable, within
+from torch_pmil.demonstrations.errors import (
+    DemonstrationError,
+    check_count,
+    opened_set,
+    optional,
+    readable,
+    within,
+)
 from torch_pmil.demonstrations.formats.entries import choose, columns_of, names_of, natural_order
 from torch_pmil.demonstrations.recordings import Recordings
+from torch_pmil.files import read_json
 
 OBSERVED = "observation"  # how the names of columns begin that may be read; no actions
 # s, by which LeRobot's timestamps, single precision, may be off the rate that its data set states
@@ -61,7 +68,7 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
 
 def _info(folder: Path) -> dict[str, Any]:
     with readable("LeRobot data set"):
-        info = json.loads((folder / "meta" / "info.json").read_text())
+        info = read_json(folder / "meta" / "info.json")
     fps = info.get("fps") if isinstance(info, dict) else None
     if (
         not isinstance(fps, int | float)
@@ -84,7 +91,7 @@ def _read(file: Path, root: Path) -> dict[str, np.ndarray]:
 def _table(file: Path) -> Any:
     pyarrow, parquet = optional("pyarrow"), optional("pyarrow.parquet")
     with (
-        file.open("rb") as opened,
+        opened_set(file) as opened,
         readable("Parquet file", pyarrow.ArrowException),
         parquet.ParquetFile(opened) as content,
     ):
@@ -99,7 +106,17 @@ def _table(file: Path) -> Any:
             for name in schema.names
             if name.startswith(OBSERVED) and _is_numeric(pyarrow.types, schema.field(name).type)
         ]
+        check_count(_size(content.metadata, ("episode_index", "timestamp", *observed)))
         return content.read(columns=["episode_index", "timestamp", *observed])
+
+
+def _size(metadata: Any, columns: Sequence[str]) -> int:
+    """Numbers that a file says it has in some columns."""
+    groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+    chunks = (group.column(index) for group in groups for index in range(group.num_columns))
+    return sum(
+        chunk.num_values for chunk in chunks if chunk.path_in_schema.split(".list.")[0] in columns
+    )
 
 
 def _is_numeric(types: Any, kind: Any) -> bool:

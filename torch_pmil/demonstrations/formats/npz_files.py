@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import tokenize
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,9 +12,10 @@ import numpy as np
 import torch
 
 from torch_pmil.demonstrations.dataset import Demonstrations
-from torch_pmil.demonstrations.errors import DemonstrationError, readable
+from torch_pmil.demonstrations.errors import FILE_BYTES, DemonstrationError, content_of, readable
 from torch_pmil.demonstrations.formats.entries import choose
 from torch_pmil.demonstrations.recordings import Recordings
+from torch_pmil.files import read_zip
 
 
 def read_npz(path: Path, keys: Sequence[str] = ()) -> Recordings:
@@ -37,13 +37,14 @@ def read_npz(path: Path, keys: Sequence[str] = ()) -> Recordings:
 
 def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
     """The demonstrations of an NPZ file; of their entries those that keys name, if any."""
-    failures = (zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError)
-    with (
-        path.open("rb") as file,
-        readable("NPZ file without object arrays", *failures),
-        np.load(file, allow_pickle=False) as archive,
-    ):
-        arrays = {name: archive[name] for name in archive.files}
+    content = content_of(path)
+    with readable("NPZ file without object arrays", struct.error, tokenize.TokenError):
+        members = read_zip(content, FILE_BYTES, stored=False)
+        arrays = {
+            name.removesuffix(".npy"): _array(member)
+            for name, member in members.items()
+            if name.endswith(".npy")
+        }
     _check(arrays)
     names, targets = arrays["names"].tolist(), arrays.get("targets")
     columns: slice | list[int] = slice(None)
@@ -57,6 +58,14 @@ def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
         None if targets is None else torch.from_numpy(targets),
         tuple(arrays.get("target_names", ())),
     )
+
+
+def _array(content: bytes) -> np.ndarray:
+    """An array of what NumPy wrote, no larger than its bytes."""
+    array = np.load(io.BytesIO(content), allow_pickle=False)
+    if not isinstance(array, np.ndarray):
+        raise ValueError("an array must be in NumPy's format")
+    return array
 
 
 def _check(arrays: dict[str, np.ndarray]) -> None:

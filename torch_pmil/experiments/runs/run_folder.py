@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import platform
 import shutil
@@ -20,7 +19,7 @@ from torchrl.record.loggers import Logger, get_logger
 from torchrl.record.loggers.mlflow import MLFlowLogger
 
 from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.files import replacing, write_json
+from torch_pmil.files import read_json, replacing, write_json
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.trials import Measurement
 
@@ -53,7 +52,7 @@ def read_command(folder: Path) -> str:
         OSError: the folder has none.
     """
     try:
-        return str(json.loads((folder / "run.json").read_text())["command"])
+        return str(read_json(folder / "run.json")["command"])
     except (ValueError, KeyError, TypeError) as error:
         raise RunError(f"{folder}: run.json is damaged: {error}") from error
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import json
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 from scipy.stats import norm
+
+from torch_pmil.files import read_json, read_text
 
 CONFIDENCE = 0.95
 ROUNDING = 1e-9  # of a mean of rates
@@ -86,7 +88,7 @@ def read_summary(folder: Path) -> dict:
         RunError: it cannot be read, or lacks something, or has it wrong.
     """
     try:
-        summary = json.loads((folder / "summary.json").read_text())
+        summary = read_json(folder / "summary.json")
         _check_summary(summary)
     except OSError as error:
         raise RunError(f"{folder}: cannot read summary.json: {error.strerror}") from error
@@ -126,8 +128,7 @@ def count_trials(folder: Path) -> int:
         RunError: it cannot be read.
     """
     try:
-        with (folder / "metrics.csv").open(newline="") as file:
-            return sum(1 for _ in csv.DictReader(file))
+        return sum(1 for _ in csv.DictReader(io.StringIO(read_text(folder / "metrics.csv"))))
     except (OSError, ValueError, csv.Error) as error:
         raise RunError(f"{folder}: metrics.csv is damaged: {error}") from error
 

@@ -13,7 +13,7 @@ from statistics import fmean
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.checkpoint import CheckpointRotation
 from torchrl.record.loggers import Logger
 
 from torch_pmil.control.policy_file import save_policy
@@ -37,7 +37,8 @@ from torch_pmil.files import write_json
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.trainer.checkpoints import rotation_in
+from torch_pmil.trainer.archive import SavedRun
+from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Candidate, Trial, success_rate
 
@@ -111,8 +112,9 @@ def train(
         raise ValueError(f"logger must be one of {', '.join(LOGGERS)} or null, got {logger}")
     source = provenance(command)
     rotation = rotation_in(out / "checkpoints")
+    saved = None
     if resume:
-        _check_same_run(rotation, _identity(experiment, seed))
+        saved = _same_run(rotation, _identity(experiment, seed))
     else:
         clear_folder(out)
     (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
@@ -125,8 +127,8 @@ def train(
 
     opened = None if logger is None else open_logger(logger, out, experiment.name, seed)
     trainer = make_trainer(experiment, seed, trials, progress_bar, record, opened, rotation)
-    if resume:
-        trainer.resume()
+    if saved is not None:
+        trainer.resume(saved)
     write_metrics(out / "metrics.csv", Trial, trainer.trials)
     trainer.train()
     best = trainer.best_policy()
@@ -169,16 +171,19 @@ def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
     return json.loads(json.dumps({**identity, **experiment.settings}))
 
 
-def _check_same_run(rotation: CheckpointRotation, identity: dict[str, object]) -> None:
-    if rotation.latest() is None:
-        return
-    saved = Checkpoint.manifest(rotation.latest())["metadata"]
+def _same_run(rotation: CheckpointRotation, identity: dict[str, object]) -> SavedRun | None:
+    """The checkpoint to go on from, if there is one, or ValueError if it is of another run."""
+    saved = newest_undamaged(rotation)
+    if saved is None:
+        return None
     for name, value in identity.items():
-        if saved.get(name) != value:
+        if saved.metadata.get(name) != value:
+            found = " ".join(str(saved.metadata.get(name)).split())
             raise ValueError(
-                f"the run in {rotation.directory} has {name} = {saved.get(name)}, got {value}: it "
+                f"the run in {rotation.directory} has {name} = {found[:200]}, got {value}: it "
                 "cannot go on so"
             )
+    return saved
 
 
 def make_trainer(

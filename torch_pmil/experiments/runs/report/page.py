@@ -12,8 +12,9 @@ from torch_pmil.experiments.runs.report.captions import Caption, caption_of, pla
 from torch_pmil.experiments.runs.report.tables import tables
 from torch_pmil.experiments.runs.report.words import headline, next_steps, percent, say
 from torch_pmil.experiments.runs.summaries import RunError, read_summary
-from torch_pmil.files import replacing
+from torch_pmil.files import MIB, FileError, read_bytes, replacing
 
+MEDIA_BYTES = 64 * MIB  # of a figure or video, some 100 kB
 PNG = b"\x89PNG\r\n\x1a\n"
 DENSITY = 1.5  # pixels of a picture to one of the page, as it is shown
 DENSEST = 2.8  # the most of them with which its text can still be read
@@ -72,7 +73,7 @@ def write_report(folder: Path | str) -> Path:
         summary=summary,
         headline=headline(summary),
         pictures=_pictures(folder, summary),
-        video=_encoded(folder / "video.mp4") if (folder / "video.mp4").exists() else None,
+        video=_encoded(_content(folder / "video.mp4")) if (folder / "video.mp4").exists() else None,
         tables=list(tables(summary)),
         steps=list(next_steps(summary, folder)),
     )
@@ -97,19 +98,25 @@ def _pictures(folder: Path, summary: dict) -> list[Picture]:
     """All figures, in the order of the page."""
     targets = list(summary.get("saved_success_rate_by_target", {}))
     paths = sorted((folder / "figures").glob("*.png"), key=lambda path: place_of(path.stem))
-    return [
-        Picture(caption_of(path.stem, targets), _pixels(path), _encoded(path)) for path in paths
-    ]
+    return [Picture(caption_of(path.stem, targets), *_pixels_and_text(path)) for path in paths]
 
 
-def _pixels(path: Path) -> tuple[int, int]:
-    """Width and height of a PNG file."""
-    with path.open("rb") as file:
-        head = file.read(24)
+def _pixels_and_text(path: Path) -> tuple[tuple[int, int], str]:
+    """Width and height of a PNG file, and its bytes as text."""
+    content = _content(path)
+    head = content[:24]
     if len(head) < 24 or not head.startswith(PNG):
         raise RunError(f"{path} must be a PNG file, got one that begins with {head[:8]!r}")
-    return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    size = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    return size, _encoded(content)
 
 
-def _encoded(path: Path) -> str:
-    return base64.b64encode(path.read_bytes()).decode()
+def _content(path: Path) -> bytes:
+    try:
+        return read_bytes(path, MEDIA_BYTES)
+    except FileError as error:
+        raise RunError(f"{path}: {error}") from error
+
+
+def _encoded(content: bytes) -> str:
+    return base64.b64encode(content).decode()

@@ -1,0 +1,472 @@
+"""A checkpoint that somebody changed executes nothing, fills no memory and makes nothing wait."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import shutil
+import time
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import NonTensorData, TensorDict
+from torchrl.checkpoint import Checkpoint, CheckpointError, GlobalRNGState
+
+from tests.helpers.hostile import Trap, damaged, members_of, write_members
+from tests.helpers.short_run import SEED, TRIALS, quick_fits, run, short_experiment, stop_in
+from torch_pmil.experiments.runs.training import make_trainer
+from torch_pmil.trainer.archive import read_archive
+from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in, saved_checkpoints
+from torch_pmil.trainer.trainer import PMILTrainer
+
+Members = dict[str, bytes]
+RNG, LOSS, POLICY = "components/0003-rng", "components/0001-loss_module", "components/0002-policy"
+COLLECTOR, PROGRESS = "components/0000-collector", "components/0009-trainer_module.progress"
+EXPERIENCE = "components/0005-trainer_module.experience"
+SECONDS = 5
+
+
+class Stopped(BaseException):
+    """As sudden as a kill, inside one process."""
+
+
+def stop() -> None:
+    raise Stopped
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        quick_fits(patch)
+        yield
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that was stopped in the search of its second trial."""
+    folder = tmp_path_factory.mktemp("runs") / "stopped"
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
+        stop_in(patch, "search", 10, stop)
+        run(folder)
+    return folder
+
+
+@pytest.fixture
+def folder(stopped: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(stopped, tmp_path / "run")
+
+
+@pytest.fixture
+def path(folder: Path) -> Path:
+    """The newest checkpoint."""
+    return saved_checkpoints(rotation_in(folder / "checkpoints"))[0]
+
+
+def new_trainer(folder: Path) -> PMILTrainer:
+    rotation = rotation_in(folder / "checkpoints")
+    return make_trainer(short_experiment(), SEED, TRIALS, False, lambda trial: None, None, rotation)
+
+
+def problem_of(path: Path) -> str:
+    """The one line with which an archive is refused."""
+    with pytest.raises(CheckpointError) as error:
+        read_archive(path)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def assert_falls_back(folder: Path, problem: str) -> None:
+    """The checkpoint before the newest is taken, with a warning of what is wrong with that one."""
+    rotation = rotation_in(folder / "checkpoints")
+    newest, older = saved_checkpoints(rotation)
+    with pytest.warns(RuntimeWarning, match=f"{newest.name} is damaged .*{problem}.*: the one be"):
+        saved = newest_undamaged(rotation)
+    assert saved is not None
+    assert saved.path == older
+
+
+def misfit_of(path: Path) -> str:
+    """The one line with which a readable archive is refused by a trainer that it does not fit."""
+    trainer, saved = new_trainer(path.parents[1]), read_archive(path)
+    with pytest.raises(CheckpointError) as error:
+        trainer.resume(saved)
+    assert "\n" not in str(error.value)
+    return str(error.value).removeprefix(f"checkpoint {path}: ")
+
+
+def changed(path: Path, change: Callable[[Members], object]) -> None:
+    members = members_of(path)
+    change(members)
+    write_members(path, members)
+
+
+def edit(members: Members, name: str, change: Callable[[dict], object]) -> None:
+    """Change a member of JSON."""
+    content = json.loads(members[name])
+    change(content)
+    members[name] = json.dumps(content).encode()
+
+
+def add(members: Members, component: str, name: str, content: bytes) -> None:
+    """Add a member, in the manifest too."""
+    members[f"{component}/{name}"] = content
+
+    def list_it(manifest: dict) -> None:
+        for record in manifest["components"].values():
+            if record["path"] == component and name not in record["files"]:
+                record["files"].append(name)
+
+    edit(members, "manifest.json", list_it)
+
+
+def saved_by_tensordict(data: TensorDict, folder: Path) -> Members:
+    data.memmap_(folder)
+    return {
+        file.relative_to(folder).as_posix(): file.read_bytes()
+        for file in folder.rglob("*")
+        if file.is_file()
+    }
+
+
+@pytest.mark.parametrize("place", ["sidecar", "top", "unlisted"])
+def test_pickle_in_a_checkpoint_is_refused_and_not_executed(
+    place: str, folder: Path, path: Path, tmp_path: Path
+) -> None:
+    """TorchRL executes it, unless the manifest does not list it."""
+    mark, top = tmp_path / "sprung", NonTensorData(Trap(tmp_path / "sprung"))
+    trap = top if place == "top" else TensorDict({"extra": top}, [])
+    files = saved_by_tensordict(trap, tmp_path / "trap")
+    assert any(name.endswith("other.pickle") for name in files)
+
+    def spring(members: Members) -> None:
+        for name, content in files.items():
+            if place == "unlisted":
+                members[f"{RNG}/state/{name}"] = content
+            elif name != "meta.json" or place == "top":
+                add(members, RNG, f"state/{name}", content)
+        if place == "sidecar":
+            entry = json.loads(files["meta.json"])["extra"]
+            edit(members, f"{RNG}/state/meta.json", lambda meta: meta.update(extra=entry))
+
+    changed(path, spring)
+    if place != "unlisted":
+        with warnings.catch_warnings(), suppress(CheckpointError):  # executed in any case
+            warnings.simplefilter("ignore")
+            Checkpoint(rng=GlobalRNGState()).load(path, components=["rng"])
+        assert mark.exists()
+        mark.rmdir()
+    assert RNG in problem_of(path)
+    with pytest.warns(RuntimeWarning, match=f"{path.name} is damaged .*: the one before it"):
+        run(folder, resume=True)
+    assert not mark.exists()
+
+
+def test_type_of_a_folder_must_be_that_of_tensors_alone(path: Path) -> None:
+    kind = "<class 'tensordict.tensorclass.NonTensorData'>"
+    changed(
+        path,
+        lambda members: edit(
+            members, f"{RNG}/state/meta.json", lambda meta: meta.update(_type=kind)
+        ),
+    )
+    assert problem_of(path).startswith(
+        f"{RNG}/state/meta.json, _type must be <class 'tensordict._td"
+    )
+
+
+def test_state_of_torch_is_not_looked_at(path: Path) -> None:
+    changed(path, lambda members: add(members, RNG, "state.pt", b"pickle"))
+    assert "must hold state.json, state/meta.json and tensors, got 'state.pt'" in problem_of(path)
+
+
+@pytest.mark.parametrize("adapter", ["torchrl.dump_load", "torchrl.json", None])
+def test_other_ways_to_load_are_refused(path: Path, adapter: str | None) -> None:
+    changed(
+        path,
+        lambda members: edit(
+            members, "manifest.json", lambda m: m["components"]["rng"].update(adapter=adapter)
+        ),
+    )
+    assert "adapter of component 'rng' must be torchrl.state_dict, got" in problem_of(path)
+
+
+@pytest.mark.parametrize("kind", ["numpy", "path", "bytes", "range", "class", ["dict"], None])
+def test_kinds_that_no_state_has_are_refused(path: Path, kind: object) -> None:
+    changed(path, lambda members: edit(members, f"{RNG}/state.json", lambda s: s.update(kind=kind)))
+    assert problem_of(path).startswith(f"{RNG}/state.json")
+
+
+def test_tensor_in_two_places_is_refused(path: Path) -> None:
+    """Memory would grow with the places."""
+
+    def repeat(schema: dict) -> None:
+        schema["items"] = [schema["items"][1]] * 2
+
+    changed(path, lambda members: edit(members, f"{RNG}/state.json", repeat))
+    assert problem_of(path) == f"{RNG}/state.json must be a state, got KeyError"
+
+
+@pytest.mark.parametrize(
+    "shape", [[-1], [10**12, 10**12], [5055], [1.5], [True], "5056", [[5056]], [1] * 100]
+)
+def test_shape_that_is_not_that_of_the_bytes_is_refused(path: Path, shape: object) -> None:
+    changed(
+        path,
+        lambda members: edit(
+            members, f"{RNG}/state/meta.json", lambda m: m["tensor_00000000"].update(shape=shape)
+        ),
+    )
+    assert "tensor_00000000" in problem_of(path)
+
+
+def test_endless_member_is_refused_before_it_is_unpacked(path: Path) -> None:
+    members = members_of(path)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+        with archive.open(f"{RNG}/state/tensor_00000002.memmap", "w") as file:
+            for _ in range(600):
+                file.write(bytes(2**20))
+    assert path.stat().st_size < 4 * 2**20
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert problem_of(path).startswith("members must be stored as they are, got 'components/")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 64 * 2**10  # KiB
+
+
+def test_members_that_share_their_bytes_are_refused(path: Path) -> None:
+    """A directory that lists one place of the file many times."""
+    members = members_of(path)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+        largest = max(archive.infolist(), key=lambda member: member.file_size)
+        for number in range(100):
+            twin = zipfile.ZipInfo(f"{RNG}/state/tensor_{number + 2:08d}.memmap")
+            for field in ("header_offset", "CRC", "file_size", "compress_size"):
+                setattr(twin, field, getattr(largest, field))
+            archive.filelist.append(twin)
+    assert problem_of(path).startswith("members must have at most")
+
+
+def test_member_of_the_same_name_is_refused(path: Path) -> None:
+    with zipfile.ZipFile(path, "a") as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        archive.writestr("manifest.json", b"{}")
+    assert problem_of(path) == "must hold each member once, got 'manifest.json' twice"
+
+
+def test_lists_in_lists_without_end_are_refused(path: Path) -> None:
+    deep = b"[" * 100_000
+    changed(path, lambda members: members.update({"manifest.json": deep}))
+    assert problem_of(path) == "manifest.json must be JSON, got lists in lists without end"
+
+
+def make_pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def link_to_zeros(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def make_huge(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(2**40)
+
+
+@pytest.mark.parametrize(
+    ("make", "came"),
+    [
+        (make_pipe, "a pipe"),
+        (link_to_zeros, "a device"),
+        (Path.mkdir, "a folder"),
+        (make_huge, "1048576 MiB"),
+    ],
+)
+def test_what_is_no_file_is_refused_at_once_and_the_run_goes_on(
+    make: Callable[[Path], None], came: str, folder: Path, path: Path
+) -> None:
+    path.unlink()
+    make(path)
+    begun = time.monotonic()
+    assert problem_of(path) == f"must be a regular file of at most 128 MiB, got {came}"
+    assert time.monotonic() - begun < SECONDS
+    assert_falls_back(folder, came)
+
+
+def test_pipe_beside_the_checkpoints_does_not_stop_a_run(folder: Path) -> None:
+    """Old checkpoints are removed, for which TorchRL would open all."""
+    pipe = folder / "checkpoints" / "checkpoint-999999999999.torchrl"
+    os.mkfifo(pipe)
+    with pytest.warns(RuntimeWarning, match="a pipe"):
+        run(folder, resume=True)
+    rotation = rotation_in(folder / "checkpoints")
+    assert len(saved_checkpoints(rotation)) == 1 + rotation.keep_last
+
+
+def test_link_to_a_checkpoint_is_one(path: Path, tmp_path: Path) -> None:
+    shutil.move(path, tmp_path / "elsewhere")
+    path.symlink_to(tmp_path / "elsewhere")
+    assert read_archive(path).metadata["seed"] == SEED
+
+
+ABSENT = object()
+
+
+@pytest.mark.parametrize(
+    "metadata", [ABSENT, None, [], "text", 5, float("nan"), {"seed": float("nan")}], ids=str
+)
+def test_metadata_of_another_kind_is_damage(folder: Path, path: Path, metadata: object) -> None:
+    def replace(manifest: dict) -> None:
+        manifest["metadata"] = metadata
+        if metadata is ABSENT:
+            del manifest["metadata"]
+
+    changed(path, lambda members: edit(members, "manifest.json", replace))
+    assert problem_of(path).startswith("manifest.json")
+    assert_falls_back(folder, "manifest.json")
+
+
+@pytest.mark.parametrize("content", [b"null", b"[]", b'"text"', b"NaN", b"{}", b"", b"\xff"])
+def test_manifest_of_another_kind_is_damage(path: Path, content: bytes) -> None:
+    changed(path, lambda members: members.update({"manifest.json": content}))
+    assert problem_of(path).startswith("manifest.json")
+
+
+def numbers(*values: float) -> bytes:
+    return np.array(values).tobytes()
+
+
+def put(component: str, tensor: int, content: bytes, shape: list[int] | None = None) -> Callable:
+    """A change of a tensor, which may have another shape."""
+
+    def change(members: Members) -> None:
+        key = f"tensor_{tensor:08d}"
+        name = f"{component}/state/{key}.memmap"
+        members[name] = content if shape else content + members[name][len(content) :]
+        if shape:
+            edit(members, f"{component}/state/meta.json", lambda m: m[key].update(shape=shape))
+
+    return change
+
+
+def put_text(component: str, old: str, new: str) -> Callable:
+    def change(members: Members) -> None:
+        text = members[f"{component}/state.json"].decode()
+        assert old in text
+        members[f"{component}/state.json"] = text.replace(old, new, 1).encode()
+
+    return change
+
+
+NAN = numbers(float("nan"))
+MISFITS = [
+    (put(POLICY, 0, NAN), "policy.centres must be finite, got nan"),
+    (
+        put(POLICY, 0, bytes(4 * 6 * 8), [4, 6]),
+        "policy.centres must be torch.float64 of shape (5, 6), got torch.float64 of shape (4, 6)",
+    ),
+    (put(POLICY, 2, numbers(1e4)), "widths must have squares that are positive and finite"),
+    (put(POLICY, 4, numbers(-1.0)), "scale must hold 6 positive numbers"),
+    (put(LOSS, 4, numbers(float("inf"))), "loss_module.actor_network.log_widths must be finite"),
+    (put(LOSS, 7, NAN), "loss_module.dynamics.train_inputs must be finite, got nan"),
+    (
+        put(LOSS, 7, bytes(4 * 7 * 8), [4, 7]),
+        "loss_module.dynamics.train_inputs must be torch.float64 of shape ('n', 8), got",
+    ),
+    (put(COLLECTOR, 0, NAN), "collector.policy_state_dict.module.policy.centres must be finite"),
+    (put(EXPERIENCE, 0, NAN), "experience.observation must be finite, got nan"),
+    (
+        put(EXPERIENCE, 0, bytes(4 * 5 * 8), [4, 5]),
+        "experience.observation must be torch.float64 of shape (8, 4), got torch.float64 of shape",
+    ),
+    (put_text(POLICY, '"weights"', '"heights"'), "policy must hold centres, weights, log_widths"),
+    (put_text(PROGRESS, '"exploring"', '"x"'), "trainer_module.progress must hold exploring"),
+    (
+        put_text(PROGRESS, '"own_error"', '"error"'),
+        "progress.trials[0] must hold trial, experience_s",
+    ),
+    (
+        put_text(PROGRESS, '"value":false', '"value":"no"'),
+        "trainer_module.progress.exploring must be",
+    ),
+    (put_text(RNG, '"value":3}', '"value":9}'), "component rng does not fit: state with version 9"),
+]
+
+
+@pytest.mark.parametrize(("change", "complaint"), MISFITS, ids=[text for _, text in MISFITS])
+def test_what_does_not_fit_the_experiment_is_named(
+    path: Path, change: Callable, complaint: str
+) -> None:
+    changed(path, change)
+    assert misfit_of(path).startswith(complaint)
+
+
+def test_generator_that_would_read_beyond_its_memory_is_refused(path: Path) -> None:
+    def beyond(schema: dict) -> None:
+        numpy = next(item for item in schema["items"] if item[0]["value"] == "numpy")
+        numpy[1]["items"][2]["value"] = 10**6
+
+    changed(path, lambda members: edit(members, f"{RNG}/state.json", beyond))
+    assert misfit_of(path) == "rng.numpy[2] must be 0 to 624, got 1000000"
+
+
+def test_checkpoint_of_this_run_fits(path: Path) -> None:
+    assert new_trainer(path.parents[1]).resume() == path
+
+
+def fuzz(stopped: Path, tmp_path: Path, count: int) -> None:
+    """Resume from a damaged checkpoint: it is refused by name, or what it holds fits."""
+    whole = saved_checkpoints(rotation_in(stopped / "checkpoints"))[0]
+    folder = tmp_path / "checkpoints"
+    folder.mkdir()
+    path, source, refused = folder / whole.name, random.Random(0), 0
+    for number in range(count):
+        shutil.copy(whole, path)
+        kind = damaged(path, source)
+        begun = time.monotonic()
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                new_trainer(tmp_path).resume()
+        except CheckpointError as error:
+            assert "\n" not in str(error), (number, kind)
+            refused += 1
+        assert time.monotonic() - begun < SECONDS, (number, kind)
+    assert refused > count / 2
+    assert os.listdir(tmp_path) == ["checkpoints"]
+
+
+def test_damage_at_random_is_refused_by_name(stopped: Path, tmp_path: Path) -> None:
+    fuzz(stopped, tmp_path, 40)
+
+
+@pytest.mark.slow
+def test_much_damage_at_random_is_refused_by_name(stopped: Path, tmp_path: Path) -> None:
+    fuzz(stopped, tmp_path, 500)
+
+
+def test_newest_undamaged_of_no_folder_is_none(tmp_path: Path) -> None:
+    assert newest_undamaged(rotation_in(tmp_path / "nowhere")) is None
+
+
+def test_saved_state_is_what_was_saved(stopped: Path) -> None:
+    """Bit for bit what TorchRL reads."""
+    path = saved_checkpoints(rotation_in(stopped / "checkpoints"))[0]
+    ours, theirs = new_trainer(stopped), new_trainer(stopped)
+    ours.resume()
+    theirs.load_from_file(path)
+    read, expected = ours.loss_module.state_dict(), theirs.loss_module.state_dict()
+    assert read.keys() == expected.keys()
+    assert all(torch.equal(read[name], expected[name]) for name in read)
+    assert torch.equal(
+        ours.experience.transitions["observation"], theirs.experience.transitions["observation"]
+    )

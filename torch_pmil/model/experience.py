@@ -96,6 +96,23 @@ class Experience:
         )
 
 
+def widened(limits: Tensor, explored: Tensor) -> Tensor:
+    """Limits (D,) that leave at least half of the explored states (n, D), the nearest, to a model.
+
+    Limits that leave half of them stay as they are. Others grow in each entry as far as the nearer
+    half goes, so that a robot whose exploration is faster than a slow or partly still motion has
+    data to learn from. How near a state is, is told by its entry that is farthest beyond its limit.
+
+    Example:
+        >>> explored = torch.tensor([[0.0, 0.1], [0.5, 0.2], [3.0, 0.3], [0.1, 9.0]])
+        >>> widened(torch.tensor([torch.inf, 0.1]), explored), widened(torch.ones(2), explored)
+        (tensor([   inf, 0.2000]), tensor([1., 1.]))
+    """
+    excess = (explored.abs() / limits.clamp(min=torch.finfo(limits.dtype).tiny)).amax(-1)
+    nearer = explored[excess <= excess.median().clamp(min=1)]
+    return torch.maximum(limits, nearer.abs().amax(0))
+
+
 def gp_data(
     states: Tensor, actions: Tensor, successors: Tensor, space: StateSpace, targets: Targets
 ) -> tuple[Tensor, Tensor]:

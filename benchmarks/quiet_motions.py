@@ -2,9 +2,10 @@
 
 Each of five demonstrations begins at the mean start of its robot. ``slow`` moves a joint by 0.3 rad
 and back; ``held`` stays within 1 mm; ``part`` moves the last joint by 0.3 rad to a pose that it
-holds for half of the time, while the others, if any, are exactly still. A rollout succeeds if all that is observed stays within three standard deviations of
-the observation noise of the demonstrated mean; a run has learned if 95 % of the saved policy's
-rollouts from fresh starts do. Runs go on where they were stopped.
+holds for half of the time, while the others, if any, are exactly still. A rollout succeeds if all
+that is observed stays within three standard deviations of the observation noise of the demonstrated
+mean; a run has learned if 95 % of the saved policy's rollouts from fresh starts do. Runs go on
+where they were stopped.
 
 Example:
     python -m benchmarks.quiet_motions --seeds 0 1 2 3 4 --trials 6
@@ -144,7 +145,7 @@ def quiet_demonstrations(task: str, motion: str) -> Demonstrations:
         white = torch.randn(shape, dtype=torch.float64, generator=generator)
         states[..., places] += TREMOR * white
     for place in places:
-        speed = place + 1 if space.names[place + 1].startswith("d") else place + len(places)
+        speed = space.names.index(f"d{space.names[place]}")
         states[..., speed] = torch.gradient(states[..., place], spacing=period, dim=-1)[0]
     shown = shipped_demonstrations(task)
     return replace(shown, positions=space.observe(states))

@@ -55,7 +55,7 @@ class PMILTrainer(Trainer):
         loss_module: the objective with policy and model.
         initial: p(x_0).
         limits: limits of the state (D,); transitions beyond are experience, but no data of the
-            model. They are widened where the exploration would leave it next to none
+            model. They are widened where the exploration would leave it fewer than it has inputs
             (:func:`~torch_pmil.model.experience.widened`).
         error: maps rollouts (*batch, T) of the environment to their errors, (*batch).
         tolerance: error up to which a rollout is a success.
@@ -177,7 +177,9 @@ class PMILTrainer(Trainer):
     def fit_dynamics(self) -> None:
         """Fit the forward model to all experience within the limits."""
         dynamics, experience = self.loss_module.dynamics, self.experience
-        limits = widened(self.limits, experience.transitions["observation"][: self.explored])
+        explored = experience.transitions["observation"][: self.explored]
+        # fewer transitions than inputs do not tell how the robot moves, not even if it is linear
+        limits = widened(self.limits, explored, fewest=dynamics.num_inputs)
         data = experience.training_data(self.loss_module.space, dynamics.targets, limits)
         self._fit = dynamics.fit(*data)
 

@@ -81,8 +81,8 @@ def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Findin
 def needed_torques(experiment: Experiment) -> torch.Tensor | None:
     """Torques along the demonstrations, (N, T, F), N·m.
 
-    Of more than 400 steps in all, two sets of stretches of 20 steps have their torques computed, 200
-    steps each: those with the largest second differences of what was shown, and others evenly
+    Of more than 400 steps in all, two sets of stretches of 20 steps have their torques computed,
+    200 steps each: those with the largest second differences of what was shown, and others evenly
     spaced over all demonstrations. The torques of other steps are 0.
 
     Returns:

@@ -144,8 +144,8 @@ class Experiment:
         """Largest absolute values of the state (D,) in the data of the model.
 
         They are three times the demonstrated ones, and hold the robot's starts at least; angles
-        have no limit. A training widens them where they would leave its model next to nothing of
-        the exploration (:func:`~torch_pmil.model.experience.widened`).
+        have no limit. A training widens them where they would leave its model fewer transitions
+        of the exploration than it has inputs (:func:`~torch_pmil.model.experience.widened`).
         """
         start = self.initial.mean.abs() + START_REACH * self.initial.std
         limits = torch.maximum(3 * self.demonstrated_states.abs().amax(0), start)

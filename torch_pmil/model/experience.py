@@ -101,8 +101,8 @@ def widened(limits: Tensor, explored: Tensor, fewest: int) -> Tensor:
 
     Limits that leave ``fewest`` of the states stay as they are. What leaves less is no measure of
     the speeds that a model can explain: the motion is slow, or a part of the robot is still. Such
-    limits grow in each entry as far as the nearer half of the states goes. How near a state is, is
-    told by its entry that is farthest beyond its limit.
+    limits grow in each entry as far as the nearer half of the states goes, or ``fewest`` of them if
+    these are more. How near a state is, is told by its entry that is farthest beyond its limit.
 
     Example:
         >>> explored = torch.tensor([[0.0, 0.1], [0.5, 0.2], [3.0, 0.3], [0.1, 9.0]])
@@ -114,7 +114,8 @@ def widened(limits: Tensor, explored: Tensor, fewest: int) -> Tensor:
     excess = (explored.abs() / limits.clamp(min=torch.finfo(limits.dtype).tiny)).amax(-1)
     if (excess <= 1).sum() >= fewest:
         return limits
-    nearer = explored[excess <= excess.median()]
+    count = max(-(-len(explored) // 2), min(fewest, len(explored)))
+    nearer = explored[excess <= excess.kthvalue(count).values]
     return torch.maximum(limits, nearer.abs().amax(0))
 
 

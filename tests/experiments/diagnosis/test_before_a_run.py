@@ -235,7 +235,7 @@ def test_cost_of_many_or_long_demonstrations_is_bounded(
     assert check(crowd(name, count, samples)) == []
     assert time.process_time() - begun < 30  # 5 s on an idle machine
     longest = STRETCH + 2 * MARGIN + 1
-    assert 3 <= computed <= 3 + longest * TORQUE_STEPS / STRETCH
+    assert 0 < computed <= longest * TORQUE_STEPS / STRETCH
     assert _uniform_ratios(count).size * count <= max(DRAWS, SIMULATIONS * 40)
 
 

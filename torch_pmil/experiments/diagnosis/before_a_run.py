@@ -99,12 +99,12 @@ def needed_torques(experiment: Experiment) -> torch.Tensor | None:
         return None
     env = experiment.first_robot(seed=0)
     motions = experiment.demonstrated_states.reshape(N, samples, -1)
-    if env.needed_torques(motions[0, :3]) is None:
-        return None
     torques = torch.zeros(N, samples - 1, len(experiment.u_max), dtype=torch.float64)
     for number, first, last in _stretches(experiment):
         begin = max(first - MARGIN, 0)
         found = env.needed_torques(motions[number, begin : last + MARGIN + 1])
+        if found is None:
+            return None
         torques[number, first:last] = found[first - begin : last - begin]
     return torques
 

@@ -102,7 +102,8 @@ def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[
     Only those that begin alike are compared as a whole. A copy is told with the first that it is
     like.
     """
-    scaled, copies = demonstrations.positions / noise_std, {}
+    scaled = demonstrations.positions / noise_std
+    copies: dict[int, int] = {}
     for first, one in enumerate(scaled):
         alike = ((scaled[:, 0] - one[0]).abs().amax(-1) < SAME).nonzero().flatten()
         later = alike[alike > first]

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.model.experience import Experience
+from torch_pmil.model.experience import Experience, widened
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))
@@ -94,6 +94,29 @@ def test_limits_leave_out_transitions_that_start_beyond_them_only(transitions: T
     assert torch.equal(inputs[:, -1], transitions["action"][kept, 0])
     assert torch.equal(successors, transitions["next", "observation"][kept])
     assert len(experience) == 7
+
+
+def test_limits_that_leave_enough_of_the_exploration_stay_bit_for_bit(draws: Draws) -> None:
+    explored, limits = 5 * draws.normal(20, 3), draws.normal(3).abs() + 3
+    inside = int((explored.abs() <= limits).all(-1).sum())
+    assert 0 < inside < 10  # or nothing would be widened
+    assert torch.equal(widened(limits, explored, fewest=inside), limits)
+    assert not torch.equal(widened(limits, explored, fewest=inside + 1), limits)
+
+
+@pytest.mark.parametrize("limit", [0.0, 1e-300, 1e-3])
+@pytest.mark.parametrize("count", [1, 2, 7, 20])
+def test_limits_that_leave_too_little_leave_half_of_the_exploration(
+    draws: Draws, limit: float, count: int
+) -> None:
+    """Those of a robot that stays where it is are next to zero, and leave nothing."""
+    explored = draws.normal(count, 3)
+    limits = torch.tensor([limit, torch.inf, 2 * limit], dtype=torch.float64)
+    wider = widened(limits, explored, fewest=8)
+    assert (wider >= limits).all() and wider[1] == torch.inf
+    assert (explored.abs() <= wider).all(-1).sum() >= max(count / 2, min(count, 8))
+    inside = explored[(explored.abs() <= wider).all(-1)]
+    torch.testing.assert_close(wider[[0, 2]], inside[:, [0, 2]].abs().amax(0), rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])

@@ -23,7 +23,7 @@ from torchrl.trainers import Trainer
 from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.experience import Experience
+from torch_pmil.model.experience import Experience, widened
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -57,7 +57,8 @@ class PMILTrainer(Trainer):
         loss_module: the objective with policy and model.
         initial: p(x_0).
         limits: limits of the state (D,); transitions beyond are experience, but no data of the
-            model.
+            model. They are widened where the exploration would leave it fewer than it has inputs
+            (:func:`~torch_pmil.model.experience.widened`).
         error: maps rollouts (*batch, T) of the environment to their errors, (*batch).
         tolerance: error up to which a rollout is a success.
         confirmations: number of successes in a row that end the training.
@@ -104,8 +105,8 @@ class PMILTrainer(Trainer):
         if confirmations < 1:
             raise ValueError(f"confirmations must be at least 1, got {confirmations}")
         horizon = loss_module.horizon
-        steps = exploration.rollouts * exploration.steps + trials * horizon
-        frames = env.batch_size.numel() * steps
+        self.explored = env.batch_size.numel() * exploration.rollouts * exploration.steps
+        frames = self.explored + env.batch_size.numel() * trials * horizon
         motion = exploration.motion(generator)
         actor = RobotActor(loss_module.actor_network, loss_module.space, motion)
         in_keys = [key for key in ("observation", "target") if key in env.observation_spec]
@@ -192,9 +193,12 @@ class PMILTrainer(Trainer):
             super().optim_steps(batch)
 
     def fit_dynamics(self) -> None:
-        """Fit the forward model to all experience."""
-        dynamics = self.loss_module.dynamics
-        data = self.experience.training_data(self.loss_module.space, dynamics.targets, self.limits)
+        """Fit the forward model to all experience within the limits."""
+        dynamics, experience = self.loss_module.dynamics, self.experience
+        explored = experience.transitions["observation"][: self.explored]
+        # fewer transitions than inputs do not tell how the robot moves, not even if it is linear
+        limits = widened(self.limits, explored, fewest=dynamics.num_inputs)
+        data = experience.training_data(self.loss_module.space, dynamics.targets, limits)
         self._fit = dynamics.fit(*data)
 
     def best_policy(self) -> Candidate:

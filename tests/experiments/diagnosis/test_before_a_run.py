@@ -5,6 +5,7 @@ what is as it must be.
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 
 import pytest
@@ -13,10 +14,12 @@ from torch import Tensor
 
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import BioRobEnv, DoublePendulumEnv
+from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
-from torch_pmil.experiments import EXPERIMENTS, load_experiment
-from torch_pmil.experiments.diagnosis.before_a_run import check
+from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
+from torch_pmil.experiments.diagnosis.before_a_run import TORQUE_STEPS, check, needed_torques
 from torch_pmil.experiments.diagnosis.demonstration_checks import check_jumps, check_start
+from torch_pmil.experiments.diagnosis.modes import DRAWS, SIMULATIONS, _uniform_ratios
 from torch_pmil.gp.gaussian import Gaussian
 
 SETS = 400
@@ -194,3 +197,67 @@ def test_smooth_sets_seldom_jump() -> None:
         )
         alarms += bool(check_jumps([one], [range(5)], noise))
     assert alarms <= 0.01 * SETS + 3 * math.sqrt(0.01 * SETS)
+
+
+def crowd(name: str, count: int, samples: int) -> Experiment:
+    """A task whose demonstrations go to and fro along the shipped ones, each a little otherwise."""
+    shipped = shipped_demonstrations(name)
+    N, own, _ = shipped.positions.shape
+    way = torch.arange(samples) % (2 * own - 2)
+    way = torch.minimum(way, 2 * own - 2 - way)
+    positions = shipped.positions[torch.arange(count) % N][:, way]
+    draws = torch.Generator().manual_seed(0)
+    white = torch.randn(positions.shape, dtype=torch.float64, generator=draws)
+    return load_experiment(name, replace(shipped, positions=positions + 1e-3 * white))
+
+
+@pytest.mark.parametrize(("count", "samples"), [(1000, 26), (5, 4000)])
+@pytest.mark.parametrize("name", ["double_pendulum", "biorob"])
+def test_cost_of_many_or_long_demonstrations_is_bounded(
+    name: str, count: int, samples: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the states at which inverse dynamics are computed, and the draws of the null samples."""
+    computed, original = 0, MujocoRobotEnv.needed_torques
+
+    def counting(env: MujocoRobotEnv, states: Tensor) -> Tensor | None:
+        nonlocal computed
+        computed += len(states)
+        return original(env, states)
+
+    monkeypatch.setattr(MujocoRobotEnv, "needed_torques", counting)
+    begun = time.process_time()
+    assert check(crowd(name, count, samples)) == []
+    assert time.process_time() - begun < 30  # 5 s on an idle machine
+    assert 0 < computed <= 600  # of 26,000 and 20,000: those of 400 steps, and of margins
+    assert _uniform_ratios(count).size * count <= max(DRAWS, SIMULATIONS * 40)
+
+
+def test_torques_of_stretches_are_those_of_the_whole_motion() -> None:
+    """As far as the end of a spline is felt: the margins are for that."""
+    task = crowd("double_pendulum", 30, 26)
+    found, env = needed_torques(task), task.first_robot(0)
+    whole = torch.stack(
+        [env.needed_torques(states) for states in task.demonstrated_states.reshape(30, 26, -1)]
+    )
+    known = (found != 0).any(-1)
+    assert TORQUE_STEPS / 2 <= known.sum() <= TORQUE_STEPS
+    torch.testing.assert_close(found[known], whole[known], rtol=0, atol=0.05 * 3.5)
+
+
+@pytest.mark.parametrize("number", [0, 500, 999])
+def test_one_motion_of_a_thousand_that_needs_too_much_torque_is_found(number: int) -> None:
+    """The samples of largest acceleration are among those that are looked at."""
+    seconds = torch.arange(26, dtype=torch.float64) / 10
+    starts = math.pi + 0.02 * torch.linspace(-1, 1, 1000, dtype=torch.float64)[:, None]
+    swing = starts + 0.1 * (1 - (math.pi / 1.25 * seconds).cos())
+    swing[number] += 0.8 * (1 - (2 * math.pi * 1.6 * seconds).cos())
+    found = [each for each in messages(of_angles(swing, torch.zeros_like(swing))) if "N·m" in each]
+    assert len(found) == 1 and found[0].startswith(f"demonstration {number} needs ")
+
+
+def test_copies_are_told_once_each() -> None:
+    positions = torch.cat([swing_ups(), swing_ups()[1:2], swing_ups()[1:2], swing_ups()[3:4]])
+    assert [message for message in messages(positions) if "the same" in message] == [
+        f"demonstrations {first} and {second} are the same; leave one of them out"
+        for first, second in ((1, 5), (1, 6), (3, 7))
+    ]

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
-from tests.helpers.short_run import PD_MOVEMENTS
+from tests.helpers.short_run import PD_MOVEMENTS, quick_fits
 from torch_pmil.control.exploration import RandomTorques
-from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.demonstrations import DemonstrationError
+from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
+from torch_pmil.experiments.runs.training import make_trainer, train
+from torch_pmil.search.policy_search import SearchSettings
 
 WIDTHS = torch.tensor([2.0, 3.0, 0.5, 0.6, 0.7, 0.8], dtype=torch.float64)
 
@@ -79,3 +83,87 @@ def test_settings_say_what_the_first_policy_and_motion_are(experiment: Experimen
     )
     assert changed.settings["holds_start"] and not experiment.settings["holds_start"]
     assert changed.settings["exploration"]["gain"] == PD_MOVEMENTS.gain.tolist()
+
+
+def still(name: str, samples: int, tremor: float = 0.0) -> Experiment:
+    """A task whose robot stays at its mean start, or within some tremors of it."""
+    task = load_experiment(name)
+    states = task.initial.mean.expand(3, samples, -1)
+    white = torch.randn(states.shape, dtype=torch.float64, generator=generator())
+    shown = task.space.observe(states + tremor * white)
+    return load_experiment(name, replace(task.demonstrations, positions=shown))
+
+
+@pytest.mark.parametrize("tremor", [0.0, 1e-12, 1e-3])
+@pytest.mark.parametrize("name", ["double_pendulum", "gym_pendulum", "inverted_pendulum", "biorob"])
+def test_robot_that_stays_where_it_is_has_a_policy_of_some_width(name: str, tremor: float) -> None:
+    """No narrower than the robot's starts are apart, so that it acts at all of them."""
+    if "gym" in name or "inverted" in name:
+        pytest.importorskip("gymnasium")
+    task = still(name, 20, tremor)
+    widths = task.make_policy(generator()).controller.network.lengthscales
+    plain, angles = list(task.space.plain), list(task.space.angles)
+    std = task.initial.std
+    starts = torch.cat([std[plain], std[angles], std[angles]])
+    assert widths.isfinite().all() and (widths >= starts * (1 - 1e-12)).all()
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "biorob"])
+def test_model_of_a_robot_that_shall_stay_has_half_of_the_exploration(name: str) -> None:
+    task = still(name, 26)
+    trainer = make_trainer(task, 100, 1, False, lambda trial: None)
+    trainer.experience.extend(next(iter(trainer.collector)))
+    explored = trainer.experience.transitions["observation"]
+    assert (explored.abs() <= task.limits).all(-1).sum() < trainer.loss_module.dynamics.num_inputs
+    trainer.fit_dynamics()
+    assert len(trainer.loss_module.dynamics.train_inputs) >= trainer.explored / 2
+    assert trainer.explored == len(explored)
+
+
+def test_model_s_data_reach_the_starts_of_a_robot_that_shall_stay(experiment: Experiment) -> None:
+    starts = experiment.initial.sample(1000, generator())
+    inside = (starts.abs() <= still("double_pendulum", 26).limits).all(-1)
+    assert inside.double().mean() > 0.99
+
+
+@pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"handwriting"}))
+def test_least_widths_and_limits_change_nothing_of_shipped_demonstrations(name: str) -> None:
+    """They are the plain formulas, bit for bit."""
+    task = load_experiment(name)
+    if name != "double_pendulum_pilco":
+        limits = 3 * task.demonstrated_states.abs().amax(0)
+        limits[list(task.space.angles)] = torch.inf
+        assert torch.equal(task.limits, limits)
+    inputs, draws = task.demonstrated_inputs, generator()
+    policy = task.policy_near(inputs, generator())
+    assert torch.equal(policy.scale, task.widths(inputs.std(0)))
+    chosen = torch.randint(len(inputs), (task.num_centres,), generator=draws)
+    jitter = torch.randn(task.num_centres, inputs.shape[1], dtype=torch.float64, generator=draws)
+    centres = (inputs[chosen] + 0.1 * inputs.std(0) * jitter) / policy.scale
+    assert torch.equal(policy.centres.detach(), centres)
+
+
+def test_least_widths_are_told(experiment: Experiment) -> None:
+    assert experiment.settings["least_widths"] == experiment.least_widths.tolist()
+    of_start = replace(experiment, least_widths=None).settings["least_widths"]
+    assert of_start == pytest.approx([0.1, 0.1, 0.05, 0.05, 0.05, 0.05])
+
+
+def test_two_samples_are_refused_where_they_leave_one_step_to_explore() -> None:
+    with pytest.raises(DemonstrationError) as error:
+        still("double_pendulum", 2)
+    assert str(error.value) == (
+        "demonstrations must have 3 samples at least, since the robot explores for as long and its "
+        "model needs 2 transitions, got 2"
+    )
+
+
+@pytest.mark.parametrize(("name", "samples"), [("biorob", 2), ("double_pendulum", 3)])
+def test_shortest_demonstrations_are_learned_from(
+    name: str, samples: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """That is, a run comes to its end."""
+    quick_fits(monkeypatch)
+    task = replace(still(name, samples, 1e-3), num_centres=5, search=SearchSettings(1, 1, 1))
+    result = train(task, 100, 1, tmp_path, "pmil train", progress_bar=False)
+    assert len(result.trials) == 1 and (tmp_path / "policy.pt").exists()

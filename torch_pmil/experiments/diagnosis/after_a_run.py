@@ -115,14 +115,18 @@ def _of_the_model(
 def known_steps(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
     """The steps t = 0..T-1 of executed rollouts at which the model knows something, bool, (N, T).
 
-    That is within the limits of the states that it learns from, and with a standard deviation of no
-    entry above half of that without data.
+    That is within the limits of the states that it learns from, or within the largest values of
+    its data where these go further, and with a standard deviation of no entry above half of that
+    without data.
     """
     before, expansion = outcome.executed[:, :-1], dynamics.expansion
     inputs = torch.cat([experiment.space.features(before), outcome.rollouts["action"]], -1)
     _, variance = expansion.predict(inputs)
     sure = (variance <= LITTLE**2 * expansion.signal_variance).all(-1)
-    return sure & (before.abs() <= experiment.limits).all(-1)
+    plain = list(experiment.space.plain)  # the first features; angles have no limit
+    reached = dynamics.train_inputs[:, : len(plain)].abs().amax(0)
+    limits = torch.maximum(experiment.limits[plain], reached)
+    return sure & (before[..., plain].abs() <= limits).all(-1)
 
 
 def _of_the_search(

@@ -97,13 +97,21 @@ def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
 
 
 def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[Finding]:
-    """Find demonstrations that are copies of one another: they show less spread than there is."""
+    """Find demonstrations that are copies of one another: they show less spread than there is.
+
+    Only those that begin alike are compared as a whole. A copy is told with the first that it is
+    like.
+    """
     scaled = demonstrations.positions / noise_std
-    largest = (scaled[:, None] - scaled).abs().amax((-2, -1))
-    pairs = (largest < SAME).triu(1).nonzero().tolist()
+    copies: dict[int, int] = {}
+    for first, one in enumerate(scaled):
+        alike = ((scaled[:, 0] - one[0]).abs().amax(-1) < SAME).nonzero().flatten()
+        later = alike[alike > first]
+        same = later[(scaled[later] - one).abs().amax((-2, -1)) < SAME]
+        copies = {second: first for second in same.tolist()} | copies
     return [
         Finding(FEW, f"demonstrations {first} and {second} are the same; leave one of them out")
-        for first, second in pairs
+        for second, first in sorted(copies.items(), key=lambda copy: copy[::-1])
     ]
 
 
@@ -157,11 +165,11 @@ def check_jumps(
             continue
         size = differences.norm(dim=-1)
         near = torch.nn.functional.max_pool1d(size[:, None], 2 * NEARBY + 1, 1, NEARBY)[:, 0]
-        for number, own in enumerate(size):
-            others = torch.cat([near[:number], near[number + 1 :]]).amax(0)
-            excess = torch.where(own > LONE_JUMP * others, own, 0.0)
-            at = int(excess.argmax())
-            if excess[at] > LEAST_JUMP:
+        largest, next_largest = near.topk(2, 0).values
+        others = torch.where(near == largest, next_largest, largest)  # of all but each
+        excess = torch.where(size > LONE_JUMP * others, size, 0.0)
+        for number, at in enumerate(excess.argmax(1).tolist()):
+            if excess[number, at] > LEAST_JUMP:
                 entry = demonstrations.names[int(differences[number, at].abs().argmax())]
                 findings.append(
                     Finding(

@@ -18,7 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-SIMULATIONS = 50_000  # samples of the null distribution
+SIMULATIONS = 50_000  # samples of the null distribution, of few trajectories
+FEWEST_SIMULATIONS = 1000  # of many
+DRAWS = 2_000_000  # numbers in all the samples, unless they are the fewest
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,7 @@ def _scatter_within(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _uniform_ratios(count: int) -> np.ndarray:
-    samples = np.random.default_rng(0).uniform(size=(SIMULATIONS, count))
+    simulations = min(SIMULATIONS, max(FEWEST_SIMULATIONS, DRAWS // count))
+    samples = np.random.default_rng(0).uniform(size=(simulations, count))
     ratios, _ = _scatter_within(np.sort(samples, 1))
     return ratios

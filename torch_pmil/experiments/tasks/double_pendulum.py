@@ -19,6 +19,8 @@ NOISE_STD = 0.05  # m
 SUCCESS_DISTANCE = 0.25  # m
 REACH_DISTANCE = 0.1  # m, of the tip that reaches a target
 FINAL_SAMPLES = 6  # samples of the last 0.5 s at 10 Hz, both ends included
+# rad/s, 1 and 1 of a new policy's basis functions in [dq1, dq2, sin q1, sin q2, cos q1, cos q2]
+LEAST_WIDTHS = (1.5, 1.5, 0.35, 0.35, 0.35, 0.35)
 UPRIGHT = (0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH)  # m, of the link ends x1, y1, x2, y2
 
 
@@ -118,6 +120,7 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         u_max=env.action_spec.space.high,
         demonstrated_states=states.reshape(-1, 4),
         num_centres=100,
+        least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
     )

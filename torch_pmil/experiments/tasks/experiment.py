@@ -24,6 +24,8 @@ from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 HELD_STARTS = 200  # at which a new policy is told to hold the robot
+START_REACH = 3.0  # standard deviations of the start that the model's data reach at least
+FEWEST_TRANSITIONS = 2  # of which a model can be made
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +82,9 @@ class Experiment:
             at the rim of what was demonstrated may need more than 1.
         input_widths: the widths themselves (D',), in the units of the features; None for those by
             ``input_scale``.
+        least_widths: widths (D',) below which none by ``input_scale`` falls, in the units of the
+            features: how far a robot strays that moves slowly, or with a part of it alone. None for
+            the standard deviations of the start, of which sine and cosine have that of their angle.
         holding_torques: torques (S, F) that hold the robot in states (S, D); a new policy holds it
             at the start. None: it need not.
         search: budget and horizon of the policy search.
@@ -106,8 +111,18 @@ class Experiment:
     initial_weight_std: float = 0.1
     input_scale: float = 1.0
     input_widths: Tensor | None = None
+    least_widths: Tensor | None = None
     holding_torques: Callable[[Tensor], Tensor] | None = None
     search: SearchSettings = field(default_factory=SearchSettings)
+
+    def __post_init__(self) -> None:
+        transitions = self.exploration.rollouts * self.exploration.steps
+        if transitions < FEWEST_TRANSITIONS:
+            raise DemonstrationError(
+                f"demonstrations must have {FEWEST_TRANSITIONS + 1} samples at least, since the "
+                f"robot explores for as long and its model needs {FEWEST_TRANSITIONS} transitions, "
+                f"got {self.horizon + 1}"
+            )
 
     @property
     def horizon(self) -> int:
@@ -128,9 +143,12 @@ class Experiment:
     def limits(self) -> Tensor:
         """Largest absolute values of the state (D,) in the data of the model.
 
-        They are three times the demonstrated ones; angles have no limit.
+        They are three times the demonstrated ones, and hold the robot's starts at least; angles
+        have no limit. A training widens them where they would leave its model fewer transitions
+        of the exploration than it has inputs (:func:`~torch_pmil.model.experience.widened`).
         """
-        limits = 3 * self.demonstrated_states.abs().amax(0)
+        start = self.initial.mean.abs() + START_REACH * self.initial.std
+        limits = torch.maximum(3 * self.demonstrated_states.abs().amax(0), start)
         limits[list(self.space.angles)] = torch.inf
         return limits
 
@@ -146,6 +164,7 @@ class Experiment:
             "initial_weight_std": self.initial_weight_std,
             "input_scale": self.input_scale,
             "input_widths": None if self.input_widths is None else self.input_widths.tolist(),
+            "least_widths": self._least_widths.tolist(),
             "holds_start": self.holding_torques is not None,
             "tolerance": self.tolerance,
             "confirmations": self.confirmations,
@@ -189,12 +208,11 @@ class Experiment:
     def policy_near(self, inputs: Tensor, generator: torch.Generator) -> RBFPolicy:
         """A new policy with centres near some of the inputs (S, D') and small random weights.
 
-        Its widths are the standard deviations of all inputs, unless the experiment gives them. It
-        holds the robot at the start if the experiment knows the torques for it.
-
-        Its widths are the standard deviations of all inputs, unless the experiment gives them.
+        Its widths are the standard deviations of all inputs, or ``least_widths``, unless the
+        experiment gives them. It holds the robot at the start if the experiment knows the torques
+        for it.
         """
-        std = inputs.std(0)
+        std = self._spread(inputs)
         chosen = torch.randint(len(inputs), (self.num_centres,), generator=generator)
         jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)
         policy = RBFPolicy(inputs[chosen] + 0.1 * std * jitter, self.u_max, self.widths(std))
@@ -208,6 +226,23 @@ class Experiment:
     def widths(self, std: Tensor) -> Tensor:
         """Widths (D',) of a new policy's basis functions, from its inputs' standard deviations."""
         return self.input_scale * std if self.input_widths is None else self.input_widths
+
+    def _spread(self, inputs: Tensor) -> Tensor:
+        """Standard deviations (D',) of inputs (S, D') by which centres and widths are scaled.
+
+        An input that hardly changes, as of a robot or a link that stays where it is, has the one
+        that makes its width the least: without it a policy acts at a point alone.
+        """
+        std = inputs.std(0)
+        least = self._least_widths / self.input_scale
+        return torch.cat([torch.maximum(std[: len(least)], least), std[len(least) :]])
+
+    @property
+    def _least_widths(self) -> Tensor:
+        if self.least_widths is not None:
+            return self.least_widths
+        std, angles = self.initial.std, list(self.space.angles)
+        return torch.cat([std[list(self.space.plain)], std[angles], std[angles]])
 
     @property
     def demonstrated_inputs(self) -> Tensor:

@@ -18,6 +18,7 @@ from torch_pmil.experiments.tasks.experiment import (
 
 LENGTH = 1.0  # m
 NOISE_STD = 0.05  # m
+LEAST_WIDTHS = (1.5, 0.35, 0.35)  # rad/s, 1, 1 of a new policy's functions in [dq, sin q, cos q]
 SUCCESS_DISTANCE = 0.25  # m
 FINAL_SAMPLES = 6  # samples of the last 0.5 s at 10 Hz, both ends included
 
@@ -83,6 +84,7 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         u_max=env.action_spec.space.high,
         demonstrated_states=states.reshape(-1, 2),
         num_centres=50,
+        least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
     )

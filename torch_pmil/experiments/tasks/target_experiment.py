@@ -45,6 +45,7 @@ class TargetExperiment(Experiment):
     target_scale: float = 2.5
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.targets) < 2:
             raise DemonstrationError(
                 f"demonstrations must be of two targets at least, got {self.targets.tolist()}"

@@ -16,11 +16,16 @@ from pathlib import Path
 import pytest
 from hydra.core.config_store import ConfigStore
 
+from tests.experiments.runs.report.test_report import OLD
 from tests.helpers.run_script import run_command
 from tests.helpers.short_run import quick_fits, short_experiment
+from torch_pmil.cli import train
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import EXPERIMENTS
+from torch_pmil.experiments.runs import pictures
+from torch_pmil.experiments.runs.training import RunResult
+from torch_pmil.experiments.tasks.experiment import Outcome
 from torch_pmil.search import policy_search
 from torch_pmil.trainer import search_stepper
 
@@ -44,6 +49,12 @@ FIGURES = {
     "model",
     "policy",
     "poses",
+}
+SUMMARY = OLD | {
+    "saved_n_eval": 20,
+    "two_sigma_coverage": 0.9,
+    "two_sigma_coverage_by_entry": {"q1": 0.9},
+    "diagnosis": [{"cause": "search stuck", "message": "predicted 0.14 ± 0.06 m"}],
 }
 Script = Callable[..., None]
 
@@ -127,12 +138,109 @@ def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_say
     monkeypatch.setattr(MujocoRobotEnv, "_open_renderer", broken)
     quick_fits(monkeypatch)
     script("trials=1", "seed=2", "out=run")
-    printed = capsys.readouterr().out
-    assert "there is no video, because pictures need OpenGL\n" in printed
+    printed, complained = capsys.readouterr()
+    assert complained.endswith(
+        "the report is incomplete: video: pictures need OpenGL; pmil report run makes the rest "
+        "later\n"
+    )
     assert "see run/report.html, run/figures, run/summary.json" in printed
     assert re.search(
         r"within two predicted standard deviations: q1 \d+%, dq1 \d+%, q2 \d+%, dq2 \d+%\n", printed
     )
+
+
+@pytest.fixture
+def finished(short_double_pendulum: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Training is over at once: what it would return and leave is there."""
+    experiment = short_experiment(6)
+    outcome = Outcome("", experiment.demonstrations, experiment.demonstrated, None, None)
+    result = RunResult(SUMMARY, [], [outcome], None, None)
+
+    def saved(experiment: object, seed: int, trials: int, out: Path, *rest: object, **_: object):
+        (out / "figures").mkdir(parents=True)
+        (out / "policy.pt").touch()
+        (out / "summary.json").write_text(json.dumps(SUMMARY))
+        return result
+
+    monkeypatch.setattr(train, "train", saved)
+
+
+@pytest.fixture
+def nothing_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pictures, "figures_of", lambda *args: iter([]))
+    monkeypatch.setattr(pictures, "film_outcome", lambda *args: None)
+
+
+def broken(*args: object) -> None:
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_all_that_fails_after_the_policy_is_saved_is_one_line_at_the_end(
+    script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("figures_of", "film_outcome", "write_report"):
+        monkeypatch.setattr(pictures, name, broken)
+    script("out=run")  # does not exit
+    printed, complained = capsys.readouterr()
+    assert "policy of trial 1: success rate 50%" in printed and "see run/summary.json" in printed
+    full = "[Errno 28] No space left on device"
+    assert complained == (
+        f"the report is incomplete: figures: {full}; video: {full}; report: {full}; "
+        "pmil report run makes the rest later\n"
+    )
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_whole_report_leaves_no_complaint(
+    script: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script("out=run")
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_interruption_while_drawing_leaves_what_was_learned_and_says_what_is_missing(
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def interrupted(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pictures, "film_outcome", interrupted)
+    script("out=run")
+    assert "incomplete: video: stopped; report: stopped; pmil" in capsys.readouterr().err
+    assert (tmp_path / "run" / "summary.json").exists()
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_run_that_was_renamed_while_it_was_drawn_is_an_error(
+    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def renamed(*args: object) -> None:
+        (tmp_path / "run").rename(tmp_path / "elsewhere")
+
+    monkeypatch.setattr(pictures, "film_outcome", renamed)
+    assert error_of(script, "out=run").startswith("run was removed or renamed")
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_output_that_is_ascii_or_broken_ends_nothing(
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with (tmp_path / "ascii").open("w", encoding="ascii") as ascii_only:
+        monkeypatch.setattr(sys, "stdout", ascii_only)
+        script("out=run")
+    assert "0.14 ? 0.06 m" in (tmp_path / "ascii").read_text()
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        script("out=another")
+    assert "incomplete: standard output: [Errno 28] No space left" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("short_double_pendulum")

@@ -25,13 +25,16 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 from tqdm import tqdm
 
+from torch_pmil.cli import lasting_output, lost_output
 from torch_pmil.demonstrations import DemonstrationError, load_demonstrations
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.before_a_run import check
 from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
-from torch_pmil.experiments.runs.pictures import draw
+from torch_pmil.experiments.runs.pictures import steps_of
+from torch_pmil.experiments.runs.summaries import is_finished
 from torch_pmil.experiments.runs.sweep import register_launchers
-from torch_pmil.experiments.runs.training import train
+from torch_pmil.experiments.runs.telling import one_line, tell, warn_incomplete
+from torch_pmil.experiments.runs.training import RunResult, train
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import Trial
 
@@ -47,7 +50,13 @@ def main() -> None:
 
 @hydra.main(version_base="1.3", config_path=str(CONFIG), config_name="train")
 def learn(config: DictConfig) -> None:
-    """Learn, then draw: one run of a sweep, or the only one."""
+    """Learn, then show: one run of a sweep, or the only one."""
+    with lasting_output():  # a sweep's run may be in a process of its own
+        run(config)
+
+
+def run(config: DictConfig) -> None:
+    """Learn, save, show."""
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     out = Path(config.out)
@@ -80,9 +89,22 @@ def learn(config: DictConfig) -> None:
         )
         sys.exit(130)
     except (ImportError, ValueError, OSError, RuntimeError) as error:
-        fail(f"{label}error: {error}", alone)
-    draw(experiment, result, out)
+        fail(f"{label}error: {error}", label)
+    show(label, experiment, result, out)
+
+
+def show(label: str, experiment: Experiment, result: RunResult, out: Path) -> None:
+    """Draw, film, report and print a run that is saved. What fails is said at the end, in a line.
+
+    Ends with an error only where the run is no longer there.
+    """
+    failures = tell(steps_of(experiment, result, out))
     print_summary(label, result.summary, out)
+    if lost := lost_output():
+        failures.append(f"standard output: {one_line(lost)}")
+    if not is_finished(out):
+        fail(f"{label}error: {out} was removed or renamed: what was learned is not there", label)
+    warn_incomplete(label, failures, out)
 
 
 def experiment_of(config: DictConfig) -> Experiment:
@@ -93,12 +115,13 @@ def experiment_of(config: DictConfig) -> Experiment:
     return load_experiment(config.experiment, demonstrations, config.shape, config.robot)
 
 
-def fail(message: str, alone: bool) -> NoReturn:
+def fail(message: str, label: str) -> NoReturn:
     """End the run with a message.
 
-    The other runs of a sweep go on, and Hydra ends the sweep with an error when all are done.
+    The other runs of a sweep, whose label is not empty, go on, and Hydra ends the sweep with an
+    error when all are done.
     """
-    if alone:
+    if not label:
         sys.exit(message)
     print(message, file=sys.stderr, flush=True)
     raise CompactHydraException(message)
@@ -141,17 +164,31 @@ def by_entry(summary: dict) -> str:
     )
 
 
+def of_predictions(summary: dict) -> str:
+    """How far the executed states were predicted, or why they were not."""
+    if "prediction_error" in summary:
+        return f"the model cannot predict this policy: {summary['prediction_error']}"
+    return (
+        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted "
+        f"standard deviations: {by_entry(summary)}"
+    )
+
+
+def holds_something(path: Path) -> bool:
+    """Whether there is a file, or a folder with one."""
+    return any(path.iterdir()) if path.is_dir() else path.exists()
+
+
 def print_summary(label: str, summary: dict, out: Path) -> None:
     """Print the result of the run, and where it is."""
     reasons = [f"{reason['cause']}: {reason['message']}" for reason in summary["diagnosis"]]
-    left = [str(out / name) for name in LEFT if (out / name).exists()]
+    left = [str(out / name) for name in LEFT if holds_something(out / name)]
     lines = [
         f"policy of trial {summary['saved_trial']}: success rate "
         f"{summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh starts after "
         f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of "
         f"computing ({summary['stop_reason']})",
-        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted "
-        f"standard deviations: {by_entry(summary)}",
+        of_predictions(summary),
         *(f"likely reason: {reason}" for reason in reasons),
         f"see {', '.join(left)}",
     ]

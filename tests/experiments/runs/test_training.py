@@ -21,12 +21,16 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.demonstrations.distribution import demonstration_spread, rms_error
 from torch_pmil.envs.rollouts import rollout_of
 from torch_pmil.experiments import Experiment
+from torch_pmil.experiments.runs.report import write_report
 from torch_pmil.experiments.runs.run_folder import clear_folder, prepare_folder, save_tensors
+from torch_pmil.experiments.runs.summaries import read_summary
 from torch_pmil.experiments.runs.training import EVALUATION_STARTS, RunResult, train
 from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import predict_trajectory
-from torch_pmil.trainer.trials import Trial
+from torch_pmil.model.rollout import PredictionError, predict_trajectory
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.trainer import PMILTrainer
+from torch_pmil.trainer.trials import Candidate, Trial
 
 HORIZON, TRIALS, SEED = 4, 2, 3
 COMMAND = f"pmil train seed={SEED}"
@@ -235,6 +239,30 @@ def test_executed_rollouts_are_those_of_the_saved_policy(
     torch.testing.assert_close(
         experiment.make_env(seed=0).simulate(before, actions), after, rtol=0, atol=1e-9
     )
+
+
+def test_run_whose_model_cannot_predict_the_saved_policy_ends_with_a_summary_that_says_so(
+    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unpredictable(self: TrajectoryLoss, *args: object) -> None:
+        raise PredictionError("prediction of step 2 of 4 failed: cov", 2)
+
+    original = PMILTrainer.best_policy
+
+    def best_policy(trainer: PMILTrainer) -> Candidate:
+        monkeypatch.setattr(TrajectoryLoss, "predict_states", unpredictable)
+        return original(trainer)
+
+    monkeypatch.setattr(PMILTrainer, "best_policy", best_policy)
+    result = train(experiment, SEED, 1, tmp_path / "run", COMMAND, progress_bar=False)
+    summary = read_summary(tmp_path / "run")
+    assert summary["prediction_error"] == "prediction of step 2 of 4 failed: cov"
+    assert not {"two_sigma_coverage", "two_sigma_coverage_by_entry", "loss_per_step"} & set(summary)
+    (reason,) = summary["diagnosis"]
+    assert reason["cause"] == "model not right" and "cannot predict" in reason["message"]
+    assert result.outcomes[0].predicted.mean.shape == (HORIZON, experiment.space.dim)
+    assert write_report(tmp_path / "run").exists()
+    assert load_network(tmp_path / "run")
 
 
 def test_folder_is_made_with_its_parents_and_used_again(tmp_path: Path) -> None:

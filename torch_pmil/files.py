@@ -52,6 +52,8 @@ def _make_new(path: Path) -> None:
 def remove_temporaries(path: Path | str) -> None:
     """Remove what :func:`replacing` left beside ``path`` where its process was killed.
 
+    A path ``*.png`` stands for all files of that suffix in its folder.
+
     Example:
         >>> import tempfile
         >>> folder = Path(tempfile.mkdtemp())
@@ -61,7 +63,8 @@ def remove_temporaries(path: Path | str) -> None:
         []
     """
     path = Path(path)
-    name = re.compile(rf"\.{re.escape(path.stem)}\.\d+{re.escape(path.suffix)}")
+    stem = ".+" if path.stem == "*" else re.escape(path.stem)
+    name = re.compile(rf"\.{stem}\.\d+{re.escape(path.suffix)}")
     for left in path.parent.iterdir() if path.parent.is_dir() else ():
         if name.fullmatch(left.name) and not left.is_dir():
             left.unlink(missing_ok=True)

@@ -102,7 +102,7 @@ def test_stopped_run_is_resumed_by_its_folder(
 def test_changed_settings_take_the_place_of_those_of_the_run(tmp_path: Path) -> None:
     folder = tmp_path / "it's"
     folder.mkdir()
-    write_origin(folder, {"command": "pmil train trials=3 seed=1 out=elsewhere resume=true"})
+    write_origin(folder, {"command": "pmil train trials=3 seed=1 out=elsewhere overwrite=true"})
     quoted = str(folder).replace("'", "\\'")
     assert overrides(folder, ["trials=9"]) == [
         "seed=1",

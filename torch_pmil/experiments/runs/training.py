@@ -22,13 +22,18 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.demonstrations.distribution import demonstration_spread, rms_error
 from torch_pmil.experiments.diagnosis.after_a_run import likely_reasons
 from torch_pmil.experiments.diagnosis.causes import LEARNED, saturated_fraction, unpredictable
+from torch_pmil.experiments.runs.lock import alone_in
 from torch_pmil.experiments.runs.run_folder import (
-    LOGGERS,
+    MOST_TRIALS,
+    SEEDS,
+    check_logger,
+    check_resume,
     check_whole,
     clear_folder,
     open_logger,
     prepare_folder,
     provenance,
+    remove_debris,
     save_tensors,
     write_metrics,
     write_origin,
@@ -76,6 +81,7 @@ def train(
     on_trial: Callable[[Trial], None] = lambda trial: None,
     resume: bool = False,
     logger: str | None = None,
+    overwrite: bool = False,
 ) -> RunResult:
     """Learn an experiment, and write policy, model and numbers into the folder of the run.
 
@@ -99,27 +105,54 @@ def train(
             begins anew.
         logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``; None for
             none.
+        overwrite: whether to replace a run that has ended; without it, and without ``resume``, such
+            a run stays as it is.
 
     Raises:
         OSError: the folder cannot be written to.
         ValueError: a setting is out of range, or the checkpoint is of a run with other settings.
+        RunGoingOnError: another run is going on in the folder.
+        FinishedRunError: the folder holds a run that has ended, and neither ``overwrite`` nor
+            ``resume`` is set.
         UnfinishedRunError: the folder holds a run that was stopped, and ``resume`` is not set.
         CheckpointError: all checkpoints are damaged.
         ImportError: the library of that logger is missing.
     """
-    check_whole("seed", seed, least=0)
-    check_whole("trials", trials, least=1)
-    if logger not in (None, *LOGGERS):
-        raise ValueError(f"logger must be one of {', '.join(LOGGERS)} or null, got {logger}")
+    check_whole("seed", seed, *SEEDS)
+    check_whole("trials", trials, 1, MOST_TRIALS)
+    check_resume(resume, overwrite)
+    check_logger(logger)
     source = provenance(command)
-    rotation = rotation_in(out / "checkpoints")
+    with alone_in(out):
+        _make_room(experiment, seed, out, resume, overwrite)
+        write_origin(out, source)
+        return _learn(experiment, seed, trials, out, source, progress_bar, on_trial, resume, logger)
+
+
+def _make_room(experiment: Experiment, seed: int, out: Path, resume: bool, overwrite: bool) -> None:
+    """Prepare the folder of a run that goes on, or of a new one."""
+    remove_debris(out)
     if resume:
-        _check_same_run(rotation, _identity(experiment, seed))
+        _check_same_run(rotation_in(out / "checkpoints"), _identity(experiment, seed))
+        (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
     else:
-        clear_folder(out)
-    (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
+        clear_folder(out, overwrite)
     prepare_folder(out)
-    write_origin(out, source)
+
+
+def _learn(
+    experiment: Experiment,
+    seed: int,
+    trials: int,
+    out: Path,
+    source: dict[str, object],
+    progress_bar: bool,
+    on_trial: Callable[[Trial], None],
+    resume: bool,
+    logger: str | None,
+) -> RunResult:
+    """Learn and save in a folder that is prepared; see :func:`train`."""
+    rotation = rotation_in(out / "checkpoints")
 
     def record(trial: Trial) -> None:
         write_metrics(out / "metrics.csv", Trial, trainer.trials)

@@ -142,8 +142,8 @@ def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_say
     script("trials=1", "seed=2", "out=run")
     printed, complained = capsys.readouterr()
     assert complained.endswith(
-        "the report is incomplete: video: pictures need OpenGL; pmil report run makes the rest "
-        "later\n"
+        "the report is incomplete: video: pictures need OpenGL; pmil resume run makes the rest "
+        "later, pmil report the page alone\n"
     )
     assert "see run/report.html, run/figures, run/summary.json" in printed
     assert re.search(
@@ -189,7 +189,7 @@ def test_all_that_fails_after_the_policy_is_saved_is_one_line_at_the_end(
     full = "[Errno 28] No space left on device"
     assert complained == (
         f"the report is incomplete: figures: {full}; video: {full}; report: {full}; "
-        "pmil report run makes the rest later\n"
+        "pmil resume run makes the rest later, pmil report the page alone\n"
     )
 
 

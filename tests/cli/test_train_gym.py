@@ -123,8 +123,8 @@ def test_run_without_pictures_says_so_in_one_line(
     assert not (tmp_path / "run" / "video.mp4").exists()
     printed, complained = capsys.readouterr()
     assert (
-        "the report is incomplete: video: pygame is not installed or broken; pmil report run makes "
-        "the rest later\n"
+        "the report is incomplete: video: pygame is not installed or broken; pmil resume run makes "
+        "the rest later, pmil report the page alone\n"
     ) in complained
     assert "see run/report.html, run/figures, run/summary.json" in printed.splitlines()
 

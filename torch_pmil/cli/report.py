@@ -23,7 +23,9 @@ def main() -> None:
         page = write_report(folder)
     except (RunError, OSError) as error:
         sys.exit(f"error: {error}")
-    absent = f", without {' and '.join(missing)}" if (missing := missing_in(folder)) else ""
+    absent = ""
+    if missing := missing_in(folder):
+        absent = f", without {' and '.join(missing)}: pmil resume {folder} makes them"
     print(f"wrote {page}{absent}")
 
 

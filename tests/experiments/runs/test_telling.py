@@ -51,4 +51,8 @@ def test_what_is_missing_is_one_line(capsys: pytest.CaptureFixture[str]) -> None
     printed, complained = capsys.readouterr()
     assert (printed, complained.count("\n")) == ("", 1)
     assert complained.startswith("a: the report is incomplete: video: x x ")
-    assert complained.endswith(" ...; pmil report run makes the rest later\n")
+    assert complained.endswith(
+        " ...; pmil resume run makes the rest later, pmil report the page alone\n"
+    )
+    warn_incomplete("", ["video: none"], Path("-a b"))
+    assert "; pmil resume './-a b' makes" in capsys.readouterr().err

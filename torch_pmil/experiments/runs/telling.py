@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -46,9 +47,10 @@ def one_line(error: BaseException) -> str:
 def warn_incomplete(label: str, failures: list[str], out: Path) -> None:
     """Say on standard error, in one line, what is missing; nothing if nothing is."""
     if failures:
+        folder = shlex.quote(f"./{out}" if str(out).startswith("-") else str(out))
         print(
-            f"{label}the report is incomplete: {'; '.join(failures)}; pmil report {out} makes the "
-            "rest later",
+            f"{label}the report is incomplete: {'; '.join(failures)}; pmil resume "
+            f"{folder} makes the rest later, pmil report the page alone",
             file=sys.stderr,
             flush=True,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -186,10 +187,12 @@ def test_ffmpeg_that_hangs_or_fails_is_an_os_error(
 ) -> None:
     monkeypatch.setattr(video, "PATIENCE", 0.5)
     stand_in(tmp_path, monkeypatch, script)
+    begun = time.monotonic()
     with pytest.raises(OSError, match=said):  # more bytes than a pipe holds
         write_video(tmp_path / "shades.mp4", shades(3, 200, 200), fps=50)
     with pytest.raises(OSError, match="ffmpeg made no GIF of"):
         write_gif(tmp_path / "shades.gif", tmp_path / "shades.mp4")
+    assert time.monotonic() - begun < 30
     assert [path.name for path in tmp_path.iterdir()] == ["ffmpeg"]
 
 

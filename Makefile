@@ -4,6 +4,8 @@
 PYTHON ?= $(shell for p in python3.14 python3.13 python3.12 python3.11; do $$p -c '' 2>/dev/null && echo $$p && break; done || echo python3)
 PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-user-action=ignore
 ARGS ?=
+SETTINGS := experiment shape robot seed demonstrations trials out resume overwrite logger
+GIVEN = $(foreach name,$(SETTINGS),$(if $(filter command,$(origin $(name))),$(name)='$($(name))'))
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=
@@ -19,8 +21,8 @@ PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Ne
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
 
-train: .venv/.installed  ## learn the double pendulum task into runs/double_pendulum; settings through ARGS="..."
-	@.venv/bin/pmil train experiment=double_pendulum $(ARGS)
+train: .venv/.installed  ## learn the double pendulum task into runs/double_pendulum; settings as seed=1 trials=2
+	@.venv/bin/pmil train $(strip $(GIVEN) $(ARGS))
 
 test: .venv/.installed  ## the tests of the mathematics, the trainer and the commands
 	@.venv/bin/python -m pytest -n 2 $(ARGS)

@@ -21,6 +21,7 @@ from torch_pmil.files import (
     read_json,
     read_text,
     read_zip,
+    remove_temporaries,
     replacing,
 )
 
@@ -230,3 +231,35 @@ def test_code_among_tensors_is_refused_and_not_executed(tmp_path: Path, protocol
     with pytest.raises(FileError, match=r"data\.pkl must name tensors alone, got"):
         load_tensors(tmp_path / "a.pt")
     assert os.listdir(tmp_path) == ["a.pt"]
+
+
+def test_what_is_there_under_the_temporary_name_is_never_written_to(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("content")
+    debris = tmp_path / f".numbers.{os.getpid()}.csv"
+    for leave in (lambda: debris.symlink_to(tmp_path / "precious"), lambda: debris.touch(0o400)):
+        leave()
+        with replacing(tmp_path / "numbers.csv") as temporary:
+            assert temporary == debris and not debris.is_symlink()
+            temporary.write_text("1,2")
+        assert (tmp_path / "numbers.csv").read_text() == "1,2"
+    assert (tmp_path / "precious").read_text() == "content"
+    assert sorted(os.listdir(tmp_path)) == ["numbers.csv", "precious"]
+
+
+def test_temporary_file_is_as_readable_as_any(tmp_path: Path) -> None:
+    with replacing(tmp_path / "numbers.csv") as temporary:
+        temporary.write_text("1,2")
+    (tmp_path / "plain").touch()
+    assert (tmp_path / "numbers.csv").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_only_temporaries_of_that_name_are_removed(tmp_path: Path) -> None:
+    kept = ("video.mp4", ".video.mp4", ".video.12a.mp4", ".video.12.mp4.bak", ".other.12.mp4")
+    for name in (*kept, ".video.12.mp4"):
+        (tmp_path / name).touch()
+    (tmp_path / ".video.13.mp4").mkdir()
+    remove_temporaries(tmp_path / "video.mp4")
+    assert set(os.listdir(tmp_path)) == {*kept, ".video.13.mp4"}
+    remove_temporaries(tmp_path / "*.mp4")
+    assert set(os.listdir(tmp_path)) == {*kept, ".video.13.mp4"} - {".other.12.mp4"}
+    remove_temporaries(tmp_path / "nowhere" / "video.mp4")

@@ -108,7 +108,7 @@ def run_dmp(
     fresh = experiment.make_env(
         control_period=feedback_period, num_envs=EVALUATION_STARTS, seed=seed + 2_000_000
     )
-    clear_folder(out)
+    clear_folder(out, overwrite=True)  # it takes less than a minute
     prepare_folder(out)
     rows: list[DMPTrial] = []
     write_metrics(out / "metrics.csv", DMPTrial, rows)

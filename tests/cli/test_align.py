@@ -66,7 +66,7 @@ def test_targets_are_carried_through_and_never_warped(script: Script, recorded: 
     script(recorded, out := recorded.with_suffix(".npz"), "--velocities", "dq")
     plain = load_demonstrations(out)
     recorded.write_text("\n".join([f"{header},target place", *told]))
-    script(recorded, out, "--velocities", "dq")
+    script(recorded, out, "--velocities", "dq", "--overwrite")
     aligned = load_demonstrations(out)
     assert aligned.targets.tolist() == 3 * [[0.25]] + 3 * [[1.75]] and aligned.target_names == (
         "place",
@@ -90,6 +90,22 @@ def test_target_with_one_demonstration_is_one_line_and_writes_nothing(
     ):
         script(recorded, recorded.with_suffix(".npz"))
     assert os.listdir(recorded.parent) == ["recorded.csv"]
+
+
+def test_output_that_is_there_is_replaced_only_if_told(
+    script: Script, recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, picture = recorded.with_suffix(".npz"), recorded.with_suffix(".png")
+    for path in (out, picture):
+        path.write_text("old")
+        with pytest.raises(SystemExit) as stop:
+            script(recorded, out, "--draw", picture)
+        assert stop.value.code == f"error: {path} is there already: --overwrite replaces it"
+        assert path.read_text() == "old"
+        if path == out:
+            path.unlink()
+    script(recorded, out, "--draw", picture, "--overwrite")
+    assert load_demonstrations(out) and picture.read_bytes()[:4] == b"\x89PNG"
 
 
 def test_rest_is_kept_unless_told(script: Script, recorded: Path) -> None:

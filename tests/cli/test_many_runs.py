@@ -136,7 +136,7 @@ def test_runs_that_fail_are_named_and_the_others_go_on(folder: Path) -> None:
     )
     assert result.returncode == 1
     assert result.stderr.startswith(
-        "some/seed_x: error: seed must be a whole number of at least 0, got 'x'\n"
+        "some/seed_x: error: seed must be a whole number from 0 to 2147483647, got 'x'\n"
     )
     assert "Traceback" not in result.stderr
     assert (folder / "some" / "seed_0" / "summary.json").is_file()

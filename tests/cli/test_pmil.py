@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import json
+import os
 import subprocess
 import sys
 from importlib.metadata import entry_points
@@ -11,6 +14,7 @@ from pathlib import Path
 import pytest
 from hydra.core.config_store import ConfigStore
 
+from tests.experiments.runs.report.test_report import OLD, run_of
 from tests.helpers.run_script import ROOT, run_command
 from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil import cli
@@ -98,7 +102,7 @@ def test_stopped_run_is_resumed_by_its_folder(
 def test_changed_settings_take_the_place_of_those_of_the_run(tmp_path: Path) -> None:
     folder = tmp_path / "it's"
     folder.mkdir()
-    write_origin(folder, {"command": "pmil train trials=3 seed=1 out=elsewhere resume=true"})
+    write_origin(folder, {"command": "pmil train trials=3 seed=1 out=elsewhere overwrite=true"})
     quoted = str(folder).replace("'", "\\'")
     assert overrides(folder, ["trials=9"]) == [
         "seed=1",
@@ -121,6 +125,57 @@ def test_damaged_origin_is_one_line(
     (tmp_path / "run.json").write_text(content)
     with pytest.raises(SystemExit, match=r"^error: .*run.json is damaged"):
         run_command(monkeypatch, "resume", tmp_path)
+
+
+def test_report_says_what_it_has_to_do_without(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Printed
+) -> None:
+    run_command(monkeypatch, "report", run_of(tmp_path / "run", OLD))
+    page = tmp_path / "run" / "report.html"
+    assert capsys.readouterr().out == (
+        f"wrote {page}, without figures (figures/ holds none) and video (there is no video.mp4): "
+        f"pmil resume {page.parent} makes them\n"
+    )
+    whole = run_of(tmp_path / "whole", OLD, "poses")
+    (whole / "video.mp4").touch()
+    run_command(monkeypatch, "report", whole)
+    assert capsys.readouterr().out == f"wrote {tmp_path / 'whole' / 'report.html'}\n"
+
+
+def test_working_folder_that_is_gone_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(
+        SystemExit, match=r"^error: the working folder cannot be used: No such file"
+    ):
+        run_command(monkeypatch, "report", "run")
+
+
+@pytest.mark.parametrize(
+    ("number", "said"), [(errno.EPIPE, None), (errno.ENOSPC, "error: standard output: No space")]
+)
+def test_output_that_nobody_reads_ends_quietly_and_one_that_is_lost_with_an_error(
+    monkeypatch: pytest.MonkeyPatch, number: int, said: str | None
+) -> None:
+    class Broken(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(sys, "stdout", Broken())
+    if said is None:
+        run_command(monkeypatch, "--help")
+    else:
+        with pytest.raises(SystemExit, match=said):
+            run_command(monkeypatch, "--help")
+
+
+def test_closed_streams_are_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("stdin", "stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+    run_command(monkeypatch, "--help")
 
 
 def test_folder_that_is_no_run_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

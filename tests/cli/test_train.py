@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,12 +16,18 @@ from pathlib import Path
 
 import pytest
 from hydra.core.config_store import ConfigStore
+from omegaconf import OmegaConf
 
-from tests.helpers.run_script import run_command
+from tests.experiments.runs.report.test_report import OLD
+from tests.helpers.run_script import ROOT, run_command
 from tests.helpers.short_run import quick_fits, short_experiment
+from torch_pmil.cli import train
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import EXPERIMENTS
+from torch_pmil.experiments.runs import pictures, settings
+from torch_pmil.experiments.runs.training import RunResult, train as learn
+from torch_pmil.experiments.tasks.experiment import Outcome
 from torch_pmil.search import policy_search
 from torch_pmil.trainer import search_stepper
 
@@ -44,6 +51,12 @@ FIGURES = {
     "model",
     "policy",
     "poses",
+}
+SUMMARY = OLD | {
+    "saved_n_eval": 20,
+    "two_sigma_coverage": 0.9,
+    "two_sigma_coverage_by_entry": {"q1": 0.9},
+    "diagnosis": [{"cause": "search stuck", "message": "predicted 0.14 ± 0.06 m"}],
 }
 Script = Callable[..., None]
 
@@ -127,12 +140,109 @@ def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_say
     monkeypatch.setattr(MujocoRobotEnv, "_open_renderer", broken)
     quick_fits(monkeypatch)
     script("trials=1", "seed=2", "out=run")
-    printed = capsys.readouterr().out
-    assert "there is no video, because pictures need OpenGL\n" in printed
+    printed, complained = capsys.readouterr()
+    assert complained.endswith(
+        "the report is incomplete: video: pictures need OpenGL; pmil resume run makes the rest "
+        "later, pmil report the page alone\n"
+    )
     assert "see run/report.html, run/figures, run/summary.json" in printed
     assert re.search(
         r"within two predicted standard deviations: q1 \d+%, dq1 \d+%, q2 \d+%, dq2 \d+%\n", printed
     )
+
+
+@pytest.fixture
+def finished(short_double_pendulum: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Training is over at once: what it would return and leave is there."""
+    experiment = short_experiment(6)
+    outcome = Outcome("", experiment.demonstrations, experiment.demonstrated, None, None)
+    result = RunResult(SUMMARY, [], [outcome], None, None)
+
+    def saved(experiment: object, seed: int, trials: int, out: Path, *rest: object, **_: object):
+        (out / "figures").mkdir(parents=True)
+        (out / "policy.pt").touch()
+        (out / "summary.json").write_text(json.dumps(SUMMARY))
+        return result
+
+    monkeypatch.setattr(train, "train", saved)
+
+
+@pytest.fixture
+def nothing_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pictures, "figures_of", lambda *args: iter([]))
+    monkeypatch.setattr(pictures, "film_outcome", lambda *args: None)
+
+
+def broken(*args: object) -> None:
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_all_that_fails_after_the_policy_is_saved_is_one_line_at_the_end(
+    script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("figures_of", "film_outcome", "write_report"):
+        monkeypatch.setattr(pictures, name, broken)
+    script("out=run")  # does not exit
+    printed, complained = capsys.readouterr()
+    assert "policy of trial 1: success rate 50%" in printed and "see run/summary.json" in printed
+    full = "[Errno 28] No space left on device"
+    assert complained == (
+        f"the report is incomplete: figures: {full}; video: {full}; report: {full}; "
+        "pmil resume run makes the rest later, pmil report the page alone\n"
+    )
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_whole_report_leaves_no_complaint(
+    script: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script("out=run")
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_interruption_while_drawing_leaves_what_was_learned_and_says_what_is_missing(
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def interrupted(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pictures, "film_outcome", interrupted)
+    script("out=run")
+    assert "incomplete: video: stopped; report: stopped; pmil" in capsys.readouterr().err
+    assert (tmp_path / "run" / "summary.json").exists()
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_run_that_was_renamed_while_it_was_drawn_is_an_error(
+    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def renamed(*args: object) -> None:
+        (tmp_path / "run").rename(tmp_path / "elsewhere")
+
+    monkeypatch.setattr(pictures, "film_outcome", renamed)
+    assert error_of(script, "out=run").startswith("run was removed or renamed")
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_output_that_is_ascii_or_broken_ends_nothing(
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with (tmp_path / "ascii").open("w", encoding="ascii") as ascii_only:
+        monkeypatch.setattr(sys, "stdout", ascii_only)
+        script("out=run")
+    assert "0.14 ? 0.06 m" in (tmp_path / "ascii").read_text()
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        script("out=another")
+    assert "incomplete: standard output: [Errno 28] No space left" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("short_double_pendulum")
@@ -161,6 +271,78 @@ def test_stopped_run_is_not_overwritten_by_the_same_command(
     assert error_of(script, "trials=1", "seed=2", "out=run") == (
         "run holds a run that was stopped: go on with resume=true, or remove run/checkpoints"
     )
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_finished_run_is_replaced_only_if_told_and_the_message_says_how(
+    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    script("out=run")
+    monkeypatch.setattr(train, "train", learn)
+    assert error_of(script, "out=run", "seed=3", "resume=false") == (
+        "run holds a run that has ended: overwrite=true replaces it, as "
+        "pmil train out=run seed=3 overwrite=true"
+    )
+    assert json.loads((tmp_path / "run" / "summary.json").read_text()) == SUMMARY
+
+
+NAMES = ", ".join(settings.NAMES)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("sede=1", "there is no setting sede in sede=1: did you mean seed?"),
+        ("+sede=1", "there is no setting sede in +sede=1: did you mean seed?"),
+        ("++trails=1", "there is no setting trails in ++trails=1: did you mean trials?"),
+        ("seed.x=1", "there is no setting seed.x in seed.x=1: did you mean seed?"),
+        ("zzz=1", f"there is no setting zzz in zzz=1: there are {NAMES}"),
+        ("~seed", "a setting must be seed=VALUE, got ~seed"),
+        ("+seed=1", "a setting must be seed=VALUE, got +seed=1"),
+        ("seed", "cannot read the setting 'seed': "),
+        ("out=[", "cannot read the setting 'out=[': "),
+        ("resume=no", "resume must be true or false, got 'no'"),
+        ("overwrite=1", "overwrite must be true or false, got 1"),
+        ("out=", "out must be text that is not empty, got ''"),
+        ("out=null", "out must be text that is not empty, got None"),
+        ("out=5", "out must be text that is not empty, got 5"),
+        ("out=[a,b]", "out must be text that is not empty, got ['a', 'b']"),
+        ("out=${nothing}", "out cannot be read: "),
+        ("demonstrations=3", "demonstrations must be text that is not empty or null, got 3"),
+        ("demonstrations=[a]", "demonstrations must be text that is not empty or null, got ['a']"),
+        ("experiment=null", "experiment must be text that is not empty, got None"),
+        ("experiment=[a]", "experiment must be text that is not empty, got ['a']"),
+        ("seed=12345678901234567890", "seed must be a whole number from 0 to 2147483647, got 1"),
+        ("seed=true", "seed must be a whole number from 0 to 2147483647, got True"),
+        ("trials=1000000000000", "trials must be a whole number from 1 to 1000, got 10"),
+        ("trials=1e12", "trials must be a whole number from 1 to 1000, got 10"),
+    ],
+)
+def test_setting_that_is_not_as_it_must_be_is_one_line_before_anything_is_written(
+    script: Script, tmp_path: Path, override: str, message: str
+) -> None:
+    assert error_of(script, override).startswith(message)
+    assert os.listdir(tmp_path) == []
+
+
+def test_settings_are_those_of_the_configuration() -> None:
+    config = OmegaConf.load(train.CONFIG / "train.yaml")
+    assert set(settings.NAMES) == set(config) - {"defaults", "hydra"}
+
+
+def test_settings_that_make_passes_on_are_all_there_are() -> None:
+    (line,) = re.findall(r"^SETTINGS := (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert line.split() == list(settings.NAMES)
+
+
+def test_make_passes_on_the_settings_of_its_command_line(tmp_path: Path) -> None:
+    """GNU make alone runs here, and says what it would do."""
+    made = shutil.which("make")
+    if made is None:
+        pytest.skip("no make on this machine")
+    command = [made, "-n", "-o", ".venv/.installed", "train", "seed=1", "out=a b", "ARGS=trials=2"]
+    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert told.stdout == ".venv/bin/pmil train seed='1' out='a b' trials=2\n"
 
 
 def test_unknown_logger_is_refused_with_those_there_are(script: Script) -> None:
@@ -283,10 +465,13 @@ def test_failure_is_one_line_on_stderr_and_an_exit_code(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["tensorboard", "wandb", "mlflow"])
-def test_missing_library_of_a_logger_is_named(script: Script, kind: str) -> None:
+def test_missing_library_of_a_logger_is_named_before_there_is_a_folder(
+    script: Script, tmp_path: Path, kind: str
+) -> None:
     if find_spec(kind):
         pytest.skip(f"{kind} is installed")
     assert (
         error_of(script, f"logger={kind}", "out=run")
         == f"logger={kind} needs another library: pip install {kind}"
     )
+    assert os.listdir(tmp_path) == []

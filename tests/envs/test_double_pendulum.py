@@ -381,7 +381,7 @@ assert (hanging != upright).any()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("backend", "fails"), [("egl", False), ("glfw", True)])
+@pytest.mark.parametrize(("backend", "fails"), [("egl", False), ("glfw", True), ("elg", True)])
 def test_pictures_are_drawn_or_refused_clearly(backend, fails):
     environment = {
         name: value
@@ -398,5 +398,6 @@ def test_pictures_are_drawn_or_refused_clearly(backend, fails):
     )
     assert (result.returncode != 0) == fails, result.stderr
     assert (
-        "RuntimeError: pictures need OpenGL, which failed with MUJOCO_GL glfw" in result.stderr
+        f"RuntimeError: pictures need OpenGL, which failed with MUJOCO_GL {backend}"
+        in result.stderr
     ) == fails

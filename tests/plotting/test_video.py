@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import torch
 from PIL import Image
 
 from torch_pmil.envs import DoublePendulumEnv
+from torch_pmil.plotting import video
 from torch_pmil.plotting.video import render_rollout, write_gif, write_video
 
 
@@ -161,3 +163,58 @@ def test_gif_of_no_video_is_an_os_error_and_leaves_the_old_one(
         write_gif(gif, video)
     assert gif.read_text() == "old"
     assert {path.name for path in tmp_path.iterdir()} <= {"shades.mp4", "shades.gif"}
+
+
+def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+    """A program in ffmpeg's place."""
+    program = tmp_path / "ffmpeg"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o700)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(program))
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("sleep 60", r"ffmpeg made no video: it did nothing for 0\.5 s, and was ended"),
+        ("cat > /dev/null; exit 3", "ffmpeg made no video: it ended with status 3"),
+        ("echo no codec >&2; exit 1", "ffmpeg made no video: no codec"),
+    ],
+    ids=["hangs", "fails", "fails at once"],
+)
+def test_ffmpeg_that_hangs_or_fails_is_an_os_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, said: str
+) -> None:
+    monkeypatch.setattr(video, "PATIENCE", 0.5)
+    stand_in(tmp_path, monkeypatch, script)
+    begun = time.monotonic()
+    with pytest.raises(OSError, match=said):  # more bytes than a pipe holds
+        write_video(tmp_path / "shades.mp4", shades(3, 200, 200), fps=50)
+    with pytest.raises(OSError, match="ffmpeg made no GIF of"):
+        write_gif(tmp_path / "shades.gif", tmp_path / "shades.mp4")
+    assert time.monotonic() - begun < 30
+    assert [path.name for path in tmp_path.iterdir()] == ["ffmpeg"]
+
+
+def test_missing_ffmpeg_is_an_os_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "nowhere"))
+    with pytest.raises(OSError, match="nowhere"):
+        write_video(tmp_path / "shades.mp4", shades(3), fps=50)
+
+    def none() -> str:
+        raise RuntimeError("No ffmpeg exe could be found")
+
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", none)
+    with pytest.raises(OSError, match="ffmpeg is missing: No ffmpeg exe"):
+        write_video(tmp_path / "shades.mp4", shades(3), fps=50)
+
+
+@pytest.mark.parametrize("folder", ["-i", "http:", "pipe:1", "a:b", "concat:x|y", "100%d"])
+def test_folder_is_taken_for_no_option_and_no_protocol(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(folder).mkdir()
+    write_video(f"{folder}/-y.mp4", shades(2), fps=50)
+    write_gif(f"{folder}/-y.gif", f"{folder}/-y.mp4")
+    assert {path.name for path in Path(folder).iterdir()} == {"-y.mp4", "-y.gif"}

@@ -17,7 +17,7 @@ from torch import Tensor
 from reproduction.robustness import with_noise
 from tests.helpers.short_run import PD_MOVEMENTS, SEED, STEPS, TRIALS, quick_fits, run, stop_in
 from torch_pmil.experiments import EXPERIMENTS, load_experiment
-from torch_pmil.experiments.runs.run_folder import UnfinishedRunError
+from torch_pmil.experiments.runs.run_folder import FinishedRunError, UnfinishedRunError
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.collector import RolloutCollector
 
@@ -265,10 +265,37 @@ def test_finished_run_that_was_stopped_as_it_went_on_is_not_overwritten(tmp_path
         run(tmp_path)
 
 
-def test_finished_run_may_be_run_anew(whole: Path, tmp_path: Path) -> None:
+def test_finished_run_is_replaced_only_if_told(whole: Path, tmp_path: Path) -> None:
     run(tmp_path / "run", seed=SEED + 1)
-    run(tmp_path / "run")
+    before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    with pytest.raises(FinishedRunError, match="a run that has ended: overwrite=true replaces it"):
+        run(tmp_path / "run")
+    assert before == {
+        path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()
+    }
+    run(tmp_path / "run", overwrite=True)
     assert_same_end(tmp_path / "run", whole)
+
+
+def test_replaced_run_that_is_stopped_leaves_nothing_of_the_old_one(
+    whole: Path, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(whole, tmp_path / "run")
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
+        stop_in(patch, "search", 1, stop)
+        run(folder, overwrite=True)
+    assert {path.name for path in folder.iterdir()} == {
+        "run.json",
+        "metrics.csv",
+        "checkpoints",
+        "figures",
+    }
+
+
+def test_replacing_and_going_on_exclude_each_other(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="give one of the two"):
+        run(tmp_path / "run", resume=True, overwrite=True)
+    assert not (tmp_path / "run").exists()
 
 
 def test_another_run_is_not_gone_on_with(stopped: Path) -> None:

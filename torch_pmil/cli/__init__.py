@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import version
+from typing import Any, TextIO
 
 COMMANDS = {  # in the order in which they are used; each is the module of that name
     "inspect": "say what is in a file of recordings, and what training needs beside it",
@@ -26,8 +30,89 @@ examples:
 the same in Python: import torch_pmil; help(torch_pmil)"""
 
 
+class LastingOutput:
+    """A text stream that may break: from then on, what is written to it goes nowhere.
+
+    So a reader that leaves (``| head``) or a disk that is full ends no command half way. What no
+    encoding of the stream has is written as ``?``.
+
+    Args:
+        stream: to write to.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.failure: OSError | None = None
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write a text, or nothing; returns its length."""
+        try:
+            return self._stream.write(text)
+        except OSError as error:
+            self._fall_silent(error)
+            return len(text)
+
+    def flush(self) -> None:
+        """Hand on what was written, or drop it."""
+        try:
+            self._stream.flush()
+        except OSError as error:
+            self._fall_silent(error)
+
+    def _fall_silent(self, error: OSError) -> None:
+        """Let the stream's file be the null device, so that what is left in buffers goes there."""
+        self.failure = error
+        with suppress(OSError):  # a stream may have no file
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self._stream.fileno())
+            os.close(null)
+
+
+@contextmanager
+def lasting_output() -> Iterator[None]:
+    """Nothing that is printed within raises, whatever becomes of standard output and error."""
+    with ExitStack() as stack:
+        for name in ("stdin", "stdout", "stderr"):  # each opens the lowest number that is free
+            if getattr(sys, name) is None:  # closed by whoever called
+                stack.callback(setattr, sys, name, None)
+                setattr(sys, name, stack.enter_context(open(os.devnull, "r+")))
+        for name in ("stdout", "stderr"):
+            stream = getattr(sys, name)
+            if not isinstance(stream, LastingOutput):
+                setattr(sys, name, lasting := LastingOutput(stream))
+                stack.callback(setattr, sys, name, stream)
+                stack.callback(lasting.flush)
+        yield
+
+
+def lost_output() -> OSError | None:
+    """What standard output failed with since it was last asked, or None."""
+    if not isinstance(sys.stdout, LastingOutput):
+        return None
+    sys.stdout.flush()
+    failure, sys.stdout.failure = sys.stdout.failure, None
+    return failure
+
+
 def main() -> None:
     """Run the command that the command line names."""
+    with lasting_output():
+        try:
+            os.getcwd()
+        except OSError as error:
+            sys.exit(f"error: the working folder cannot be used: {error.strerror}")
+        _run()
+        lost = lost_output()
+        if lost and not isinstance(lost, BrokenPipeError):
+            sys.exit(f"error: standard output: {lost.strerror}")
+
+
+def _run() -> None:
     name, *arguments = sys.argv[1:] or ["--help"]
     if name in ("-h", "--help"):
         print(_help())

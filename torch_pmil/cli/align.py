@@ -175,6 +175,9 @@ def options_of_command_line() -> argparse.Namespace:
         metavar="PICTURE.png",
         help="what was recorded beside what became of it",
     )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace OUT.npz and PICTURE.png if they are there"
+    )
     return parser.parse_args()
 
 
@@ -263,6 +266,9 @@ def main() -> None:
         sys.exit(
             "error: --derive needs --smooth PERIOD: velocities are those of smoothed positions"
         )
+    for path in filter(None, (options.out, options.draw)):
+        if path.exists() and not options.overwrite:
+            sys.exit(f"error: {path} is there already: --overwrite replaces it")
     try:
         recordings = load_recordings(
             options.recorded,

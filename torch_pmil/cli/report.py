@@ -20,6 +20,19 @@ def main() -> None:
     parser.add_argument("folder", type=Path, metavar="RUN", help="folder of a finished run")
     folder = parser.parse_args().folder
     try:
-        print(f"wrote {write_report(folder)}")
+        page = write_report(folder)
     except (RunError, OSError) as error:
         sys.exit(f"error: {error}")
+    absent = ""
+    if missing := missing_in(folder):
+        absent = f", without {' and '.join(missing)}: pmil resume {folder} makes them"
+    print(f"wrote {page}{absent}")
+
+
+def missing_in(folder: Path) -> list[str]:
+    """What the folder of a run lacks for a whole report, in words."""
+    there = {
+        "figures (figures/ holds none)": any((folder / "figures").glob("*.png")),
+        "video (there is no video.mp4)": (folder / "video.mp4").exists(),
+    }
+    return [words for words, found in there.items() if not found]

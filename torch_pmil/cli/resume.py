@@ -49,5 +49,5 @@ def overrides(folder: Path, changed: list[str]) -> list[str]:
         )
     out = str(folder).replace("\\", "\\\\").replace("'", "\\'")
     new = [*changed, f"out='{out}'", "resume=true"]
-    names = {setting.partition("=")[0] for setting in new}
+    names = {setting.partition("=")[0] for setting in new} | {"overwrite"}
     return [word for word in words[2:] if word.partition("=")[0] not in names] + new

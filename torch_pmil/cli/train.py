@@ -4,7 +4,8 @@ Example:
     pmil train experiment=double_pendulum seed=0 trials=12 out=runs/double_pendulum/seed_0
     pmil train -m "seed=range(10)"
 
-A run that was stopped goes on with the same command and resume=true.
+A run that was stopped goes on with the same command and resume=true; one that has ended is replaced
+with overwrite=true.
 """
 
 from __future__ import annotations
@@ -19,19 +20,32 @@ from typing import NoReturn
 
 import hydra
 import torch
+from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 
+from torch_pmil.cli import lasting_output, lost_output
 from torch_pmil.demonstrations import DemonstrationError, load_demonstrations
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.before_a_run import check
 from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
-from torch_pmil.experiments.runs.pictures import draw
+from torch_pmil.experiments.runs.lock import alone_in
+from torch_pmil.experiments.runs.pictures import steps_of
+from torch_pmil.experiments.runs.run_folder import FinishedRunError
+from torch_pmil.experiments.runs.settings import (
+    Settings,
+    SettingsError,
+    check_overrides,
+    settings_of,
+)
+from torch_pmil.experiments.runs.summaries import is_finished
 from torch_pmil.experiments.runs.sweep import register_launchers
-from torch_pmil.experiments.runs.training import train
+from torch_pmil.experiments.runs.telling import one_line, tell, warn_incomplete
+from torch_pmil.experiments.runs.training import RunResult, train
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import Trial
 
@@ -41,64 +55,114 @@ LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what a run may
 
 def main() -> None:
     """Read the command line and learn."""
+    given, _ = get_args_parser().parse_known_args()
+    try:
+        check_overrides(given.overrides)
+    except SettingsError as error:
+        sys.exit(f"error: {error}")
     register_launchers(CONFIG / "launcher")
     learn()
 
 
 @hydra.main(version_base="1.3", config_path=str(CONFIG), config_name="train")
 def learn(config: DictConfig) -> None:
-    """Learn, then draw: one run of a sweep, or the only one."""
+    """Learn, then show: one run of a sweep, or the only one."""
+    with lasting_output():  # a sweep's run may be in a process of its own
+        run(config)
+
+
+def run(config: DictConfig) -> None:
+    """Learn, save, show."""
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
-    out = Path(config.out)
     job = HydraConfig.get()
     alone = job.mode == RunMode.RUN
-    label = "" if alone else f"{out}: "
+    label = "" if alone else f"{name_of(config)}: "
     given = sys.argv[1:]
     if not alone:  # Hydra escapes braces
         given = [override.replace("\\", "") for override in job.overrides.task]
-    command = shlex.join(["pmil", "train", *(given or [f"experiment={config.experiment}"])])
+    command = ["pmil", "train", *given]
     try:
+        settings = settings_of(config)
         os.chdir(job.runtime.cwd)  # of the sweep's start: a cluster's worker may be elsewhere
-        experiment = experiment_of(config)
+        experiment = experiment_of(settings)
         warn_of(label, check(experiment))
-        result = train(
-            experiment,
-            config.seed,
-            config.trials,
-            out,
-            command,
-            progress_bar=alone,
-            on_trial=partial(print_trial, label, experiment.objective),
-            resume=config.resume,
-            logger=config.logger,
-        )
+        with alone_in(settings.folder):
+            result = learned(label, alone, experiment, settings, command)
+            show(label, experiment, result, settings.folder)
     except KeyboardInterrupt:
-        print(
-            f"\n{label}stopped; go on with: {command.removesuffix(' resume=true')} resume=true",
-            file=sys.stderr,
-        )
+        print(f"\n{label}stopped; go on with: {again(command, 'resume=true')}", file=sys.stderr)
         sys.exit(130)
+    except FinishedRunError as error:
+        anew = again(command, "overwrite=true")
+        fail(f"{label}error: {error}, as {anew}", label)
     except (ImportError, ValueError, OSError, RuntimeError) as error:
-        fail(f"{label}error: {error}", alone)
-    draw(experiment, result, out)
+        fail(f"{label}error: {error}", label)
+
+
+def learned(
+    label: str, alone: bool, experiment: Experiment, settings: Settings, command: list[str]
+) -> RunResult:
+    """Learn and save."""
+    if len(command) == 2:
+        command = [*command, f"experiment={settings.experiment}"]
+    return train(
+        experiment,
+        settings.seed,
+        settings.trials,
+        settings.folder,
+        shlex.join(command),
+        progress_bar=alone,
+        on_trial=partial(print_trial, label, experiment.objective),
+        resume=settings.resume,
+        logger=settings.logger,
+        overwrite=settings.overwrite,
+    )
+
+
+def again(command: list[str], setting: str) -> str:
+    """A command line with this for the settings that say what to do with an earlier run."""
+    kept = [word for word in command if word.partition("=")[0] not in ("resume", "overwrite")]
+    return shlex.join([*kept, setting])
+
+
+def name_of(config: DictConfig) -> str:
+    """What a run of a sweep is called: its folder, if that can be read."""
+    try:
+        return str(config.out)
+    except OmegaConfBaseException:
+        return "a run"
+
+
+def show(label: str, experiment: Experiment, result: RunResult, out: Path) -> None:
+    """Draw, film, report and print a run that is saved. What fails is said at the end, in a line.
+
+    Ends with an error only where the run is no longer there.
+    """
+    failures = tell(steps_of(experiment, result, out))
     print_summary(label, result.summary, out)
+    if lost := lost_output():
+        failures.append(f"standard output: {one_line(lost)}")
+    if not is_finished(out):
+        fail(f"{label}error: {out} was removed or renamed: what was learned is not there", label)
+    warn_incomplete(label, failures, out)
 
 
-def experiment_of(config: DictConfig) -> Experiment:
+def experiment_of(settings: Settings) -> Experiment:
     """The experiment that the settings name, with their demonstrations if they have some."""
     demonstrations = None
-    if config.demonstrations:
-        demonstrations = load_demonstrations(config.demonstrations)
-    return load_experiment(config.experiment, demonstrations, config.shape, config.robot)
+    if settings.demonstrations:
+        demonstrations = load_demonstrations(settings.demonstrations)
+    return load_experiment(settings.experiment, demonstrations, settings.shape, settings.robot)
 
 
-def fail(message: str, alone: bool) -> NoReturn:
+def fail(message: str, label: str) -> NoReturn:
     """End the run with a message.
 
-    The other runs of a sweep go on, and Hydra ends the sweep with an error when all are done.
+    The other runs of a sweep, whose label is not empty, go on, and Hydra ends the sweep with an
+    error when all are done.
     """
-    if alone:
+    if not label:
         sys.exit(message)
     print(message, file=sys.stderr, flush=True)
     raise CompactHydraException(message)
@@ -141,17 +205,31 @@ def by_entry(summary: dict) -> str:
     )
 
 
+def of_predictions(summary: dict) -> str:
+    """How far the executed states were predicted, or why they were not."""
+    if "prediction_error" in summary:
+        return f"the model cannot predict this policy: {summary['prediction_error']}"
+    return (
+        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted "
+        f"standard deviations: {by_entry(summary)}"
+    )
+
+
+def holds_something(path: Path) -> bool:
+    """Whether there is a file, or a folder with one."""
+    return any(path.glob("*")) if path.is_dir() else path.exists()
+
+
 def print_summary(label: str, summary: dict, out: Path) -> None:
     """Print the result of the run, and where it is."""
     reasons = [f"{reason['cause']}: {reason['message']}" for reason in summary["diagnosis"]]
-    left = [str(out / name) for name in LEFT if (out / name).exists()]
+    left = [str(out / name) for name in LEFT if holds_something(out / name)]
     lines = [
         f"policy of trial {summary['saved_trial']}: success rate "
         f"{summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh starts after "
         f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of "
         f"computing ({summary['stop_reason']})",
-        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted "
-        f"standard deviations: {by_entry(summary)}",
+        of_predictions(summary),
         *(f"likely reason: {reason}" for reason in reasons),
         f"see {', '.join(left)}",
     ]

@@ -1,11 +1,20 @@
 """Simulated robots as TorchRL environments."""
 
 import ctypes.util
+import importlib
 import os
 
 if "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
     # pictures without a display; MuJoCo reads this when it is first imported
     os.environ.setdefault("MUJOCO_GL", "egl")
+try:
+    importlib.import_module("mujoco")
+except (RuntimeError, AttributeError, OSError):
+    # a backend that is misspelt or broken: robots move without pictures, and open_renderer says so
+    chosen = os.environ.get("MUJOCO_GL", "")
+    os.environ["MUJOCO_GL"] = "disable"
+    importlib.import_module("mujoco")
+    os.environ["MUJOCO_GL"] = chosen
 
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.biorob import BioRobEnv

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import os
+import signal
 import subprocess
+import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import closing
+from contextlib import contextmanager, suppress
+from fractions import Fraction
 from pathlib import Path
+from threading import Timer
 
 import imageio_ffmpeg
 import numpy as np
@@ -19,8 +24,10 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.files import replacing
 
+PATIENCE = 60.0  # s without progress after which ffmpeg is ended
 # an MP4, whatever the file is called, with its index first, so that a browser plays at once
-MP4 = ["-f", "mp4", "-movflags", "+faststart"]
+MP4 = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", "10", "-f", "mp4"]
+MP4 += ["-movflags", "+faststart"]
 # a GIF counts in hundredths of a second; the last picture stays; colours are those of this video,
 # not mixed from dots, which flicker
 GIF = (
@@ -120,7 +127,8 @@ def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> N
 
     Raises:
         ValueError: there are no frames, or one has another shape or type.
-        OSError: the folder is missing or not writable, or ffmpeg did not write every frame.
+        OSError: the folder is missing or not writable, or ffmpeg is missing, failed, or did nothing
+            for ``PATIENCE``.
 
     Example:
         >>> import tempfile
@@ -135,7 +143,6 @@ def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> N
     if first is None:
         raise ValueError("a video needs at least one frame, got none")
     with replacing(path) as temporary:
-        temporary.touch()  # raises where ffmpeg would only print
         _encode(temporary, itertools.chain([first], frames), first.shape, fps)
 
 
@@ -162,43 +169,95 @@ def write_gif(path: Path | str, video: Path | str) -> None:
         b'GIF89a'
     """
     with replacing(path) as temporary:
-        temporary.touch()  # raises where ffmpeg would only print
-        ffmpeg = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error"]
-        command = [*ffmpeg, "-i", str(video), "-filter_complex", GIF, "-f", "gif", str(temporary)]
-        encoded = subprocess.run(command, capture_output=True, text=True, check=False)
-        if encoded.returncode:
-            raise OSError(
-                f"ffmpeg made no GIF of {video}: {encoded.stderr.strip().splitlines()[-1]}"
-            )
+        gif = ["-i", url(Path(video)), "-filter_complex", GIF, "-f", "gif", url(temporary)]
+        _run_ffmpeg(gif, (), f"no GIF of {video}")
+
+
+def url(path: Path) -> str:
+    """The name of a file that ffmpeg takes for nothing else: no option, and no protocol.
+
+    Example:
+        >>> url(Path("/runs/http:/-i.mp4"))
+        'file:/runs/http:/-i.mp4'
+    """
+    return f"file:{path.absolute()}"
 
 
 def _encode(path: Path, frames: Iterable[np.ndarray], shape: tuple[int, ...], fps: float) -> None:
     if len(shape) != 3 or shape[2] != 3:
         raise ValueError(f"frames must have shape (height, width, 3), got {shape}")
     margin = [(0, shape[0] % 2), (0, shape[1] % 2), (0, 0)]
-    size = shape[1] + shape[1] % 2, shape[0] + shape[0] % 2
-    count = 0
-    encoder = imageio_ffmpeg.write_frames(
-        path,
-        size,
-        fps=fps,
-        codec="libx264",
-        quality=8,
-        macro_block_size=2,
-        ffmpeg_log_level="error",
-        output_params=MP4,
-    )
-    with closing(encoder):
-        encoder.send(None)
-        for frame in frames:
-            if frame.shape != shape or frame.dtype != np.uint8:
-                raise ValueError(
-                    f"frame {count} must be uint8 of shape {shape}, got {frame.dtype} of shape "
-                    f"{frame.shape}"
-                )
-            encoder.send(np.pad(frame, margin, mode="edge"))
-            count += 1
-    # ffmpeg's exit status cannot be seen from here
-    written, _ = imageio_ffmpeg.count_frames_and_secs(path)
-    if written != count:
-        raise OSError(f"ffmpeg wrote {written} of {count} frames to {path}")
+    size = f"{shape[1] + shape[1] % 2}x{shape[0] + shape[0] % 2}"
+    rate = str(Fraction(fps).limit_denominator())
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", rate, "-i", "pipe:0"]
+    _run_ffmpeg([*raw, *MP4, url(path)], _checked(frames, shape, margin), "no video")
+
+
+def _checked(
+    frames: Iterable[np.ndarray], shape: tuple[int, ...], margin: list[tuple[int, int]]
+) -> Iterator[bytes]:
+    """The bytes of frames, each with its margin; raises ValueError at one of another kind."""
+    for count, frame in enumerate(frames):
+        if frame.shape != shape or frame.dtype != np.uint8:
+            raise ValueError(
+                f"frame {count} must be uint8 of shape {shape}, got {frame.dtype} of shape "
+                f"{frame.shape}"
+            )
+        yield np.pad(frame, margin, mode="edge").tobytes()
+
+
+def _run_ffmpeg(arguments: list[str], chunks: Iterable[bytes], complaint: str) -> None:
+    """Run ffmpeg on these bytes. Raises OSError unless it ends well, and without long pauses."""
+    try:
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *arguments]
+    except RuntimeError as error:
+        raise OSError(f"ffmpeg is missing: {error}") from error
+    with tempfile.TemporaryFile() as said:
+        null, pipe = subprocess.DEVNULL, subprocess.PIPE
+        with subprocess.Popen(
+            command, stdin=pipe, stdout=null, stderr=said, start_new_session=True
+        ) as process:
+            _feed(process, chunks)
+        if process.returncode:
+            said.seek(0)
+            lines = said.read().decode(errors="replace").strip().splitlines()
+            ended = f"it ended with status {process.returncode}"
+            if process.returncode == -signal.SIGKILL:
+                ended = f"it did nothing for {PATIENCE:g} s, and was ended"
+            raise OSError(f"ffmpeg made {complaint}: {lines[-1] if lines else ended}")
+
+
+def _feed(process: subprocess.Popen[bytes], chunks: Iterable[bytes]) -> None:
+    """Write all chunks and wait for the end of the process, which is killed at a long pause."""
+    assert process.stdin is not None
+    try:
+        with suppress(BrokenPipeError):  # it ended early, and its status says why
+            for chunk in chunks:
+                with _patience(process):
+                    process.stdin.write(chunk)
+            with _patience(process):
+                process.stdin.close()
+        with _patience(process):
+            process.wait()
+    finally:
+        _kill(process)
+        with suppress(BrokenPipeError):
+            process.stdin.close()
+
+
+@contextmanager
+def _patience(process: subprocess.Popen[bytes]) -> Iterator[None]:
+    """Kill the process if the block takes too long."""
+    timer = Timer(PATIENCE, _kill, (process,))
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill a process with all that it started, which would hold its pipes."""
+    with suppress(ProcessLookupError):
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)

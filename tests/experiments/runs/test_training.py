@@ -6,6 +6,7 @@ import csv
 import json
 import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, fields
 from datetime import datetime
 from importlib.metadata import version
@@ -21,12 +22,25 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.demonstrations.distribution import demonstration_spread, rms_error
 from torch_pmil.envs.rollouts import rollout_of
 from torch_pmil.experiments import Experiment
-from torch_pmil.experiments.runs.run_folder import clear_folder, prepare_folder, save_tensors
+from torch_pmil.experiments.runs import training
+from torch_pmil.experiments.runs.lock import RunGoingOnError
+from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.experiments.runs.run_folder import (
+    FILES,
+    FinishedRunError,
+    clear_folder,
+    prepare_folder,
+    remove_debris,
+    save_tensors,
+)
+from torch_pmil.experiments.runs.summaries import read_summary
 from torch_pmil.experiments.runs.training import EVALUATION_STARTS, RunResult, train
 from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import predict_trajectory
-from torch_pmil.trainer.trials import Trial
+from torch_pmil.model.rollout import PredictionError, predict_trajectory
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.trainer import PMILTrainer
+from torch_pmil.trainer.trials import Candidate, Trial
 
 HORIZON, TRIALS, SEED = 4, 2, 3
 COMMAND = f"pmil train seed={SEED}"
@@ -237,6 +251,30 @@ def test_executed_rollouts_are_those_of_the_saved_policy(
     )
 
 
+def test_run_whose_model_cannot_predict_the_saved_policy_ends_with_a_summary_that_says_so(
+    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unpredictable(self: TrajectoryLoss, *args: object) -> None:
+        raise PredictionError("prediction of step 2 of 4 failed: cov", 2)
+
+    original = PMILTrainer.best_policy
+
+    def best_policy(trainer: PMILTrainer) -> Candidate:
+        monkeypatch.setattr(TrajectoryLoss, "predict_states", unpredictable)
+        return original(trainer)
+
+    monkeypatch.setattr(PMILTrainer, "best_policy", best_policy)
+    result = train(experiment, SEED, 1, tmp_path / "run", COMMAND, progress_bar=False)
+    summary = read_summary(tmp_path / "run")
+    assert summary["prediction_error"] == "prediction of step 2 of 4 failed: cov"
+    assert not {"two_sigma_coverage", "two_sigma_coverage_by_entry", "loss_per_step"} & set(summary)
+    (reason,) = summary["diagnosis"]
+    assert reason["cause"] == "model not right" and "cannot predict" in reason["message"]
+    assert result.outcomes[0].predicted.mean.shape == (HORIZON, experiment.space.dim)
+    assert write_report(tmp_path / "run").exists()
+    assert load_network(tmp_path / "run")
+
+
 def test_folder_is_made_with_its_parents_and_used_again(tmp_path: Path) -> None:
     out = tmp_path / "runs" / "here"
     prepare_folder(out)
@@ -246,12 +284,79 @@ def test_folder_is_made_with_its_parents_and_used_again(tmp_path: Path) -> None:
     assert sorted(os.listdir(out)) == ["figures", "metrics.csv"]
 
 
-def test_pictures_of_the_run_before_do_not_stay(tmp_path: Path) -> None:
+def test_nothing_of_the_run_before_stays_if_it_may_be_replaced(tmp_path: Path) -> None:
     prepare_folder(tmp_path)
-    for name in ("figures/old.png", "video.mp4", "video.gif", "report.html", "summary.json"):
+    (tmp_path / "notes.txt").touch()  # is no run's
+    for name in ("figures/old.png", *FILES):
         (tmp_path / name).touch()
-    clear_folder(tmp_path)
-    assert os.listdir(tmp_path) == ["summary.json"]
+    with pytest.raises(FinishedRunError):
+        clear_folder(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"notes.txt", "figures", *FILES}
+    clear_folder(tmp_path, overwrite=True)
+    assert os.listdir(tmp_path) == ["notes.txt"]
+
+
+def test_debris_of_a_killed_run_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    checkpoints, hexadecimal = tmp_path / "checkpoints", 32 * "a"
+    (checkpoints / f".checkpoint-1.torchrl.stage-{hexadecimal}").mkdir(parents=True)
+    prepare_folder(tmp_path)
+    kept = ("video.mp4", ".hidden.3.txt", ".lock", "figures/a.png", "checkpoints/.mine.stage-1")
+    debris = (
+        *(".video.4711.mp4", ".summary.1.json", "figures/.poses.12.png", ".writable"),
+        f"checkpoints/.checkpoint-2.torchrl.archive-{hexadecimal}",
+    )
+    for name in (*kept, *debris):
+        (tmp_path / name).touch()
+    set_aside = checkpoints / f".checkpoint-0.torchrl.backup-{hexadecimal}"
+    set_aside.write_text("the only one")
+    remove_debris(tmp_path)
+    left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert left == {*kept, "checkpoints/checkpoint-0.torchrl"}
+    assert {path.name for path in checkpoints.iterdir()} == {
+        ".mine.stage-1",
+        "checkpoint-0.torchrl",
+    }
+
+
+def test_run_begins_by_removing_debris(
+    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / ".video.4711.mp4").touch()
+    monkeypatch.setattr(training, "_learn", lambda *args: None)
+    train(experiment, SEED, 1, tmp_path, COMMAND)
+    assert sorted(os.listdir(tmp_path)) == ["figures", "run.json"]
+
+
+def test_run_is_alone_in_its_folder_from_its_start_to_its_end(
+    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def another(*args: object) -> None:
+        assert (tmp_path / ".lock").read_text() == str(os.getpid())
+        with ThreadPoolExecutor() as pool:
+            second = pool.submit(train, experiment, SEED, 1, tmp_path, COMMAND, resume=True)
+        with pytest.raises(RunGoingOnError, match=f"is going on in .* .process {os.getpid()}."):
+            second.result()
+
+    monkeypatch.setattr(training, "_learn", another)
+    train(experiment, SEED, 1, tmp_path, COMMAND)
+    assert not (tmp_path / ".lock").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seed": True}, "seed must be a whole number from 0 to 2147483647, got True"),
+        ({"seed": 10**19}, "seed must be a whole number from 0 to 2147483647, got 1000"),
+        ({"trials": 10**12}, "trials must be a whole number from 1 to 1000, got 1000"),
+    ],
+)
+def test_number_beyond_its_limits_is_refused_before_there_is_a_folder(
+    experiment: Experiment, tmp_path: Path, changes: dict, message: str
+) -> None:
+    settings = {"seed": SEED, "trials": 1} | changes
+    with pytest.raises(ValueError, match=message):
+        train(experiment, out=tmp_path / "run", command=COMMAND, **settings)
+    assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize("below", ["", "run"], ids=["a file", "below a file"])

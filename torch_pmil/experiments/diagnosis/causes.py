@@ -127,6 +127,20 @@ def group(findings: Sequence[Finding]) -> list[Reason]:
     ]
 
 
+def unpredictable(error: str) -> Reason:
+    """The reason for a run whose newest model cannot predict the saved policy.
+
+    Example:
+        >>> unpredictable("prediction of step 3 of 25 failed").message[:57]
+        'the model cannot predict the saved policy (prediction of '
+    """
+    return Reason(
+        "model not right",
+        f"the model cannot predict the saved policy ({error}), so what was predicted is compared "
+        "with nothing; give it more data (more trials, a larger first motion)",
+    )
+
+
 def check_saturation(
     actions: Tensor, limits: Tensor, names: Sequence[str], needed: Tensor | None
 ) -> Reason | None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments.runs.figures import SKETCHES, figures_of
 from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.experiments.runs.telling import Step
 from torch_pmil.experiments.runs.training import RunResult
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.plotting import save_figure
@@ -21,32 +24,42 @@ from torch_pmil.plotting.video import (
 FRAMES_PER_SECOND = 50
 
 
-def draw(experiment: Experiment, result: RunResult, out: Path) -> None:
-    """Draw figures and video (as a GIF too), and write the report of a run."""
+def steps_of(experiment: Experiment, result: RunResult, out: Path) -> Iterator[Step]:
+    """Steps that draw figures and video (as a GIF too), and write the report of a run."""
+    yield "figures", partial(draw_figures, experiment, result, out / "figures")
+    yield "video", partial(film, experiment, result, out / "video.mp4")
+    if (out / "video.mp4").exists():
+        yield "GIF", partial(write_gif, out / "video.gif", out / "video.mp4")
+    yield "report", partial(write_report, out)
+
+
+def draw_figures(experiment: Experiment, result: RunResult, folder: Path) -> None:
+    """Draw all figures of a run into a folder."""
+    folder.mkdir(exist_ok=True)
     for name, figure in figures_of(experiment, result):
-        save_figure(figure, out / "figures" / f"{name}.png")
+        save_figure(figure, folder / f"{name}.png")
+
+
+def film(experiment: Experiment, result: RunResult, path: Path) -> None:
+    """Film the saved policy. Raises RuntimeError where the robot gives no pictures."""
     env = experiment.first_robot(seed=0)
     if isinstance(env, MujocoRobotEnv):
-        film(env, experiment, result.outcomes[0], out / "video.mp4")
+        film_outcome(env, experiment, result.outcomes[0], path)
     else:
-        film_as_shown(experiment, result, out / "video.mp4")
-    if (out / "video.mp4").exists():
-        write_gif(out / "video.gif", out / "video.mp4")
-    write_report(out)
+        film_as_shown(experiment, result, path)
 
 
-def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Path) -> None:
+def film_outcome(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Path) -> None:
     """Film the first executed rollout, as the simulator draws it.
 
-    Without OpenGL it is drawn as lines, or not at all.
+    Without OpenGL it is drawn as lines. Raises RuntimeError where there are none for this robot.
     """
     start, actions = outcome.executed[0, 0], outcome.rollouts["action"][0]
     try:
         write_video(path, render_rollout(env, start, actions), FRAMES_PER_SECOND)
     except RuntimeError as error:
         if experiment.name not in SKETCHES:
-            print(f"there is no video, because {error}")
-            return
+            raise
         print(f"{path} is a sketch, because {error}")
         positions = experiment.space.observe(dense_states(env, start, actions))
         frames = SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND)
@@ -55,10 +68,6 @@ def film(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Pa
 
 def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None:
     """Film the policy from a fresh start, as the environment shows itself, if it does."""
-    try:
-        env = experiment.make_env(from_pixels=True, seed=0)
-        pictures = film_rollout(env, result.policy.policy, experiment.space, experiment.horizon)
-        write_video(path, pictures, 1 / experiment.demonstrations.time_step)
-    except Exception as error:  # every renderer fails with a type of its own
-        reason = str(error).partition("\n")[0]
-        print(f"there is no video, because the environment gives no pictures: {reason}")
+    env = experiment.make_env(from_pixels=True, seed=0)
+    pictures = film_rollout(env, result.policy.policy, experiment.space, experiment.horizon)
+    write_video(path, pictures, 1 / experiment.demonstrations.time_step)

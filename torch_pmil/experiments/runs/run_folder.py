@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import os
 import platform
+import re
 import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 import torch
@@ -18,13 +20,26 @@ from torch import Tensor
 from torchrl.record.loggers import Logger, get_logger
 from torchrl.record.loggers.mlflow import MLFlowLogger
 
-from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.files import read_json, replacing, write_json
+from torch_pmil.experiments.runs.summaries import RunError, is_finished
+from torch_pmil.files import read_json, remove_temporaries, replacing, write_json
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.trials import Measurement
 
 LOGGERS = ("csv", "tensorboard", "wandb", "mlflow")
 LIBRARIES = ("torch_pmil", "torch", "gpytorch", "torchrl", "tensordict", "mujoco", "numpy")
+
+SEEDS = (0, 2**31 - 1)
+MOST_TRIALS = 1000  # memory for all their rollouts is taken at once
+# what a run leaves besides checkpoints, logs and figures; what says that it has ended comes last
+FILES = (
+    *("video.mp4", "video.gif", "report.html", "policy.pt", "dynamics.pt", "metrics.csv"),
+    *("run.json", "summary.json"),
+)
+STAGED = re.compile(r"\.(.+\.torchrl)\.(stage|archive|backup)-[0-9a-f]{32}")
+
+
+class FinishedRunError(ValueError):
+    """A folder holds a run that has ended, which is replaced only if that is asked for."""
 
 
 class UnfinishedRunError(ValueError):
@@ -35,7 +50,7 @@ def prepare_folder(out: Path) -> None:
     """Make the folder of a run, with ``figures/``; raise OSError if it cannot be written to."""
     (out / "figures").mkdir(parents=True, exist_ok=True)
     with replacing(out / ".writable") as probe:
-        probe.touch()
+        probe.write_text("")
     (out / ".writable").unlink()
 
 
@@ -57,22 +72,67 @@ def read_command(folder: Path) -> str:
         raise RunError(f"{folder}: run.json is damaged: {error}") from error
 
 
-def clear_folder(out: Path) -> None:
-    """Remove the checkpoints, logs and pictures of a finished run.
+def clear_folder(out: Path, overwrite: bool = False) -> None:
+    """Make room for a new run.
 
-    Raises UnfinishedRunError where the last run has not ended.
+    Args:
+        out: its folder.
+        overwrite: whether a run that has ended is removed.
+
+    Raises:
+        UnfinishedRunError: there is a run that has not ended.
+        FinishedRunError: there is one that has ended, and it is to stay.
     """
-    saved = saved_checkpoints(rotation_in(out / "checkpoints"))
-    if saved and not (out / "summary.json").exists():
+    saved, ended = saved_checkpoints(rotation_in(out / "checkpoints")), is_finished(out)
+    if saved and not ended:
         raise UnfinishedRunError(
             f"{out} holds a run that was stopped: go on with resume=true, or remove "
             f"{out / 'checkpoints'}"
         )
+    if ended and not overwrite:
+        raise FinishedRunError(f"{out} holds a run that has ended: overwrite=true replaces it")
     for leftover in (out / "checkpoints", out / "logs", out / "figures"):
         if leftover.exists():
             shutil.rmtree(leftover)
-    for leftover in (out / "video.mp4", out / "video.gif", out / "report.html"):
-        leftover.unlink(missing_ok=True)
+    for name in FILES:
+        (out / name).unlink(missing_ok=True)
+
+
+def remove_debris(out: Path) -> None:
+    """Remove what a run that was killed left of files that were not whole.
+
+    A checkpoint that was set aside for a newer one, which never came, takes its place again. Only
+    whoever is alone in the folder may do so.
+    """
+    for name in (*FILES, ".writable", "figures/*.png"):
+        remove_temporaries(out / name)
+    (out / ".writable").unlink(missing_ok=True)
+    for path in sorted((out / "checkpoints").glob(".*")):
+        staged = STAGED.fullmatch(path.name)
+        if staged is None:
+            continue
+        if staged[2] == "backup" and not path.with_name(staged[1]).exists():
+            path.rename(path.with_name(staged[1]))
+        elif path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
+def check_logger(kind: str | None) -> None:
+    """Raise unless there is such a logger: ValueError, or ImportError if its library is missing."""
+    if kind not in (None, *LOGGERS):
+        raise ValueError(f"logger must be one of {', '.join(LOGGERS)} or null, got {kind}")
+    if kind not in (None, "csv") and find_spec(kind) is None:
+        raise ImportError(f"logger={kind} needs another library: pip install {kind}")
+
+
+def check_resume(resume: bool, overwrite: bool) -> None:
+    """Raise ValueError if a run is to be gone on with and to be replaced."""
+    if resume and overwrite:
+        raise ValueError(
+            "resume=true goes on with a run, and overwrite=true replaces it: give one of the two"
+        )
 
 
 def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
@@ -107,16 +167,16 @@ def save_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
         torch.save(tensors, temporary)
 
 
-def check_whole(name: str, value: int, least: int) -> None:
-    """Raise ValueError unless a setting is a whole number of at least ``least``."""
-    if not isinstance(value, int) or value < least:
-        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+def check_whole(name: str, value: object, least: int, most: int | None = None) -> None:
+    """Raise ValueError unless a setting is a whole number of that range."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
+        wanted = f"of at least {least}" if most is None else f"from {least} to {most}"
+        raise ValueError(f"{name} must be a whole number {wanted}, got {value!r}")
 
 
 def provenance(command: str) -> dict[str, object]:
     """Provenance of a result: command, date, commit and versions.
-
-    The commit is that of the source tree, "unknown" outside one.
 
     The commit is that of the source tree, "unknown" outside one.
     """

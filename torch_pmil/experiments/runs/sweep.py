@@ -18,6 +18,7 @@ from hydra.core.plugins import Plugins
 from hydra.errors import CompactHydraException
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from torch_pmil.experiments import run_name
 
@@ -56,8 +57,11 @@ class SweepCheck(Callback):
         """Check before anything is launched."""
         complaint = missing_launcher(config)
         # the sweeper itself, after this, says which overrides make no config
-        with suppress(CompactHydraException):
-            complaint = complaint or shared_folder(config)
+        try:
+            with suppress(CompactHydraException):
+                complaint = complaint or shared_folder(config)
+        except OmegaConfBaseException as error:
+            complaint = f"out cannot be read: {str(error).partition(chr(10))[0]}"
         if complaint:
             sys.exit(f"error: {complaint}")
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -20,23 +21,29 @@ from torch_pmil.control.policy_file import save_policy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.demonstrations.distribution import demonstration_spread, rms_error
 from torch_pmil.experiments.diagnosis.after_a_run import likely_reasons
-from torch_pmil.experiments.diagnosis.causes import saturated_fraction
+from torch_pmil.experiments.diagnosis.causes import LEARNED, saturated_fraction, unpredictable
+from torch_pmil.experiments.runs.lock import alone_in
 from torch_pmil.experiments.runs.run_folder import (
-    LOGGERS,
+    MOST_TRIALS,
+    SEEDS,
+    check_logger,
+    check_resume,
     check_whole,
     clear_folder,
     open_logger,
     prepare_folder,
     provenance,
+    remove_debris,
     save_tensors,
     write_metrics,
     write_origin,
 )
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.files import write_json
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.rollout import PredictionError
 from torch_pmil.trainer.archive import SavedRun
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in
 from torch_pmil.trainer.trainer import PMILTrainer
@@ -75,6 +82,7 @@ def train(
     on_trial: Callable[[Trial], None] = lambda trial: None,
     resume: bool = False,
     logger: str | None = None,
+    overwrite: bool = False,
 ) -> RunResult:
     """Learn an experiment, and write policy, model and numbers into the folder of the run.
 
@@ -98,50 +106,70 @@ def train(
             begins anew.
         logger: kind of TorchRL's logger, one of ``LOGGERS``, which writes into ``logs/``; None for
             none.
+        overwrite: whether to replace a run that has ended; without it, and without ``resume``, such
+            a run stays as it is.
 
     Raises:
         OSError: the folder cannot be written to.
         ValueError: a setting is out of range, or the checkpoint is of a run with other settings.
+        RunGoingOnError: another run is going on in the folder.
+        FinishedRunError: the folder holds a run that has ended, and neither ``overwrite`` nor
+            ``resume`` is set.
         UnfinishedRunError: the folder holds a run that was stopped, and ``resume`` is not set.
         CheckpointError: all checkpoints are damaged.
         ImportError: the library of that logger is missing.
     """
-    check_whole("seed", seed, least=0)
-    check_whole("trials", trials, least=1)
-    if logger not in (None, *LOGGERS):
-        raise ValueError(f"logger must be one of {', '.join(LOGGERS)} or null, got {logger}")
-    source = provenance(command)
-    rotation = rotation_in(out / "checkpoints")
-    saved = None
-    if resume:
-        saved = _same_run(rotation, _identity(experiment, seed))
-    else:
-        clear_folder(out)
-    (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
-    prepare_folder(out)
-    write_origin(out, source)
+    check_whole("seed", seed, *SEEDS)
+    check_whole("trials", trials, 1, MOST_TRIALS)
+    check_resume(resume, overwrite)
+    check_logger(logger)
+    rotation, identity = rotation_in(out / "checkpoints"), _identity(experiment, seed)
 
     def record(trial: Trial) -> None:
         write_metrics(out / "metrics.csv", Trial, trainer.trials)
         on_trial(trial)
 
-    opened = None if logger is None else open_logger(logger, out, experiment.name, seed)
-    trainer = make_trainer(experiment, seed, trials, progress_bar, record, opened, rotation)
-    if saved is not None:
-        trainer.resume(saved)
-    write_metrics(out / "metrics.csv", Trial, trainer.trials)
-    trainer.train()
+    with alone_in(out):
+        remove_debris(out)
+        saved = _same_run(rotation, identity) if resume else None
+        if not resume:
+            clear_folder(out, overwrite)
+        (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
+        prepare_folder(out)
+        source = provenance(command)
+        write_origin(out, source)
+        opened = None if logger is None else open_logger(logger, out, experiment.name, seed)
+        trainer = make_trainer(experiment, seed, trials, progress_bar, record, opened, rotation)
+        if saved is not None:
+            trainer.resume(saved)
+        write_metrics(out / "metrics.csv", Trial, trainer.trials)
+        trainer.train()
+        return _finish(trainer, experiment, out, {"seed": seed, **source}, trials)
+
+
+def _finish(
+    trainer: PMILTrainer,
+    experiment: Experiment,
+    out: Path,
+    origin: dict[str, object],
+    trials: int,
+) -> RunResult:
+    """Save the best policy and the model, measure the policy anew, and write ``summary.json``."""
     best = trainer.best_policy()
     policy, dynamics = _save_learned(trainer, experiment, out)
-    outcomes = experiment.outcomes(*_predict_and_execute(trainer, experiment))
+    predicted, failure = _predict(trainer, experiment)
+    outcomes = experiment.outcomes(predicted, _execute(trainer))
+    results = {
+        **_measured(trainer, best, experiment, outcomes),
+        **(_unknown(failure) if failure else _compared(trainer, experiment, outcomes)),
+    }
     summary = {
         "experiment": experiment.name,
-        "seed": seed,
-        **source,
+        **origin,
         "settings": {"trials": trials, **experiment.settings},
         "wall_seconds": round(trainer.seconds, 2),
-        **_measured(trainer, best, experiment, outcomes),
-        "diagnosis": _diagnosis(trainer, experiment, outcomes),
+        **results,
+        "diagnosis": _diagnosis(trainer, experiment, outcomes, results),
         "trials": [_plain(trial) for trial in trainer.trials],
     }
     write_json(out / "summary.json", summary)
@@ -222,12 +250,29 @@ def make_trainer(
 
 
 @torch.no_grad()
-def _predict_and_execute(
+def _predict(
     trainer: PMILTrainer, experiment: Experiment
-) -> tuple[Gaussian, TensorDictBase]:
-    predicted = trainer.loss_module.predict_states(experiment.initial)
-    rollouts = trainer.evaluation_env.rollout(trainer.loss_module.horizon, trainer.robot_policy)
-    return predicted, rollouts
+) -> tuple[Gaussian, PredictionError | None]:
+    """The saved policy's predicted states; NaN, and why, if the newest model cannot predict it."""
+    try:
+        return trainer.loss_module.predict_states(experiment.initial), None
+    except PredictionError as error:
+        return Gaussian(*(moment * torch.nan for moment in _like(experiment))), error
+
+
+def _like(experiment: Experiment) -> tuple[Tensor, Tensor]:
+    """Moments of the shapes of predicted states, of all targets if there are several."""
+    leading, D = experiment.demonstrated.mean.shape[:-1], experiment.space.dim
+    return (
+        torch.zeros(*leading, D, dtype=torch.float64),
+        torch.zeros(*leading, D, D, dtype=torch.float64),
+    )
+
+
+@torch.no_grad()
+def _execute(trainer: PMILTrainer) -> TensorDictBase:
+    """Rollouts of the saved policy from fresh starts."""
+    return trainer.evaluation_env.rollout(trainer.loss_module.horizon, trainer.robot_policy)
 
 
 def _measured(
@@ -241,9 +286,6 @@ def _measured(
         outcome.label: success_rate(experiment.error(outcome.rollouts), experiment.tolerance)
         for outcome in outcomes
     }
-    covered = torch.stack(
-        [two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in outcomes]
-    ).mean(0)
     spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in outcomes])
     errors = torch.stack(
         [
@@ -261,22 +303,48 @@ def _measured(
         "saved_success_rate": fmean(rates.values()),
         "saved_n_eval": sum(len(outcome.executed) for outcome in outcomes),
         **({"saved_success_rate_by_target": rates} if len(outcomes) > 1 else {}),
-        "two_sigma_coverage": fmean(
-            two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in outcomes
-        ),
-        "two_sigma_coverage_by_entry": _by_name(experiment.space.names, covered),
         "rms_error": _by_name(experiment.space.match_space.names, errors.square().mean(0).sqrt()),
         "demonstration_spread": _by_name(
             experiment.space.match_space.names, spread.square().mean(0).sqrt()
         ),
         "saturated": _by_name(trainer.evaluation_env.motor_names, saturated),
-        "loss_per_step": _per_step(trainer, experiment),
     }
 
 
-def _diagnosis(
+def _compared(
     trainer: PMILTrainer, experiment: Experiment, outcomes: list[Outcome]
+) -> dict[str, object]:
+    """The results that compare what was predicted with what was executed and demonstrated."""
+    covered = torch.stack(
+        [two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in outcomes]
+    ).mean(0)
+    try:
+        per_step = _per_step(trainer, experiment)
+    except (PredictionError, NotPositiveDefiniteError) as error:
+        return _unknown(error)
+    return {
+        "two_sigma_coverage": fmean(
+            two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in outcomes
+        ),
+        "two_sigma_coverage_by_entry": _by_name(experiment.space.names, covered),
+        "loss_per_step": per_step,
+    }
+
+
+def _unknown(error: Exception) -> dict[str, object]:
+    """The entry in place of those of :func:`_compared`, where the model cannot predict."""
+    return {"prediction_error": str(error)}
+
+
+def _diagnosis(
+    trainer: PMILTrainer,
+    experiment: Experiment,
+    outcomes: list[Outcome],
+    results: Mapping[str, Any],
 ) -> list[dict[str, object]]:
+    if "prediction_error" in results:
+        learned = results["saved_success_rate"] >= LEARNED
+        return [] if learned else [asdict(unpredictable(results["prediction_error"]))]
     horizons = [trial.horizon for trial in trainer.trials]
     reasons = likely_reasons(experiment, trainer.loss_module, outcomes, horizons)
     return [asdict(reason) for reason in reasons]

@@ -130,14 +130,15 @@ def test_run_at_its_limit_can_go_on_and_any_can_be_repeated_or_begin_anew(tmp_pa
     command = "pmil train experiment=double_pendulum"
     page = page_of(run_of(tmp_path / "limit", OLD))
     assert f"{command} seed=3 out=runs/a trials=2 resume=true</pre>" in page
-    assert f"{command} seed=4</pre>" in page and f"{command} seed=3 out=runs/a</pre>" in page
+    assert f"{command} seed=4</pre>" in page
+    assert f"{command} seed=3 out=runs/a overwrite=true</pre>" in page
     done = page_of(
         run_of(
             tmp_path / "done",
             OLD | {"stop_reason": "succeeded", "command": f"{command} resume=true"},
         )
     )
-    assert "trials=2" not in done and f"{command}</pre>" in done
+    assert "trials=2" not in done and f"{command} overwrite=true</pre>" in done
 
 
 def test_numbers_of_trials_and_settings_are_in_tables(tmp_path: Path) -> None:

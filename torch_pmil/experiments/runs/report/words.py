@@ -67,11 +67,14 @@ def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
     if words[:2] == ["pmil", "train"]:
         if summary["stop_reason"] == "limit of trials":
             changed = [f"trials={2 * len(summary['trials'])}", "resume=true"]
-            further = [*_without(words, "trials=", "resume="), *changed]
+            further = [*_without(words, "trials=", "resume=", "overwrite="), *changed]
             yield "Go on where it stopped, with twice as many trials:", shlex.join(further)
-        anew = [*_without(words, "seed=", "out=", "resume="), f"seed={summary['seed'] + 1}"]
+        same = _without(words, "resume=", "overwrite=")
+        anew = [*_without(same, "seed=", "out="), f"seed={summary['seed'] + 1}"]
         yield "Learn it anew, from another random motion:", shlex.join(anew)
-    yield "Repeat it:", shlex.join(_without(words, "resume="))
+        yield "Repeat it, in place of this run:", shlex.join([*same, "overwrite=true"])
+    else:
+        yield "Repeat it:", shlex.join(words)
     if (folder / "policy.pt").exists():
         lines = (
             "from torch_pmil import load_policy",

@@ -1,0 +1,56 @@
+"""Telling what was learned: steps after a run's end, none of which can fail the run."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+Step = tuple[str, Callable[[], object]]  # what it makes, and how
+LONGEST = 300  # characters of a failure
+
+
+def tell(steps: Iterable[Step]) -> list[str]:
+    """Take each step in turn, whatever became of those before it.
+
+    Args:
+        steps: names of what is made, each with a function that makes it.
+
+    Returns:
+        A line for each step that failed. Ctrl-C is the failure of a step, and of those after it.
+
+    Example:
+        >>> tell([("figures", lambda: 1 / 0), ("report", lambda: None)])
+        ['figures: division by zero']
+    """
+    failures, stopped = [], False
+    for name, step in steps:
+        try:
+            if not stopped:
+                step()
+        except KeyboardInterrupt:
+            stopped = True
+        except Exception as error:  # whatever it is: what was learned is saved
+            failures.append(f"{name}: {one_line(error)}")
+        if stopped:
+            failures.append(f"{name}: stopped")
+    return failures
+
+
+def one_line(error: BaseException) -> str:
+    """The message of an error in one line, or its type where it has none."""
+    words = " ".join(str(error).split()) or type(error).__name__
+    return words if len(words) <= LONGEST else f"{words[:LONGEST]} ..."
+
+
+def warn_incomplete(label: str, failures: list[str], out: Path) -> None:
+    """Say on standard error, in one line, what is missing; nothing if nothing is."""
+    if failures:
+        folder = shlex.quote(f"./{out}" if str(out).startswith("-") else str(out))
+        print(
+            f"{label}the report is incomplete: {'; '.join(failures)}; pmil resume "
+            f"{folder} makes the rest later, pmil report the page alone",
+            file=sys.stderr,
+            flush=True,
+        )

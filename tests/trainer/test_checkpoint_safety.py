@@ -318,16 +318,13 @@ def test_link_to_a_checkpoint_is_one(path: Path, tmp_path: Path) -> None:
     assert read_archive(path).metadata["seed"] == SEED
 
 
-ABSENT = object()
-
-
 @pytest.mark.parametrize(
-    "metadata", [ABSENT, None, [], "text", 5, float("nan"), {"seed": float("nan")}], ids=str
+    "metadata", [..., None, [], "text", 5, float("nan"), {"seed": float("nan")}], ids=str
 )
 def test_metadata_of_another_kind_is_damage(folder: Path, path: Path, metadata: object) -> None:
     def replace(manifest: dict) -> None:
         manifest["metadata"] = metadata
-        if metadata is ABSENT:
+        if metadata is ...:
             del manifest["metadata"]
 
     changed(path, lambda members: edit(members, "manifest.json", replace))

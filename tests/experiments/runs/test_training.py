@@ -318,12 +318,21 @@ def test_debris_of_a_killed_run_is_removed_and_nothing_else(tmp_path: Path) -> N
     }
 
 
+class Stopped(Exception):
+    """Before anything is learned."""
+
+
+def stop(*args: object) -> None:
+    raise Stopped
+
+
 def test_run_begins_by_removing_debris(
     experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / ".video.4711.mp4").touch()
-    monkeypatch.setattr(training, "_learn", lambda *args: None)
-    train(experiment, SEED, 1, tmp_path, COMMAND)
+    monkeypatch.setattr(training, "make_trainer", stop)
+    with pytest.raises(Stopped):
+        train(experiment, SEED, 1, tmp_path, COMMAND)
     assert sorted(os.listdir(tmp_path)) == ["figures", "run.json"]
 
 
@@ -336,9 +345,11 @@ def test_run_is_alone_in_its_folder_from_its_start_to_its_end(
             second = pool.submit(train, experiment, SEED, 1, tmp_path, COMMAND, resume=True)
         with pytest.raises(RunGoingOnError, match=f"is going on in .* .process {os.getpid()}."):
             second.result()
+        stop()
 
-    monkeypatch.setattr(training, "_learn", another)
-    train(experiment, SEED, 1, tmp_path, COMMAND)
+    monkeypatch.setattr(training, "make_trainer", another)
+    with pytest.raises(Stopped):
+        train(experiment, SEED, 1, tmp_path, COMMAND)
     assert not (tmp_path / ".lock").exists()
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from tests.helpers.draws import Draws
 from tests.helpers.exact_moments import ExactMoments, exact, hard_problem, inverse
+from tests.helpers.sampled_moments import sampled_moments
 from torch_pmil.gp import moment_matching
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
@@ -65,6 +66,30 @@ def test_errors_of_a_thousand_problems_are_below_their_estimates(
     unchecked: None, seed: int
 ) -> None:
     assert_estimates_hold(seed, most_data=150)
+
+
+SAMPLES = 10**6
+
+
+def assert_samples_agree(seed: int, most_data: int) -> None:
+    """Six standard errors apart at most, beside the rounding of both sides."""
+    data, belief = hard_problem(seed, most_data)
+    f = KernelExpansion.from_data(*data)
+    moments, rounding = moment_match(f, belief), rounding_errors(f, belief)
+    (mean, mean_error), (cov, cov_error) = sampled_moments(*data, belief, SAMPLES, Draws(seed))
+    assert ((moments.mean - mean).abs() < 6 * mean_error + 2 * rounding.mean).all()
+    assert ((moments.cov - cov).abs() < 6 * cov_error + 2 * rounding.cov).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_moments_are_those_of_samples(unchecked: None, seed: int) -> None:
+    assert_samples_agree(seed, most_data=30)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1000, 2000))
+def test_moments_of_a_thousand_problems_are_those_of_samples(unchecked: None, seed: int) -> None:
+    assert_samples_agree(seed, most_data=150)
 
 
 def test_estimates_are_no_more_than_some_hundred_times_the_errors(unchecked: None) -> None:

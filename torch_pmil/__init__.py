@@ -59,7 +59,12 @@ if TYPE_CHECKING:
         NotPositiveDefiniteError as NotPositiveDefiniteError,
     )
     from torch_pmil.gp.kernel_expansion import KernelExpansion as KernelExpansion
-    from torch_pmil.gp.moment_matching import Moments as Moments, moment_match as moment_match
+    from torch_pmil.gp.moment_accuracy import (
+        InaccurateMomentsError as InaccurateMomentsError,
+        rounding_errors as rounding_errors,
+    )
+    from torch_pmil.gp.moment_matching import moment_match as moment_match
+    from torch_pmil.gp.moments import Moments as Moments
     from torch_pmil.model.dynamics import GPDynamics as GPDynamics
     from torch_pmil.model.experience import Experience as Experience
     from torch_pmil.model.particles import (
@@ -104,10 +109,11 @@ MODULES = {
     "FrequencyScore": "model.sampling_frequency",
     "GPDynamics": "model.dynamics",
     "Gaussian": "gp.gaussian",
+    "InaccurateMomentsError": "gp.moment_accuracy",
     "KernelExpansion": "gp.kernel_expansion",
     "LBFGSStepper": "trainer.lbfgs_stepper",
     "MatchSpace": "control.state_space",
-    "Moments": "gp.moment_matching",
+    "Moments": "gp.moments",
     "MultiTargetKLLoss": "search.multi_target_loss",
     "NotPositiveDefiniteError": "gp.gaussian",
     "PMILTrainer": "trainer.trainer",
@@ -134,6 +140,7 @@ MODULES = {
     "moment_match": "gp.moment_matching",
     "predict_step": "model.rollout",
     "predict_trajectory": "model.rollout",
+    "rounding_errors": "gp.moment_accuracy",
     "sample_trajectories": "model.particles",
     "save_policy": "control.policy_file",
     "score_frequencies": "model.sampling_frequency",

@@ -15,16 +15,17 @@ from tests.helpers.exact_moments import ExactMoments, exact, hard_problem, inver
 from tests.helpers.sampled_moments import sampled_moments
 from torch_pmil.gp import moment_matching
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.gaussian_integrals import GaussianIntegrals
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.gp.moment_matching import (
+from torch_pmil.gp.moment_accuracy import (
     InaccurateMomentsError,
-    Moments,
     check_variances,
     condition_number,
-    moment_match,
     rounding_errors,
     signal_to_noise,
 )
+from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.gp.moments import Moments
 
 
 @pytest.fixture
@@ -180,7 +181,7 @@ def test_what_passes_the_bound_of_linear_work_passes_the_estimate(
         data, belief = hard_problem(100 * seed + number, 60)
         f = KernelExpansion.from_data(*data)
         variances = moment_match(f, belief).cov.diagonal()[None]
-        integrals = moment_matching.GaussianIntegrals.of(f, belief.flattened)
+        integrals = GaussianIntegrals.of(f, belief.flattened)
         errors = rounding_errors(f, belief).cov.diagonal()
         try:
             check_variances(f, integrals, variances)
@@ -211,7 +212,7 @@ def test_estimates_of_a_batch_are_those_of_each(
 ) -> None:
     f, belief = draws.gp(7, 3, 2), draws.belief(5, 3)
     together = rounding_errors(f, belief).cov
-    monkeypatch.setattr("torch_pmil.gp.moment_matching.LARGEST_ARRAY", 1)
+    monkeypatch.setattr("torch_pmil.gp.moment_accuracy.LARGEST_ARRAY", 1)
     torch.testing.assert_close(rounding_errors(f, belief).cov, together)
 
 

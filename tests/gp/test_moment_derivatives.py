@@ -14,7 +14,8 @@ from torch_pmil.gp import exponential_sums, moment_derivatives
 from torch_pmil.gp.gaussian import Gaussian, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_derivatives import MomentDerivatives, RecordedMoments
-from torch_pmil.gp.moment_matching import Moments, moment_match
+from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.gp.moments import Moments
 
 D, E = 3, 2
 

@@ -21,7 +21,8 @@ from tests.helpers.draws import Draws
 from torch_pmil.gp import exponential_sums
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, joint
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.gp.moment_matching import Moments, moment_match
+from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.gp.moments import Moments
 
 
 def parts(moments: Moments) -> tuple[Tensor, Tensor, Tensor]:

@@ -13,7 +13,8 @@ from torch_pmil.control.rbf_policy import Controller
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian, joint, symmetric
 from torch_pmil.gp.moment_derivatives import RecordedMoments
-from torch_pmil.gp.moment_matching import Moments, moment_match
+from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.gp.moments import Moments
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.rollout import predict_step
 from torch_pmil.model.step_derivatives import StepDerivatives

@@ -20,7 +20,8 @@ from torch import Tensor, nn
 
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.gp.moment_matching import Moments, moment_match
+from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.gp.moments import Moments
 from torch_pmil.gp.trigonometry import squash
 
 # bound of torque over limit when Eq. 27 is inverted: at the limit itself its slope is zero

@@ -25,7 +25,8 @@ from torch_pmil.gp.exponential_sums import pairwise_kernel_sums, products_for_gr
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.gaussian_integrals import GaussianIntegrals, centred
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.gp.moment_matching import Moments, combine, first_slope
+from torch_pmil.gp.moment_matching import combine, first_slope
+from torch_pmil.gp.moments import Moments
 
 Part = TypeVar("Part", "MomentTerms", "MomentSums")
 # numbers of arrays as long as the data that are kept before they are summed: half a megabyte

@@ -17,7 +17,8 @@ from torch_pmil.gp.gaussian import (
     symmetric,
 )
 from torch_pmil.gp.moment_derivatives import RecordedMoments
-from torch_pmil.gp.moment_matching import Moments, moment_match
+from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.gp.moments import Moments
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.recurrence import unroll
 from torch_pmil.model.step_derivatives import StepDerivatives

@@ -25,6 +25,7 @@ from torch_pmil.cli import train
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments import EXPERIMENTS
+from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
 from torch_pmil.experiments.runs import pictures, settings
 from torch_pmil.experiments.runs.training import RunResult, train as learn
 from torch_pmil.experiments.tasks.experiment import Outcome
@@ -440,6 +441,14 @@ def test_doubtful_demonstrations_are_warned_of_once_and_learned_from(
     printed = capsys.readouterr().out
     assert printed.count("warning: ") == 1
     assert "warning: demonstrations 1 and 5 are the same; leave one of them out\n" in printed
+
+
+def test_warnings_of_one_cause_are_ten_at_most(capsys: pytest.CaptureFixture[str]) -> None:
+    copies = [Finding("copies", f"{number} is a copy") for number in range(1000)]
+    train.warn_of("run: ", [*copies, Finding("length", "long")])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "run: warning: 0 is a copy" and len(lines) == 12
+    assert lines[-2:] == ["run: warning: long", "run: warning: 990 more of copies"]
 
 
 def test_missing_demonstrations_are_named(script: Script, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from tqdm import tqdm
 
 from tests.helpers.short_run import PD_MOVEMENTS, quick_fits as shorten_fits, short_experiment
 from torch_pmil.control.exploration import RandomTorques
@@ -265,6 +266,15 @@ def test_same_seed_gives_the_same_trials_bit_for_bit_with_a_progress_bar_too(
     assert timeless(again.trials) == timeless(trained.trials)
     for key in ("observation", "action"):
         assert torch.equal(again.experience.transitions[key], trained.experience.transitions[key])
+
+
+def test_what_is_done_is_shown_beside_the_progress_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[str] = []
+    trainer, _ = make(trials=1, progress_bar=True)
+    monkeypatch.setattr(tqdm, "set_postfix_str", lambda bar, text: shown.append(text))
+    trainer.train()
+    assert shown[:2] == ["the robot moves", f"fitting the model to {HORIZON} transitions"]
+    assert shown[2].startswith("search: ")
 
 
 def test_other_seed_gives_another_run(trained: PMILTrainer) -> None:

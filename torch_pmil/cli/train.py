@@ -14,6 +14,7 @@ import logging
 import os
 import shlex
 import sys
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -51,6 +52,7 @@ from torch_pmil.trainer.trials import Trial
 
 CONFIG = Path(__file__).parent / "config"
 LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what a run may leave for the eye
+MOST_WARNINGS = 10  # of one cause
 
 
 def main() -> None:
@@ -178,12 +180,21 @@ def say(label: str, text: str) -> None:
 
 
 def warn_of(label: str, findings: list[Finding]) -> None:
-    """Print what may go wrong with the demonstrations; raise DemonstrationError at what must."""
+    """Print what may go wrong with the demonstrations; raise DemonstrationError at what must.
+
+    Of each cause the first ``MOST_WARNINGS`` are printed.
+    """
     for finding in findings:
         if finding.fatal:
             raise DemonstrationError(finding.message)
+    counts: Counter[str] = Counter()
     for finding in findings:
-        say(label, f"warning: {finding.message}")
+        counts[finding.cause] += 1
+        if counts[finding.cause] <= MOST_WARNINGS:
+            say(label, f"warning: {finding.message}")
+    for cause, count in counts.items():
+        if count > MOST_WARNINGS:
+            say(label, f"warning: {count - MOST_WARNINGS} more of {cause}")
 
 
 def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> None:

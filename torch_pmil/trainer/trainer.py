@@ -199,6 +199,7 @@ class PMILTrainer(Trainer):
         # fewer transitions than inputs do not tell how the robot moves, not even if it is linear
         limits = widened(self.limits, explored, fewest=dynamics.num_inputs)
         data = experience.training_data(self.loss_module.space, dynamics.targets, limits)
+        self._say(f"fitting the model to {len(data[0])} transitions")
         self._fit = dynamics.fit(*data)
 
     def best_policy(self) -> Candidate:
@@ -273,6 +274,7 @@ class PMILTrainer(Trainer):
     def _show_progress(self) -> None:
         if self.progress_bar:
             self._pbar.update(self.collected_frames)
+        self._say("the robot moves")
 
     def _learn_from_rollout(self, batch: TensorDictBase) -> TensorDictBase:
         """Add the rollout to the experience, and complete the trial whose policy ran."""
@@ -334,9 +336,12 @@ class PMILTrainer(Trainer):
         return {key: getattr(self.trials[-1], key) for key in ("own_error", "own_success")}
 
     def _report(self, stage: str, loss: float) -> None:
+        self._say(f"search: {stage} = {loss:.1f} {self.loss_module.unit}".rstrip())
+
+    def _say(self, text: str) -> None:
+        """Show what is being done beside the progress bar."""
         if self.progress_bar:
-            text = f"search: {stage} = {loss:.1f} {self.loss_module.unit}"
-            self._pbar.set_postfix_str(text.rstrip())
+            self._pbar.set_postfix_str(text)
 
 
 class _Progress:

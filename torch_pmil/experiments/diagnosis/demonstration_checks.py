@@ -27,6 +27,8 @@ NEARBY = 2  # samples before and after, in which the others are compared
 OUT_OF_REACH = 2.0  # standard deviations of the observation noise
 STOP_MARGIN = 0.05  # rad or m, that a joint may be beyond its stop
 TORQUE_MARGIN = 1.3  # of the limit: so uncertain are torques of a motion known at the control rate
+LONG = 500  # steps, whose trials may take an hour: the work grows with the cube of all experience
+ENDLESS = 5000  # steps, of which the model of the exploration alone would take hours
 UNREACHABLE = "demonstrations out of reach"  # a cause that several checks tell
 FEW = "too few demonstrations"  # another one
 
@@ -92,6 +94,28 @@ def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
             FEW,
             f"{count} demonstrations tell the spread in one direction alone, the observation "
             "noise stands for the others; three to five are better",
+        )
+    ]
+
+
+def check_length(demonstrations: Demonstrations) -> list[Finding]:
+    """Find motions of so many steps that their model would not be fitted in a day.
+
+    Example:
+        >>> long = Demonstrations(torch.zeros(2, 10_001, 1), 0.1, ("x",))
+        >>> check_length(long)[0].fatal
+        True
+    """
+    steps, period = demonstrations.positions.shape[1] - 1, demonstrations.time_step
+    if steps <= LONG:
+        return []
+    return [
+        Finding(
+            "long demonstrations",
+            f"demonstrations have {steps} steps ({steps * period:g} s), each of which is a datum "
+            f"of the model in every rollout; up to {LONG} are learned in reasonable time: show "
+            "less, or control at a longer period",
+            fatal=steps > ENDLESS,
         )
     ]
 

@@ -244,6 +244,12 @@ def test_output_that_is_ascii_or_broken_ends_nothing(
         monkeypatch.setattr(sys, "stdout", full)
         script("out=another")
     assert "incomplete: standard output: [Errno 28] No space left" in capsys.readouterr().err
+    reader, writer = os.pipe()
+    os.close(reader)
+    with open(writer, "w") as left:
+        monkeypatch.setattr(sys, "stdout", left)
+        script("out=third")
+    assert "incomplete" not in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("short_double_pendulum")

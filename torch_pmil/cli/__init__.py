@@ -91,12 +91,15 @@ def lasting_output() -> Iterator[None]:
 
 
 def lost_output() -> OSError | None:
-    """What standard output failed with since it was last asked, or None."""
+    """What standard output failed with since it was last asked, or None.
+
+    A reader that leaves has lost nothing.
+    """
     if not isinstance(sys.stdout, LastingOutput):
         return None
     sys.stdout.flush()
     failure, sys.stdout.failure = sys.stdout.failure, None
-    return failure
+    return None if isinstance(failure, BrokenPipeError) else failure
 
 
 def main() -> None:
@@ -107,8 +110,7 @@ def main() -> None:
         except OSError as error:
             sys.exit(f"error: the working folder cannot be used: {error.strerror}")
         _run()
-        lost = lost_output()
-        if lost and not isinstance(lost, BrokenPipeError):
+        if lost := lost_output():
             sys.exit(f"error: standard output: {lost.strerror}")
 
 

@@ -103,22 +103,18 @@ def widened(limits: Tensor, explored: Tensor, fewest: int) -> Tensor:
 
     Limits that leave ``fewest`` of the states stay as they are. What leaves less is no measure of
     the speeds that a model can explain: the motion is slow, or a part of the robot is still. Such
-    limits grow in each entry as far as the nearer half of the states goes, or ``fewest`` of them if
-    these are more. How near a state is, is told by its entry that is farthest beyond its limit.
+    limits grow to hold all of the states.
 
     Example:
         >>> explored = torch.tensor([[0.0, 0.1], [0.5, 0.2], [3.0, 0.3], [0.1, 9.0]])
         >>> widened(torch.tensor([torch.inf, 0.1]), explored, fewest=2)
-        tensor([   inf, 0.2000])
+        tensor([inf, 9.])
         >>> widened(torch.ones(2), explored, fewest=2)
         tensor([1., 1.])
     """
-    excess = (explored.abs() / limits.clamp(min=torch.finfo(limits.dtype).tiny)).amax(-1)
-    if (excess <= 1).sum() >= fewest:
+    if (explored.abs() <= limits).all(-1).sum() >= fewest:
         return limits
-    count = max(-(-len(explored) // 2), min(fewest, len(explored)))
-    nearer = explored[excess <= excess.kthvalue(count).values]
-    return torch.maximum(limits, nearer.abs().amax(0))
+    return torch.maximum(limits, explored.abs().amax(0))
 
 
 def gp_data(

@@ -69,13 +69,6 @@ def test_motion_of_more_steps_than_a_model_can_take_is_named(steps: int, fatal: 
     assert all(f"have {steps} steps" in finding.message for finding in found)
 
 
-def test_twenty_thousand_samples_are_refused_in_seconds() -> None:
-    long = torch.nn.functional.interpolate(swing_ups().mT, 20_000, mode="linear").mT
-    begun = time.process_time()
-    assert any("have 19999 steps" in message for message in messages(long))
-    assert time.process_time() - begun < 30
-
-
 def test_two_ways_up_are_named() -> None:
     mirror = torch.tensor([-1.0, 1.0, -1.0, 1.0])
     both = torch.cat([swing_ups()[:3], swing_ups() * mirror])
@@ -246,7 +239,8 @@ def test_cost_of_many_or_long_demonstrations_is_bounded(
 
     monkeypatch.setattr(MujocoRobotEnv, "needed_torques", counting)
     begun = time.process_time()
-    assert check(crowd(name, count, samples)) == []
+    causes = [finding.cause for finding in check(crowd(name, count, samples))]
+    assert causes == ([] if samples < 500 else ["long demonstrations"])
     assert time.process_time() - begun < 30  # 5 s on an idle machine
     assert 0 < computed <= 600  # of 26,000 and 20,000: those of 400 steps, and of margins
     assert _uniform_ratios(count).size * count <= max(DRAWS, SIMULATIONS * 40)

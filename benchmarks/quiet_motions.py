@@ -125,7 +125,7 @@ def quiet_experiment(task: str, motion: str) -> Experiment:
     def distance(states: Tensor) -> Tensor:
         return ((space.observe(states[..., 1:, :]) - mean) / noise_std).abs().amax((-2, -1))
 
-    return replace(experiment, error=of_states(distance), tolerance=TOLERANCE)
+    return replace(experiment, error=of_states(distance), tolerance=TOLERANCE, confirmations=2)
 
 
 def quiet_demonstrations(task: str, motion: str) -> Demonstrations:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -14,7 +16,9 @@ import pytest
 import torch
 from PIL import Image
 
+from tests.helpers.killing import end_of, fork
 from torch_pmil.envs import DoublePendulumEnv
+from torch_pmil.files import remove_temporaries
 from torch_pmil.plotting import video
 from torch_pmil.plotting.video import render_rollout, write_gif, write_video
 
@@ -194,6 +198,35 @@ def test_ffmpeg_that_hangs_or_fails_is_an_os_error(
         write_gif(tmp_path / "shades.gif", tmp_path / "shades.mp4")
     assert time.monotonic() - begun < 30
     assert [path.name for path in tmp_path.iterdir()] == ["ffmpeg"]
+
+
+def test_ffmpeg_makes_no_file_anew_after_the_death_of_the_process_that_began_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may be slow to begin, and whoever goes on with the run removes what that left before."""
+    out, step = tmp_path / "run", f"touch {tmp_path}/{{}}"
+    out.mkdir()
+    wait = f"while [ ! -e {tmp_path}/go ]; do sleep 0.01; done"
+    write = 'for last; do :; done; echo late > "${last#file:}"'
+    stand_in(
+        tmp_path, monkeypatch, f"{step.format('begun')}; {wait}; {write}; {step.format('ended')}"
+    )
+    maker = fork(lambda: write_video(out / "shades.mp4", shades(2), fps=50), tmp_path / "log")
+    wait_for(tmp_path / "begun")
+    os.kill(maker, signal.SIGKILL)
+    assert end_of(maker) == -signal.SIGKILL
+    assert [path.name for path in out.iterdir()] == [f".shades.{maker}.mp4"]
+    remove_temporaries(out / "shades.mp4")
+    (tmp_path / "go").touch()
+    wait_for(tmp_path / "ended")
+    assert list(out.iterdir()) == []
+
+
+def wait_for(path: Path) -> None:
+    end = time.monotonic() + 30
+    while not path.exists():
+        assert time.monotonic() < end, f"{path} did not come"
+        time.sleep(0.01)
 
 
 def test_missing_ffmpeg_is_an_os_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from fractions import Fraction
 from pathlib import Path
 from threading import Timer
+from typing import IO
 
 import imageio_ffmpeg
 import numpy as np
@@ -169,8 +170,8 @@ def write_gif(path: Path | str, video: Path | str) -> None:
         b'GIF89a'
     """
     with replacing(path) as temporary:
-        gif = ["-i", url(Path(video)), "-filter_complex", GIF, "-f", "gif", url(temporary)]
-        _run_ffmpeg(gif, (), f"no GIF of {video}")
+        gif = ["-i", url(Path(video)), "-filter_complex", GIF, "-f", "gif"]
+        _run_ffmpeg(gif, temporary, (), f"no GIF of {video}")
 
 
 def url(path: Path) -> str:
@@ -190,7 +191,7 @@ def _encode(path: Path, frames: Iterable[np.ndarray], shape: tuple[int, ...], fp
     size = f"{shape[1] + shape[1] % 2}x{shape[0] + shape[0] % 2}"
     rate = str(Fraction(fps).limit_denominator())
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", rate, "-i", "pipe:0"]
-    _run_ffmpeg([*raw, *MP4, url(path)], _checked(frames, shape, margin), "no video")
+    _run_ffmpeg([*raw, *MP4], path, _checked(frames, shape, margin), "no video")
 
 
 def _checked(
@@ -206,17 +207,17 @@ def _checked(
         yield np.pad(frame, margin, mode="edge").tobytes()
 
 
-def _run_ffmpeg(arguments: list[str], chunks: Iterable[bytes], complaint: str) -> None:
-    """Run ffmpeg on these bytes. Raises OSError unless it ends well, and without long pauses."""
+def _run_ffmpeg(arguments: list[str], path: Path, chunks: Iterable[bytes], complaint: str) -> None:
+    """Run ffmpeg on these bytes, and let it fill a file that is there.
+
+    Raises OSError unless it ends well, and without long pauses.
+    """
     try:
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *arguments]
     except RuntimeError as error:
         raise OSError(f"ffmpeg is missing: {error}") from error
-    with tempfile.TemporaryFile() as said:
-        null, pipe = subprocess.DEVNULL, subprocess.PIPE
-        with subprocess.Popen(
-            command, stdin=pipe, stdout=null, stderr=said, start_new_session=True
-        ) as process:
+    with path.open("wb") as file, tempfile.TemporaryFile() as said:
+        with _started(command, path, file.fileno(), said) as process:
             _feed(process, chunks)
         if process.returncode:
             said.seek(0)
@@ -225,6 +226,24 @@ def _run_ffmpeg(arguments: list[str], chunks: Iterable[bytes], complaint: str) -
             if process.returncode == -signal.SIGKILL:
                 ended = f"it did nothing for {PATIENCE:g} s, and was ended"
             raise OSError(f"ffmpeg made {complaint}: {lines[-1] if lines else ended}")
+
+
+def _started(command: list[str], path: Path, file: int, said: IO[bytes]) -> subprocess.Popen[bytes]:
+    """Start ffmpeg with an open file of that path to fill.
+
+    If this process is killed, ffmpeg ends a little later, and makes no file of that name anew: it
+    is given the open file in place of the path, where the system has a name for it, as Linux does.
+    """
+    opened = Path(f"/proc/self/fd/{file}")
+    there = opened.exists()
+    return subprocess.Popen(
+        [*command, url(opened if there else path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=said,
+        start_new_session=True,
+        pass_fds=[file] if there else (),
+    )
 
 
 def _feed(process: subprocess.Popen[bytes], chunks: Iterable[bytes]) -> None:

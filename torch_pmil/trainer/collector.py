@@ -68,13 +68,14 @@ class RolloutCollector(Collector):
         exploration: Exploration,
         horizon: int,
     ) -> None:
-        settings = {"reset_at_each_iter": True, "auto_register_policy_transforms": False}
         super().__init__(
             env,
             policy,
             frames_per_batch=horizon * env.batch_size.numel(),
             total_frames=-1,
-            **settings,
+            reset_at_each_iter=True,
+            auto_register_policy_transforms=False,
+            track_traj_ids=False,  # they would count resumptions too
         )
         self._executed, self._actor, self._exploration = policy, actor, exploration
 

@@ -29,11 +29,13 @@ from torch_pmil.experiments.runs.run_folder import (
     FILES,
     FinishedRunError,
     clear_folder,
+    open_logger,
     prepare_folder,
     remove_debris,
+    rewind_logs,
     save_tensors,
 )
-from torch_pmil.experiments.runs.summaries import read_summary
+from torch_pmil.experiments.runs.summaries import RunError, read_summary
 from torch_pmil.experiments.runs.training import EVALUATION_STARTS, RunResult, train
 from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.model.dynamics import GPDynamics
@@ -299,10 +301,12 @@ def test_nothing_of_the_run_before_stays_if_it_may_be_replaced(tmp_path: Path) -
 def test_debris_of_a_killed_run_is_removed_and_nothing_else(tmp_path: Path) -> None:
     checkpoints, hexadecimal = tmp_path / "checkpoints", 32 * "a"
     (checkpoints / f".checkpoint-1.torchrl.stage-{hexadecimal}").mkdir(parents=True)
+    (tmp_path / "logs" / "name" / "scalars").mkdir(parents=True)
     prepare_folder(tmp_path)
     kept = ("video.mp4", ".hidden.3.txt", ".lock", "figures/a.png", "checkpoints/.mine.stage-1")
     debris = (
         *(".video.4711.mp4", ".summary.1.json", "figures/.poses.12.png", ".writable"),
+        "logs/name/scalars/.loss.4711.csv",
         f"checkpoints/.checkpoint-2.torchrl.archive-{hexadecimal}",
     )
     for name in (*kept, *debris):
@@ -318,26 +322,36 @@ def test_debris_of_a_killed_run_is_removed_and_nothing_else(tmp_path: Path) -> N
     }
 
 
-class Stopped(Exception):
-    """Before anything is learned."""
-
-
-def stop(*args: object) -> None:
-    raise Stopped
+def test_rows_of_a_csv_logger_are_taken_back_to_a_step_and_a_cut_one_too(tmp_path: Path) -> None:
+    logger, scalars = open_logger("csv", tmp_path, "name", 0), tmp_path / "logs/name_seed_0/scalars"
+    (scalars / "loss.csv").write_text("2,0.5\n4,nan\n10,0.1\n1")
+    (scalars / "late.csv").write_text("10,0.1\n")
+    rewind_logs(logger, step=4)
+    logger.log_scalar("loss", 0.25, step=10)
+    assert {path.name: path.read_text() for path in scalars.iterdir()} == {
+        "loss.csv": "2,0.5\n4,nan\n10,0.25\n"
+    }
+    (scalars / "loss.csv").write_bytes(b"\xff")
+    with pytest.raises(RunError, match=r"loss\.csv: must be UTF-8, got"):
+        rewind_logs(logger, step=4)
 
 
 def test_run_begins_by_removing_debris(
     experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def stop(*args: object) -> None:
+        raise KeyboardInterrupt
+
     (tmp_path / ".video.4711.mp4").touch()
     monkeypatch.setattr(training, "make_trainer", stop)
-    with pytest.raises(Stopped):
+    with pytest.raises(KeyboardInterrupt):
         train(experiment, SEED, 1, tmp_path, COMMAND)
     assert sorted(os.listdir(tmp_path)) == ["figures", "run.json"]
 
 
+@pytest.mark.parametrize("phase", ["clear_folder", "_finish"])
 def test_run_is_alone_in_its_folder_from_its_start_to_its_end(
-    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    phase: str, experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def another(*args: object) -> None:
         assert (tmp_path / ".lock").read_text() == str(os.getpid())
@@ -345,10 +359,10 @@ def test_run_is_alone_in_its_folder_from_its_start_to_its_end(
             second = pool.submit(train, experiment, SEED, 1, tmp_path, COMMAND, resume=True)
         with pytest.raises(RunGoingOnError, match=f"is going on in .* .process {os.getpid()}."):
             second.result()
-        stop()
+        raise KeyboardInterrupt
 
-    monkeypatch.setattr(training, "make_trainer", another)
-    with pytest.raises(Stopped):
+    monkeypatch.setattr(training, phase, another)
+    with pytest.raises(KeyboardInterrupt):
         train(experiment, SEED, 1, tmp_path, COMMAND)
     assert not (tmp_path / ".lock").exists()
 

@@ -17,11 +17,18 @@ from pathlib import Path
 
 import torch
 from torch import Tensor
-from torchrl.record.loggers import Logger, get_logger
+from torchrl.record.loggers import CSVLogger, Logger, get_logger
 from torchrl.record.loggers.mlflow import MLFlowLogger
 
 from torch_pmil.experiments.runs.summaries import RunError, is_finished
-from torch_pmil.files import read_json, remove_temporaries, replacing, write_json
+from torch_pmil.files import (
+    FileError,
+    read_json,
+    read_text,
+    remove_temporaries,
+    replacing,
+    write_json,
+)
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.trials import Measurement
 
@@ -35,6 +42,7 @@ FILES = (
     *("video.mp4", "video.gif", "report.html", "policy.pt", "dynamics.pt", "metrics.csv"),
     *("run.json", "summary.json"),
 )
+LOGGED = re.compile(r"(\d{1,18}),.*\n")  # a whole row of a CSV logger: step, value
 STAGED = re.compile(r"\.(.+\.torchrl)\.(stage|archive|backup)-[0-9a-f]{32}")
 
 
@@ -106,6 +114,8 @@ def remove_debris(out: Path) -> None:
     """
     for name in (*FILES, ".writable", "figures/*.png"):
         remove_temporaries(out / name)
+    for folder in (out / "logs").glob("*/scalars"):
+        remove_temporaries(folder / "*.csv")
     (out / ".writable").unlink(missing_ok=True)
     for path in sorted((out / "checkpoints").glob(".*")):
         staged = STAGED.fullmatch(path.name)
@@ -153,6 +163,30 @@ def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
         raise ImportError(f"logger={kind} needs another library: pip install {kind}") from error
 
 
+def rewind_logs(logger: Logger | None, step: int) -> None:
+    """Let the files of a CSV logger end with a step, after which a resumed run logs again.
+
+    Of another logger nothing is taken back.
+
+    Raises:
+        RunError: a file is none that a logger writes.
+        OSError: it cannot be replaced.
+    """
+    if not isinstance(logger, CSVLogger):
+        return
+    for path in Path(logger.experiment.log_dir, "scalars").glob("*.csv"):
+        try:
+            rows = map(LOGGED.fullmatch, read_text(path).splitlines(keepends=True))
+        except FileError as error:
+            raise RunError(f"{path}: {error}") from error
+        kept = [row[0] for row in rows if row and int(row[1]) <= step]
+        if kept:
+            with replacing(path) as temporary:
+                temporary.write_text("".join(kept))
+        else:
+            path.unlink()
+
+
 def write_metrics(path: Path, kind: type[Measurement], trials: Sequence[Measurement]) -> None:
     """Write a row for each trial, with a column for each field of that kind of trial."""
     with replacing(path) as temporary, temporary.open("w", newline="") as file:
@@ -163,8 +197,8 @@ def write_metrics(path: Path, kind: type[Measurement], trials: Sequence[Measurem
 
 def save_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
     """Save a state dict that ``torch.load(path, weights_only=True)`` reads."""
-    with replacing(path) as temporary:
-        torch.save(tensors, temporary)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        torch.save(tensors, file)  # a path would be written into it
 
 
 def check_whole(name: str, value: object, least: int, most: int | None = None) -> None:

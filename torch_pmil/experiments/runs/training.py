@@ -34,6 +34,7 @@ from torch_pmil.experiments.runs.run_folder import (
     prepare_folder,
     provenance,
     remove_debris,
+    rewind_logs,
     save_tensors,
     write_metrics,
     write_origin,
@@ -142,6 +143,7 @@ def train(
         trainer = make_trainer(experiment, seed, trials, progress_bar, record, opened, rotation)
         if saved is not None:
             trainer.resume(saved)
+        rewind_logs(opened, trainer.collected_frames)
         write_metrics(out / "metrics.csv", Trial, trainer.trials)
         trainer.train()
         return _finish(trainer, experiment, out, {"seed": seed, **source}, trials)

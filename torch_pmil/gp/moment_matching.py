@@ -126,8 +126,10 @@ def moment_match(
         Moments in the units of the outputs.
 
     Raises:
+        TypeError: the model or the belief is of another kind.
         ValueError: the belief's entries are not the model's inputs, its mean is not finite, or its
-            dtype is not the model's.
+            dtype is not the model's; a parameter of the model is not finite or not positive; or
+            noise is asked of a function that has none.
         NotPositiveDefiniteError: the covariance has a clearly negative eigenvalue, is not
             symmetric, or is not finite.
         InaccurateMomentsError: a variance of a GP is less than its rounding error.
@@ -147,6 +149,8 @@ def moment_match(
         tensor([1.])
     """
     f = model if isinstance(model, KernelExpansion) else KernelExpansion.from_exact_gp(model)
+    if observation_noise and f.noise_variance is None:
+        raise ValueError("observation_noise must be False for a deterministic function, got True")
     if products is None:
         check_belief(belief, "belief", f.inputs, NO_VARIANCE * f.lengthscales.detach().amin() ** 2)
     beliefs = belief.flattened
@@ -159,6 +163,8 @@ def moment_match(
     moments = combine(f, sums[..., -1], slope, second, observation_noise)
     if f.gram_inverse is not None and products is None:
         check_variances(f, integrals, moments.cov.diagonal(dim1=-2, dim2=-1))
+    if products is None and not moments.mean.isfinite().all():
+        f.check_parameters()
     return moments.unflatten(belief.batch_shape)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -73,6 +73,32 @@ def check_real(name: str, values: object) -> None:
         raise TypeError(f"{name} must be a tensor, got {type(values).__name__}")
     if values.is_complex() or values.dtype == torch.bool:
         raise ValueError(f"{name} must hold real numbers, got {values.dtype}")
+
+
+def check_noise(noise_std: object, names: Sequence[str], zero: bool = False) -> Tensor:
+    """Observation noise as a float64 tensor, () or (M,).
+
+    Args:
+        noise_std: one standard deviation, or one for each entry.
+        names: of the M entries.
+        zero: whether there may be none.
+
+    Raises:
+        ValueError: it is another number of numbers, or one is not finite, or not positive.
+    """
+    try:
+        noise = torch.as_tensor(noise_std, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError):
+        noise = torch.zeros(0)
+    if noise.numel() and not ((noise > 0) | ((noise == 0) & zero)).all():
+        wanted = "not be negative" if zero else "be positive"
+        raise ValueError(f"noise_std must {wanted}, got {noise.tolist()}")
+    if noise.shape not in ((), (len(names),)) or not noise.isfinite().all():
+        raise ValueError(
+            f"noise_std must be a number or one for each of {', '.join(names)}, got "
+            f"{noise.tolist() if noise.numel() else repr(noise_std)}"
+        )
+    return noise
 
 
 def check_finite_entries(

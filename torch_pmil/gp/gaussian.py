@@ -59,14 +59,16 @@ def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> st
     )
 
 
-def check_belief(belief: Gaussian, name: str, like: Tensor, floor: Tensor | float = 0.0) -> None:
+def check_belief(
+    belief: Gaussian, name: str, like: Tensor | None = None, floor: Tensor | float = 0.0
+) -> None:
     """Refuse a belief that is none, before anything is computed from it.
 
     Args:
         belief: any batch shape; its covariance may be singular or zero, and its eigenvalues
             negative and its triangles unequal by rounding.
         name: of the belief, for the error.
-        like: a tensor with the dtype that mean and covariance must have.
+        like: a tensor with the dtype that mean and covariance must have; None for one of their own.
         floor: a variance that does not count.
 
     Raises:
@@ -91,14 +93,17 @@ def check_belief(belief: Gaussian, name: str, like: Tensor, floor: Tensor | floa
             )
 
 
-def check_moments(belief: Gaussian, name: str, like: Tensor, floor: Tensor | float = 0.0) -> None:
+def check_moments(
+    belief: Gaussian, name: str, like: Tensor | None = None, floor: Tensor | float = 0.0
+) -> None:
     """:func:`check_belief`, but for the eigenvalues, which a Cholesky factor needs not be told."""
     if not isinstance(belief, Gaussian):
         raise TypeError(f"{name} must be a Gaussian, got {type(belief).__name__}")
     mean, cov = belief.mean.detach(), belief.cov.detach()
-    if not mean.dtype == cov.dtype == like.dtype:
+    dtype = mean.dtype if like is None else like.dtype
+    if not mean.dtype == cov.dtype == dtype:
         raise ValueError(
-            f"{name} must have mean and covariance of {like.dtype}, got {mean.dtype} and "
+            f"{name} must have mean and covariance of {dtype}, got {mean.dtype} and "
             f"{cov.dtype}"
         )
     if not mean.is_floating_point():

@@ -73,7 +73,10 @@ def replacing(path: Path | str) -> Iterator[Path]:
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    _make_new(temporary)
+    try:
+        _make_new(temporary)
+    except OSError as error:  # told of the file that was asked for
+        raise type(error)(error.errno, error.strerror, str(path)) from None
     try:
         yield temporary
         os.replace(temporary, path)

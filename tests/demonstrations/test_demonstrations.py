@@ -123,7 +123,7 @@ def test_other_kind_of_file_is_refused(tmp_path):
     path.touch()
     expected = (
         f"{path}: demonstrations must be a .npz, .csv, .mat, .hdf5, .h5 or .parquet file, or a "
-        "folder of them"
+        "folder of them, got .txt"
     )
     assert refused(load_demonstrations, path) == refused(load_recordings, path) == expected
 

@@ -164,8 +164,7 @@ class GPDynamics(nn.Module):
             NotPositiveDefiniteError, NotFiniteError: the likelihood of an output has no value at
                 any start.
         """
-        if max_iterations < 1:
-            raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
+        check_whole("max_iterations", max_iterations, 1)
         start_time = time.perf_counter()
         fitted = len(self.train_inputs) > 0
         self.set_data(inputs, targets)

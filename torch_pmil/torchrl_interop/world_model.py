@@ -14,6 +14,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, joint
 from torch_pmil.gp.moment_matching import moment_match
 from torch_pmil.model.dynamics import FitResult, GPDynamics
@@ -82,6 +83,8 @@ class GPWorldModel(TensorDictModuleBase):
         space: StateSpace | None = None,
     ) -> None:
         super().__init__()
+        check_whole("obs_dim", obs_dim, 1)
+        check_whole("action_dim", action_dim, 1)
         self.space = raw_space(obs_dim) if space is None else space
         if self.space.dim != obs_dim:
             raise ValueError(

@@ -19,8 +19,8 @@ from torch_pmil.experiments.runs.run_folder import (
     SEEDS,
     check_logger,
     check_resume,
-    check_whole,
 )
+from torch_pmil.gp.checks import check_whole
 
 OPTIONAL = ("shape", "robot", "demonstrations", "logger")  # may be null
 TEXTS = ("experiment", "shape", "robot", "demonstrations", "out", "logger")

@@ -382,5 +382,7 @@ def test_data_that_are_no_real_numbers_are_an_error() -> None:
 
 
 def test_fit_without_iterations_is_an_error() -> None:
-    with pytest.raises(ValueError, match="max_iterations must be a whole number of at least 1, got 0"):
+    with pytest.raises(
+        ValueError, match="max_iterations must be a whole number of at least 1, got 0"
+    ):
         GPDynamics(1, 1).fit(torch.zeros(3, 1), torch.zeros(3, 1), max_iterations=0)

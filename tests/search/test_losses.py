@@ -122,9 +122,7 @@ def test_noise_of_each_entry_is_added_to_the_prediction_as_to_the_expert(draws: 
 
 
 def test_noise_of_other_entries_is_an_error(draws: Draws) -> None:
-    with pytest.raises(
-        ValueError, match=r"noise_std must be a number or one for each of x, y"
-    ):
+    with pytest.raises(ValueError, match=r"noise_std must be a number or one for each of x, y"):
         TrajectoryKLLoss(*make_parts(draws), SPACE, draws.belief(HORIZON, 2), torch.ones(3))
 
 

@@ -104,7 +104,7 @@ def check_noise(noise_std: object, names: Sequence[str], zero: bool = False) -> 
 def check_finite_entries(
     name: str,
     values: Tensor,
-    error: Callable[[str, tuple[int, ...]], ValueError] = lambda message, entry: ValueError(message),
+    error: Callable[[str, tuple[int, ...]], ValueError] = lambda message, _: ValueError(message),
 ) -> None:
     """Raise an error for the first entry that is not finite, made of a message and its index."""
     finite = values.isfinite()

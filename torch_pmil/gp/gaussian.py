@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_pmil.gp.checks import check_finite_entries
+from torch_pmil.gp.checks import check_finite_entries, check_whole
 
 # part of its largest entry by which a covariance may be asymmetric, or an eigenvalue negative
 NEGLIGIBLE = 1e-5
@@ -103,8 +103,7 @@ def check_moments(
     dtype = mean.dtype if like is None else like.dtype
     if not mean.dtype == cov.dtype == dtype:
         raise ValueError(
-            f"{name} must have mean and covariance of {dtype}, got {mean.dtype} and "
-            f"{cov.dtype}"
+            f"{name} must have mean and covariance of {dtype}, got {mean.dtype} and {cov.dtype}"
         )
     if not mean.is_floating_point():
         raise ValueError(f"{name} must have mean and covariance of floats, got {mean.dtype}")
@@ -264,6 +263,7 @@ class Gaussian:
             tensor([[1., 1.],
                     [1., 1.]])
         """
+        check_whole("count", count, 0)
         values, vectors = torch.linalg.eigh(self.cov)
         root = vectors * values.clamp(min=0).sqrt()[..., None, :]
         white = normal((count, *self.mean.shape), self.mean, generator)

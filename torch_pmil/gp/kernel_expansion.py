@@ -11,7 +11,7 @@ from gpytorch.kernels import RBFKernel, ScaleKernel
 from gpytorch.means import ConstantMean, ZeroMean
 from torch import Tensor
 
-from torch_pmil.gp.checks import check_finite_entries
+from torch_pmil.gp.checks import check_finite_entries, check_real
 from torch_pmil.gp.gaussian import cholesky
 from torch_pmil.gp.kernel_pairs import KernelPairs
 
@@ -323,6 +323,8 @@ def _check_data(
     noise_variance: Tensor,
     offset: Tensor | float,
 ) -> None:
+    check_real("inputs", inputs)
+    check_real("targets", targets)
     E, n = targets.shape if targets.ndim == 2 else (1, 0)
     D = inputs.shape[-1] if inputs.ndim else 0
     expected = {

@@ -144,18 +144,18 @@ def score_frequencies(
     _check_recordings(recordings, space, time_step)
     check_whole("folds", folds, 2)
     check_whole("max_iterations", max_iterations, 1)
-    if not frequencies:
+    if not len(frequencies):
         raise ValueError("frequencies must hold one at least, got none")
     scores = []
     for frequency in frequencies:
         steps = _steps(frequency, time_step)
-        longest = [one for one in recordings if len(one.actions) >= steps]
-        inputs, targets = _transitions(longest, steps, space) if longest else ((), None)
-        if len(inputs) < 2 * folds:
+        transitions = sum(len(one.actions) // steps for one in recordings)
+        if transitions < 2 * folds:
             raise ValueError(
                 f"{frequency:g} Hz must leave at least {2 * folds} transitions for {folds} folds, "
-                f"got {len(inputs)}"
+                f"got {transitions}"
             )
+        inputs, targets = _transitions(recordings, steps, space)
         spread = targets.std(0)
         if not (spread > 0).all():
             raise ValueError(
@@ -232,6 +232,8 @@ def _transitions(
     """Inputs (n, D' + F) and differences (n, D) of recordings at every ``steps``-th sample."""
     inputs, targets = [], []
     for states, actions in recordings:
+        if len(actions) < steps:
+            continue
         sampled, count = states[::steps].double(), len(actions) // steps
         means = actions[: count * steps].double().reshape(count, steps, -1).mean(1)
         inputs.append(torch.cat([space.features(sampled[:-1]), means], -1))

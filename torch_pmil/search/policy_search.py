@@ -134,9 +134,7 @@ def search_policy(
     if not isinstance(settings, SearchSettings):
         raise TypeError(f"settings must be SearchSettings, got {type(settings).__name__}")
     if initial.batch_shape:
-        raise ValueError(
-            f"initial must be one belief, mean (D,), got {tuple(initial.mean.shape)}"
-        )
+        raise ValueError(f"initial must be one belief, mean (D,), got {tuple(initial.mean.shape)}")
     search = _Search(loss, initial, settings, report)
     step_loss = _evaluate(loss.step_loss_for_trust, initial, loss.horizon)
     from_first = random and not settings.skip_matched_steps

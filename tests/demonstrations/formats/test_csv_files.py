@@ -62,7 +62,7 @@ def test_folder_holds_what_one_file_would_in_the_order_of_the_numbers_in_names(
         ),
         ("time,x,y\n0,1,2\n0,1,2", "demo_10.csv: row 3, time must increase, got 0 s after 0 s"),
         ("time,x,y\n0,1", "demo_10.csv: row 2 must have 3 columns, got 2"),
-        ("", "demo_10.csv: row 1 must be time,NAME,..., got "),
+        ("", "demo_10.csv: row 1 must be time,NAME,..., got nothing"),
     ],
 )
 def test_malformed_file_of_a_folder_is_named(folder: Path, change: str, message: str) -> None:

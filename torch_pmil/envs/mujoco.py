@@ -385,6 +385,11 @@ class MujocoRobotEnv(RobotEnv):
     def _check_torque(self, action: Tensor) -> Tensor:
         if action.is_complex():
             raise ValueError(f"action must hold real numbers, got {action.dtype}")
+        if action.shape != (*self.batch_size, self.model.nu):
+            raise ValueError(
+                f"action must have shape {(*self.batch_size, self.model.nu)}, got "
+                f"{tuple(action.shape)}"
+            )
         action = action.detach().to(torch.float64)
         if not action.isfinite().all():
             raise ValueError(f"action must be finite, got {action.tolist()}")

@@ -42,7 +42,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.gp.exponential_sums import ExponentialSum
-from torch_pmil.gp.gaussian import Gaussian, check_belief
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, check_belief
 from torch_pmil.gp.gaussian_integrals import GaussianIntegrals
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 
@@ -154,7 +154,11 @@ def moment_match(
     if products is None:
         check_belief(belief, "belief", f.inputs, NO_VARIANCE * f.lengthscales.detach().amin() ** 2)
     beliefs = belief.flattened
-    integrals = GaussianIntegrals.of(f, beliefs)
+    try:
+        integrals = GaussianIntegrals.of(f, beliefs)
+    except NotPositiveDefiniteError:
+        f.check_parameters()  # the cause, if a lengthscale is zero or not finite
+        raise
     sums = (f.weights * integrals.q) @ integrals.nu1.mT  # sum_i beta_i q_i [nu_i, 1], (N, E, D + 1)
     second = ExponentialSum.apply(
         integrals.left, integrals.right, *f.pair_weights, f.self_weights, f.num_inputs, products

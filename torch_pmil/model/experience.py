@@ -171,5 +171,10 @@ def gp_data(
     """
     if targets not in ("difference", "successor"):
         raise ValueError(f'targets must be "difference" or "successor", got {targets!r}')
+    if not states.shape[:-1] == actions.shape[:-1] == successors.shape[:-1]:
+        raise ValueError(
+            "states, actions and successors must be as many, got shapes "
+            f"{tuple(states.shape)}, {tuple(actions.shape)} and {tuple(successors.shape)}"
+        )
     inputs = torch.cat([space.features(states), actions], -1)
     return inputs, successors if targets == "successor" else successors - states

@@ -18,6 +18,7 @@ from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, joint
 from torch_pmil.gp.moment_matching import moment_match
 from torch_pmil.model.dynamics import FitResult, GPDynamics
+from torch_pmil.model.experience import gp_data
 from torch_pmil.model.rollout import successor_belief
 from torch_pmil.torchrl_interop.keys import (
     ACTION,
@@ -124,8 +125,9 @@ class GPWorldModel(TensorDictModuleBase):
         states, actions, successors = (
             _required(dataset, *entry).detach().flatten(0, -2) for entry in entries
         )
-        inputs = torch.cat([self.space.features(states), actions], -1)
-        return self.dynamics.fit(inputs, successors - states)
+        return self.dynamics.fit(
+            *gp_data(states, actions, successors, self.space, self.dynamics.targets)
+        )
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next state, or its belief, into ``tensordict`` and return it.

@@ -360,7 +360,9 @@ class PMILTrainer(Trainer):
 
 def _check_kind(name: str, value: object, kind: type) -> None:
     if not isinstance(value, kind):
-        raise TypeError(f"{name} must be a {kind.__name__}, got {type(value).__name__}")
+        raise TypeError(
+            f"{name} must be an instance of {kind.__name__}, got {type(value).__name__}"
+        )
 
 
 class _Progress:

@@ -220,7 +220,7 @@ LINES = (
     ("inspect", "the following arguments are required: FILE"),
     ("inspect missing.csv", "[Errno 2] No such file or directory: 'missing.csv'"),
     ("inspect folder", f"folder: {FOLDER}"),
-    ("inspect file", f"file: {KINDS} of them, got no suffix"),
+    ("inspect file", f"file: {KINDS}, got no suffix"),
     ("inspect empty.csv", "empty.csv: row 1 must be demonstration,time,NAME,..., got nothing"),
     ("inspect binary.npz", f"binary.npz: not a readable NPZ file without object arrays ({NO_ZIP}"),
     ("inspect latin.csv", "latin.csv: not a readable CSV file"),

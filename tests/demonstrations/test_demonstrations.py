@@ -204,7 +204,7 @@ def test_csv_holds_one_sample_per_row(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda lines: [], "row 1 must be demonstration,time,NAME,..., got "),
+        (lambda lines: [], "row 1 must be demonstration,time,NAME,..., got nothing"),
         (
             lambda lines: ["time,x,y", *lines[1:]],
             "row 1 must be demonstration,time,NAME,..., got time,x,y",

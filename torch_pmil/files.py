@@ -73,12 +73,23 @@ def replacing(path: Path | str) -> Iterator[Path]:
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    _make_new(temporary)
+    with _told_of(path):
+        _make_new(temporary)
     try:
         yield temporary
-        os.replace(temporary, path)
+        with _told_of(path):
+            os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _told_of(path: Path) -> Iterator[None]:
+    """Let errors name the file that was asked for, and not its temporary name."""
+    try:
+        yield
+    except OSError as error:
+        raise type(error)(error.errno, error.strerror, str(path)) from error
 
 
 def _make_new(path: Path) -> None:

@@ -23,7 +23,6 @@ from reproduction.baselines.learned_inverse_dynamics import POSITION_GAIN, VELOC
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import rollout_of
 from torch_pmil.experiments.runs.run_folder import (
-    check_whole,
     clear_folder,
     prepare_folder,
     provenance,
@@ -33,6 +32,7 @@ from torch_pmil.experiments.runs.training import EVALUATION_STARTS
 from torch_pmil.experiments.tasks.double_pendulum import states_from_positions
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.files import write_json
+from torch_pmil.gp.checks import check_whole
 from torch_pmil.trainer.trials import Measurement, success_rate
 
 NUM_BASIS = 30  # of the primitive; with them it is within 1 mrad of the demonstrations' mean

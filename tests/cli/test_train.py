@@ -273,7 +273,9 @@ def test_stopped_run_is_not_overwritten_by_the_same_command(
     script: Script, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch, pytest.raises(SystemExit):
-        patch.setattr(search_stepper, "search_policy", lambda *args: sys.exit("power cut"))
+        patch.setattr(
+            search_stepper, "search_policy", lambda *args, **options: sys.exit("power cut")
+        )
         script("trials=1", "seed=2", "out=run")
     assert error_of(script, "trials=1", "seed=2", "out=run") == (
         "run holds a run that was stopped: go on with resume=true, or remove run/checkpoints"
@@ -437,7 +439,7 @@ def test_doubtful_demonstrations_are_warned_of_once_and_learned_from(
         tmp_path / "own.npz"
     )
 
-    def stopped(*args: object) -> None:
+    def stopped(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(policy_search, "minimise", stopped)

@@ -334,7 +334,7 @@ def test_damage_anywhere_is_refused_or_changes_nothing(
         ({"angles": []}, "parameter centres must have shape (7, 4), got (7, 5)"),
         (
             {"names": [], "units": [], "angles": []},
-            "parameter centres must have shape (7, 0), got (7, 5)",
+            "names must be those of one entry at least, got none",
         ),
         ({"control_period": "0.1"}, "entry control_period must be a float, got '0.1'"),
         (

@@ -123,7 +123,7 @@ def test_other_kind_of_file_is_refused(tmp_path):
     path.touch()
     expected = (
         f"{path}: demonstrations must be a .npz, .csv, .mat, .hdf5, .h5 or .parquet file, or a "
-        "folder of them"
+        "folder of them, got .txt"
     )
     assert refused(load_demonstrations, path) == refused(load_recordings, path) == expected
 
@@ -204,7 +204,7 @@ def test_csv_holds_one_sample_per_row(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda lines: [], "row 1 must be demonstration,time,NAME,..., got "),
+        (lambda lines: [], "row 1 must be demonstration,time,NAME,..., got nothing"),
         (
             lambda lines: ["time,x,y", *lines[1:]],
             "row 1 must be demonstration,time,NAME,..., got time,x,y",

@@ -372,15 +372,17 @@ def test_unknown_kind_of_targets_is_an_error() -> None:
 
 
 def test_model_of_nothing_is_an_error() -> None:
-    with pytest.raises(ValueError, match="at least one input and one output, got 0 and 1"):
+    with pytest.raises(ValueError, match="num_inputs must be a whole number of at least 1, got 0"):
         GPDynamics(0, 1)
 
 
 def test_data_that_are_no_real_numbers_are_an_error() -> None:
-    with pytest.raises(ValueError, match=r"targets must be real numbers, got torch\.complex64"):
+    with pytest.raises(ValueError, match=r"targets must hold real numbers, got torch\.complex64"):
         GPDynamics(1, 1).set_data(torch.zeros(3, 1), torch.zeros(3, 1, dtype=torch.complex64))
 
 
 def test_fit_without_iterations_is_an_error() -> None:
-    with pytest.raises(ValueError, match="max_iterations must be at least 1, got 0"):
+    with pytest.raises(
+        ValueError, match="max_iterations must be a whole number of at least 1, got 0"
+    ):
         GPDynamics(1, 1).fit(torch.zeros(3, 1), torch.zeros(3, 1), max_iterations=0)

@@ -149,5 +149,5 @@ def test_capacity_can_be_filled_to_the_last(transitions: TensorDict) -> None:
 
 @pytest.mark.parametrize("capacity", [0, -1])
 def test_capacity_for_nothing_is_an_error(capacity: int) -> None:
-    with pytest.raises(ValueError, match=f"capacity must be at least 1 transition, got {capacity}"):
+    with pytest.raises(ValueError, match=f"whole number of at least 1, got {capacity}"):
         Experience(capacity)

@@ -265,5 +265,7 @@ def test_particles_that_are_not_finite_are_named(
 
 @pytest.mark.parametrize("count", [-1, 0, 1])
 def test_fewer_than_two_particles_are_refused(count: int) -> None:
-    with pytest.raises(ValueError, match=f"count must be at least 2, got {count}"):
+    with pytest.raises(
+        ValueError, match=f"count must be a whole number of at least 2, got {count}"
+    ):
         ParticlePrediction(count)

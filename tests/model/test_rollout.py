@@ -573,7 +573,7 @@ def test_start_that_is_none_is_an_error(
         predict(Gaussian(initial.mean, initial.cov + torch.ones(2, 2).triu(1)))
     with pytest.raises(ValueError, match=r"of torch\.float64, got torch\.float32"):
         predict(Gaussian(initial.mean.float(), initial.cov.float()))
-    with pytest.raises(ValueError, match=r"over the 2 entries .* got 1 entries and 2"):
+    with pytest.raises(ValueError, match=r"over the 2 entries .* got 1 entries and 2 outputs"):
         predict(initial.marginal(torch.tensor([0])))
-    with pytest.raises(ValueError, match="horizon at least 1, got 2 entries and 0"):
+    with pytest.raises(ValueError, match="horizon must be a whole number of at least 1, got 0"):
         predict(initial, 0)

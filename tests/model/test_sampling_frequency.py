@@ -183,7 +183,7 @@ def test_interval_is_the_t_interval_over_the_folds(draws: Draws) -> None:
 @pytest.mark.parametrize(
     ("recordings", "arguments", "message"),
     [
-        ([], {}, "at least one recording is needed"),
+        ([], {}, "recordings must hold one at least, got none"),
         (
             [Recording(torch.rand(9, 2), torch.rand(9, 1))],
             {},
@@ -197,7 +197,7 @@ def test_interval_is_the_t_interval_over_the_folds(draws: Draws) -> None:
         (
             [Recording(torch.full((9, 2), torch.nan), torch.rand(8, 1))],
             {},
-            "recording 0 must be finite",
+            "states of recording 0 must be finite, got nan in entry (0, 0)",
         ),
         (
             [recording(0)],

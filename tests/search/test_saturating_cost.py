@@ -174,6 +174,6 @@ def test_negative_covariance_is_an_error_that_names_the_element(draws: Draws) ->
     belief.cov[1] = -2 * torch.eye(2)
     with pytest.raises(
         NotPositiveDefiniteError,
-        match=r"identity plus covariance of the residual .* batch element \(1,\)",
+        match=r"covariance of residual must be positive definite, .* batch element \(1,\)",
     ):
         expected_saturating_cost(belief)

@@ -122,7 +122,9 @@ def test_loss_without_parameters_is_refused(target: TensorDict) -> None:
 
 
 def test_no_iterations_are_refused() -> None:
-    with pytest.raises(ValueError, match="max_iterations must be at least 1, got 0"):
+    with pytest.raises(
+        ValueError, match="max_iterations must be a whole number of at least 1, got 0"
+    ):
         LBFGSStepper(max_iterations=0)
 
 

@@ -232,7 +232,9 @@ def test_experiment_says_how_many_successes_in_a_row_end_the_training(
 
 
 def test_no_confirmations_are_an_error() -> None:
-    with pytest.raises(ValueError, match="confirmations must be at least 1, got 0"):
+    with pytest.raises(
+        ValueError, match="confirmations must be a whole number of at least 1, got 0"
+    ):
         make(trials=1, confirmations=0)
 
 
@@ -287,7 +289,7 @@ def test_other_seed_gives_another_run(trained: PMILTrainer) -> None:
 
 
 def test_no_trials_are_an_error() -> None:
-    with pytest.raises(ValueError, match="trials must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="trials must be a whole number of at least 1, got 0"):
         make(trials=0)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import version
-from typing import Any, TextIO
+from typing import Any, NoReturn, TextIO
 
 COMMANDS = {  # in the order in which they are used; each is the module of that name
     "inspect": "say what is in a file of recordings, and what training needs beside it",
@@ -28,6 +29,14 @@ examples:
   pmil resume runs/double_pendulum/seed_0
 
 the same in Python: import torch_pmil; help(torch_pmil)"""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, without the usage: ``--help`` tells that."""
+
+    def error(self, message: str) -> NoReturn:
+        """End the command with what is wrong with its command line."""
+        self.exit(2, f"error: {message} ({self.prog} --help tells what it takes)\n")
 
 
 class LastingOutput:

@@ -21,6 +21,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torch_pmil.cli import Parser
 from torch_pmil.demonstrations import (
     DemonstrationError,
     Demonstrations,
@@ -146,7 +147,7 @@ def pair(text: str) -> tuple[str, str]:
 
 def options_of_command_line() -> argparse.Namespace:
     """Read the command line, or end with what is wrong with it."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         description=__doc__.partition("\n")[0],
         epilog=__doc__.partition("\n\n")[2],
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -269,6 +270,8 @@ def main() -> None:
     for path in filter(None, (options.out, options.draw)):
         if path.exists() and not options.overwrite:
             sys.exit(f"error: {path} is there already: --overwrite replaces it")
+        if not path.parent.is_dir():
+            sys.exit(f"error: {path}: there is no folder {path.parent}")
     try:
         recordings = load_recordings(
             options.recorded,

@@ -20,6 +20,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from string import Template
 
+from torch_pmil.cli import Parser
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError
 from torch_pmil.demonstrations.preparation.drawing import (
@@ -196,7 +197,7 @@ def _check(out: Path, time_step: float) -> None:
 
 def main() -> None:
     """Serve the page until a drawing is saved, then say how to train with it."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         description=__doc__.partition("\n")[0],
         epilog=__doc__.partition("\n\n")[2],
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -6,16 +6,16 @@ Example:
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
+from torch_pmil.cli import Parser
 from torch_pmil.control.policy_file import load_policy
 
 
 def main() -> None:
     """Read the command line, load, export, say what the program takes and gives."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = Parser(description=__doc__.partition("\n")[0])
     parser.add_argument("policy", type=Path, help="policy.pt of a run")
     parser.add_argument("out", type=Path, help="file to write, ending in .pt2")
     parser.add_argument(

@@ -10,8 +10,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from torch_pmil.demonstrations import DemonstrationError, load_recordings
+from torch_pmil.cli import Parser
+from torch_pmil.demonstrations import load_recordings
 from torch_pmil.demonstrations.inspection import advice, describe
+from torch_pmil.gp.checks import check_positive
 from torch_pmil.plotting import plot_recordings, save_figure
 
 
@@ -19,6 +21,7 @@ def main() -> None:
     """Read, say what was understood, draw it if asked."""
     arguments = _parser().parse_args()
     try:
+        check_positive("--control-period", arguments.control_period)
         recordings = load_recordings(
             arguments.file,
             keys=arguments.keys,
@@ -40,7 +43,7 @@ def main() -> None:
             )
             save_figure(figure, arguments.draw)
             print(f"\nwrote {arguments.draw}")
-    except (DemonstrationError, ImportError, OSError) as error:
+    except (ValueError, ImportError, OSError) as error:
         sys.exit(f"error: {error}")
 
 
@@ -54,7 +57,7 @@ def _options(arguments: argparse.Namespace) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = Parser(description=__doc__.partition("\n")[0])
     parser.add_argument(
         "file",
         type=Path,

@@ -6,17 +6,17 @@ Example:
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
+from torch_pmil.cli import Parser
 from torch_pmil.experiments.runs.report import write_report
 from torch_pmil.experiments.runs.summaries import RunError
 
 
 def main() -> None:
     """Read the command line, write, say where."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = Parser(description=__doc__.partition("\n")[0])
     parser.add_argument("folder", type=Path, metavar="RUN", help="folder of a finished run")
     folder = parser.parse_args().folder
     try:

@@ -7,19 +7,18 @@ Example:
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import sys
 from pathlib import Path
 
-from torch_pmil.cli import train
+from torch_pmil.cli import Parser, train
 from torch_pmil.experiments.runs.run_folder import read_command
 from torch_pmil.experiments.runs.summaries import RunError
 
 
 def main() -> None:
     """Read the command line, and train with the run's own settings."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         description=__doc__.partition("\n")[0],
         epilog="Relative paths among the settings count from where the run was started.",
     )

@@ -6,13 +6,13 @@ Example:
 
 from __future__ import annotations
 
-import argparse
 import os
 import shlex
 import statistics
 import sys
 from pathlib import Path
 
+from torch_pmil.cli import Parser
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.experiments.runs.summaries import (
     COVERAGE,
@@ -122,7 +122,7 @@ def plain(curve: SuccessCurve) -> dict[str, object]:
 
 def main() -> None:
     """Read, sort by seed, write."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = Parser(description=__doc__.partition("\n")[0])
     parser.add_argument(
         "folders", metavar="DIR", type=Path, nargs="+", help="a run, or a folder of runs"
     )

@@ -15,6 +15,8 @@ import os
 import shlex
 import sys
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -23,13 +25,13 @@ import hydra
 import torch
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException
+from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 
-from torch_pmil.cli import lasting_output, lost_output
+from torch_pmil.cli import Parser, lasting_output, lost_output
 from torch_pmil.demonstrations import DemonstrationError, load_demonstrations
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.before_a_run import check
@@ -41,6 +43,7 @@ from torch_pmil.experiments.runs.settings import (
     Settings,
     SettingsError,
     check_overrides,
+    first_line,
     settings_of,
 )
 from torch_pmil.experiments.runs.summaries import is_finished
@@ -51,19 +54,38 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import Trial
 
 CONFIG = Path(__file__).parent / "config"
+FULL_ERROR = "HYDRA_FULL_ERROR"  # the variable with which Hydra raises its errors
 LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what a run may leave for the eye
 MOST_WARNINGS = 10  # of one cause
 
 
 def main() -> None:
     """Read the command line and learn."""
-    given, _ = get_args_parser().parse_known_args()
+    parser = Parser(prog="pmil train", add_help=False, parents=[get_args_parser()])
+    given = parser.parse_args()
     try:
-        check_overrides(given.overrides)
+        check_overrides(given.overrides, sweep=given.multirun)
     except SettingsError as error:
         sys.exit(f"error: {error}")
     register_launchers(CONFIG / "launcher")
-    learn()
+    with hydra_errors():
+        learn()
+
+
+@contextmanager
+def hydra_errors() -> Iterator[None]:
+    """End the command with one line where Hydra would print pages; its own variable lets it."""
+    if FULL_ERROR in os.environ:
+        yield
+        return
+    os.environ[FULL_ERROR] = "1"
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        line = first_line(error)
+        sys.exit(line if "error: " in line else f"error: {line}")
+    finally:
+        del os.environ[FULL_ERROR]
 
 
 @hydra.main(version_base="1.3", config_path=str(CONFIG), config_name="train")

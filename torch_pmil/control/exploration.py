@@ -9,6 +9,9 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from torch_pmil.control.rbf_policy import check_limits
+from torch_pmil.gp.checks import check_finite_entries, check_whole
+
 Feedforward = Callable[[Tensor], Tensor]
 
 
@@ -51,6 +54,10 @@ class RandomTorques:
         steps: control steps of each rollout.
         rollouts: number of rollouts.
 
+    Raises:
+        ValueError: a limit is not positive, the fraction is not in (0, 1], or there is no step or
+            no rollout.
+
     Example:
         >>> torques = RandomTorques(torch.tensor([3.5, 3.5]), fraction=0.4, steps=25)
         >>> torques.motion(torch.Generator().manual_seed(0))(torch.zeros(7, 4)).shape
@@ -61,6 +68,13 @@ class RandomTorques:
     fraction: float
     steps: int
     rollouts: int = 1
+
+    def __post_init__(self) -> None:
+        check_limits(self.u_max)
+        if not 0 < self.fraction <= 1:
+            raise ValueError(f"fraction must be above 0 and at most 1, got {self.fraction}")
+        check_whole("steps", self.steps, 1)
+        check_whole("rollouts", self.rollouts, 1)
 
     @property
     def settings(self) -> dict[str, object]:
@@ -104,8 +118,8 @@ class PDMovements:
         feedforward: torques (*batch, F) at states (*batch, D), which carry the robot's weight.
 
     Raises:
-        ValueError: shapes do not fit each other, a distance is negative, or a number is not
-            positive.
+        ValueError: shapes do not fit each other, a number is not finite, a distance is negative,
+            or a number is not positive.
 
     Example:
         >>> still, gain = torch.zeros(2), torch.tensor([[5.0, 1.0]])
@@ -137,6 +151,8 @@ class PDMovements:
                 f"reach must not be negative and u_max be positive, got {self.reach.tolist()} and "
                 f"{self.u_max.tolist()}"
             )
+        for name in ("pose", "reach", "gain", "u_max"):
+            check_finite_entries(name, getattr(self, name))
         if min(self.hold, self.rollouts, self.steps) < 1:
             raise ValueError(
                 f"hold, rollouts and steps must be at least 1, got {self.hold}, {self.rollouts} "

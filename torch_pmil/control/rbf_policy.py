@@ -18,6 +18,7 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
+from torch_pmil.gp.checks import check_positive, check_real, check_tensor
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import moment_match
@@ -36,6 +37,12 @@ class Policy(Protocol):
         """Controller at the features of a state, or of N states if the policy is for N targets."""
 
 
+def check_limits(u_max: Tensor) -> None:
+    """Raise ValueError unless torque limits are a vector (F,) of positive finite numbers."""
+    if u_max.ndim != 1 or not len(u_max) or not ((u_max > 0) & u_max.isfinite()).all():
+        raise ValueError(f"u_max must be a vector of positive torque limits, got {u_max.tolist()}")
+
+
 class RBFPolicy(nn.Module):
     r"""RBF network whose output is squashed to the torque limits (Eqs. 25-27).
 
@@ -48,6 +55,10 @@ class RBFPolicy(nn.Module):
         centres: (m, D'), in the units of the inputs.
         u_max: torque limits (F,), N·m.
         scale: typical size of each input (D',), in its unit.
+
+    Raises:
+        TypeError: one of them is no tensor.
+        ValueError: one has another shape, or holds what is not finite, or not positive.
 
     Example:
         >>> u_max = torch.tensor([3.5, 3.5])
@@ -63,6 +74,8 @@ class RBFPolicy(nn.Module):
 
     def __init__(self, centres: Tensor, u_max: Tensor, scale: Tensor) -> None:
         super().__init__()
+        for name, values in (("centres", centres), ("u_max", u_max), ("scale", scale)):
+            check_real(name, values)
         if centres.ndim != 2 or centres.numel() == 0 or not centres.isfinite().all():
             raise ValueError(
                 f"centres must be finite, (m, D') with m >= 1, got shape {tuple(centres.shape)} "
@@ -71,10 +84,7 @@ class RBFPolicy(nn.Module):
         m, inputs = centres.shape
         if scale.shape != (inputs,) or not ((scale > 0) & scale.isfinite()).all():
             raise ValueError(f"scale must hold {inputs} positive numbers, got {scale.tolist()}")
-        if u_max.ndim != 1 or not len(u_max) or not ((u_max > 0) & u_max.isfinite()).all():
-            raise ValueError(
-                f"u_max must be a vector of positive torque limits, got {u_max.tolist()}"
-            )
+        check_limits(u_max)
         self.register_buffer("u_max", u_max.double())
         self.register_buffer("scale", scale.double())
         self.centres = nn.Parameter(centres.double() / self.scale)
@@ -96,7 +106,11 @@ class RBFPolicy(nn.Module):
         return Controller(network, self.u_max)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Action (*batch, F), N·m, at features of the state (*batch, D')."""
+        """Action (*batch, F), N·m, at features of the state (*batch, D').
+
+        Raises ValueError where features have another shape or are not finite.
+        """
+        check_tensor("features", features, ("*batch", len(self.scale)))
         return self.controller(features.double())
 
     @torch.no_grad()
@@ -108,12 +122,18 @@ class RBFPolicy(nn.Module):
             actions: (S, F), N·m, within the limits.
             ridge: penalty of a change of the weights; actions before squashing count in rad.
 
+        Raises:
+            ValueError: shapes do not fit, a number is not finite, or the penalty is not positive.
+
         Example:
             >>> policy = RBFPolicy(torch.zeros(1, 1), u_max=torch.ones(1), scale=torch.ones(1))
             >>> policy.fit_weights(torch.zeros(1, 1), torch.full((1, 1), 0.5), ridge=1e-9)
             >>> round(policy(torch.zeros(1)).item(), 6)
             0.5
         """
+        check_tensor("features", features, ("S", len(self.scale)))
+        check_tensor("actions", actions, (len(features), len(self.u_max)))
+        check_positive("ridge", ridge)
         basis = self.controller.network.kernel(features.double()).transpose(0, 1)  # (F, S, m)
         sines = (actions / self.u_max).clamp(-MAX_SINE, MAX_SINE)
         raw = torch.asin(sines).mT[..., None]  # (F, S, 1)
@@ -129,12 +149,20 @@ class RBFPolicy(nn.Module):
 
         The target is the last K of this policy's inputs; the actions are those of this policy.
 
+        Raises:
+            ValueError: the target is not finite, or leaves no features.
+
         Example:
             >>> policy = RBFPolicy(torch.zeros(5, 8), torch.ones(3), torch.ones(8))
             >>> policy.for_target(torch.zeros(2))(torch.zeros(6)).shape
             torch.Size([3])
         """
+        check_tensor("target", target, ("K",))
         D = len(self.scale) - len(target)
+        if D < 1:
+            raise ValueError(
+                f"target must leave some of the {len(self.scale)} inputs, got {len(target)} entries"
+            )
         network = self.controller.network.at_known(target.double()[None])
         policy = RBFPolicy(network.inputs, self.u_max, self.scale[:D])
         policy.weights.copy_(network.weights[0].mT)

@@ -70,9 +70,9 @@ class StatePolicy(nn.Module):
                 f"policy must see the features {', '.join(inputs)}, got one of {len(policy.scale)} "
                 "features"
             )
-        if not 0 < control_period < math.inf:
+        if not isinstance(control_period, int | float) or not 0 < control_period < math.inf:
             raise ValueError(
-                f"control_period must be positive and finite, in seconds, got {control_period}"
+                f"control_period must be positive and finite, in seconds, got {control_period!r}"
             )
         self.policy, self.space = policy, space
         self.control_period, self.target_names = control_period, tuple(target_names)
@@ -88,8 +88,10 @@ class StatePolicy(nn.Module):
     def forward(self, state: State, target: State | None = None) -> State:
         """Torques (*batch, F), N·m, at states (*batch, D) and, if any, for targets (*batch, K)."""
         if (target is None) == bool(self.target_names):
-            wanted = "a state and a target" if self.target_names else "a state alone"
-            raise TypeError(f"policy must be called with {wanted}")
+            wanted, got = ("a state alone", "a target too")
+            if self.target_names:
+                wanted, got = ("a state and a target", "a state alone")
+            raise TypeError(f"policy must be called with {wanted}, got {got}")
         inputs = self.space.features(self._checked("state", state, self.space.names))
         if target is not None:
             known = self._checked("target", target, self.target_names)

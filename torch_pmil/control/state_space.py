@@ -11,6 +11,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from torch_pmil.gp.checks import check_real
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.trigonometry import Augmentation
 
@@ -29,6 +30,11 @@ class MatchSpace:
         angles: A, (K, D), rad.
         weights: B, (M, D + 2K).
 
+    Raises:
+        TypeError: angles or weights are no tensors.
+        ValueError: there is no entry, a name comes twice, shapes do not fit, or a number is not
+            finite.
+
     Example:
         >>> weights = torch.tensor([[0.0, 0.5, 0.0], [0.0, 0.0, 0.5]])
         >>> tip = MatchSpace(("x", "y"), ("m", "m"), torch.ones(1, 1), weights)
@@ -43,13 +49,15 @@ class MatchSpace:
 
     def __post_init__(self) -> None:
         _check_names(self.names)
+        check_real("angles", self.angles)
+        check_real("weights", self.weights)
         if self.angles.ndim != 2:
             raise ValueError(f"angles must have shape (K, D), got {tuple(self.angles.shape)}")
         entries = len(self.names), 2 * self.angles.shape[0] + self.angles.shape[1]
         if len(self.units) != len(self.names) or self.weights.shape != entries:
             raise ValueError(
                 f"weights must have shape {entries} and units {len(self.names)} entries, got "
-                f"{tuple(self.weights.shape)}"
+                f"{tuple(self.weights.shape)} and {len(self.units)}"
             )
         if not (self.weights.isfinite().all() and self.angles.isfinite().all()):
             raise ValueError(
@@ -63,6 +71,7 @@ class MatchSpace:
 
     def __call__(self, states: Tensor) -> Tensor:
         """Observations (*batch, M) of states (*batch, D)."""
+        _check_states(states, self.angles.shape[-1])
         angles = states @ self.angles.to(states).mT
         return torch.cat([states, angles.sin(), angles.cos()], -1) @ self.weights.to(states).mT
 
@@ -88,6 +97,10 @@ class StateSpace:
         angles: indices of the entries that are angles (rad) and wrap around.
         match_space: the space in which predictions are compared with demonstrations.
 
+    Raises:
+        ValueError: there is no entry, a name comes twice, units or the match space are of another
+            number of entries, or angles are no different indices.
+
     Example:
         >>> names, units = ("q", "dq"), ("rad", "rad/s")
         >>> space = StateSpace(names, units, (0,), joint_match(names, units))
@@ -110,7 +123,8 @@ class StateSpace:
                 f"units and the match space must be for the {self.dim} entries of {self.names}, "
                 f"got {len(self.units)} units and a match space of {matched}"
             )
-        if not set(self.angles) <= set(range(self.dim)):
+        indices = isinstance(self.angles, tuple | list) and {type(i) for i in self.angles} <= {int}
+        if not indices or not set(self.angles) <= set(range(self.dim)):
             raise ValueError(f"angles must be indices below {self.dim}, got {self.angles}")
         if len(set(self.angles)) < len(self.angles):
             raise ValueError(f"angles must be different indices, got {self.angles}")
@@ -137,6 +151,7 @@ class StateSpace:
 
     def features(self, states: Tensor) -> Tensor:
         """Features (*batch, D') of states (*batch, D), which models and policies see."""
+        _check_states(states, self.dim)
         selected = states @ self.augmentation.to(states).rows.mT
         sizes = [len(self.plain), len(self.angles), len(self.angles)]
         plain, for_sine, for_cosine = selected.split(sizes, -1)
@@ -157,8 +172,15 @@ class StateSpace:
 
 
 def _check_names(names: tuple[str, ...]) -> None:
+    if not names:
+        raise ValueError("names must be those of one entry at least, got none")
     if len(set(names)) < len(names):
         raise ValueError(f"names must be different, got {names}")
+
+
+def _check_states(states: Tensor, dim: int) -> None:
+    if states.shape[-1:] != (dim,):
+        raise ValueError(f"states must have shape (*batch, {dim}), got {tuple(states.shape)}")
 
 
 def joint_match(names: tuple[str, ...], units: tuple[str, ...]) -> MatchSpace:

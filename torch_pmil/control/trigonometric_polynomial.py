@@ -95,6 +95,9 @@ def match_of(
         dim: D, number of entries of the state.
         angles: the K entries of the state that are the angles.
 
+    Raises:
+        ValueError: angles are no entries of the state, or as many as those of the polynomials.
+
     Example:
         >>> x, y = 0.5 * sine((1,)), 0.5 * cosine((1,))
         >>> tip = match_of([x, y], ("x", "y"), ("m", "m"), dim=2, angles=(0,))
@@ -103,6 +106,12 @@ def match_of(
     """
     terms = [polynomial.terms for polynomial in polynomials]
     frequencies = sorted({n for entry in terms for n in entry})
+    if not set(angles) <= set(range(dim)) or {len(n) for n in frequencies} != {len(angles)}:
+        raise ValueError(
+            f"angles must be entries below {dim}, as many as polynomials of "
+            f"{', '.join(map(str, sorted({len(n) for n in frequencies})))} angles have, got "
+            f"{tuple(angles)}"
+        )
     combinations = torch.zeros(len(frequencies), dim, dtype=torch.float64)
     combinations[:, list(angles)] = torch.tensor(frequencies, dtype=torch.float64)
     cosines, sines = (

@@ -6,7 +6,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 import torch
@@ -47,7 +47,11 @@ class Demonstrations:
     target_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "positions", torch.as_tensor(self.positions).to(torch.float64))
+        object.__setattr__(self, "positions", _numbers("positions", self.positions))
+        if not isinstance(self.time_step, SupportsFloat):
+            raise DemonstrationError(
+                f"time_step must be positive and finite, in seconds, got {self.time_step!r}"
+            )
         object.__setattr__(self, "time_step", float(self.time_step))
         object.__setattr__(self, "names", tuple(str(name) for name in self.names))
         object.__setattr__(self, "target_names", tuple(str(name) for name in self.target_names))
@@ -65,7 +69,7 @@ class Demonstrations:
                 f"{demonstration}, step {step}, column {self.names[column]}"
             )
         if self.targets is not None:
-            object.__setattr__(self, "targets", torch.as_tensor(self.targets).to(torch.float64))
+            object.__setattr__(self, "targets", _numbers("targets", self.targets))
             self._check_targets(self.targets)
         elif self.target_names:
             raise DemonstrationError(
@@ -162,3 +166,15 @@ class Demonstrations:
         if self.targets is not None:
             arrays |= {"targets": self.targets.numpy(), "target_names": np.array(self.target_names)}
         return arrays
+
+
+def _numbers(name: str, values: object) -> Tensor:
+    """Values as a float64 tensor; raises DemonstrationError unless they are real numbers."""
+    try:
+        tensor = torch.as_tensor(values)
+    except (TypeError, ValueError, RuntimeError) as error:
+        reason = str(error).partition("\n")[0]
+        raise DemonstrationError(f"{name} must be an array of numbers, got {reason}") from error
+    if tensor.is_complex():
+        raise DemonstrationError(f"{name} must hold real numbers, got {tensor.dtype}")
+    return tensor.to(torch.float64)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.gp.checks import check_noise, check_tensor
 from torch_pmil.gp.gaussian import Gaussian, symmetric
 
 
@@ -27,7 +28,8 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tenso
         Mean (T, M) and covariance (T, M, M).
 
     Raises:
-        ValueError: the noise is not positive, or has another number of entries.
+        TypeError: the demonstrations are of another kind.
+        ValueError: the noise is not positive, not finite, or has another number of entries.
 
     Example:
         >>> positions = torch.tensor([[[0.0], [1.0]], [[0.0], [3.0]]], dtype=torch.float64)
@@ -36,15 +38,9 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tenso
         >>> demonstrated.mean.item(), demonstrated.cov.item()
         (2.0, 2.25)
     """
+    _check(demonstrations)
     observed = demonstrations.positions[:, 1:]
-    noise = torch.as_tensor(noise_std, dtype=torch.float64)
-    if not (noise > 0).all():
-        raise ValueError(f"noise_std must be positive, got {noise.tolist()}")
-    if noise.shape not in ((), observed.shape[-1:]):
-        raise ValueError(
-            f"noise_std must be a number or one for each of {', '.join(demonstrations.names)}, got "
-            f"{noise.tolist()}"
-        )
+    noise = check_noise(noise_std, demonstrations.names)
     mean = observed.mean(0)  # Eq. 10
     deviation = observed - mean
     cov = torch.einsum("ntj,ntk->tjk", deviation, deviation) / (len(observed) - 1)  # Eq. 11
@@ -65,12 +61,18 @@ def rms_error(demonstrations: Demonstrations, executed: Tensor) -> Tensor:
     Returns:
         (M,), in the units of the match space.
 
+    Raises:
+        TypeError: the demonstrations are of another kind.
+        ValueError: there is no rollout, or they have other samples or entries, or are not finite.
+
     Example:
         >>> import torch
         >>> shown = Demonstrations(torch.tensor([[[0.0], [1.0]], [[0.0], [3.0]]]), 0.1, ("q",))
         >>> rms_error(shown, torch.tensor([[[0.0], [5.0]]]))
         tensor([3.], dtype=torch.float64)
     """
+    _check(demonstrations)
+    check_tensor("executed", executed, ("N", *demonstrations.positions.shape[1:]))
     return (executed[:, 1:] - demonstrations.positions[:, 1:].mean(0)).square().mean((0, 1)).sqrt()
 
 
@@ -91,4 +93,12 @@ def demonstration_spread(demonstrations: Demonstrations) -> Tensor:
         >>> demonstration_spread(shown).square()
         tensor([2.0000], dtype=torch.float64)
     """
+    _check(demonstrations)
     return demonstrations.positions[:, 1:].var(0).mean(0).sqrt()
+
+
+def _check(demonstrations: Demonstrations) -> None:
+    if not isinstance(demonstrations, Demonstrations):
+        raise TypeError(
+            f"demonstrations must be Demonstrations, got {type(demonstrations).__name__}"
+        )

@@ -128,7 +128,9 @@ def _read(path: Path, keys: Sequence[str], time_step: float | None) -> Recording
     if reader is read_hdf5:
         return read_hdf5(path, keys, time_step)
     if time_step is not None:
-        raise DemonstrationError("time_step must be left out: the file has times of its own")
+        raise DemonstrationError(
+            f"time_step must be left out: the file has times of its own, got {time_step}"
+        )
     return reader(path, keys)
 
 
@@ -137,12 +139,12 @@ def _reader(path: Path) -> Callable[..., Recordings]:
         fitting = [reader for held, reader in FOLDERS.items() if any(path.glob(held))]
         if not fitting:
             raise DemonstrationError(
-                f"a folder of demonstrations must hold one of {', '.join(FOLDERS)}"
+                f"a folder of demonstrations must hold one of {', '.join(FOLDERS)}, got none"
             )
         return fitting[0]
     if path.suffix not in FILES:
         raise DemonstrationError(
             f"demonstrations must be a {', '.join(list(FILES)[:-1])} or {list(FILES)[-1]} file, or "
-            "a folder of them"
+            f"a folder of them, got {path.suffix or 'no suffix'}"
         )
     return FILES[path.suffix]

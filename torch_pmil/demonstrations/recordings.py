@@ -56,6 +56,12 @@ class Recordings:
                 f"a recording must hold demonstrations and entries, got {len(self.labels)} and "
                 f"{entries}"
             )
+        counts = len(self.labels), len(self.times), len(self.values)
+        if len(set(counts)) > 1:
+            raise DemonstrationError(
+                "labels, times and values must be as many, one for each demonstration, got "
+                f"{counts[0]}, {counts[1]} and {counts[2]}"
+            )
         if self.values[0].shape[1] != entries or len(set(self.names)) != entries:
             width = self.values[0].shape[1]
             raise DemonstrationError(

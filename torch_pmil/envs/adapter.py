@@ -64,6 +64,7 @@ class AdaptedEnv(RobotEnv):
         seed: of the generator of the starts; None takes entropy from the system.
 
     Raises:
+        TypeError: ``make_env`` makes no environment.
         ValueError: the environment has no such observation or action, or a setting is out of range;
             the message says what was expected and what came.
         RuntimeError: in a step, when the environment shows a number that is not finite.
@@ -94,8 +95,12 @@ class AdaptedEnv(RobotEnv):
                 f"control_period must be positive and finite, in seconds, got {control_period}"
             )
         check_num_envs(num_envs)
+        if isinstance(make_env, EnvBase):
+            raise TypeError(f"make_env must make the environment, got {type(make_env).__name__}")
         make = partial(make_env, **({"from_pixels": True} if from_pixels else {}))
         env = make() if num_envs is None else SerialEnv(num_envs, make)
+        if not isinstance(env, EnvBase):
+            raise TypeError(f"make_env must make an EnvBase, got {type(env).__name__}")
         super().__init__(env.batch_size, float(control_period), from_pixels, seed)
         self.__dict__["base_env"] = env  # no submodule: its state is not ours to save
         self.angles, self._observation, self._action = tuple(angles), observation, action

@@ -135,6 +135,14 @@ class MujocoRobotEnv(RobotEnv):
             RuntimeError: a simulation diverged.
         """
         models = self._models[robot : robot + 1]
+        if state.shape != (len(state), self._state_columns.numel()) or action.shape != (
+            len(state),
+            self.model.nu,
+        ):
+            raise ValueError(
+                f"state and action must be (N, {self._state_columns.numel()}) and (N, "
+                f"{self.model.nu}), got {tuple(state.shape)} and {tuple(action.shape)}"
+            )
         physics, _ = self._integrate(self._physics_from_state(state, models), action, models)
         return self.state_of(physics[:, -1])
 
@@ -375,6 +383,13 @@ class MujocoRobotEnv(RobotEnv):
         return state.reshape(self._physics.shape[0], -1).to(torch.float64)
 
     def _check_torque(self, action: Tensor) -> Tensor:
+        if action.is_complex():
+            raise ValueError(f"action must hold real numbers, got {action.dtype}")
+        if action.shape != (*self.batch_size, self.model.nu):
+            raise ValueError(
+                f"action must have shape {(*self.batch_size, self.model.nu)}, got "
+                f"{tuple(action.shape)}"
+            )
         action = action.detach().to(torch.float64)
         if not action.isfinite().all():
             raise ValueError(f"action must be finite, got {action.tolist()}")

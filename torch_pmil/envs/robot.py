@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from numbers import Integral
 
 import numpy as np
 import torch
@@ -13,6 +15,7 @@ from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
 Array = NDArray[np.floating]
+LARGEST_SEED = 2**63 - 1
 
 
 class RobotEnv(EnvBase):
@@ -25,6 +28,9 @@ class RobotEnv(EnvBase):
         control_period: seconds between two actions.
         from_pixels: whether there are pictures.
         seed: of the generator of starts and noise; None takes entropy from the system.
+
+    Raises:
+        ValueError: the seed is no whole number from 0 on, or the period is not positive.
     """
 
     def __init__(
@@ -34,6 +40,10 @@ class RobotEnv(EnvBase):
         from_pixels: bool,
         seed: int | None,
     ) -> None:
+        if not (math.isfinite(control_period) and control_period > 0):
+            raise ValueError(
+                f"control_period must be positive and finite, in seconds, got {control_period}"
+            )
         super().__init__(device="cpu", batch_size=batch_size)
         self.control_period, self.from_pixels = control_period, from_pixels
         self._generator = torch.Generator()
@@ -69,8 +79,12 @@ class RobotEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:
             self._generator.seed()
-        else:
+        elif is_whole_number(seed) and 0 <= seed <= LARGEST_SEED:
             self._generator.manual_seed(seed)
+        else:
+            raise ValueError(
+                f"seed must be None or a whole number from 0 to {LARGEST_SEED}, got {seed!r}"
+            )
 
     def _set_specs(self, dim: int, limit: Tensor, more: Mapping[str, TensorSpec]) -> None:
         """Set the specs of states (*batch, dim), actions within ±limit (*batch, F), and more."""
@@ -90,5 +104,10 @@ class RobotEnv(EnvBase):
 
 def check_num_envs(num_envs: int | None) -> None:
     """Raise ValueError unless ``num_envs`` is None, for one robot, or a number of robots."""
-    if num_envs is not None and num_envs < 1:
+    if num_envs is not None and not (is_whole_number(num_envs) and num_envs >= 1):
         raise ValueError(f"num_envs must be None or at least 1, got {num_envs}")
+
+
+def is_whole_number(value: object) -> bool:
+    """Whether a value is an integer, of Python or of NumPy, and no truth value."""
+    return isinstance(value, Integral) and not isinstance(value, bool)

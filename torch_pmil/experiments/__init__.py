@@ -39,6 +39,7 @@ def load_experiment(
         shape, robot: of handwriting, see :func:`handwriting`; None in all others.
 
     Raises:
+        TypeError: the demonstrations are of another kind.
         ValueError: there is none; the message lists those there are. Or the demonstrations are not
             of that robot.
         ImportError: it needs another library.
@@ -47,7 +48,11 @@ def load_experiment(
         >>> load_experiment("double_pendulum").horizon
         25
     """
-    if name not in EXPERIMENTS:
+    if demonstrations is not None and not isinstance(demonstrations, Demonstrations):
+        raise TypeError(
+            f"demonstrations must be Demonstrations, got {type(demonstrations).__name__}"
+        )
+    if not isinstance(name, str) or name not in EXPERIMENTS:
         raise ValueError(
             f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}, got {name!r}"
         )

@@ -10,6 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torch_pmil.gp.checks import check_finite_entries, check_whole
+
 # part of its largest entry by which a covariance may be asymmetric, or an eigenvalue negative
 NEGLIGIBLE = 1e-5
 
@@ -57,17 +59,20 @@ def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> st
     )
 
 
-def check_belief(belief: Gaussian, name: str, like: Tensor, floor: Tensor | float = 0.0) -> None:
+def check_belief(
+    belief: Gaussian, name: str, like: Tensor | None = None, floor: Tensor | float = 0.0
+) -> None:
     """Refuse a belief that is none, before anything is computed from it.
 
     Args:
         belief: any batch shape; its covariance may be singular or zero, and its eigenvalues
             negative and its triangles unequal by rounding.
         name: of the belief, for the error.
-        like: a tensor with the dtype that mean and covariance must have.
+        like: a tensor with the dtype that mean and covariance must have; None for one of their own.
         floor: a variance that does not count.
 
     Raises:
+        TypeError: it is no Gaussian.
         ValueError: an entry of the mean is not finite, or a dtype another one.
         NotPositiveDefiniteError: the covariance is not finite, not symmetric, or has a clearly
             negative eigenvalue.
@@ -77,37 +82,50 @@ def check_belief(belief: Gaussian, name: str, like: Tensor, floor: Tensor | floa
         Traceback (most recent call last):
         ValueError: mean of start must be finite, got nan in entry (0,)
     """
+    check_moments(belief, name, like, floor)
+    cov = belief.cov.detach()
+    if cov.numel():
+        values = torch.linalg.eigvalsh(cov)[..., 0]
+        if (negative := values < -_negligible(cov, floor)).any():
+            element = tuple(negative.nonzero()[0].tolist())
+            raise NotPositiveDefiniteError(
+                _describe_failure(cov[element], element, f"covariance of {name}"), element
+            )
+
+
+def check_moments(
+    belief: Gaussian, name: str, like: Tensor | None = None, floor: Tensor | float = 0.0
+) -> None:
+    """:func:`check_belief`, but for the eigenvalues, which a Cholesky factor needs not be told."""
+    if not isinstance(belief, Gaussian):
+        raise TypeError(f"{name} must be a Gaussian, got {type(belief).__name__}")
     mean, cov = belief.mean.detach(), belief.cov.detach()
-    if not mean.dtype == cov.dtype == like.dtype:
+    dtype = mean.dtype if like is None else like.dtype
+    if not mean.dtype == cov.dtype == dtype:
         raise ValueError(
-            f"{name} must have mean and covariance of {like.dtype}, got {mean.dtype} and "
-            f"{cov.dtype}"
+            f"{name} must have mean and covariance of {dtype}, got {mean.dtype} and {cov.dtype}"
         )
-    for part, values, error in (
-        ("mean", mean, ValueError),
-        ("covariance", cov, NotPositiveDefiniteError),
-    ):
-        if not values.isfinite().all():
-            entry = tuple((~values.isfinite()).nonzero()[0].tolist())
-            raise error(f"{part} of {name} must be finite, got {values[entry]} in entry {entry}")
-    if mean.numel():
-        _check_covariance(cov, name, floor)
+    if not mean.is_floating_point():
+        raise ValueError(f"{name} must have mean and covariance of floats, got {mean.dtype}")
+    check_finite_entries(f"mean of {name}", mean)
+    check_finite_entries(f"covariance of {name}", cov, _not_a_covariance)
+    if cov.numel():
+        difference = (cov - cov.mT).abs().amax((-2, -1))
+        if (asymmetric := difference > _negligible(cov, floor)).any():
+            raise NotPositiveDefiniteError(
+                f"covariance of {name} must be symmetric, got entries that differ by "
+                f"{difference.max():.3g} from their mirror images",
+                tuple(asymmetric.nonzero()[0].tolist()),
+            )
 
 
-def _check_covariance(cov: Tensor, name: str, floor: Tensor | float) -> None:
-    allowed = NEGLIGIBLE * cov.abs().amax((-2, -1)) + floor
-    difference = (cov - cov.mT).abs().amax((-2, -1))
-    if (difference > allowed).any():
-        raise NotPositiveDefiniteError(
-            f"covariance of {name} must be symmetric, got entries that differ by "
-            f"{difference.max():.3g} from their mirror images"
-        )
-    values = torch.linalg.eigvalsh(cov)
-    if (values[..., 0] < -allowed).any():
-        element = tuple((values[..., 0] < -allowed).nonzero()[0].tolist())
-        raise NotPositiveDefiniteError(
-            _describe_failure(cov[element], element, f"covariance of {name}"), element
-        )
+def _negligible(cov: Tensor, floor: Tensor | float) -> Tensor:
+    """What rounding may change in each of the covariances (*batch, D, D), (*batch)."""
+    return NEGLIGIBLE * cov.abs().amax((-2, -1)) + floor
+
+
+def _not_a_covariance(message: str, entry: tuple[int, ...]) -> NotPositiveDefiniteError:
+    return NotPositiveDefiniteError(message, entry[:-2])
 
 
 @lru_cache
@@ -131,6 +149,7 @@ class Gaussian:
         cov: (*batch, D, D), symmetric and positive semi-definite (it may be zero).
 
     Raises:
+        TypeError: one of the two is no tensor.
         ValueError: shapes do not fit each other.
 
     Example:
@@ -143,6 +162,11 @@ class Gaussian:
     cov: Tensor  # (*batch, D, D)
 
     def __post_init__(self) -> None:
+        if not (isinstance(self.mean, Tensor) and isinstance(self.cov, Tensor)):
+            raise TypeError(
+                f"mean and cov must be tensors, got {type(self.mean).__name__} and "
+                f"{type(self.cov).__name__}"
+            )
         expected = (*self.mean.shape, self.mean.shape[-1]) if self.mean.ndim else ()
         if self.mean.ndim == 0 or self.cov.shape != expected:
             raise ValueError(
@@ -217,8 +241,17 @@ class Gaussian:
         return Gaussian(self.mean @ matrix.mT + offset, matrix @ self.cov @ matrix.mT)
 
     def add_noise(self, variance: Tensor | float) -> Gaussian:
-        """Belief over x plus independent noise of the given variance, a number or (*batch, D)."""
+        """Belief over x plus independent noise of the given variance, a number or (*batch, D).
+
+        Raises ValueError unless variances are finite and not negative, and fit the entries.
+        """
         noise = torch.as_tensor(variance, dtype=self.mean.dtype, device=self.mean.device)
+        fits = noise.shape in ((), self.mean.shape[-1:], self.mean.shape)
+        if not (fits and ((noise >= 0) & (noise < torch.inf)).all()):
+            raise ValueError(
+                f"variance must be finite, not negative, and one number or {self.dim} for the "
+                f"entries, got {noise.flatten()[:8].tolist()}"
+            )
         return Gaussian(self.mean, self.cov + torch.diag_embed(noise.expand(self.mean.shape)))
 
     def sample(self, count: int, generator: torch.Generator | None = None) -> Tensor:
@@ -230,6 +263,7 @@ class Gaussian:
             tensor([[1., 1.],
                     [1., 1.]])
         """
+        check_whole("count", count, 0)
         values, vectors = torch.linalg.eigh(self.cov)
         root = vectors * values.clamp(min=0).sqrt()[..., None, :]
         white = normal((count, *self.mean.shape), self.mean, generator)

@@ -11,6 +11,7 @@ from gpytorch.kernels import RBFKernel, ScaleKernel
 from gpytorch.means import ConstantMean, ZeroMean
 from torch import Tensor
 
+from torch_pmil.gp.checks import check_finite_entries, check_real
 from torch_pmil.gp.gaussian import cholesky
 from torch_pmil.gp.kernel_pairs import KernelPairs
 
@@ -36,6 +37,9 @@ class KernelExpansion:
         noise_variance: sigma_a^2, (E,), or None for a deterministic function.
         offset: c_a, (E,), or 0.
 
+    Raises:
+        ValueError: shapes do not fit each other.
+
     Example:
         >>> one = torch.ones(1)
         >>> f = KernelExpansion(torch.zeros(1, 2), one[None], torch.ones(1, 2), one)
@@ -50,6 +54,29 @@ class KernelExpansion:
     gram_inverse: Tensor | None = None
     noise_variance: Tensor | None = None
     offset: Tensor | float = 0.0
+
+    def __post_init__(self) -> None:
+        n, D = self.inputs.shape if self.inputs.ndim == 2 else (0, 0)
+        E = self.weights.shape[-2] if self.weights.ndim > 1 else 0
+        shapes = tuple(
+            tuple(values.shape)
+            for values in (self.inputs, self.weights, self.lengthscales, self.signal_variance)
+        )
+        gram = None if self.gram_inverse is None else tuple(self.gram_inverse.shape)
+        fit = shapes == ((n, D), (*shapes[1][:-2], E, n), (E, D), (E,)) and len(shapes[1]) < 4
+        if not (fit and n and gram in (None, (E, n, n))):
+            raise ValueError(
+                "inputs, weights, lengthscales and signal_variance must have shapes (n, D), (E, n)"
+                f", (E, D) and (E,), and gram_inverse (E, n, n) if any, got "
+                f"{', '.join(map(str, shapes))} and {gram}"
+            )
+
+    def check_parameters(self) -> None:
+        """Raise ValueError unless all parameters are finite, and those positive that must be."""
+        for name in ("inputs", "weights", "lengthscales", "signal_variance"):
+            check_finite_entries(name, getattr(self, name).detach())
+        for name in ("lengthscales", "signal_variance"):
+            _check_positive(name, getattr(self, name))
 
     @property
     def num_outputs(self) -> int:
@@ -139,7 +166,15 @@ class KernelExpansion:
         return torch.diag_embed(self.signal_variance + self.noise)
 
     def kernel(self, x: Tensor) -> Tensor:
-        """Kernel values k_a(x, x_i), (*batch, E, n), at points x (*batch, D)."""
+        """Kernel values k_a(x, x_i), (*batch, E, n), at points x (*batch, D).
+
+        Raises ValueError where points have another number of entries.
+        """
+        if x.shape[-1:] != self.inputs.shape[-1:]:
+            raise ValueError(
+                f"points must have the {self.num_inputs} inputs of the function, (*batch, "
+                f"{self.num_inputs}), got {tuple(x.shape)}"
+            )
         squares = (self.inputs.mT - x[..., None]).square()  # (*batch, D, n)
         return torch.exp(self._minus_half_precision @ squares + self.log_signal_variance[:, None])
 
@@ -288,6 +323,8 @@ def _check_data(
     noise_variance: Tensor,
     offset: Tensor | float,
 ) -> None:
+    check_real("inputs", inputs)
+    check_real("targets", targets)
     E, n = targets.shape if targets.ndim == 2 else (1, 0)
     D = inputs.shape[-1] if inputs.ndim else 0
     expected = {
@@ -308,18 +345,27 @@ def _check_data(
             )
         if not values.isfinite().all():
             raise ValueError(f"{name} must be finite, got {values[~values.isfinite()][0].item()}")
-    if not torch.as_tensor(offset).isfinite().all():
-        raise ValueError(f"offset must be finite, got {offset}")
-    for name, (values, _) in list(expected.items())[2:4]:
-        if not (values > 0).all():
-            raise ValueError(f"{name} must be positive, got {values.min().item():.3g}")
+    offsets = torch.as_tensor(offset)
+    if offsets.shape not in ((), (E,)) or not offsets.isfinite().all():
+        raise ValueError(f"offset must be finite, and a number or {(E,)}, got {offset}")
+    _check_positive("lengthscales", lengthscales)
+    _check_positive("signal_variance", signal_variance)
     if not (noise_variance >= 0).all():
         raise ValueError(
             f"noise_variance must not be negative, got {noise_variance.min().item():.3g}"
         )
 
 
+def _check_positive(name: str, values: Tensor) -> None:
+    if not (values > 0).all():
+        raise ValueError(f"{name} must be positive, got {values.min().item():.3g}")
+
+
 def _check_model(model: gpytorch.models.ExactGP) -> None:
+    if not isinstance(model, gpytorch.models.ExactGP):
+        raise TypeError(
+            f"model must be an ExactGP or a KernelExpansion, got {type(model).__name__}"
+        )
     kernel, mean, likelihood = model.covar_module, model.mean_module, model.likelihood
     if not (type(kernel) is ScaleKernel and type(kernel.base_kernel) is RBFKernel):
         raise TypeError(f"covar_module must be ScaleKernel(RBFKernel), got {type(kernel).__name__}")

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.gp.exponential_sums import ExponentialSum
-from torch_pmil.gp.gaussian import Gaussian, check_belief
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, check_belief
 from torch_pmil.gp.gaussian_integrals import GaussianIntegrals
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_accuracy import check_variances
@@ -55,8 +55,10 @@ def moment_match(
         Moments in the units of the outputs.
 
     Raises:
+        TypeError: the model or the belief is of another kind.
         ValueError: the belief's entries are not the model's inputs, its mean is not finite, or its
-            dtype is not the model's.
+            dtype is not the model's; a parameter of the model is not finite or not positive; or
+            noise is asked of a function that has none.
         NotPositiveDefiniteError: the covariance has a clearly negative eigenvalue, is not
             symmetric, or is not finite.
         InaccurateMomentsError: a variance of a GP is less than its rounding error.
@@ -76,10 +78,16 @@ def moment_match(
         tensor([1.])
     """
     f = model if isinstance(model, KernelExpansion) else KernelExpansion.from_exact_gp(model)
+    if observation_noise and f.noise_variance is None:
+        raise ValueError("observation_noise must be False for a deterministic function, got True")
     if products is None:
         check_belief(belief, "belief", f.inputs, NO_VARIANCE * f.lengthscales.detach().amin() ** 2)
     beliefs = belief.flattened
-    integrals = GaussianIntegrals.of(f, beliefs)
+    try:
+        integrals = GaussianIntegrals.of(f, beliefs)
+    except NotPositiveDefiniteError:
+        f.check_parameters()  # the cause, if a lengthscale is zero or not finite
+        raise
     sums = (f.weights * integrals.q) @ integrals.nu1.mT  # sum_i beta_i q_i [nu_i, 1], (N, E, D + 1)
     second = ExponentialSum.apply(
         integrals.left, integrals.right, *f.pair_weights, f.self_weights, f.num_inputs, products
@@ -88,6 +96,8 @@ def moment_match(
     moments = combine(f, sums[..., -1], slope, second, observation_noise)
     if f.gram_inverse is not None and products is None:
         check_variances(f, integrals, moments.cov.diagonal(dim1=-2, dim2=-1))
+    if products is None and not moments.mean.isfinite().all():
+        f.check_parameters()
     return moments.unflatten(belief.batch_shape)
 
 

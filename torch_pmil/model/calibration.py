@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.checks import check_tensor
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import gp_data
@@ -69,11 +70,17 @@ def observed_coverage(residuals: Tensor, probabilities: Tensor) -> Tensor:
     Returns:
         Fractions for each interval and entry, (K, D).
 
+    Raises:
+        ValueError: there is no residual, or a probability is not from 0 to 1.
+
     Example:
         >>> residuals = torch.tensor([[0.0], [1.0], [3.0]])
         >>> observed_coverage(residuals, torch.tensor([0.0, 0.5, 0.95, 1.0])).flatten()
         tensor([0.3333, 0.3333, 0.6667, 1.0000])
     """
+    check_tensor("residuals", residuals.flatten(0, -2), ("N", "D"), finite=False)
+    if not ((probabilities >= 0) & (probabilities <= 1)).all():
+        raise ValueError(f"probabilities must be from 0 to 1, got {probabilities.tolist()}")
     reach = math.sqrt(2) * torch.special.erfinv(probabilities)
     inside = residuals.reshape(-1, residuals.shape[-1]).abs() <= reach[:, None, None]
     return inside.to(residuals.dtype).mean(1)
@@ -113,5 +120,10 @@ def within_two_sigma(predicted: Gaussian, executed: Tensor) -> Tensor:
     """Whether executed entries at t = 1..T are within two standard deviations, 1 or 0, (N, T, D).
 
     Arguments as in :func:`two_sigma_coverage`.
+
+    Raises:
+        ValueError: the rollouts are of other steps or entries than the marginals.
     """
+    steps, entries = predicted.mean.shape
+    check_tensor("executed", executed, ("N", steps + 1, entries), finite=False)
     return ((executed[:, 1:] - predicted.mean).abs() <= 2 * predicted.std).double()

@@ -13,6 +13,7 @@ import torch
 from gpytorch.constraints import Positive
 from torch import Tensor, nn
 
+from torch_pmil.gp.checks import check_real, check_whole
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.hyperparameters import Optimum, find_hyperparameters, pilco_starts
 from torch_pmil.gp.kernel_expansion import KernelExpansion
@@ -93,11 +94,8 @@ class GPDynamics(nn.Module):
         super().__init__()
         if targets not in ("difference", "successor"):
             raise ValueError(f'targets must be "difference" or "successor", got {targets!r}')
-        if num_inputs < 1 or num_outputs < 1:
-            raise ValueError(
-                f"the model must have at least one input and one output, got {num_inputs} and "
-                f"{num_outputs}"
-            )
+        for name, value in (("num_inputs", num_inputs), ("num_outputs", num_outputs)):
+            check_whole(name, value, 1)
         self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, targets
         self.gp = _BatchGP(
             torch.zeros(num_outputs, 1, num_inputs), torch.zeros(num_outputs, 1)
@@ -166,8 +164,7 @@ class GPDynamics(nn.Module):
             NotPositiveDefiniteError, NotFiniteError: the likelihood of an output has no value at
                 any start.
         """
-        if max_iterations < 1:
-            raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
+        check_whole("max_iterations", max_iterations, 1)
         start_time = time.perf_counter()
         fitted = len(self.train_inputs) > 0
         self.set_data(inputs, targets)
@@ -229,15 +226,15 @@ class GPDynamics(nn.Module):
             parameter.copy_(value)
 
     def _check_data(self, inputs: Tensor, targets: Tensor) -> None:
-        n = len(inputs)
+        check_real("inputs", inputs)
+        check_real("targets", targets)
+        n = inputs.shape[0] if inputs.ndim else 0
         if inputs.shape != (n, self.num_inputs) or targets.shape != (n, self.num_outputs) or n < 2:
             raise ValueError(
                 f"expected inputs (n, {self.num_inputs}) and targets (n, {self.num_outputs}) with "
                 f"n >= 2, got {tuple(inputs.shape)} and {tuple(targets.shape)}"
             )
         for name, values in (("inputs", inputs), ("targets", targets)):
-            if values.is_complex() or values.dtype == torch.bool:
-                raise ValueError(f"{name} must be real numbers, got {values.dtype}")
             if not values.isfinite().all():
                 row, column = (~values.isfinite()).nonzero()[0].tolist()
                 raise ValueError(

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import LazyMemmapStorage, TensorDictReplayBuffer
 
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.checks import check_tensor, check_whole
 from torch_pmil.model.dynamics import Targets
 
 KEYS = ("observation", "action", ("next", "observation"))
@@ -23,6 +24,9 @@ class Experience:
         capacity: largest number of transitions.
         folder: folder of the memory-mapped files; a temporary one if None.
 
+    Raises:
+        ValueError: the capacity is no whole number of at least 1.
+
     Example:
         >>> experience = Experience(capacity=100)
         >>> len(experience)
@@ -30,8 +34,7 @@ class Experience:
     """
 
     def __init__(self, capacity: int, folder: Path | str | None = None) -> None:
-        if capacity < 1:
-            raise ValueError(f"capacity must be at least 1 transition, got {capacity}")
+        check_whole("capacity", capacity, 1)
         storage = LazyMemmapStorage(capacity, scratch_dir=folder, existsok=True)
         self.buffer = TensorDictReplayBuffer(storage=storage, batch_size=capacity)
         self.capacity = capacity
@@ -45,9 +48,19 @@ class Experience:
         They may have any batch shape.
 
         Raises:
-            ValueError: an entry is not finite, or the buffer is full.
+            KeyError: one of the keys is missing.
+            ValueError: an entry is not finite, or of another shape than those before it, or the
+                buffer is full.
         """
+        present = transitions.keys(include_nested=True)
+        for key in KEYS:
+            if key not in present:
+                raise KeyError(
+                    f"transitions must have {', '.join(map(str, KEYS))}, got "
+                    f"{sorted(present, key=str)}"
+                )
         flat = transitions.select(*KEYS).detach().reshape(-1)
+        self._check_shapes(flat)
         for key in KEYS:
             if not flat[key].isfinite().all():
                 raise ValueError(
@@ -59,6 +72,16 @@ class Experience:
                 f"experience holds at most {self.capacity} transitions, got {len(self) + len(flat)}"
             )
         self.buffer.extend(TensorDict(flat.to_dict(), batch_size=flat.batch_size))
+
+    def _check_shapes(self, flat: TensorDictBase) -> None:
+        like = self.transitions if len(self) else flat
+        states, actions = like["observation"].shape[1:], like["action"].shape[1:]
+        for key, shape in zip(KEYS, (states, actions, states), strict=True):
+            if flat[key].shape[1:] != shape:
+                raise ValueError(
+                    f"transitions must have {key} of shape {tuple(shape)} each, got "
+                    f"{tuple(flat[key].shape[1:])}"
+                )
 
     def state_dict(self) -> dict[str, object]:
         """All transitions, for a checkpoint."""
@@ -89,13 +112,27 @@ class Experience:
             limits: largest absolute value of each entry of the state (D,), infinite for no limit.
                 Transitions that start beyond are left out: how a robot tumbles on, far from the
                 task, says nothing about the task, and one stationary kernel cannot explain both.
+
+        Raises:
+            ValueError: there is no transition, the space is of another number of entries, or limits
+                are not as many numbers that are not negative.
         """
+        if not len(self):
+            raise ValueError("experience must hold a transition at least, got none")
+        check_limits_of_state(limits, space.dim)
         transitions = self.transitions
         states, successors = transitions["observation"], transitions["next", "observation"]
         inside = (states.abs() <= limits).all(-1)
         return gp_data(
             states[inside], transitions["action"][inside], successors[inside], space, targets
         )
+
+
+def check_limits_of_state(limits: Tensor, dim: int) -> None:
+    """Raise ValueError unless limits are (D,) numbers that are not negative; infinite for none."""
+    check_tensor("limits", limits, (dim,), finite=False)
+    if not (limits >= 0).all():
+        raise ValueError(f"limits must be numbers that are not negative, got {limits.tolist()}")
 
 
 def widened(limits: Tensor, explored: Tensor, fewest: int) -> Tensor:
@@ -128,5 +165,12 @@ def gp_data(
         space: the robot's state space.
         targets: "difference" or "successor".
     """
+    if targets not in ("difference", "successor"):
+        raise ValueError(f'targets must be "difference" or "successor", got {targets!r}')
+    if not states.shape[:-1] == actions.shape[:-1] == successors.shape[:-1]:
+        raise ValueError(
+            "states, actions and successors must be as many, got shapes "
+            f"{tuple(states.shape)}, {tuple(actions.shape)} and {tuple(successors.shape)}"
+        )
     inputs = torch.cat([space.features(states), actions], -1)
     return inputs, successors if targets == "successor" else successors - states

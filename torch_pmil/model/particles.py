@@ -12,9 +12,12 @@ from torch import Tensor
 
 from torch_pmil.control.rbf_policy import Policy
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, normal, symmetric
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import check_finite
+from torch_pmil.model.rollout import check_finite, check_start
+
+LARGEST_SEED = 2**63 - 1
 
 
 def sample_trajectories(
@@ -48,7 +51,14 @@ def sample_trajectories(
 
     Returns:
         States at t = 1..T, (count, *batch, T, D).
+
+    Raises:
+        ValueError: there is no step or no particle, or as of :func:`check_start`.
+        NotPositiveDefiniteError: the covariance of ``initial`` is none.
     """
+    check_start(initial, "initial", dynamics, space)
+    check_whole("horizon", horizon, 1)
+    check_whole("count", count, 1)
     controller, state, states = policy.controller, initial.sample(count, generator), []
     expansion = dynamics.expansion
     for _ in range(horizon):
@@ -77,7 +87,7 @@ class ParticlePrediction:
         seed: seed of the random numbers.
 
     Raises:
-        ValueError: fewer than two particles.
+        ValueError: fewer than two particles, or a seed that is no whole number from 0 on.
 
     Source: A. Y. Ng and M. Jordan (2000), PEGASUS: A policy search method for large MDPs and
     POMDPs, UAI.
@@ -97,8 +107,8 @@ class ParticlePrediction:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.count < 2:
-            raise ValueError(f"count must be at least 2, got {self.count}")
+        check_whole("count", self.count, 2)
+        check_whole("seed", self.seed, 0, LARGEST_SEED)
 
     def __call__(
         self,

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_pmil.control.rbf_policy import Controller, Policy
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.checks import check_tensor, check_whole
 from torch_pmil.gp.gaussian import (
     Gaussian,
     NotPositiveDefiniteError,
@@ -54,7 +55,11 @@ def predict_step(
 
     Returns:
         Belief over the next state.
+
+    Raises:
+        ValueError, NotPositiveDefiniteError: as of :func:`check_start`.
     """
+    check_start(state, "state", dynamics, space)
     return _propagate(
         state,
         controller.on_belief,
@@ -124,14 +129,10 @@ def predict_trajectory(
             state that is not finite.
     """
     try:
-        check_belief(initial, "initial", dynamics.train_inputs)
+        check_start(initial, "initial", dynamics, space)
     except NotPositiveDefiniteError as error:
         raise PredictionError(f"prediction of step 1 of {horizon} failed: {error}", 1) from error
-    if initial.dim != space.dim or horizon < 1:
-        raise ValueError(
-            f"initial must be over the {space.dim} entries of the state and horizon at least 1, "
-            f"got {initial.dim} entries and {horizon}"
-        )
+    check_whole("horizon", horizon, 1)
     controller = policy.controller
     step = _MomentStep(controller, dynamics, space, observation_noise, horizon)
     start = Gaussian(initial.mean, symmetric(initial.cov)).flattened.flat
@@ -140,6 +141,22 @@ def predict_trajectory(
     trajectory = Gaussian.from_flat(flat, initial.dim)
     check_finite(trajectory, space)
     return trajectory
+
+
+def check_start(belief: Gaussian, name: str, dynamics: GPDynamics, space: StateSpace) -> None:
+    """Refuse a belief from which nothing can be predicted.
+
+    Raises:
+        ValueError: it is not over the state of the space or of the model, has another dtype, or a
+            mean that is not finite.
+        NotPositiveDefiniteError: its covariance is none.
+    """
+    check_belief(belief, name, dynamics.train_inputs)
+    if not belief.dim == space.dim == dynamics.num_outputs:
+        raise ValueError(
+            f"{name} must be over the {space.dim} entries of the state, like the model's outputs, "
+            f"got {belief.dim} entries and {dynamics.num_outputs} outputs"
+        )
 
 
 class _MomentStep:
@@ -237,7 +254,12 @@ def predict_mean_trajectory(
 
     Returns:
         States at t = 1..T, (*batch, T, D).
+
+    Raises:
+        ValueError: the state has another number of entries, or there is no step.
     """
+    check_tensor("initial", initial, ("*batch", space.dim))
+    check_whole("horizon", horizon, 1)
     controller = policy.controller
     step = _MeanStep(controller, dynamics, space)
     states = unroll(step, initial.reshape(-1, space.dim), controller.parameters, horizon)

@@ -25,6 +25,7 @@ from scipy import stats
 from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.checks import check_tensor, check_whole
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.hyperparameters import find_hyperparameters, pilco_starts
 from torch_pmil.gp.lbfgs import NotFiniteError
@@ -141,14 +142,20 @@ def score_frequencies(
         (24, torch.Size([5, 1]))
     """
     _check_recordings(recordings, space, time_step)
+    check_whole("folds", folds, 2)
+    check_whole("max_iterations", max_iterations, 1)
+    if not len(frequencies):
+        raise ValueError("frequencies must hold one at least, got none")
     scores = []
     for frequency in frequencies:
-        inputs, targets = _transitions(recordings, _steps(frequency, time_step), space)
-        if len(inputs) < 2 * folds:
+        steps = _steps(frequency, time_step)
+        transitions = sum(len(one.actions) // steps for one in recordings)
+        if transitions < 2 * folds:
             raise ValueError(
                 f"{frequency:g} Hz must leave at least {2 * folds} transitions for {folds} folds, "
-                f"got {len(inputs)}"
+                f"got {transitions}"
             )
+        inputs, targets = _transitions(recordings, steps, space)
         spread = targets.std(0)
         if not (spread > 0).all():
             raise ValueError(
@@ -225,6 +232,8 @@ def _transitions(
     """Inputs (n, D' + F) and differences (n, D) of recordings at every ``steps``-th sample."""
     inputs, targets = [], []
     for states, actions in recordings:
+        if len(actions) < steps:
+            continue
         sampled, count = states[::steps].double(), len(actions) // steps
         means = actions[: count * steps].double().reshape(count, steps, -1).mean(1)
         inputs.append(torch.cat([space.features(sampled[:-1]), means], -1))
@@ -246,15 +255,19 @@ def _steps(frequency: float, time_step: float) -> int:
 
 def _check_recordings(recordings: Sequence[Recording], space: StateSpace, time_step: float) -> None:
     if not recordings:
-        raise ValueError("at least one recording is needed")
+        raise ValueError("recordings must hold one at least, got none")
     if not (math.isfinite(time_step) and time_step > 0):
         raise ValueError(f"time_step must be positive and finite, in s, got {time_step}")
     for number, (states, actions) in enumerate(recordings):
+        if not isinstance(recordings[number], Recording):
+            raise TypeError(
+                f"recording {number} must be a Recording, got {type(recordings[number]).__name__}"
+            )
         T, F = len(actions), recordings[0].actions.shape[-1]
         if states.shape != (T + 1, space.dim) or actions.shape != (T, F):
             raise ValueError(
                 f"recording {number} must have states (T + 1, {space.dim}) and actions (T, "
                 f"{F}), got {tuple(states.shape)} and {tuple(actions.shape)}"
             )
-        if not (states.isfinite().all() and actions.isfinite().all()):
-            raise ValueError(f"recording {number} must be finite")
+        check_tensor(f"states of recording {number}", states, ("T", space.dim))
+        check_tensor(f"actions of recording {number}", actions, ("*batch",))

@@ -56,7 +56,9 @@ def plot_before_after(
                 f"{tuple(values.shape)}"
             )
     if not (before and after):
-        raise ValueError("there must be a trajectory before and one after")
+        raise ValueError(
+            f"there must be a trajectory before and one after, got {len(before)} and {len(after)}"
+        )
     figure = Figure(figsize=(8.0, 0.8 + 1.8 * len(names)), layout="constrained")
     panels = figure.subplots(len(names), 2, sharex=True, sharey="row", squeeze=False)
     for column, (heading, trajectories) in enumerate((("before", before), (title, after))):

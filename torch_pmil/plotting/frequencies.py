@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, NullLocator
 
-from torch_pmil.plotting.style import BLUE, style
+from torch_pmil.plotting.style import BLUE, check_some, style
 
 TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)  # Hz
 
@@ -38,6 +38,7 @@ def plot_frequencies(
                 f"{title} must have {len(frequencies)} means and half widths, got {len(means)} and "
                 f"{len(half_widths)}"
             )
+    check_some("scores", scores)
     figure = Figure(figsize=(0.8 + 3.6 * len(scores), 3.0), layout="constrained")
     for index, (title, (means, half_widths)) in enumerate(scores.items()):
         panel = figure.add_subplot(1, len(scores), index + 1)

@@ -103,7 +103,7 @@ def pendulum_frames(positions: Tensor, time_step: float, size: int = 480) -> Ite
 
 def _joints(positions: Tensor) -> np.ndarray:
     """Base, elbow and tip (N, 3, 2) of link ends (N, 4)."""
-    if positions.ndim != 2 or positions.shape[1] != 4:
+    if positions.ndim != 2 or positions.shape[1] != 4 or not len(positions):
         raise ValueError(f"positions must have shape (N, 4), got {tuple(positions.shape)}")
     ends = positions.detach().numpy().reshape(-1, 2, 2)
     return np.concatenate([np.zeros_like(ends[:, :1]), ends], axis=1)

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from torch_pmil.plotting.style import check_some
+
 
 def plot_photo_series(rows: Mapping[str, Sequence[np.ndarray]], times: Sequence[float]) -> Figure:
     """Pictures of several motions below each other, at the same times (Figure 8).
@@ -30,6 +32,7 @@ def plot_photo_series(rows: Mapping[str, Sequence[np.ndarray]], times: Sequence[
                 f"{name} must have a picture for each of the {len(times)} times, got "
                 f"{len(pictures)}"
             )
+    check_some("rows", rows)
     figure = Figure(figsize=(2.0 * len(times) + 0.3, 2.0 * len(rows) + 0.3), layout="compressed")
     panels = figure.subplots(len(rows), len(times), squeeze=False)
     for line, (name, pictures) in zip(panels, rows.items(), strict=True):

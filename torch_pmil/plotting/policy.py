@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.control.state_policy import StatePolicy
-from torch_pmil.plotting.style import DARK
+from torch_pmil.plotting.style import DARK, check_some
 
 # white at no torque, without the darkest colours, on which arrows fade
 COLOURS = ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.1, 0.9, 21)))
@@ -157,6 +157,7 @@ def _check(
             f"states must be (K, {D}) with K titles, got {tuple(states.shape)} and {len(titles)} "
             "titles"
         )
+    check_some("planes", planes)
     for plane in planes:
         if not (plane.x in range(D) and plane.y in range(D) and plane.torque in range(F)):
             raise ValueError(

@@ -52,14 +52,18 @@ def plot_recordings(
         >>> [panel.get_ylabel() for panel in figure.axes]
         ['x (m)', 'y (m)', 'y (m)']
     """
+    widths = {value.shape[1] for value in values if len(value)}
+    if not len(labels) == len(times) == len(values) or widths != {len(names)}:
+        raise ValueError(
+            f"{len(labels)} labels and {len(names)} names must be those of {len(values)} "
+            f"trajectories of {', '.join(map(str, sorted(widths))) or 'nothing'}, got {len(times)} "
+            "times"
+        )
+    if units and len(units) != len(names):
+        raise ValueError(f"units must be those of the {len(names)} names, got {len(units)}")
     texts = list(names)
     if units:
         texts = [f"{name} ({unit})" for name, unit in zip(names, units, strict=True)]
-    if not len(labels) == len(times) == len(values) or values[0].shape[1] != len(texts):
-        raise ValueError(
-            f"{len(labels)} labels and {len(names)} names must be those of {len(values)} "
-            f"trajectories of {values[0].shape[1]}"
-        )
     figure, panels, planes = _layout(texts, _pairs(names))
     looks = _looks(len(labels))
     for label, time, value, look in zip(labels, times, values, looks, strict=True):

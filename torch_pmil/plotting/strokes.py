@@ -13,7 +13,7 @@ from matplotlib.ticker import MultipleLocator
 from torch import Tensor
 
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.plotting.style import BAND, BLUE, DARK, VERMILLION, style
+from torch_pmil.plotting.style import BAND, BLUE, DARK, VERMILLION, check_some, style
 
 
 def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figure:
@@ -27,6 +27,9 @@ def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figur
             strokes of the robot (B, T + 1, 2), by the title of their panel; all in m, x to the
             right and y up.
 
+    Raises:
+        ValueError: there is no panel, or shapes do not fit each other.
+
     Example:
         >>> import torch
         >>> line = torch.linspace(0, 0.3, 5)[:, None].expand(5, 2)
@@ -34,10 +37,19 @@ def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figur
         >>> plot_writing({"line": (line[None], predicted, line[None])}).axes[0].get_title()
         'line'
     """
+    check_some("panels", panels)
     columns = math.ceil(math.sqrt(len(panels)))
     rows = math.ceil(len(panels) / columns)
     figure = Figure(figsize=(0.8 + 3.6 * columns, 0.9 + 3.4 * rows), layout="constrained")
     for index, (title, (shown, predicted, written)) in enumerate(panels.items()):
+        shapes = tuple(shown.shape[1:]), tuple(written.shape[1:])
+        wanted = len(predicted.mean) + 1, 2
+        if predicted.mean.shape[1:] != (2,) or shapes != (wanted, wanted):
+            raise ValueError(
+                f"strokes of {title} must be (N, {wanted[0]}, 2) for marginals ({wanted[0] - 1}, 2)"
+                f", got {tuple(shown.shape)} and {tuple(written.shape)} for "
+                f"{tuple(predicted.mean.shape)}"
+            )
         panel = figure.add_subplot(rows, columns, index + 1)
         _draw(panel, shown, predicted, written)
         panel.set_title(title)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,12 @@ def style(panel: Axes) -> None:
     panel.spines[["top", "right"]].set_visible(False)
     panel.grid(color="0.92", linewidth=0.6)
     panel.set_axisbelow(True)
+
+
+def check_some(name: str, items: Sized) -> None:
+    """Raise ValueError where there is nothing to draw."""
+    if not len(items):
+        raise ValueError(f"{name} must hold one at least, got none")
 
 
 def panels_of(count: int, xlabel: str) -> tuple[Figure, list[Axes]]:

@@ -11,7 +11,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
-from torch_pmil.plotting.style import BLUE, DARK, GREY, SERIES, VERMILLION, draw_range, style
+from torch_pmil.plotting.style import (
+    BLUE,
+    DARK,
+    GREY,
+    SERIES,
+    VERMILLION,
+    check_some,
+    draw_range,
+    style,
+)
 
 
 def plot_learning_curve(
@@ -47,6 +56,7 @@ def plot_learning_curve(
     if not ((percent >= 0) & (percent <= 100)).all():
         raise ValueError(f"success_rate must be between 0 and 1, got {list(success_rate)}")
     losses = np.asarray(loss, dtype=float)
+    check_some("experience_s", experience_s)
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     _success_axis(upper)
@@ -105,6 +115,7 @@ def plot_success_over_experience(
             "experience_s, lower and upper must be (K,) for rates (runs, K), got "
             f"{experience_s.shape}, {lower.shape}, {upper.shape} for {rates.shape}"
         )
+    check_some("rates", rates)
     figure = Figure(figsize=(6.0, 3.6), layout="constrained")
     panel = figure.subplots()
     _success_axis(panel)
@@ -155,12 +166,13 @@ def plot_success_of_methods(curves: Mapping[str, Sequence[np.ndarray]]) -> Figur
         >>> [text.get_text() for text in figure.legends[0].get_texts()]
         ['a']
     """
+    check_some("curves", curves)
     figure = Figure(figsize=(6.0, 3.6), layout="constrained")
     panel = figure.subplots()
     _success_axis(panel)
     for (name, curve), (colour, marker) in zip(curves.items(), cycle(SERIES), strict=False):
         lengths = [len(values) for values in curve]
-        if len(set(lengths)) > 1:
+        if len(lengths) != 4 or len(set(lengths)) > 1:
             raise ValueError(
                 f"experience, mean and interval of {name} must be equally long, got {lengths}"
             )
@@ -224,6 +236,8 @@ def plot_success_over_mass(
             f"rates and torques must be (runs, {len(masses)}) for {len(masses)} masses, got "
             f"{shapes}"
         )
+    check_some("masses", masses)
+    check_some("rates", rates)
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     _success_axis(upper)
@@ -262,7 +276,10 @@ def plot_success_over_settings(
         >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
         ('noise (rad)', 'success rate (%)')
     """
+    check_some("panels", panels)
     figure = Figure(figsize=(0.6 + 2.8 * len(panels), 3.2), layout="constrained")
+    if len(plain) != len(panels):
+        raise ValueError(f"plain must hold {len(panels)} levels, one a panel, got {len(plain)}")
     axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for panel, (label, (levels, rates)), usual in zip(axes, panels.items(), plain, strict=True):
         if rates.shape[1:] != (len(levels),):

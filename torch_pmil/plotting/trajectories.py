@@ -17,6 +17,7 @@ from torch_pmil.plotting.style import (
     GREY,
     VERMILLION,
     band_of,
+    check_some,
     draw_band,
     panels_of,
 )
@@ -62,7 +63,7 @@ def plot_distributions(
     """
     shape = demonstrated.mean.shape
     named = len(names) == len(units) == shape[-1]
-    if not (named and predicted.mean.shape == shape == executed.shape[1:]):
+    if not (named and predicted.mean.shape == shape == executed.shape[1:] and shape.numel()):
         raise ValueError(
             "predicted and executed must be (T, M) and (B, T, M) for demonstrated marginals "
             f"{tuple(shape)} and {len(names)} names with {len(units)} units, got "
@@ -124,6 +125,7 @@ def plot_demonstrations(
             f"{(steps, entries)}, with a name and a unit for each entry, got "
             f"{tuple(demonstrations.shape)}, {len(names)} names and {len(units)} units"
         )
+    check_some("demonstrations", demonstrations)
     time = time_step * np.arange(steps + 1)
     figure, panels = panels_of(entries, "time (s)")
     for entry, panel in enumerate(panels):

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
-from torch_pmil.plotting.style import BLUE, DARK, VERMILLION, style
+from torch_pmil.plotting.style import BLUE, DARK, VERMILLION, check_some, style
 
 SPREAD = 0.5  # height over which the runs of a variant are spread, in rows
 
@@ -41,6 +41,7 @@ def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.
             f"rates and first_success_s must be ({len(labels)}, runs) for {len(labels)} labels, "
             f"got {rates.shape}, {first_success_s.shape}"
         )
+    check_some("labels", labels)
     order = np.lexsort((first_success_s.mean(1), -rates.mean(1)))
     rates, seconds, rows = 100 * rates[order], first_success_s[order], np.arange(len(labels))
     figsize = 7.6, 1.0 + 0.36 * len(labels)

@@ -24,6 +24,7 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.files import replacing
+from torch_pmil.gp.checks import check_positive
 
 PATIENCE = 60.0  # s without progress after which ffmpeg is ended
 # an MP4, whatever the file is called, with its index first, so that a browser plays at once
@@ -127,7 +128,7 @@ def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> N
         fps: pictures per second.
 
     Raises:
-        ValueError: there are no frames, or one has another shape or type.
+        ValueError: there are no frames, one has another shape or type, or ``fps`` is not positive.
         OSError: the folder is missing or not writable, or ffmpeg is missing, failed, or did nothing
             for ``PATIENCE``.
 
@@ -139,6 +140,7 @@ def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> N
         ...     imageio_ffmpeg.count_frames_and_secs(f"{folder}/black.mp4")[0]
         3
     """
+    check_positive("fps", fps)
     frames = iter(frames)
     first = next(frames, None)
     if first is None:
@@ -185,7 +187,7 @@ def url(path: Path) -> str:
 
 
 def _encode(path: Path, frames: Iterable[np.ndarray], shape: tuple[int, ...], fps: float) -> None:
-    if len(shape) != 3 or shape[2] != 3:
+    if len(shape) != 3 or shape[2] != 3 or not all(shape):
         raise ValueError(f"frames must have shape (height, width, 3), got {shape}")
     margin = [(0, shape[0] % 2), (0, shape[1] % 2), (0, 0)]
     size = f"{shape[1] + shape[1] % 2}x{shape[0] + shape[0] % 2}"

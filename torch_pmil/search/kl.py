@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_pmil.gp.gaussian import Gaussian, cholesky
+from torch_pmil.gp.gaussian import Gaussian, check_moments, cholesky
 
 
 def _log_det(factor: Tensor) -> Tensor:
@@ -34,7 +34,9 @@ def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
         Nats, (*batch). Not symmetric: p is the demonstrated, q the predicted marginal.
 
     Raises:
-        NotPositiveDefiniteError: names the batch element whose covariance has no Cholesky factor.
+        ValueError: the two have other entries, batches or dtypes, or a mean is not finite.
+        NotPositiveDefiniteError: names the batch element whose covariance has no Cholesky factor,
+            is not finite, or is not symmetric.
 
     Example:
         >>> p = Gaussian(torch.zeros(2), torch.eye(2))
@@ -48,10 +50,23 @@ def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
 
 def _whitened(p: Gaussian, q: Gaussian) -> tuple[Tensor, Tensor, Tensor]:
     """Cholesky factors L_p and L_q, and L_q^-1 [L_p, mu_p - mu_q], (*batch, D, D + 1)."""
+    _check_pair(p, q)
     L_p, L_q = cholesky(p.cov, "covariance of p"), cholesky(q.cov, "covariance of q")
     delta = (p.mean - q.mean)[..., None]
     residuals = torch.cat([L_p.expand(*delta.shape[:-2], -1, -1), delta], -1)
     return L_p, L_q, torch.linalg.solve_triangular(L_q, residuals, upper=False)
+
+
+def _check_pair(p: Gaussian, q: Gaussian) -> None:
+    check_moments(p, "p")
+    check_moments(q, "q", p.mean)
+    batches = zip(p.batch_shape[::-1], q.batch_shape[::-1], strict=False)
+    fit = all(a == b or 1 in (a, b) for a, b in batches)
+    if p.dim != q.dim or not fit:
+        raise ValueError(
+            "p and q must have the same entries, and batches that broadcast, got means "
+            f"{tuple(p.mean.shape)} and {tuple(q.mean.shape)}"
+        )
 
 
 class KLTerms(NamedTuple):
@@ -111,12 +126,22 @@ def trajectory_kl(demonstrated: Gaussian, predicted: Gaussian) -> Tensor:
     Returns:
         Nats, (*batch).
 
+    Raises:
+        ValueError: the two have other steps or entries, or as of :func:`gaussian_kl`.
+        NotPositiveDefiniteError: as of :func:`gaussian_kl`.
+
     Example:
         >>> marginals = Gaussian(torch.zeros(25, 4), torch.eye(4).expand(25, 4, 4))
         >>> trajectory_kl(marginals, marginals)
         tensor(0.)
     """
-    return gaussian_kl(demonstrated, predicted).sum(-1)
+    kl = gaussian_kl(demonstrated, predicted)
+    if not demonstrated.batch_shape[-1:] == predicted.batch_shape[-1:] == kl.shape[-1:] != ():
+        raise ValueError(
+            "demonstrated and predicted must be over the same steps, (*batch, T, M), got "
+            f"{tuple(demonstrated.mean.shape)} and {tuple(predicted.mean.shape)}"
+        )
+    return kl.sum(-1)
 
 
 def mean_kl(demonstrated: Gaussian, mean: Tensor) -> Tensor:

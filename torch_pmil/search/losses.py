@@ -7,7 +7,8 @@ from torch import Tensor
 
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.checks import check_noise, check_positive, check_tensor, check_whole
+from torch_pmil.gp.gaussian import Gaussian, check_belief
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_trajectory
 from torch_pmil.search.kl import gaussian_kl, mean_kl
@@ -33,8 +34,9 @@ class TrajectoryKLLoss(TrajectoryLoss):
         reduction, prediction: as in :class:`TrajectoryLoss`.
 
     Raises:
-        ValueError: the demonstrated marginals or the noise are not in the match space, or the
-            reduction is unknown.
+        ValueError: the demonstrated marginals or the noise are not in the match space, or not
+            finite, there is no step, the noise is negative, or the reduction is unknown.
+        NotPositiveDefiniteError: a demonstrated covariance is none.
 
     Example:
         >>> from tensordict import TensorDict
@@ -69,13 +71,16 @@ class TrajectoryKLLoss(TrajectoryLoss):
             raise ValueError(
                 f"demonstrated must have the {len(names)} entries {names}, got {demonstrated.dim}"
             )
-        if torch.as_tensor(noise_std).shape not in ((), (demonstrated.dim,)):
+        check_belief(demonstrated, "demonstrated")
+        if not demonstrated.batch_shape[-1:].numel() or not demonstrated.batch_shape:
             raise ValueError(
-                f"noise_std must be a number or one for each of {names}, got {noise_std}"
+                "demonstrated must be marginals at one step at least, mean (*batch, T, M), got "
+                f"{tuple(demonstrated.mean.shape)}"
             )
+        check_noise(noise_std, names, zero=True)
         self.noise_std = noise_std
-        self.register_buffer("demonstrated_mean", demonstrated.mean)
-        self.register_buffer("demonstrated_cov", demonstrated.cov)
+        self.register_buffer("demonstrated_mean", demonstrated.mean.double())
+        self.register_buffer("demonstrated_cov", demonstrated.cov.double())
 
     @property
     def horizon(self) -> int:
@@ -161,13 +166,11 @@ class ExpectedSaturatingCost(TrajectoryLoss):
                 f"target must have shape ({M},), the entries {space.match_space.names}, got "
                 f"{tuple(target.shape)}"
             )
-        if not width > 0 or horizon < 1:
-            raise ValueError(
-                f"width must be positive and horizon at least 1, got {width} and {horizon}"
-            )
+        check_tensor("target", target, (M,))
+        check_positive("width", width)
+        check_whole("horizon", horizon, 1)
         weight = torch.eye(M) if weight is None else weight
-        if weight.shape != (M, M):
-            raise ValueError(f"weight must have shape ({M}, {M}), got {tuple(weight.shape)}")
+        check_tensor("weight", weight, (M, M))
         self._horizon = horizon
         self.register_buffer("target", target.double())
         self.register_buffer("to_widths", _root(weight.double()) / width)

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torch_pmil.control.rbf_policy import PolicyAtTargets, RBFPolicy
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.checks import check_tensor
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_trajectory
@@ -69,6 +70,7 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
                 f"got targets {tuple(targets.shape)} and demonstrated marginals of batch shape "
                 f"{tuple(demonstrated.batch_shape)}"
             )
+        check_tensor("targets", targets, ("S", "K"))
         features, inputs = space.feature_names, len(actor_network.scale)
         if inputs != len(features) + targets.shape[1]:
             raise ValueError(

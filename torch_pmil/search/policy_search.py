@@ -127,8 +127,14 @@ def search_policy(
         random: whether the policy is a random one, which no search has seen.
 
     Raises:
+        TypeError: the settings are of another kind.
+        ValueError: there is more than one start belief.
         PredictionError: the prediction fails at the policy that was given.
     """
+    if not isinstance(settings, SearchSettings):
+        raise TypeError(f"settings must be SearchSettings, got {type(settings).__name__}")
+    if initial.batch_shape:
+        raise ValueError(f"initial must be one belief, mean (D,), got {tuple(initial.mean.shape)}")
     search = _Search(loss, initial, settings, report)
     step_loss = _evaluate(loss.step_loss_for_trust, initial, loss.horizon)
     from_first = random and not settings.skip_matched_steps
@@ -144,7 +150,7 @@ def search_policy(
             horizon = min(horizon + settings.horizon_step, loss.horizon)
             if settings.skip_matched_steps:
                 horizon = max(horizon, _first_untrusted(step_loss, settings))
-    horizon = min(horizon, int(step_loss.isfinite().sum()))
+    horizon = max(1, min(horizon, int(step_loss.isfinite().sum())))
     search.run(loss.label, loss.per_step, horizon, settings.final_iterations)
     return search.result(horizon)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_pmil.gp.gaussian import Gaussian, cholesky
+from torch_pmil.gp.gaussian import NEGLIGIBLE, Gaussian, check_belief, cholesky
 
 
 def saturating_cost(residual: Tensor) -> Tensor:
@@ -49,7 +49,9 @@ def expected_saturating_cost(residual: Gaussian) -> Tensor:
         Expected costs, (*batch), between 0 and 1, without unit.
 
     Raises:
-        NotPositiveDefiniteError: names the batch element whose I + S has no Cholesky factor.
+        ValueError: the mean is not finite, or a dtype is none of floats.
+        NotPositiveDefiniteError: names the batch element whose S is not finite, not symmetric, or
+            has an eigenvalue that is clearly negative beside those of I.
 
     Source: Deisenroth and Rasmussen (2011), Eqs. 24 and 25.
 
@@ -57,6 +59,7 @@ def expected_saturating_cost(residual: Gaussian) -> Tensor:
         >>> expected_saturating_cost(Gaussian(torch.zeros(1), torch.tensor([[3.0]])))
         tensor(0.5000)
     """
+    check_belief(residual, "residual", floor=NEGLIGIBLE)
     I_plus_S = residual.cov + torch.eye(residual.dim).to(residual.cov)
     L = cholesky(I_plus_S, "identity plus covariance of the residual")
     white = torch.linalg.solve_triangular(L, residual.mean[..., None], upper=False)

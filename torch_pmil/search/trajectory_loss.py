@@ -19,6 +19,7 @@ from torchrl.objectives import LossModule
 
 from torch_pmil.control.rbf_policy import Policy, RBFPolicy
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory
@@ -127,7 +128,7 @@ class TrajectoryLoss(LossModule):
         Raises PredictionError.
         """
         start, policy = self.begin(initial)
-        return self.prediction(start, policy, self.dynamics, self.space, horizon or self.horizon)
+        return self.prediction(start, policy, self.dynamics, self.space, self._steps(horizon))
 
     def begin(self, initial: Gaussian) -> tuple[Gaussian, Policy]:
         """Start beliefs of the trajectories that are predicted for p(x_0), and the policy there."""
@@ -151,7 +152,7 @@ class TrajectoryLoss(LossModule):
         """
         start, policy = self.begin(initial)
         states = predict_mean_trajectory(
-            start.mean, policy, self.dynamics, self.space, horizon or self.horizon
+            start.mean, policy, self.dynamics, self.space, self._steps(horizon)
         )
         return self._mean_costs(self.space.observe(states))
 
@@ -219,6 +220,13 @@ class TrajectoryLoss(LossModule):
 
     def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
         """Nothing to do: the loss has no value estimator."""
+
+    def _steps(self, horizon: int | None) -> int:
+        """The steps that are predicted: all unless told. Raises ValueError at more than all."""
+        if horizon is None:
+            return self.horizon
+        check_whole("horizon", horizon, 1, self.horizon)
+        return horizon
 
     def _observe(self, states: Gaussian) -> Gaussian:
         return self.space.match_space.moments(states)

@@ -48,6 +48,7 @@ class ImaginedEnv(ModelBasedEnvBase):
         next_observation_key: the key under which the world model writes ``"mean"`` and ``"var"``.
 
     Raises:
+        TypeError: the base environment is none.
         ValueError: the base environment has no single action of real numbers, or no vector
             ``"observation"``.
 
@@ -68,9 +69,13 @@ class ImaginedEnv(ModelBasedEnvBase):
         batch_size: Sequence[int] | None = None,
         next_observation_key: NestedKey = NEXT_OBSERVATION,
     ) -> None:
+        if not isinstance(base_env, EnvBase):
+            raise TypeError(f"base_env must be an EnvBase, got {type(base_env).__name__}")
         observation, action = _observation_spec(base_env), _action_spec(base_env)
         if batch_size is None:
             batch_size = base_env.batch_size or (1,)
+        if not all(isinstance(size, int) and size > 0 for size in batch_size):
+            raise ValueError(f"batch_size must hold positive numbers, got {tuple(batch_size)}")
         super().__init__(
             world_model_module,
             device=base_env.device,

@@ -14,9 +14,11 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, joint
 from torch_pmil.gp.moment_matching import moment_match
 from torch_pmil.model.dynamics import FitResult, GPDynamics
+from torch_pmil.model.experience import gp_data
 from torch_pmil.model.rollout import successor_belief
 from torch_pmil.torchrl_interop.keys import (
     ACTION,
@@ -82,6 +84,8 @@ class GPWorldModel(TensorDictModuleBase):
         space: StateSpace | None = None,
     ) -> None:
         super().__init__()
+        check_whole("obs_dim", obs_dim, 1)
+        check_whole("action_dim", action_dim, 1)
         self.space = raw_space(obs_dim) if space is None else space
         if self.space.dim != obs_dim:
             raise ValueError(
@@ -121,8 +125,9 @@ class GPWorldModel(TensorDictModuleBase):
         states, actions, successors = (
             _required(dataset, *entry).detach().flatten(0, -2) for entry in entries
         )
-        inputs = torch.cat([self.space.features(states), actions], -1)
-        return self.dynamics.fit(inputs, successors - states)
+        return self.dynamics.fit(
+            *gp_data(states, actions, successors, self.space, self.dynamics.targets)
+        )
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next state, or its belief, into ``tensordict`` and return it.

@@ -9,6 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.trainers import OptimizationStepper, Trainer
 
+from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.lbfgs import minimise
 
 
@@ -43,8 +44,7 @@ class LBFGSStepper(OptimizationStepper):
         loss_components: Sequence[str] | None = None,
         survives: tuple[type[Exception], ...] = (),
     ) -> None:
-        if max_iterations < 1:
-            raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
+        check_whole("max_iterations", max_iterations, 1)
         self.max_iterations, self.survives = max_iterations, survives
         self.loss_components = loss_components
 

@@ -22,9 +22,10 @@ from torchrl.trainers import Trainer
 
 from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.gp.checks import check_positive, check_whole
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.experience import Experience, widened
-from torch_pmil.model.rollout import PredictionError
+from torch_pmil.model.experience import Experience, check_limits_of_state, widened
+from torch_pmil.model.rollout import PredictionError, check_start
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.archive import SavedRun
@@ -74,6 +75,10 @@ class PMILTrainer(Trainer):
         checkpoint_rotation: rotation of the checkpoints; None for none.
         checkpoint_metadata: entries about the run in a checkpoint's manifest, in JSON's types.
 
+    Raises:
+        TypeError: an environment, the generators or the settings of the search are of another kind.
+        ValueError: a number is out of range, or start or limits are not over the state.
+
     Example: see ``torch_pmil/experiments/runs/training.py``.
     """
 
@@ -100,10 +105,16 @@ class PMILTrainer(Trainer):
         checkpoint_rotation: CheckpointRotation | None = None,
         checkpoint_metadata: Mapping[str, object] | None = None,
     ) -> None:
-        if trials < 1:
-            raise ValueError(f"trials must be at least 1, got {trials}")
-        if confirmations < 1:
-            raise ValueError(f"confirmations must be at least 1, got {confirmations}")
+        check_whole("trials", trials, 1)
+        check_whole("confirmations", confirmations, 1)
+        check_positive("tolerance", tolerance, zero=True)
+        _check_kind("env", env, EnvBase)
+        _check_kind("evaluation_env", evaluation_env, EnvBase)
+        _check_kind("search", search, SearchSettings)
+        _check_kind("policy_generator", policy_generator, torch.Generator)
+        _check_kind("generator", generator, torch.Generator)
+        check_start(initial, "initial", loss_module.dynamics, loss_module.space)
+        check_limits_of_state(limits, loss_module.space.dim)
         horizon = loss_module.horizon
         self.explored = env.batch_size.numel() * exploration.rollouts * exploration.steps
         frames = self.explored + env.batch_size.numel() * trials * horizon
@@ -159,8 +170,11 @@ class PMILTrainer(Trainer):
                 damaged one.
 
         Raises:
+            ValueError: there is neither a checkpoint nor a rotation to look for one.
             CheckpointError: all checkpoints are damaged, or the newest is of another kind of run.
         """
+        if saved is None and self.rotation is None:
+            raise ValueError("resume must be given a checkpoint or a checkpoint_rotation, got none")
         saved = saved or newest_undamaged(self.rotation)
         if saved is None:
             return None
@@ -208,7 +222,12 @@ class PMILTrainer(Trainer):
         The loss is predicted under a model of all experience. All successes are best alike; where
         there is none, the least error is. The policy of the loss then holds the parameters of the
         best policy.
+
+        Raises:
+            RuntimeError: no policy ran yet.
         """
+        if not self.candidates:
+            raise RuntimeError("a policy must have run to be the best, got none: call train first")
         self.fit_dynamics()
         least = min(candidate.own_error for candidate in self.candidates)
         best = [c for c in self.candidates if c.own_error <= max(least, self.tolerance)]
@@ -342,6 +361,13 @@ class PMILTrainer(Trainer):
         """Show what is being done beside the progress bar."""
         if self.progress_bar:
             self._pbar.set_postfix_str(text)
+
+
+def _check_kind(name: str, value: object, kind: type) -> None:
+    if not isinstance(value, kind):
+        raise TypeError(
+            f"{name} must be an instance of {kind.__name__}, got {type(value).__name__}"
+        )
 
 
 class _Progress:

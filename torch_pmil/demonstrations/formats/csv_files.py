@@ -82,7 +82,7 @@ def _file(path: Path, leading: tuple[str, ...]) -> tuple[list[str], list[_Row]]:
         name.startswith(TARGET_PREFIX) for name in header[len(leading) :]
     ):
         raise DemonstrationError(
-            f"row 1 must be {','.join(leading)},NAME,..., got {','.join(header)}"
+            f"row 1 must be {','.join(leading)},NAME,..., got {','.join(header) or 'nothing'}"
         )
     rows = [_Row(f"row {number}", line) for number, line in enumerate(lines[1:], start=2) if line]
     for row in rows:

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from torch import Tensor
 
 RESOLUTION = 400  # samples of the longest trajectory that times are compared at, at least
+MOST_SAMPLES = 2**24  # of a trajectory at even times
 KNOTS = 20  # of a warp, between its ends: timing changes smoothly
 # of a step off the diagonal, in spreads of the coordinates: where nothing moves, time runs on
 PENALTY = 0.05
@@ -75,7 +76,7 @@ def align(
         True
     """
     values = _checked(trajectories, window)
-    if reference is not None and not 0 <= reference < len(values):
+    if reference is not None and reference not in range(len(values)):
         raise AlignmentError(
             f"reference must be the number of a trajectory, 0 to {len(values) - 1}, got {reference}"
         )
@@ -135,6 +136,11 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
             f"time_step must be positive and at most the duration, {duration:g} s, "
             f"got {time_step} s"
         )
+    if duration / time_step > MOST_SAMPLES:
+        raise AlignmentError(
+            f"time_step must leave at most {MOST_SAMPLES} samples of {duration:g} s, got "
+            f"{time_step} s"
+        )
     even = times[0].item() + time_step * np.arange(int(duration / time_step + 1e-6) + 1)
     spline = CubicSpline(times.numpy(), values.numpy(), axis=-2)
     return torch.from_numpy(spline(np.minimum(even, times[-1].item())))
@@ -142,8 +148,11 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
 
 def check_samples(values: Tensor, times: Tensor) -> None:
     """Raise AlignmentError unless values and times are finite, and the times (T,) increase."""
-    if not (values.isfinite().all() and times.isfinite().all()):
-        raise AlignmentError("values and times must be finite")
+    for numbers in (values, times):
+        if not (finite := numbers.isfinite()).all():
+            raise AlignmentError(
+                f"values and times must be finite, got {numbers[~finite][0].item()}"
+            )
     if (late := (times.diff() <= 0).nonzero()).numel():
         at = int(late[0])
         raise AlignmentError(
@@ -266,6 +275,9 @@ def _checked(trajectories: Sequence[Tensor], window: float) -> list[np.ndarray]:
 
 
 def _check_trajectory(name: str, trajectory: Tensor) -> None:
+    if not isinstance(trajectory, Tensor) or trajectory.is_complex():
+        kind = trajectory.dtype if isinstance(trajectory, Tensor) else type(trajectory).__name__
+        raise AlignmentError(f"{name} must be a tensor of real numbers, got {kind}")
     if trajectory.ndim != 2 or trajectory.shape[0] < 3 or trajectory.shape[1] < 1:
         raise AlignmentError(
             f"{name} must have shape (samples, columns) with at least 3 samples, got "

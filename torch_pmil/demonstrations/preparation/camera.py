@@ -50,6 +50,9 @@ def plane_coordinates(pixels: Tensor, markers: Tensor, places: Tensor) -> Tensor
         )
     if pixels.shape[-1:] != (2,):
         raise AlignmentError(f"pixels must be (*batch, 2), got {tuple(pixels.shape)}")
+    for name, numbers in (("pixels", pixels), ("markers", markers), ("places", places)):
+        if not (finite := numbers.isfinite()).all():
+            raise AlignmentError(f"{name} must be finite, got {numbers[~finite][0].item()}")
     markers, places = markers.double(), places.double()
     seen, known = _normalisation(markers), _normalisation(places)
     normalised = _homography(_applied(seen, markers), _applied(known, places))

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_pmil.demonstrations.preparation.alignment import AlignmentError
+from torch_pmil.demonstrations.preparation.alignment import AlignmentError, check_samples
 
 # share of the samples; where more contradict each other nobody knows which half is right
 MOST_DROPPED = 0.5
@@ -29,8 +29,8 @@ def without_jumps(values: Tensor, times: Tensor, fastest: float | Tensor) -> tup
         Values (T', M) and times (T',) of the samples that are kept.
 
     Raises:
-        AlignmentError: shapes do not fit, a speed is not positive, times do not increase, or fewer
-            than half of the samples fit together.
+        AlignmentError: shapes do not fit, a number is not finite, a speed is not positive, times do
+            not increase, or fewer than half of the samples fit together.
 
     Example:
         >>> values, times = torch.tensor([[0.0], [0.5], [9.0], [1.5]]), torch.arange(4.0)
@@ -50,8 +50,7 @@ def without_jumps(values: Tensor, times: Tensor, fastest: float | Tensor) -> tup
         )
     if not (limit > 0).all():
         raise AlignmentError(f"fastest must be positive, got {limit.tolist()}")
-    if not (times.diff() > 0).all():
-        raise AlignmentError("times must increase")
+    check_samples(values, times)
     kept = _longest_chain(values.double().numpy() / limit.numpy(), times.double().numpy())
     if len(kept) < MOST_DROPPED * len(times):
         raise AlignmentError(

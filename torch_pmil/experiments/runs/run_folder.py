@@ -201,14 +201,6 @@ def save_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
         torch.save(tensors, file)  # a path would be written into it
 
 
-def check_whole(name: str, value: object, least: int, most: int | None = None) -> None:
-    """Raise ValueError unless a setting is a whole number of that range."""
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
-        wanted = f"of at least {least}" if most is None else f"from {least} to {most}"
-        raise ValueError(f"{name} must be a whole number {wanted}, got {value!r}")
-
-
 def provenance(command: str) -> dict[str, object]:
     """Provenance of a result: command, date, commit and versions.
 

@@ -19,8 +19,8 @@ from torch_pmil.experiments.runs.run_folder import (
     SEEDS,
     check_logger,
     check_resume,
-    check_whole,
 )
+from torch_pmil.gp.checks import check_whole
 
 OPTIONAL = ("shape", "robot", "demonstrations", "logger")  # may be null
 TEXTS = ("experiment", "shape", "robot", "demonstrations", "out", "logger")
@@ -109,15 +109,19 @@ def _check_text(name: str, value: object) -> None:
         raise SettingsError(f"{name} must be text that is not empty{null}, got {value!r}")
 
 
-def check_overrides(overrides: Sequence[str]) -> None:
+def check_overrides(overrides: Sequence[str], sweep: bool) -> None:
     """Raise SettingsError unless all NAME=VALUE of a command line change a setting that there is.
 
     Hydra's own (``hydra.NAME`` and ``hydra/NAME``) are left to Hydra.
 
+    Args:
+        overrides: NAME=VALUE each.
+        sweep: whether a value may be several, for a run each.
+
     Example:
-        >>> check_overrides(["seed=range(10)", "hydra/launcher=ray"])
+        >>> check_overrides(["seed=range(10)", "hydra/launcher=ray"], sweep=True)
         >>> try:
-        ...     check_overrides(["+sede=1"])
+        ...     check_overrides(["+sede=1"], sweep=False)
         ... except SettingsError as error:
         ...     print(error)
         there is no setting sede in +sede=1: did you mean seed?
@@ -131,12 +135,16 @@ def check_overrides(overrides: Sequence[str]) -> None:
         name = override.key_or_group
         if name.startswith(("hydra.", "hydra/")):
             continue
+        if not name:
+            raise SettingsError(f"a setting must be NAME=VALUE, got {text}")
         if name not in NAMES:
             near = get_close_matches(name, NAMES, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(NAMES)}"
             raise SettingsError(f"there is no setting {name} in {text}: {hint}")
         if override.type in (OverrideType.ADD, OverrideType.DEL):
             raise SettingsError(f"a setting must be {name}=VALUE, got {text}")
+        if override.is_sweep_override() and not sweep:
+            raise SettingsError(f"{name} must be one value, unless -m is given, got {text}")
 
 
 def first_line(error: BaseException) -> str:

@@ -28,7 +28,6 @@ from torch_pmil.experiments.runs.run_folder import (
     SEEDS,
     check_logger,
     check_resume,
-    check_whole,
     clear_folder,
     open_logger,
     prepare_folder,
@@ -41,6 +40,7 @@ from torch_pmil.experiments.runs.run_folder import (
 )
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.files import write_json
+from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.model.dynamics import GPDynamics
@@ -77,7 +77,7 @@ def train(
     experiment: Experiment,
     seed: int,
     trials: int,
-    out: Path,
+    out: Path | str,
     command: str,
     progress_bar: bool = True,
     on_trial: Callable[[Trial], None] = lambda trial: None,
@@ -112,6 +112,7 @@ def train(
 
     Raises:
         OSError: the folder cannot be written to.
+        TypeError: the experiment is none, as its name is.
         ValueError: a setting is out of range, or the checkpoint is of a run with other settings.
         RunGoingOnError: another run is going on in the folder.
         FinishedRunError: the folder holds a run that has ended, and neither ``overwrite`` nor
@@ -120,6 +121,11 @@ def train(
         CheckpointError: all checkpoints are damaged.
         ImportError: the library of that logger is missing.
     """
+    if not isinstance(experiment, Experiment):
+        raise TypeError(
+            f"experiment must be an Experiment, as load_experiment gives it, got {experiment!r:.80}"
+        )
+    out = Path(out)
     check_whole("seed", seed, *SEEDS)
     check_whole("trials", trials, 1, MOST_TRIALS)
     check_resume(resume, overwrite)

@@ -11,12 +11,13 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomTorques
-from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.rbf_policy import RBFPolicy, check_limits
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.rollouts import states_of
+from torch_pmil.gp.checks import check_noise, check_positive, check_tensor, check_whole
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.losses import TrajectoryKLLoss
@@ -90,6 +91,10 @@ class Experiment:
         search: budget and horizon of the policy search.
 
     ``objective`` is the class of the loss that :meth:`make_loss` gives.
+
+    Raises:
+        DemonstrationError: the demonstrations are too short.
+        TypeError, ValueError: a setting is of another kind, shape or range.
     """
 
     objective: ClassVar[type[TrajectoryLoss]] = TrajectoryKLLoss
@@ -123,6 +128,30 @@ class Experiment:
                 f"robot explores for as long and its model needs {FEWEST_TRANSITIONS} transitions, "
                 f"got {self.horizon + 1}"
             )
+        self._check_settings()
+
+    def _check_settings(self) -> None:
+        D = self.space.dim
+        check_noise(self.noise_std, self.space.match_space.names)
+        check_limits(self.u_max)
+        check_tensor("demonstrated_states", self.demonstrated_states, ("S", D))
+        if self.initial.dim != D:
+            raise ValueError(
+                f"initial must be over the {D} entries of the state, got {self.initial.dim}"
+            )
+        for name in ("num_centres", "confirmations"):
+            check_whole(name, getattr(self, name), 1)
+        check_positive("input_scale", self.input_scale)
+        for name in ("tolerance", "initial_weight_std"):
+            check_positive(name, getattr(self, name), zero=True)
+        for name in ("input_widths", "least_widths"):
+            widths = getattr(self, name)
+            if widths is not None:
+                check_tensor(name, widths, ("D'",))
+                if not (widths > 0).all():
+                    raise ValueError(f"{name} must be positive, got {widths.tolist()}")
+        if not isinstance(self.search, SearchSettings):
+            raise TypeError(f"search must be SearchSettings, got {type(self.search).__name__}")
 
     @property
     def horizon(self) -> int:

@@ -1,0 +1,302 @@
+"""Command lines that make no sense: each ends with one line, and leaves the folder as it was."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from pathlib import Path
+
+import pytest
+import torch
+from hydra.core.config_store import ConfigStore
+
+from tests.experiments.runs.report.test_report import OLD, run_of
+from tests.helpers.draws import Draws
+from tests.helpers.losses import SPACE, make_parts
+from tests.helpers.run_script import run_command
+from torch_pmil.control.policy_file import save_policy
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.experiments.runs.run_folder import write_origin
+
+LONGEST = 700  # characters of a line, in which all shapes of the LASA set fit
+RECORDED = "demonstration,time,x,y\n"
+COMMANDS = "the command must be one of inspect, align, "
+SEED = "seed must be a whole number from 0 to 2147483647, got "
+TRIALS = "trials must be a whole number from 1 to 1000, got "
+OUT = "out must be text that is not empty, got "
+KINDS = (
+    "demonstrations must be a .npz, .csv, .mat, .hdf5, .h5 or .parquet file, or a folder of them"
+)
+NO_ZIP = "must be a whole ZIP archive, got: File is not a zip file"
+FOLDER = "a folder of demonstrations must hold one of meta/info.json"
+WITHIN = "time_step must be positive and at most the duration, 0.8 s, got "
+
+
+def samples(*demonstrations: int, still: bool = False) -> str:
+    """Rows of a CSV file, nine for each demonstration."""
+    return "".join(
+        f"{n},{0.1 * k:.1f},{0 if still else 0.1 * k * k + n:.3f},{0 if still else k + n}\n"
+        for n in demonstrations
+        for k in range(9)
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Holds files and runs, good and bad ones."""
+    folder = tmp_path_factory.mktemp("lines")
+    for name in ("folder", "folder.pt2", "stopped", "other", "broken", "binary", "piped", "gone"):
+        (folder / name).mkdir()
+    make_recordings(folder)
+    make_policies(folder)
+    run_of(folder / "run", OLD)
+    write_origin(folder / "run", {"command": "pmil train out=run"})
+    write_origin(folder / "stopped", {"command": "pmil train out=stopped trials=1"})
+    write_origin(folder / "other", {"command": "python other.py"})
+    (folder / "broken" / "run.json").write_text("{")
+    (folder / "broken" / "summary.json").write_text("[1")
+    (folder / "binary" / "run.json").write_bytes(bytes(range(256)))
+    os.mkfifo(folder / "piped" / "run.json")
+    return folder
+
+
+def make_recordings(folder: Path) -> None:
+    texts = {
+        "file": "old",
+        "empty.csv": "",
+        "own.csv": RECORDED + samples(1, 2),
+        "single.csv": RECORDED + samples(1),
+        "still.csv": RECORDED + samples(1, 2, still=True),
+        "columns.csv": f"{RECORDED}1,0,1,2,3\n",
+        "headless.csv": "1,2,3\n4,5,6\n",
+        "picture.png": "",
+        "empty.npz": "",
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    (folder / "latin.csv").write_bytes("demonstration,time,größe\n1,0,1\n".encode("latin-1"))
+    (folder / "binary.npz").write_bytes(bytes(range(256)) * 4)
+    (folder / "dangling.npz").symlink_to("nothing.npz")
+    (folder / "loop.npz").symlink_to("loop.npz")
+    os.mkfifo(folder / "pipe.csv")
+    strokes = Draws(0).normal(2, 31, 2)
+    for name in ("strokes.npz", "ready.npz"):
+        Demonstrations(strokes, 0.1, ("x", "y")).save(folder / name)
+
+
+def make_policies(folder: Path) -> None:
+    policy, _ = make_parts(Draws(0))
+    save_policy(folder / "policy.pt", policy, SPACE, 0.1)
+    (folder / "cut.pt").write_bytes((folder / "policy.pt").read_bytes()[:400])
+    content = torch.load(folder / "policy.pt", weights_only=True)
+    parameters = content["parameters"]
+    wide = {**parameters, "log_widths": torch.full_like(parameters["log_widths"], 1e4)}
+    none = {**parameters, **{name: parameters[name][:0] for name in ("centres", "weights")}}
+    torch.save({**content, "parameters": wide}, folder / "wide.pt")
+    torch.save({**content, "parameters": none}, folder / "none.pt")
+
+
+def contents(folder: Path) -> dict[str, tuple[int, int]]:
+    """Size and time of all files, and the names of all folders."""
+    return {
+        str(path.relative_to(folder)): (0, 0)
+        if path.is_dir() and not path.is_symlink()
+        else (path.lstat().st_size, path.lstat().st_mtime_ns)
+        for path in folder.rglob("*")
+    }
+
+
+LINES = (
+    ("nonsense", COMMANDS),
+    ("Train", COMMANDS),
+    ("--nope", COMMANDS),
+    ("seed=1", COMMANDS),
+    ("''", COMMANDS),
+    ("train --nope", "unrecognized arguments: --nope (pmil train --help tells"),
+    ("train --config-dir", "argument --config-dir/-cd: expected one argument"),
+    ("train --config-name=nothing", "Cannot find primary config 'nothing'"),
+    ("train --config-dir=nowhere", "Additional config directory "),
+    ("train --cfg nothing", "argument --cfg/-c: invalid choice: 'nothing'"),
+    ("train seed=${foo}", "seed cannot be read: Interpolation key 'foo' not found"),
+    ("train out=${oc.env:NOPE}", "out cannot be read: "),
+    ("train trials=${seed.x}", "trials cannot be read: "),
+    ("train seed=${seed}", "seed cannot be read: Recursive interpolation detected"),
+    ("train out=${no_resolver:1}", "out cannot be read: Unsupported interpolation type"),
+    ("train ~seed", "a setting must be seed=VALUE, got ~seed"),
+    ("train ~nothing", "there is no setting nothing in ~nothing: there are "),
+    ("train out=null", f"{OUT}None"),
+    ("train out=", f"{OUT}''"),
+    ("train out=5", f"{OUT}5"),
+    ("train out=[a,b]", f"{OUT}['a', 'b']"),
+    ("train out={a:1}", OUT),
+    ("train out=true", f"{OUT}True"),
+    ("train \"out=' '\"", f"{OUT}' '"),
+    ("train out=file", "[Errno 17] File exists: 'file'"),
+    ("train out=file/run", "[Errno 20] Not a directory: 'file/run'"),
+    ("train out=/dev/null/run", "[Errno 20] Not a directory: '/dev/null/run'"),
+    ("train seed=12345678901234567890", f"{SEED}12345678901234567890"),
+    ("train seed=-1", f"{SEED}-1"),
+    ("train seed=1.5", f"{SEED}1.5"),
+    ("train seed=1e3", f"{SEED}1000.0"),
+    ("train seed=abc", f"{SEED}'abc'"),
+    ("train seed=null", f"{SEED}None"),
+    ("train seed=nan", f"{SEED}nan"),
+    ("train seed=true", f"{SEED}True"),
+    ("train seed=[1]", f"{SEED}[1]"),
+    ("train seed=1,2", "seed must be one value, unless -m is given, got seed=1,2"),
+    ("train 'seed=range(2)'", "seed must be one value, unless -m is given, got seed=range(2)"),
+    ("train trials=1000000000000", f"{TRIALS}1000000000000"),
+    ("train trials=1e12", f"{TRIALS}1000000000000.0"),
+    ("train trials=0", f"{TRIALS}0"),
+    ("train trials=-3", f"{TRIALS}-3"),
+    ("train trials=two", f"{TRIALS}'two'"),
+    ("train seed=1 seed=2 trials=x", f"{TRIALS}'x'"),
+    ("train resume=no", "resume must be true or false, got 'no'"),
+    ("train resume=1", "resume must be true or false, got 1"),
+    ("train resume=maybe", "resume must be true or false, got 'maybe'"),
+    ("train resume=null", "resume must be true or false, got None"),
+    ("train overwrite=[]", "overwrite must be true or false, got []"),
+    ("train resume=true overwrite=true", "resume=true goes on with a run, and overwrite=true"),
+    ("train +sede=1", "there is no setting sede in +sede=1: did you mean seed?"),
+    ("train ++seed", "cannot read the setting '++seed': "),
+    ("train +seed=1", "a setting must be seed=VALUE, got +seed=1"),
+    ("train SEED=1", "there is no setting SEED in SEED=1: there are "),
+    ("train seed.x=1", "there is no setting seed.x in seed.x=1: did you mean seed?"),
+    ("train =1", "a setting must be NAME=VALUE, got =1"),
+    ("train seed", "cannot read the setting 'seed': "),
+    ("train own.csv", "cannot read the setting 'own.csv': "),
+    ("train out=[", "cannot read the setting 'out=[': "),
+    ("train 'out=\"a'", "cannot read the setting 'out=\"a': "),
+    ("train 'seed=1;2'", "cannot read the setting 'seed=1;2': "),
+    ("train experiment=triple", "experiment must be one of biorob, "),
+    ("train experiment=null", "experiment must be text that is not empty, got None"),
+    ("train experiment=../double_pendulum", "experiment must be one of biorob, "),
+    ("train shape=Sine", "shape and robot are settings of experiment=handwriting, got shape=Sine"),
+    ("train shape=3", "shape must be text that is not empty or null, got 3"),
+    ("train experiment=handwriting", "handwriting needs a shape or demonstrations, got neither"),
+    ("train experiment=handwriting shape=Sine robot=pr2", "robot must be one of biorob, "),
+    (
+        "train experiment=handwriting shape=Sine demonstrations=strokes.npz",
+        "handwriting needs a shape or demonstrations, got both",
+    ),
+    ("train demonstrations=missing.npz", "[Errno 2] No such file or directory: 'missing.npz'"),
+    ("train demonstrations=folder", f"folder: {FOLDER}"),
+    ("train demonstrations=empty.npz", "empty.npz: not a readable NPZ file"),
+    ("train demonstrations=latin.csv", "latin.csv: not a readable CSV file ('utf-8' codec"),
+    ("train demonstrations=pipe.csv", "pipe.csv: must be a regular file of at most 64 MiB"),
+    ("train demonstrations=loop.npz", "[Errno 40] Too many levels of symbolic links"),
+    ("train demonstrations=/dev/zero", f"/dev/zero: {KINDS}"),
+    ("train demonstrations=strokes.npz", "demonstrations must be of x1, y1, x2, y2, got x, y"),
+    ("train logger=stone", "logger must be one of csv, tensorboard, wandb, mlflow or null"),
+    ("train logger=[csv]", "logger must be text that is not empty or null, got ['csv']"),
+    ("train hydra.nothing=1", "Could not override 'hydra.nothing'"),
+    ("train hydra/launcher=nothing", "In 'hydra/config': Could not find 'hydra/launcher/nothing'"),
+    ("train out=run", "run holds a run that has ended: overwrite=true replaces it, as pmil train "),
+    ("train -m trials=1,2", "two runs would write to runs/double_pendulum/seed_0: trials=1 and "),
+    ("train -m seed=1,2 out=same", "two runs would write to same: seed=1 out=same and seed=2"),
+    ("train -m seed=1,2 out=${oc.env:NOPE}", "out cannot be read: "),
+    ("train -m sede=1,2", "there is no setting sede in sede=1,2: did you mean seed?"),
+    ("train -m hydra/launcher=nothing", "In 'hydra/config': Could not find 'hydra/launcher/"),
+    ("resume", "the following arguments are required: RUN"),
+    ("resume nowhere", "[Errno 2] No such file or directory: 'nowhere/run.json'"),
+    ("resume file", "[Errno 20] Not a directory: 'file/run.json'"),
+    ("resume broken", "broken: run.json is damaged: must be JSON"),
+    ("resume binary", "binary: run.json is damaged: must be JSON, got 'utf-8' codec"),
+    ("resume piped", "piped: run.json is damaged: must be a regular file of at most 4 MiB"),
+    ("resume other", "other was begun by python other.py, not by pmil train"),
+    ("resume stopped sede=1", "there is no setting sede in sede=1: did you mean seed?"),
+    ("resume stopped trials=0", f"{TRIALS}0"),
+    ("resume stopped --nope", "unrecognized arguments: --nope (pmil resume --help tells"),
+    ("resume stopped ~seed", "a setting must be seed=VALUE, got ~seed"),
+    ("report", "the following arguments are required: RUN"),
+    ("report nowhere", "nowhere: cannot read summary.json: No such file"),
+    ("report file", "file: cannot read summary.json: Not a directory"),
+    ("report broken", "broken: summary.json is damaged: must be JSON"),
+    ("report run extra", "unrecognized arguments: extra"),
+    ("summarize", "the following arguments are required: DIR"),
+    ("summarize nowhere", "nowhere is not a folder"),
+    ("summarize folder", "folder holds no run: neither metrics.csv nor folders with it"),
+    ("summarize run --out", "argument --out: expected one argument"),
+    ("inspect", "the following arguments are required: FILE"),
+    ("inspect missing.csv", "[Errno 2] No such file or directory: 'missing.csv'"),
+    ("inspect folder", f"folder: {FOLDER}"),
+    ("inspect file", f"file: {KINDS}, got no suffix"),
+    ("inspect empty.csv", "empty.csv: row 1 must be demonstration,time,NAME,..., got nothing"),
+    ("inspect binary.npz", f"binary.npz: not a readable NPZ file without object arrays ({NO_ZIP}"),
+    ("inspect latin.csv", "latin.csv: not a readable CSV file"),
+    ("inspect pipe.csv", "pipe.csv: must be a regular file of at most 64 MiB, got a pipe"),
+    ("inspect dangling.npz", "[Errno 2] No such file or directory: 'dangling.npz'"),
+    ("inspect headless.csv", "headless.csv: row 1 must be demonstration,time,NAME,..., got 1,2,3"),
+    ("inspect columns.csv", "columns.csv: row 2 must have 4 columns, got 5"),
+    ("inspect own.csv --keys z", "own.csv: keys must be some of x, y, got z"),
+    ("inspect own.csv --names x x", "own.csv: names must be 2 different names"),
+    ("inspect own.csv --time-step 0.1", "own.csv: time_step must be left out"),
+    ("inspect own.csv --time-step fast", "argument --time-step: invalid float value: 'fast'"),
+    ("inspect own.csv --control-period 0", "--control-period must be a positive finite number"),
+    ("inspect own.csv --control-period nan", "--control-period must be a positive finite number"),
+    ("inspect own.csv --draw nowhere/out.png", "[Errno 2] No such file or directory: 'nowhere/"),
+    ("inspect own.csv --draw folder", "[Errno 21] Is a directory: 'folder'"),
+    ("align own.csv", "the following arguments are required: OUT.npz"),
+    ("align own.csv out.txt", "out.txt: demonstrations are written to a .npz file"),
+    ("align own.csv ready.npz", "ready.npz is there already: --overwrite replaces it"),
+    ("align own.csv out.npz --draw picture.png", "picture.png is there already: --overwrite"),
+    ("align own.csv out.npz --draw nowhere/a.png", "nowhere/a.png: there is no folder nowhere"),
+    ("align own.csv nowhere/out.npz", "nowhere/out.npz: there is no folder nowhere"),
+    ("align missing.csv out.npz", "[Errno 2] No such file or directory: 'missing.csv'"),
+    ("align single.csv out.npz", "single.csv: at least two demonstrations are needed, got 1"),
+    ("align still.csv out.npz", "trajectories must move: every coordinate is constant"),
+    ("align own.csv out.npz --time-step 0", f"{WITHIN}0.0 s"),
+    ("align own.csv out.npz --time-step nan", f"{WITHIN}nan s"),
+    ("align own.csv out.npz --time-step 1e-12", "time_step must leave at most 16777216 samples"),
+    ("align own.csv out.npz --time-step fast", "argument --time-step: invalid float value: 'fast'"),
+    ("align own.csv out.npz --window 2", "window must be in (0, 1], a fraction of the longest"),
+    ("align own.csv out.npz --reference 9", "reference must be one of the demonstrations 1, 2"),
+    ("align own.csv out.npz --velocities z", "velocities must be columns of x, y, got z"),
+    ("align own.csv out.npz --derive dx=x", "--derive needs --smooth PERIOD"),
+    ("align own.csv out.npz --derive dx --smooth 0.3", "argument --derive: must be VELOCITY="),
+    ("align own.csv out.npz --smooth nan", "period must be positive and at most the duration"),
+    ("align own.csv out.npz --fastest -1", "fastest must be positive, got "),
+    ("align own.csv out.npz --marker 1 2 3", "argument --marker: expected 4 arguments"),
+    ("align own.csv out.npz --marker 1 2 3 4", "markers and places must be (K, 2) with K >= 4"),
+    ("align own.csv out.npz --names a", "own.csv: names must be 2 different names"),
+    ("draw out.txt", "out.txt: demonstrations are written to a .npz file"),
+    ("draw nowhere/out.npz", "nowhere/out.npz: there is no folder nowhere"),
+    ("draw ready.npz", "ready.npz is there already; say another name"),
+    ("draw out.npz --time-step nan", "the time step must be from 0.01 to 0.3 s, got nan s"),
+    ("draw out.npz extra", "unrecognized arguments: extra"),
+    ("export policy.pt", "the following arguments are required: out"),
+    ("export missing.pt out.pt2", "[Errno 2] No such file or directory: 'missing.pt'"),
+    ("export cut.pt out.pt2", f"cut.pt: must be a file of save_policy: {NO_ZIP}"),
+    ("export wide.pt out.pt2", "wide.pt: widths must have squares that are positive and finite"),
+    ("export none.pt out.pt2", "none.pt: a policy must have centres, inputs and torques, got 0"),
+    ("export pipe.csv out.pt2", "pipe.csv: must be a file of save_policy: must be a regular file"),
+    ("export /dev/zero out.pt2", "/dev/zero: must be a file of save_policy: must be a regular"),
+    ("export policy.pt out.txt", "an exported policy must be a .pt2 file, got out.txt"),
+    ("export policy.pt folder.pt2", "[Errno 21] Is a directory: 'folder.pt2'"),
+)
+
+
+@pytest.mark.parametrize(("line", "message"), LINES, ids=[line for line, _ in LINES])
+def test_command_line_that_makes_no_sense_is_one_line_and_leaves_nothing(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    line: str,
+    message: str,
+) -> None:
+    monkeypatch.chdir(folder)
+    # other tests may have imported TorchRL's configurations
+    monkeypatch.delitem(ConfigStore.instance().repo, "logger", raising=False)
+    before = contents(folder)
+    with pytest.raises(SystemExit) as ended:
+        run_command(monkeypatch, *shlex.split(line))
+    said, code = capfd.readouterr().err, ended.value.code
+    if isinstance(code, str):  # which Python prints as it exits
+        said, code = f"{said}{code}\n", 1
+    assert said.startswith(f"error: {message}") and said.count("\n") == 1 and said[-1] == "\n"
+    assert len(said) < LONGEST and code in (1, 2)
+    assert contents(folder) == before
+
+
+def test_at_least_a_hundred_command_lines_are_tried_each_once() -> None:
+    assert len(LINES) == len(dict(LINES)) >= 100

@@ -1,0 +1,121 @@
+"""Checks of arguments, each of which raises one line: what was expected, what came, where."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+Shape = tuple[int | str, ...]
+
+
+def check_whole(name: str, value: object, least: int, most: int | None = None) -> None:
+    """Raise ValueError unless a value is a whole number of that range.
+
+    Example:
+        >>> check_whole("trials", 0, 1)
+        Traceback (most recent call last):
+        ValueError: trials must be a whole number of at least 1, got 0
+    """
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
+        wanted = f"of at least {least}" if most is None else f"from {least} to {most}"
+        raise ValueError(f"{name} must be a whole number {wanted}, got {value!r}")
+
+
+def check_positive(name: str, value: object, zero: bool = False) -> None:
+    """Raise ValueError unless a value is a finite number above zero, or at least ``zero``.
+
+    Example:
+        >>> check_positive("width", float("nan"))
+        Traceback (most recent call last):
+        ValueError: width must be a positive finite number, got nan
+    """
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not 0 <= value < math.inf or (value == 0 and not zero):  # type: ignore[operator]
+        wanted = "a finite number that is not negative" if zero else "a positive finite number"
+        raise ValueError(f"{name} must be {wanted}, got {value!r}")
+
+
+def check_tensor(name: str, values: object, shape: Shape, finite: bool = True) -> None:
+    """Raise unless a value is a tensor of real numbers of that shape.
+
+    Args:
+        name: of the argument, for the error.
+        values: the argument.
+        shape: its lengths; a letter is any length of at least one, a leading ``"*batch"`` any
+            number of dimensions.
+        finite: whether all its entries must be finite.
+
+    Raises:
+        TypeError: it is no tensor.
+        ValueError: it holds no real numbers, has another shape, or an entry is not finite.
+
+    Example:
+        >>> check_tensor("actions", torch.zeros(7, 3), ("*batch", 2))
+        Traceback (most recent call last):
+        ValueError: actions must have shape (*batch, 2), got (7, 3)
+    """
+    check_real(name, values)
+    assert isinstance(values, Tensor)
+    if not _fits(tuple(values.shape), shape):
+        wanted = str(shape).replace("'", "")
+        raise ValueError(f"{name} must have shape {wanted}, got {tuple(values.shape)}")
+    if finite:
+        check_finite_entries(name, values)
+
+
+def check_real(name: str, values: object) -> None:
+    """Raise TypeError unless a value is a tensor, and ValueError unless it holds real numbers."""
+    if not isinstance(values, Tensor):
+        raise TypeError(f"{name} must be a tensor, got {type(values).__name__}")
+    if values.is_complex() or values.dtype == torch.bool:
+        raise ValueError(f"{name} must hold real numbers, got {values.dtype}")
+
+
+def check_noise(noise_std: object, names: Sequence[str], zero: bool = False) -> Tensor:
+    """Observation noise as a float64 tensor, () or (M,).
+
+    Args:
+        noise_std: one standard deviation, or one for each entry.
+        names: of the M entries.
+        zero: whether there may be none.
+
+    Raises:
+        ValueError: it is another number of numbers, or one is not finite, or not positive.
+    """
+    try:
+        noise = torch.as_tensor(noise_std, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError):
+        noise = torch.zeros(0)
+    if noise.numel() and not ((noise > 0) | ((noise == 0) & zero)).all():
+        wanted = "not be negative" if zero else "be positive"
+        raise ValueError(f"noise_std must {wanted}, got {noise.tolist()}")
+    if noise.shape not in ((), (len(names),)) or not noise.isfinite().all():
+        raise ValueError(
+            f"noise_std must be a number or one for each of {', '.join(names)}, got "
+            f"{noise.tolist() if noise.numel() else repr(noise_std)}"
+        )
+    return noise
+
+
+def check_finite_entries(
+    name: str,
+    values: Tensor,
+    error: Callable[[str, tuple[int, ...]], ValueError] = lambda message, _: ValueError(message),
+) -> None:
+    """Raise an error for the first entry that is not finite, made of a message and its index."""
+    finite = values.isfinite()
+    if not finite.all():
+        entry = tuple((~finite).nonzero()[0].tolist())
+        raise error(f"{name} must be finite, got {values[entry].item()} in entry {entry}", entry)
+
+
+def _fits(found: tuple[int, ...], shape: Shape) -> bool:
+    own = shape[1:] if shape[:1] == ("*batch",) else shape
+    if len(found) < len(own) or (len(found) > len(own) and len(own) == len(shape)):
+        return False
+    lengths = zip(found[len(found) - len(own) :], own, strict=True)
+    return all(length > 0 if isinstance(want, str) else length == want for length, want in lengths)

@@ -21,13 +21,14 @@ from torch_pmil.experiments.runs.run_folder import (
     check_resume,
     check_whole,
 )
+from torch_pmil.files import LineError
 
 OPTIONAL = ("shape", "robot", "demonstrations", "logger")  # may be null
 TEXTS = ("experiment", "shape", "robot", "demonstrations", "out", "logger")
 SWITCHES = ("resume", "overwrite")
 
 
-class SettingsError(ValueError):
+class SettingsError(LineError):
     """A setting is not as it must be; the message names it."""
 
 

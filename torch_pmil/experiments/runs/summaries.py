@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import norm
 
-from torch_pmil.files import read_json, read_text
+from torch_pmil.files import LineError, read_json, read_text
 
 CONFIDENCE = 0.95
 ROUNDING = 1e-9  # of a mean of rates
@@ -21,7 +21,7 @@ COVERAGE = "two_sigma_coverage"  # of a method that predicts
 TEXTS = ("experiment", "stop_reason")
 
 
-class RunError(ValueError):
+class RunError(LineError):
     """A run's folder does not hold what a run leaves; the message names it."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -56,7 +57,8 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
     """
     path = _main_file(path) if path.is_dir() else path
     h5py = optional("h5py")
-    with opened_set(path) as file, readable("HDF5 file"), h5py.File(file) as content:
+    kind = readable("HDF5 file", zlib.error)
+    with opened_set(path) as file, kind, h5py.File(file) as content:
         layout = _layout(content)
         root = _root(content, layout)
         labels = _labels(root, layout)

@@ -29,6 +29,7 @@ from torch_pmil.demonstrations.formats.entries import (
 from torch_pmil.demonstrations.recordings import Recordings
 from torch_pmil.files import read_json, short
 
+INDEX = ("episode_index", "timestamp")  # columns that each file has
 OBSERVED = "observation"  # how the names of columns begin that may be read; no actions
 # s, by which LeRobot's timestamps, single precision, may be off the rate that its data set states
 TOLERANCE = 1e-4
@@ -58,7 +59,7 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
             "a LeRobot data set must hold files data/chunk-*/*.parquet, found none"
         )
     frames = _joined(_tables(files, path))
-    episodes, stamps = (frames.pop(name) for name in ("episode_index", "timestamp"))
+    episodes, stamps = (frames.pop(name) for name in INDEX)
     if not len(episodes):
         raise DemonstrationError("there must be frames, found none")
     for row in np.flatnonzero(~np.isfinite(episodes))[:1]:
@@ -116,19 +117,23 @@ def _table(file: Path) -> Any:
         parquet.ParquetFile(opened) as content,
     ):
         schema = content.schema_arrow
-        missing = {"episode_index", "timestamp"} - set(schema.names)
+        missing = set(INDEX) - set(schema.names)
         if missing:
             raise DemonstrationError(
                 f"column {min(missing)} is missing, found {', '.join(schema.names)}"
             )
+        for name in INDEX:
+            kind = schema.field(name).type
+            if _is_list(kind) or not _is_numeric(kind):
+                raise DemonstrationError(f"column {name} must hold numbers, got {kind}")
         observed = [
             name
             for name in schema.names
             if name.startswith(OBSERVED) and _is_numeric(schema.field(name).type)
         ]
         check_entries(len(observed))
-        check_count(_size(content.metadata, ("episode_index", "timestamp", *observed)))
-        return content.read(columns=["episode_index", "timestamp", *observed])
+        check_count(_size(content.metadata, (*INDEX, *observed)))
+        return content.read(columns=[*INDEX, *observed])
 
 
 def _size(metadata: Any, columns: Sequence[str]) -> int:

@@ -61,7 +61,9 @@ def resume(path: Path) -> None:
     rotation = rotation_in(path.parent)
     trainer = make_trainer(short_experiment(), SEED, 1, False, lambda trial: None, None, rotation)
     assert trainer.resume() is not None
-    assert all(value.isfinite().all() for value in trainer.loss_module.actor_network.state_dict().values())
+    assert all(
+        value.isfinite().all() for value in trainer.loss_module.actor_network.state_dict().values()
+    )
 
 
 def read_a_command(path: Path) -> None:

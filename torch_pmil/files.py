@@ -26,7 +26,9 @@ MIB = 2**20
 # of JSON and CSV that a run leaves, a few hundred kB; Python takes some 30 times that for it
 TEXT_BYTES = 4 * MIB
 TENSOR_BYTES = 64 * MIB  # of policy.pt and dynamics.pt, some 50 kB
-PICKLE_BYTES = 64 * 2**10  # of their data.pkl, some 2 kB; keys of one hash take their number squared
+PICKLE_BYTES = (
+    64 * 2**10
+)  # of their data.pkl, some 2 kB; keys of one hash take their number squared
 LINE = 1000  # characters of an error's message
 ZIP_MEMBERS = 20_000  # of any archive; that of a run has some hundred
 KINDS = {
@@ -196,8 +198,8 @@ def parse_json(text: bytes, finite: bool = False) -> Any:
         {'seed': 0}
     """
     try:
-        hooks = {"parse_constant": _finite, "parse_float": _finite} if finite else {}
-        return json.loads(text.decode(), **hooks)
+        number = _finite if finite else None
+        return json.loads(text.decode(), parse_constant=number, parse_float=number)
     except RecursionError as error:
         raise FileError("must be JSON, got lists in lists without end") from error
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Small files that claim much, point elsewhere or unpack without end: refused at once, in a line."""
+"""Small files that claim much, point elsewhere or unpack without end are refused in a line."""
 
 from __future__ import annotations
 
@@ -162,9 +162,7 @@ def test_numbers_of_other_files_are_not_read(tmp_path: Path, secret: Path, kind:
         ((8_000_000,), 1, "at most 131072 chunks, got 16000000"),
     ],
 )
-def test_chunks_are_counted(
-    tmp_path: Path, shape: tuple[int], chunk: int, complaint: str
-) -> None:
+def test_chunks_are_counted(tmp_path: Path, shape: tuple[int], chunk: int, complaint: str) -> None:
     path = demonstrations(
         tmp_path / "demo.hdf5",
         lambda file, demo: file.create_dataset(

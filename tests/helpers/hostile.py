@@ -58,8 +58,10 @@ def damaged(path: Path, source: random.Random) -> str:
 
 
 ARCHIVE = ("swap", "lose", "flip member", "cut member", "number", "trap member")
-ARRAY_OF_OBJECTS = np.lib.format.magic(1, 0) + b"\x3a\0" + (
-    b"{'descr': '|O', 'fortran_order': False, 'shape': (), }".ljust(57) + b"\n"
+ARRAY_OF_OBJECTS = (
+    np.lib.format.magic(1, 0)
+    + b"\x3a\0"
+    + (b"{'descr': '|O', 'fortran_order': False, 'shape': (), }".ljust(57) + b"\n")
 )
 Change = Callable[[Path, str, random.Random], None]
 BYTES = ("flip", "cut", "zeros", "gap")

@@ -18,7 +18,6 @@ from torch_pmil.experiments.runs.run_folder import read_command
 from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.files import short
 
-
 # of our own settings; those of Hydra name functions that it calls, and its flags other folders
 SETTING = re.compile(r"[a-z]+=")
 

@@ -59,9 +59,7 @@ def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:
     return sorted(rotation.directory.glob(f"{rotation.prefix}-*.torchrl"), reverse=True)
 
 
-def newest_undamaged(
-    rotation: CheckpointRotation, before: Path | None = None
-) -> SavedRun | None:
+def newest_undamaged(rotation: CheckpointRotation, before: Path | None = None) -> SavedRun | None:
     """The newest checkpoint that holds what a trainer writes, or None if there is no checkpoint.
 
     There is a warning for each newer, damaged one.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import pickletools
 import re
@@ -17,7 +18,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO
 
 import torch
 
@@ -25,6 +26,10 @@ MIB = 2**20
 # of JSON and CSV that a run leaves, a few hundred kB; Python takes some 30 times that for it
 TEXT_BYTES = 4 * MIB
 TENSOR_BYTES = 64 * MIB  # of policy.pt and dynamics.pt, some 50 kB
+PICKLE_BYTES = (
+    64 * 2**10
+)  # of their data.pkl, some 2 kB; keys of one hash take their number squared
+LINE = 1000  # characters of an error's message
 ZIP_MEMBERS = 20_000  # of any archive; that of a run has some hundred
 KINDS = {
     stat.S_IFDIR: "a folder",
@@ -49,7 +54,19 @@ _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 120
 
 
-class FileError(ValueError):
+class LineError(ValueError):
+    """An error that says what is wrong in one line of bounded length, whatever a file put into it.
+
+    Example:
+        >>> str(LineError("column a\\nb")), len(str(LineError("x" * 10**6)))
+        ('column a b', 1000)
+    """
+
+    def __init__(self, message: object) -> None:
+        super().__init__(bounded_line(message))
+
+
+class FileError(LineError):
     """A file is not what it must be: one line says what was expected and what came."""
 
 
@@ -175,9 +192,9 @@ def read_text(path: Path | str, most: int = TEXT_BYTES) -> str:
         raise FileError(f"must be UTF-8, got {error}") from error
 
 
-def read_json(path: Path | str, most: int = TEXT_BYTES) -> Any:
-    """What a regular file of JSON holds. Errors as of :func:`opened`, and FileError at no JSON."""
-    return parse_json(read_bytes(path, most))
+def read_json(path: Path | str, most: int = TEXT_BYTES, finite: bool = False) -> Any:
+    """What a regular file of JSON holds. Errors as of :func:`opened` and :func:`parse_json`."""
+    return parse_json(read_bytes(path, most), finite)
 
 
 def parse_json(text: bytes, finite: bool = False) -> Any:
@@ -185,14 +202,15 @@ def parse_json(text: bytes, finite: bool = False) -> Any:
 
     Args:
         text: in UTF-8.
-        finite: whether NaN and Infinity, which Python reads, are errors.
+        finite: whether NaN, Infinity and numbers beyond float64, which Python reads, are errors.
 
     Example:
         >>> parse_json(b'{"seed": 0}')
         {'seed': 0}
     """
     try:
-        return json.loads(text.decode(), parse_constant=_refuse_constant if finite else None)
+        number = _finite if finite else None
+        return json.loads(text.decode(), parse_constant=number, parse_float=number)
     except RecursionError as error:
         raise FileError("must be JSON, got lists in lists without end") from error
     except ValueError as error:
@@ -277,6 +295,20 @@ def is_whole(tensor: torch.Tensor) -> bool:
     return tensor.numel() * tensor.element_size() <= tensor.untyped_storage().nbytes()
 
 
+def bounded_line(message: object) -> str:
+    """A message without line breaks and control characters, and without its middle if it is long.
+
+    Example:
+        >>> bounded_line(ValueError("first\\nsecond\\x1b[31m"))
+        'first second [31m'
+    """
+    text = str(message)
+    if len(text) > LINE:
+        half = LINE // 2 - 3
+        text = f"{text[:half]} .... {text[-half:]}"
+    return "".join(letter if letter.isprintable() else " " for letter in text)
+
+
 def short(value: object) -> str:
     """A value as a message shows it: in one line of bounded length, whatever it holds.
 
@@ -303,8 +335,10 @@ def _size(count: int) -> str:
     return f"{count / MIB:.0f} MiB" if count >= MIB else f"{count} bytes"
 
 
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(name)
+def _finite(text: str) -> float:
+    if not math.isfinite(number := float(text)):
+        raise ValueError(f"{text[:40]}, which is not finite")
+    return number
 
 
 def _check_members(members: list[zipfile.ZipInfo], most: int, stored: bool) -> None:
@@ -337,6 +371,8 @@ def _check_pickle(name: str, content: bytes) -> None:
 
     Tuples of tuples, each twice, have 2^depth parts, and as a key a tuple is hashed part by part.
     """
+    if len(content) > PICKLE_BYTES:
+        raise FileError(f"{name} must have at most {PICKLE_BYTES} bytes, got {len(content)}")
     tuples: set[object] = set()
     last = ""
     try:

@@ -7,6 +7,7 @@ Example:
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from pathlib import Path
@@ -14,6 +15,10 @@ from pathlib import Path
 from torch_pmil.cli import Parser, train
 from torch_pmil.experiments.runs.run_folder import read_command
 from torch_pmil.experiments.runs.summaries import RunError
+from torch_pmil.files import short
+
+# of our own settings; those of Hydra name functions that it calls, and its flags other folders
+SETTING = re.compile(r"[a-z]+=")
 
 
 def main() -> None:
@@ -41,11 +46,16 @@ def overrides(folder: Path, changed: list[str]) -> list[str]:
         RunError: it was not begun by ``pmil train``.
         OSError: the folder does not say how it was begun.
     """
-    words = shlex.split(read_command(folder))
+    words = read_command(folder)
     if words[:2] != ["pmil", "train"]:
         raise RunError(
             f"{folder} was begun by {shlex.join(words)}, not by pmil train: use that command"
         )
+    for word in words[2:]:
+        if not SETTING.match(word):
+            raise RunError(
+                f"{folder}: run.json is damaged: a setting must be NAME=VALUE, got {short(word)}"
+            )
     out = str(folder).replace("\\", "\\\\").replace("'", "\\'")
     new = [*changed, f"out='{out}'", "resume=true"]
     names = {setting.partition("=")[0] for setting in new} | {"overwrite"}

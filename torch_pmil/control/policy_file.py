@@ -31,13 +31,13 @@ from torch import Tensor
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.files import FileError, is_whole, load_tensors, replacing, short
+from torch_pmil.files import FileError, LineError, is_whole, load_tensors, replacing, short
 
 FORMAT, FORMAT_VERSION = "torch_pmil policy", 1
 LISTS = {"names": str, "units": str, "angles": int, "target_names": str}
 
 
-class PolicyFileError(ValueError):
+class PolicyFileError(LineError):
     """A file holds no policy that can be used.
 
     The message says in one line where, what was expected and what came.

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import BinaryIO
 
-from torch_pmil.files import MIB, FileError, opened, read_bytes
+from torch_pmil.files import MIB, FileError, LineError, opened, read_bytes
 
 # errors that parsers raise at bytes that make no sense; UnicodeDecodeError is a ValueError,
 # NotImplementedError a RuntimeError
@@ -28,10 +28,11 @@ DAMAGE = (
 FILE_BYTES = 256 * MIB  # of a file that is read as a whole
 TEXT_BYTES = 64 * MIB  # of a CSV file, whose cells take ten times that, or a MATLAB file
 SET_BYTES = 2**40  # of a data set of which columns are read, beside its pictures
-NUMBERS = 2**24  # in what is read of such a set
+DEMONSTRATIONS = 10_000  # of a file or data set
+NUMBERS = 2**24  # in what is read of such a set, or of an NPZ file
 
 
-class DemonstrationError(ValueError):
+class DemonstrationError(LineError):
     """Demonstrations are malformed: one line says where, what was expected and what came."""
 
 
@@ -91,6 +92,14 @@ def check_count(numbers: int) -> None:
     """Raise DemonstrationError at more numbers than are read of a data set."""
     if numbers > NUMBERS:
         raise DemonstrationError(f"what is read must have at most {NUMBERS} numbers, got {numbers}")
+
+
+def check_demonstrations(count: int) -> None:
+    """Raise DemonstrationError at more demonstrations than are read."""
+    if count > DEMONSTRATIONS:
+        raise DemonstrationError(
+            f"there must be at most {DEMONSTRATIONS} demonstrations, got {count}"
+        )
 
 
 @contextmanager

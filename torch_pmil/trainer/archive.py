@@ -20,6 +20,7 @@ is read, and never unpacked to a disk.
 
 from __future__ import annotations
 
+import math
 import re
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -183,10 +184,10 @@ def _tensor(folder: str, key: str, entry: object, members: dict[str, bytes]) -> 
             f"{place}, shape must be a list of whole numbers from 0, got {short(shape)}"
         )
     content = members.get(f"{folder}/{key}.memmap", b"")  # none is written of an empty tensor
-    numbers = 0 if 0 in shape else 1
-    for n in shape:
-        numbers = min(numbers * n, ARCHIVE_BYTES)
-    if len(shape) > 64 or len(content) != numbers * DTYPES[kind].itemsize:
+    strides = math.prod(max(n, 1) for n in shape[:64])  # of an empty tensor they may be endless
+    numbers = 0 if 0 in shape else strides
+    endless = len(shape) > 64 or strides > ARCHIVE_BYTES
+    if endless or len(content) != numbers * DTYPES[kind].itemsize:
         raise FileError(
             f"{folder}/{key}.memmap must have the bytes of {short(shape)} numbers of {kind}, got "
             f"{len(content)}"
@@ -194,6 +195,13 @@ def _tensor(folder: str, key: str, entry: object, members: dict[str, bytes]) -> 
     if not content:
         return torch.zeros(shape, dtype=DTYPES[kind])
     return torch.frombuffer(bytearray(content), dtype=DTYPES[kind]).reshape(shape)
+
+
+def _key(node: Any) -> str:
+    """A key is text: among numbers of one hash, a mapping would search for each of them."""
+    if node["kind"] != "value" or not isinstance(node["value"], str):
+        raise FileError(f"keys must be text, got {short(node)}")
+    return node["value"]
 
 
 def _decoded(node: Any, tensors: dict[str, Tensor]) -> Any:
@@ -208,7 +216,7 @@ def _decoded(node: Any, tensors: dict[str, Tensor]) -> Any:
     if kind in LISTS:
         return LISTS[kind](_decoded(item, tensors) for item in node["items"])
     if kind in ("dict", "ordered_dict"):
-        pairs = [(_decoded(key, tensors), _decoded(value, tensors)) for key, value in node["items"]]
+        pairs = [(_key(key), _decoded(value, tensors)) for key, value in node["items"]]
         if kind == "dict":
             return dict(pairs)
         mapping = OrderedDict(pairs)

@@ -59,15 +59,19 @@ def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:
     return sorted(rotation.directory.glob(f"{rotation.prefix}-*.torchrl"), reverse=True)
 
 
-def newest_undamaged(rotation: CheckpointRotation) -> SavedRun | None:
+def newest_undamaged(rotation: CheckpointRotation, before: Path | None = None) -> SavedRun | None:
     """The newest checkpoint that holds what a trainer writes, or None if there is no checkpoint.
 
     There is a warning for each newer, damaged one.
 
+    Args:
+        rotation: of the checkpoints.
+        before: one of them, than which it is older; None for none.
+
     Raises:
-        CheckpointError: there are checkpoints, and all are damaged.
+        CheckpointError: there are such checkpoints, and all are damaged.
     """
-    paths = saved_checkpoints(rotation)
+    paths = [path for path in saved_checkpoints(rotation) if before is None or path < before]
     for path in paths:
         saved, problem = _read(path)
         if saved is not None:

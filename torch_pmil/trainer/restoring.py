@@ -15,14 +15,14 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.policy_file import policy_of
-from torch_pmil.files import is_whole, short
+from torch_pmil.files import LineError, is_whole, short
 from torch_pmil.trainer.trials import Candidate, Trial
 
 NUMPY_WORDS = 624  # of the state of NumPy's generator, of which an index goes on
 EXPERIENCE = ("observation", "action", "next")
 
 
-class StateError(ValueError):
+class StateError(LineError):
     """A saved state does not fit; the message names its entry."""
 
 

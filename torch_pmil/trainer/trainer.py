@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ from torchrl.trainers import Trainer
 
 from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.files import bounded_line
 from torch_pmil.gp.checks import check_positive, check_whole
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.experience import Experience, check_limits_of_state, widened
@@ -163,7 +166,8 @@ class PMILTrainer(Trainer):
     def resume(self, saved: SavedRun | None = None) -> Path | None:
         """Go on from a checkpoint and return its path, or None if there is none.
 
-        Nothing that it carries is executed, and all of it is checked before it is loaded.
+        Nothing that it carries is executed, and all of it is checked before it is loaded. From one
+        that does not fit it goes on to the one before, if that is of the same run, with a warning.
 
         Args:
             saved: what it holds; None for the newest undamaged one. There is a warning for a
@@ -171,29 +175,47 @@ class PMILTrainer(Trainer):
 
         Raises:
             ValueError: there is neither a checkpoint nor a rotation to look for one.
-            CheckpointError: all checkpoints are damaged, or the newest is of another kind of run.
+            CheckpointError: all checkpoints are damaged or do not fit; the message is of the
+                newest.
         """
         if saved is None and self.rotation is None:
             raise ValueError("resume must be given a checkpoint or a checkpoint_rotation, got none")
         saved = saved or newest_undamaged(self.rotation)
         if saved is None:
             return None
-        components = self._sync_checkpoint_components().components
         try:
-            self._check(components, saved.states)
-        except (ValueError, TypeError, LookupError, RuntimeError) as error:
-            reason = " ".join(str(error).split())
-            raise CheckpointError(f"checkpoint {saved.path}: {reason}") from error
+            self._check(saved)
+        except CheckpointError as error:
+            older = self._one_before(saved)
+            if older is None:
+                raise
+            warnings.warn(f"{error}: the one before it is taken", RuntimeWarning, stacklevel=2)
+            return self.resume(older)
+        self._load(saved)
+        return saved.path
+
+    def _one_before(self, saved: SavedRun) -> SavedRun | None:
+        """The undamaged checkpoint of the same run before one, or None."""
+        if self.rotation is None:
+            return None
+        with suppress(CheckpointError):  # all of those are damaged
+            older = newest_undamaged(self.rotation, before=saved.path)
+            if older is not None and older.metadata == saved.metadata:
+                return older
+        return None
+
+    def _load(self, saved: SavedRun) -> None:
+        """Load a checkpoint that was checked; raise CheckpointError if a part cannot take it."""
+        components = self._sync_checkpoint_components().components
         for name in sorted(components.keys() & saved.states.keys()):
             try:
                 components[name].load_state_dict(saved.states[name])
             except Exception as error:  # parts of TorchRL fail at other states with any type
-                reason = " ".join(str(error).split()) or type(error).__name__
+                reason = bounded_line(error) or type(error).__name__
                 raise CheckpointError(
                     f"checkpoint {saved.path}: component {name} does not fit: {reason}"
                 ) from error
         self.collector.update_policy_weights_()
-        return saved.path
 
     def train(self) -> None:
         """Run Algorithm 1 to its end."""
@@ -243,8 +265,15 @@ class PMILTrainer(Trainer):
         except PredictionError:
             return float("inf")
 
-    def _check(self, components: Mapping[str, Any], saved: Mapping[str, Any]) -> None:
-        """Raise StateError or PolicyFileError unless saved states fit this trainer's components."""
+    def _check(self, saved: SavedRun) -> None:
+        """Raise CheckpointError unless a checkpoint fits this trainer's components."""
+        try:
+            self._check_states(self._sync_checkpoint_components().components, saved.states)
+        except (ValueError, TypeError, LookupError, RuntimeError) as error:
+            raise CheckpointError(f"checkpoint {saved.path}: {bounded_line(error)}") from error
+
+    def _check_states(self, components: Mapping[str, Any], saved: Mapping[str, Any]) -> None:
+        """Raise StateError or PolicyFileError unless saved states fit components."""
         check_run({name: part.state_dict() for name, part in components.items()}, saved)
         env = self.collector.env
         widths = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]

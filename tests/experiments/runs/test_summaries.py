@@ -95,11 +95,11 @@ def test_damaged_metrics_are_named(tmp_path: Path) -> None:
         ),
         (
             make_run("5", 0.5),
-            "summary.json is damaged: experience_s must be a number from 0, got '5'",
+            "summary.json is damaged: experience_s must be a number from 0 to 1e+09, got '5'",
         ),
         (
             make_run(float("nan"), 0.5),
-            "summary.json is damaged: experience_s must be a number from 0, got nan",
+            "summary.json is damaged: must be JSON, got NaN, which is not finite",
         ),
         (
             make_run(5.0, 0.5) | {"experiment": None},

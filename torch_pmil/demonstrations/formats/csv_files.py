@@ -16,14 +16,16 @@ from torch import Tensor
 from torch_pmil.demonstrations.errors import (
     TEXT_BYTES,
     DemonstrationError,
+    check_demonstrations,
     content_of,
     readable,
     within,
 )
-from torch_pmil.demonstrations.formats.entries import choose, natural_order
+from torch_pmil.demonstrations.formats.entries import check_entries, choose, natural_order
 from torch_pmil.demonstrations.recordings import Recordings
 
 TARGET_PREFIX = "target "  # of the columns that hold a target
+CELLS = 2**21  # of a file or folder; each takes a hundred bytes, an empty row too
 
 
 class _Row(NamedTuple):
@@ -47,12 +49,14 @@ def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
         DemonstrationError: a file is malformed; the message names row and column.
         OSError: a file cannot be read.
     """
-    header, rows = _folder(path) if path.is_dir() else _file(path, ("demonstration", "time"))
+    leading = ("demonstration", "time")
+    header, rows = _folder(path) if path.is_dir() else _file(path, leading, CELLS)
     entries, targets = _columns(header, keys)
     read = [header.index(name) for name in ("time", *entries, *targets)]
     parts: dict[str, list[_Row]] = {}
     for row in rows:
         parts.setdefault(row.cells[0].strip(), []).append(row)
+    check_demonstrations(len(parts))
     if len(parts) < 2:
         raise DemonstrationError(f"at least two demonstrations are needed, got {len(parts)}")
     tables = [np.array([_numbers(row, header, read) for row in part]) for part in parts.values()]
@@ -71,13 +75,17 @@ def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
     )
 
 
-def _file(path: Path, leading: tuple[str, ...]) -> tuple[list[str], list[_Row]]:
-    """Header and rows of a file whose header begins with those names."""
+def _file(path: Path, leading: tuple[str, ...], most: int) -> tuple[list[str], list[_Row]]:
+    """Header and rows of a file of at most so many cells, whose header begins with those names."""
     content = content_of(path, TEXT_BYTES)
+    cells = content.count(b",") + max(content.count(end) for end in (b"\n", b"\r"))
+    if cells > most:
+        raise DemonstrationError(f"there must be at most {CELLS} cells, got more")
     with readable("CSV file", csv.Error):
         text = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline="")
         lines = list(csv.reader(text, strict=True))
     header = [cell.strip() for cell in lines[0]] if lines else []
+    check_entries(len(header))
     if tuple(header[: len(leading)]) != leading or all(
         name.startswith(TARGET_PREFIX) for name in header[len(leading) :]
     ):
@@ -99,7 +107,7 @@ def _folder(path: Path) -> tuple[list[str], list[_Row]]:
     rows: list[_Row] = []
     for file in sorted(path.glob("*.csv"), key=lambda file: natural_order(file.name)):
         with within(file.name):
-            own, lines = _file(file, ("time",))
+            own, lines = _file(file, ("time",), CELLS - len(rows) * len(header))
             header = header or own
             if own != header:
                 raise DemonstrationError(

@@ -11,6 +11,7 @@ import numpy as np
 from torch_pmil.demonstrations.errors import DemonstrationError
 
 Groups = Mapping[str, Sequence[str]]  # names of the entries that a key of a file holds
+ENTRIES = 10_000  # of a sample
 
 
 class Entry(NamedTuple):
@@ -21,14 +22,25 @@ class Entry(NamedTuple):
     name: str
 
 
+def check_entries(count: int) -> None:
+    """Raise DemonstrationError at more entries than there can be of a sample."""
+    if count > ENTRIES:
+        raise DemonstrationError(f"there must be at most {ENTRIES} entries, got {count}")
+
+
 def names_of(key: str, shape: Sequence[int]) -> tuple[str, ...]:
     """Names of what a key holds where the file says none: the key, or the key and a number.
+
+    Raises DemonstrationError where they are too many.
 
     Example:
         >>> names_of("gap", (100,)), names_of("hand", (100, 2))
         (('gap',), ('hand_0', 'hand_1'))
     """
-    return (key,) if len(shape) == 1 else tuple(f"{key}_{column}" for column in range(shape[1]))
+    if len(shape) == 1:
+        return (key,)
+    check_entries(shape[1])
+    return tuple(f"{key}_{column}" for column in range(shape[1]))
 
 
 def choose(groups: Groups, keys: Sequence[str], default: Sequence[str]) -> list[Entry]:
@@ -47,6 +59,7 @@ def choose(groups: Groups, keys: Sequence[str], default: Sequence[str]) -> list[
         >>> [entry.name for entry in choose(groups, ["vel", "x"], ())]
         ['dx', 'dy', 'x']
     """
+    check_entries(sum(map(len, groups.values())))
     entries = {
         key: [Entry(key, column, name) for column, name in enumerate(names)]
         for key, names in groups.items()
@@ -58,7 +71,10 @@ def choose(groups: Groups, keys: Sequence[str], default: Sequence[str]) -> list[
     unknown = [key for key in wanted if key not in entries and key not in single]
     if unknown:
         raise DemonstrationError(f"keys must be some of {_listed(groups)}, got {unknown[0]}")
-    return [entry for key in wanted for entry in entries.get(key, single.get(key, []))]
+    chosen = [entry for key in wanted for entry in entries.get(key, single.get(key, []))]
+    if not chosen:
+        raise DemonstrationError(f"{', '.join(wanted)} must hold entries, got none")
+    return chosen
 
 
 def columns_of(arrays: Mapping[str, np.ndarray], entries: Sequence[Entry]) -> np.ndarray:

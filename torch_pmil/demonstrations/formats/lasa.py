@@ -18,13 +18,11 @@ from scipy.io.matlab import MatReadError
 
 from torch_pmil.demonstrations.errors import TEXT_BYTES, DemonstrationError, content_of, readable
 from torch_pmil.demonstrations.formats.entries import choose
+from torch_pmil.demonstrations.formats.matlab_arrays import check_arrays
 from torch_pmil.demonstrations.recordings import Recordings
-from torch_pmil.files import MIB
 
 GROUPS = {"pos": ("x", "y"), "vel": ("dx", "dy")}
 UNITS = {"pos": "m", "vel": "m/s"}
-HEADER, PACKED = 128, 15  # bytes before the first element of a file; number of a packed element
-ELEMENTS = 1000  # of a file; those of the set have a handful
 METRES = 1e-3  # of a unit of the files, which hold mm and mm/s
 
 
@@ -45,8 +43,8 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
             f"a folder of shapes: name one of them, as {path / 'NAME'}; found {shapes}"
         )
     file = content_of(path, TEXT_BYTES)
-    with readable("MATLAB file", zlib.error, MatReadError):
-        _check_unpacked(file)
+    with readable("MATLAB file", zlib.error, struct.error, MatReadError):
+        check_arrays(file)
         content = loadmat(io.BytesIO(file), variable_names=["demos"], simplify_cells=True)
     strokes = content.get("demos", [])
     strokes = strokes if isinstance(strokes, list) else [strokes]
@@ -68,26 +66,6 @@ def read_lasa(path: Path, keys: Sequence[str] = ()) -> Recordings:
         units=tuple(UNITS[entry.key] for entry in entries),
         format="LASA handwriting",
     )
-
-
-def _check_unpacked(content: bytes) -> None:
-    """Unpack the packed elements of a file piece by piece, and refuse one that goes on and on."""
-    place, total = HEADER, 0
-    order = "<" if content[HEADER - 2 : HEADER] == b"IM" else ">"
-    for _ in range(ELEMENTS):
-        if place + 8 > len(content):
-            return
-        kind, size = struct.unpack_from(f"{order}2I", content, place)
-        place += 8
-        if kind == PACKED:
-            unpacking, left = zlib.decompressobj(), content[place : place + size]
-            while left and not unpacking.eof and total <= TEXT_BYTES:
-                total += len(unpacking.decompress(left, MIB))
-                left = unpacking.unconsumed_tail
-        if total > TEXT_BYTES:
-            raise DemonstrationError(f"must have at most {TEXT_BYTES} bytes unpacked, got more")
-        place += size
-    raise DemonstrationError(f"must have at most {ELEMENTS} elements, got more")
 
 
 def _stroke(label: str, stroke: object, keys: Sequence[str]) -> Mapping[str, np.ndarray]:

@@ -13,15 +13,23 @@ import torch
 from torch_pmil.demonstrations.errors import (
     DemonstrationError,
     check_count,
+    check_demonstrations,
     opened_set,
     optional,
     readable,
     within,
 )
-from torch_pmil.demonstrations.formats.entries import choose, columns_of, names_of, natural_order
+from torch_pmil.demonstrations.formats.entries import (
+    check_entries,
+    choose,
+    columns_of,
+    names_of,
+    natural_order,
+)
 from torch_pmil.demonstrations.recordings import Recordings
-from torch_pmil.files import read_json
+from torch_pmil.files import read_json, short
 
+INDEX = ("episode_index", "timestamp")  # columns that each file has
 OBSERVED = "observation"  # how the names of columns begin that may be read; no actions
 # s, by which LeRobot's timestamps, single precision, may be off the rate that its data set states
 TOLERANCE = 1e-4
@@ -50,17 +58,22 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
         raise DemonstrationError(
             "a LeRobot data set must hold files data/chunk-*/*.parquet, found none"
         )
-    frames = _joined([_read(file, path) for file in files])
-    episodes, stamps = (frames.pop(name) for name in ("episode_index", "timestamp"))
+    frames = _joined(_tables(files, path))
+    episodes, stamps = (frames.pop(name) for name in INDEX)
+    if not len(episodes):
+        raise DemonstrationError("there must be frames, found none")
     for row in np.flatnonzero(~np.isfinite(episodes))[:1]:
         raise DemonstrationError(f"row {row}, column episode_index must hold a number, got none")
     entries = choose(_groups(frames, info), keys, ["observation.state"])
-    values, labels = columns_of(frames, entries), np.unique(episodes)
-    times = [_times(stamps[episodes == label], info.get("fps")) for label in labels]
+    order = np.argsort(episodes, kind="stable")
+    labels, starts = np.unique(episodes[order], return_index=True)
+    check_demonstrations(len(labels))
+    values = np.split(columns_of(frames, entries)[order], starts[1:])
+    times = [_times(own, info.get("fps")) for own in np.split(stamps[order], starts[1:])]
     return Recordings(
         tuple(f"{label:.0f}" for label in labels),
         tuple(map(torch.from_numpy, times)),
-        tuple(torch.from_numpy(values[episodes == label]) for label in labels),
+        tuple(map(torch.from_numpy, values)),
         tuple(entry.name for entry in entries),
         format="LeRobot",
     )
@@ -81,6 +94,14 @@ def _info(folder: Path) -> dict[str, Any]:
     return info
 
 
+def _tables(files: Sequence[Path], root: Path) -> list[dict[str, np.ndarray]]:
+    tables: list[dict[str, np.ndarray]] = []
+    for file in files:
+        tables.append(_read(file, root))
+        check_count(sum(column.size for table in tables for column in table.values()))
+    return tables
+
+
 def _read(file: Path, root: Path) -> dict[str, np.ndarray]:
     """Columns of a file that may be read: (T,) or (T, width) each."""
     with within(file.relative_to(root)) if file != root else nullcontext():
@@ -96,18 +117,23 @@ def _table(file: Path) -> Any:
         parquet.ParquetFile(opened) as content,
     ):
         schema = content.schema_arrow
-        missing = {"episode_index", "timestamp"} - set(schema.names)
+        missing = set(INDEX) - set(schema.names)
         if missing:
             raise DemonstrationError(
                 f"column {min(missing)} is missing, found {', '.join(schema.names)}"
             )
+        for name in INDEX:
+            kind = schema.field(name).type
+            if _is_list(kind) or not _is_numeric(kind):
+                raise DemonstrationError(f"column {name} must hold numbers, got {kind}")
         observed = [
             name
             for name in schema.names
-            if name.startswith(OBSERVED) and _is_numeric(pyarrow.types, schema.field(name).type)
+            if name.startswith(OBSERVED) and _is_numeric(schema.field(name).type)
         ]
-        check_count(_size(content.metadata, ("episode_index", "timestamp", *observed)))
-        return content.read(columns=["episode_index", "timestamp", *observed])
+        check_entries(len(observed))
+        check_count(_size(content.metadata, (*INDEX, *observed)))
+        return content.read(columns=[*INDEX, *observed])
 
 
 def _size(metadata: Any, columns: Sequence[str]) -> int:
@@ -119,22 +145,30 @@ def _size(metadata: Any, columns: Sequence[str]) -> int:
     )
 
 
-def _is_numeric(types: Any, kind: Any) -> bool:
-    if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
+def _is_list(kind: Any) -> bool:
+    types = optional("pyarrow.types")
+    return types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)
+
+
+def _is_numeric(kind: Any) -> bool:
+    types = optional("pyarrow.types")
+    if _is_list(kind):
         kind = kind.value_type
     return types.is_floating(kind) or types.is_integer(kind)
 
 
 def _array(name: str, column: Any) -> np.ndarray:
-    rows = column.to_pylist()
-    try:
-        return np.array(rows, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        widths = [len(row) if isinstance(row, list) else row for row in rows]
-        odd = next((number for number, width in enumerate(widths) if width != widths[0]), 0)
+    if not (_is_list(column.type) and len(column)):
+        return column.to_numpy().astype(np.float64)
+    compute = optional("pyarrow.compute")
+    widths = compute.list_value_length(column).to_numpy()
+    for odd in np.flatnonzero(widths != widths[0])[:1]:  # that of no list differs from itself
         raise DemonstrationError(
-            f"row {odd}, column {name} must hold numbers like row 0, got {rows[odd]}"
-        ) from error
+            f"row {odd}, column {name} must hold numbers like row 0, got "
+            f"{short(column[odd.item()].as_py())}"
+        )
+    numbers = compute.list_flatten(column).to_numpy().astype(np.float64)
+    return numbers.reshape(len(column), int(widths[0]))
 
 
 def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import struct
 import tokenize
 from collections.abc import Sequence
@@ -12,10 +13,19 @@ import numpy as np
 import torch
 
 from torch_pmil.demonstrations.dataset import Demonstrations
-from torch_pmil.demonstrations.errors import FILE_BYTES, DemonstrationError, content_of, readable
-from torch_pmil.demonstrations.formats.entries import choose
+from torch_pmil.demonstrations.errors import (
+    FILE_BYTES,
+    DemonstrationError,
+    check_count,
+    content_of,
+    readable,
+)
+from torch_pmil.demonstrations.formats.entries import check_entries, choose
 from torch_pmil.demonstrations.recordings import Recordings
 from torch_pmil.files import read_zip
+
+ARRAYS = ("positions", "time_step", "names", "targets", "target_names")
+HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 def read_npz(path: Path, keys: Sequence[str] = ()) -> Recordings:
@@ -41,9 +51,9 @@ def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
     with readable("NPZ file without object arrays", struct.error, tokenize.TokenError):
         members = read_zip(content, FILE_BYTES, stored=False)
         arrays = {
-            name.removesuffix(".npy"): _array(member)
-            for name, member in members.items()
-            if name.endswith(".npy")
+            name: _array(name, members[f"{name}.npy"])
+            for name in ARRAYS
+            if f"{name}.npy" in members
         }
     _check(arrays)
     names, targets = arrays["names"].tolist(), arrays.get("targets")
@@ -60,12 +70,18 @@ def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
     )
 
 
-def _array(content: bytes) -> np.ndarray:
+def _array(name: str, content: bytes) -> np.ndarray:
     """An array of what NumPy wrote, no larger than its bytes."""
-    array = np.load(io.BytesIO(content), allow_pickle=False)
-    if not isinstance(array, np.ndarray):
-        raise ValueError("an array must be in NumPy's format")
-    return array
+    file = io.BytesIO(content)
+    shape, _, kind = HEADERS[np.lib.format.read_magic(file)](file)
+    numbers = math.prod(shape)
+    check_count(numbers)
+    if kind.kind != "O" and not 0 < numbers * kind.itemsize == len(content) - file.tell():
+        raise ValueError(
+            f"array {name} must have the bytes of {shape} of {kind}, got "
+            f"{len(content) - file.tell()}"
+        )
+    return np.load(io.BytesIO(content), allow_pickle=False)
 
 
 def _check(arrays: dict[str, np.ndarray]) -> None:
@@ -76,7 +92,9 @@ def _check(arrays: dict[str, np.ndarray]) -> None:
         raise DemonstrationError("arrays positions and time_step must hold real numbers")
     if arrays["time_step"].shape != () or arrays["names"].ndim != 1:
         raise DemonstrationError("array time_step must be one number and names a list")
+    check_entries(len(arrays["names"]))
     targets, target_names = arrays.get("targets"), arrays.get("target_names", np.array([]))
     real = targets is None or targets.dtype.kind in "fiu"
     if not real or target_names.ndim != 1:
         raise DemonstrationError("array targets must hold real numbers and target_names be a list")
+    check_entries(len(target_names))

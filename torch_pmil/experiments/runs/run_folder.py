@@ -20,7 +20,7 @@ from torch import Tensor
 from torchrl.record.loggers import CSVLogger, Logger, get_logger
 from torchrl.record.loggers.mlflow import MLFlowLogger
 
-from torch_pmil.experiments.runs.summaries import RunError, is_finished
+from torch_pmil.experiments.runs.summaries import RunError, is_finished, words_of
 from torch_pmil.files import (
     FileError,
     read_json,
@@ -67,15 +67,15 @@ def write_origin(out: Path, source: dict[str, object]) -> None:
     write_json(out / "run.json", source)
 
 
-def read_command(folder: Path) -> str:
-    """The command that began a run.
+def read_command(folder: Path) -> list[str]:
+    """The words of the command that began a run.
 
     Raises:
         RunError: ``run.json`` is damaged.
         OSError: the folder has none.
     """
     try:
-        return str(read_json(folder / "run.json")["command"])
+        return words_of(read_json(folder / "run.json")["command"])
     except (ValueError, KeyError, TypeError) as error:
         raise RunError(f"{folder}: run.json is damaged: {error}") from error
 

@@ -20,6 +20,7 @@ from torch_pmil.experiments.runs.run_folder import (
     check_logger,
     check_resume,
 )
+from torch_pmil.files import LineError
 from torch_pmil.gp.checks import check_whole
 
 OPTIONAL = ("shape", "robot", "demonstrations", "logger")  # may be null
@@ -27,7 +28,7 @@ TEXTS = ("experiment", "shape", "robot", "demonstrations", "out", "logger")
 SWITCHES = ("resume", "overwrite")
 
 
-class SettingsError(ValueError):
+class SettingsError(LineError):
     """A setting is not as it must be; the message names it."""
 
 

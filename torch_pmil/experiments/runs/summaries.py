@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import math
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,16 +12,18 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import norm
 
-from torch_pmil.files import read_json, read_text
+from torch_pmil.files import LineError, read_json, read_text, short
 
 CONFIDENCE = 0.95
 ROUNDING = 1e-9  # of a mean of rates
+LARGEST = 1e9  # of a number, as the seconds of a run
+COMMAND = 16_384  # characters
 NUMBERS = ("seed", "wall_seconds", "saved_trial")
 COVERAGE = "two_sigma_coverage"  # of a method that predicts
 TEXTS = ("experiment", "stop_reason")
 
 
-class RunError(ValueError):
+class RunError(LineError):
     """A run's folder does not hold what a run leaves; the message names it."""
 
 
@@ -76,6 +78,22 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
+def words_of(command: object) -> list[str]:
+    """The words of a command line of a run.
+
+    Raises:
+        ValueError: it is none that a shell would take, or too long to be split: the time grows with
+            the square of its length.
+
+    Example:
+        >>> words_of("pmil train out='my run'")
+        ['pmil', 'train', 'out=my run']
+    """
+    if not isinstance(command, str) or len(command) > COMMAND:
+        raise ValueError(f"command must be text of at most {COMMAND} characters")
+    return shlex.split(command)
+
+
 def is_finished(folder: Path) -> bool:
     """Whether the run came to its end, that is, wrote its summary."""
     return (folder / "summary.json").is_file()
@@ -88,13 +106,13 @@ def read_summary(folder: Path) -> dict:
         RunError: it cannot be read, or lacks something, or has it wrong.
     """
     try:
-        summary = read_json(folder / "summary.json")
+        summary = read_json(folder / "summary.json", finite=True)
         _check_summary(summary)
     except OSError as error:
         raise RunError(f"{folder}: cannot read summary.json: {error.strerror}") from error
     except KeyError as error:
         raise RunError(f"{folder}: summary.json has no {error.args[0]!r}") from error
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise RunError(f"{folder}: summary.json is damaged: {error}") from error
     return summary
 
@@ -111,14 +129,13 @@ def _check_summary(summary: dict) -> None:
         _check_numbers(key, [summary[key]])
     for key in TEXTS:
         if not isinstance(summary[key], str):
-            raise ValueError(f"{key} must be text, got {summary[key]!r}")
+            raise ValueError(f"{key} must be text, got {short(summary[key])}")
 
 
-def _check_numbers(name: str, values: list, largest: float = math.inf) -> None:
-    wanted = "a number from 0" if largest == math.inf else f"a number from 0 to {largest}"
+def _check_numbers(name: str, values: list, largest: float = LARGEST) -> None:
     for value in values:
-        if not (isinstance(value, int | float) and math.isfinite(value) and 0 <= value <= largest):
-            raise ValueError(f"{name} must be {wanted}, got {value!r}")
+        if not (isinstance(value, int | float) and 0 <= value <= largest):
+            raise ValueError(f"{name} must be a number from 0 to {largest:g}, got {short(value)}")
 
 
 def count_trials(folder: Path) -> int:
@@ -128,7 +145,8 @@ def count_trials(folder: Path) -> int:
         RunError: it cannot be read.
     """
     try:
-        return sum(1 for _ in csv.DictReader(io.StringIO(read_text(folder / "metrics.csv"))))
+        rows = csv.reader(io.StringIO(read_text(folder / "metrics.csv")))
+        return max(0, sum(1 for row in rows if row) - 1)
     except (OSError, ValueError, csv.Error) as error:
         raise RunError(f"{folder}: metrics.csv is damaged: {error}") from error
 

@@ -69,7 +69,21 @@ def write_report(folder: Path | str) -> Path:
     folder = Path(folder)
     summary = read_summary(folder)
     page = folder / "report.html"
-    text = _template().render(
+    try:
+        text = _page(folder, summary)
+    except (RunError, OSError):
+        raise
+    except Exception as error:  # entries of other types fail in what says them, with any type
+        raise RunError(
+            f"{folder}: summary.json is damaged: {type(error).__name__}: {error}"
+        ) from error
+    with replacing(page) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return page
+
+
+def _page(folder: Path, summary: dict) -> str:
+    return _template().render(
         summary=summary,
         headline=headline(summary),
         pictures=_pictures(folder, summary),
@@ -77,9 +91,6 @@ def write_report(folder: Path | str) -> Path:
         tables=list(tables(summary)),
         steps=list(next_steps(summary, folder)),
     )
-    with replacing(page) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return page
 
 
 def _template() -> Template:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from torch_pmil.experiments.diagnosis.causes import LEARNED
+from torch_pmil.experiments.runs.summaries import words_of
 
 
 def headline(summary: dict) -> tuple[str, str]:
@@ -87,7 +88,7 @@ def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
 def _words(command: str) -> list[str]:
     """The words of a command line; one that no shell would take is one word."""
     try:
-        return shlex.split(command)
+        return words_of(command)
     except ValueError:
         return [command]
 

@@ -1,0 +1,119 @@
+"""The folder of a run that somebody made: its text executes nothing, takes no long and ends in a
+line.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.bounded import measured
+from tests.helpers.run_script import run_command
+from torch_pmil.cli.resume import overrides
+from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.experiments.runs.summaries import RunError, count_trials, read_summary
+
+TRIAL = {"trial": 1, "experience_s": 2.5, "success_rate": 0.5, "own_success": False}
+SUMMARY = {
+    "experiment": "double_pendulum",
+    "seed": 3,
+    "command": "pmil train seed=3",
+    "wall_seconds": 12.3,
+    "stop_reason": "limit of trials",
+    "experience_s": 5.0,
+    "saved_trial": 1,
+    "saved_success_rate": 0.5,
+    "saved_n_eval": 20,
+    "trials": [TRIAL],
+}
+
+
+def run_of(folder: Path, **changes: object) -> Path:
+    """A run whose summary and origin have other entries."""
+    (folder / "summary.json").write_text(json.dumps(SUMMARY | changes))
+    (folder / "run.json").write_text(json.dumps({"command": "pmil train"} | changes))
+    (folder / "metrics.csv").write_text("trial\n1\n")
+    return folder
+
+
+@pytest.mark.parametrize("command", ["x" * 3_000_000, "pmil train seed='1", 5, None, ["pmil"]])
+def test_command_that_no_shell_takes_is_refused_at_once(tmp_path: Path, command: object) -> None:
+    """Splitting one of four MiB takes minutes."""
+    folder = run_of(tmp_path, command=command)
+    (load,) = measured([lambda: overrides(folder, [])], RunError)
+    assert load.refusal is not None, load.failure
+    assert load.refusal.startswith(f"{folder}: run.json is damaged: ")
+
+
+def test_page_of_a_run_with_a_long_command_is_written_at_once(tmp_path: Path) -> None:
+    folder = run_of(tmp_path, command="x" * 3_000_000)
+    (load,) = measured([lambda: write_report(folder)], RunError)
+    assert not load.failure
+    assert load.refusal is None
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        "hydra.callbacks.evil._target_=os.mkdir",
+        "+hydra.callbacks.evil._target_=os.mkdir",
+        "hydra/launcher=evil",
+        "--config-dir=/tmp",
+        "-m",
+        "seed",
+        "~seed",
+    ],
+)
+def test_resumed_command_has_no_settings_but_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, word: str
+) -> None:
+    """Hydra calls what its own settings name, and its flags lead to other folders."""
+    folder = run_of(tmp_path, command=f"pmil train seed=3 '{word}'")
+    with pytest.raises(SystemExit) as stop:
+        run_command(monkeypatch, "resume", folder)
+    complaint = f"run.json is damaged: a setting must be NAME=VALUE, got '{word}'"
+    assert stop.value.code == f"error: {folder}: {complaint}"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"settings": [1]},
+        {"saved_n_eval": "many"},
+        {"versions": 5},
+        {"saved_success_rate_by_target": [1, 2]},
+        {"diagnosis": [5]},
+        {"rms_error": {"x": 1.0}, "demonstration_spread": {}},
+        {"trials": [TRIAL | {"gp_seconds": "long"}]},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_entry_of_another_type_is_damage(tmp_path: Path, changes: dict) -> None:
+    with pytest.raises(RunError, match=r"summary\.json is damaged: ") as error:
+        write_report(run_of(tmp_path, **changes))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("number", [10**400, 1e300, math.inf, math.nan], ids=lambda n: str(n)[:9])
+@pytest.mark.parametrize("entry", ["experience_s", "wall_seconds", "seed"])
+def test_number_beyond_all_bounds_is_damage(tmp_path: Path, entry: str, number: float) -> None:
+    with pytest.raises(RunError, match=r"summary\.json is damaged: ") as error:
+        read_summary(run_of(tmp_path, **{entry: number}))
+    assert len(str(error.value)) <= 1000
+
+
+def test_number_that_is_too_large_for_float64_is_damage(tmp_path: Path) -> None:
+    text = json.dumps(SUMMARY | {"rms_error": 7}).replace('"rms_error": 7', '"rms_error": 1e999')
+    (tmp_path / "summary.json").write_text(text)
+    with pytest.raises(RunError, match="must be JSON, got 1e999, which is not finite"):
+        read_summary(tmp_path)
+
+
+def test_rows_of_a_large_table_are_counted_at_once(tmp_path: Path) -> None:
+    (tmp_path / "metrics.csv").write_text("trial\n" + "1\n" * 2_000_000)
+    (load,) = measured([lambda: count_trials(tmp_path)], RunError)
+    assert not load.failure and load.megabytes < 100
+    assert count_trials(tmp_path) == 2_000_000

@@ -67,7 +67,7 @@ def resume(path: Path) -> None:
 
 
 def read_a_command(path: Path) -> None:
-    check_overrides(overrides(path.parent, []))
+    check_overrides(overrides(path.parent, []), sweep=False)
 
 
 def write_a_page(path: Path) -> None:

@@ -13,7 +13,7 @@ from scipy import stats
 from reproduction.figure9 import needed_runs, read_score, recorded_movements, results
 from torch_pmil.envs.biorob import START, TORQUE_LIMIT
 from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.experiments.tasks.biorob import REACH
+from torch_pmil.experiments.tasks.biorob_targets import REACH
 from torch_pmil.model.sampling_frequency import Recording
 
 

@@ -19,7 +19,7 @@ from torch_pmil.search.policy_search import SearchSettings
 
 NOISE_STD = (0.03, 0.03, 0.03, 0.3, 0.3, 0.3)  # rad, rad/s
 INPUT_WIDTHS = (0.2, 0.4, 0.6, 0.5, 2.0, 2.5)  # rad, rad/s
-REACH = (24.0, 34.0, 39.0)  # degrees around the start: as far as the demonstrations go
+LEAST_REACH = 6.0  # degrees, three times the standard deviation of a joint's start
 STIFFNESS = (20.0, 25.0, 10.0)  # N·m/rad
 # N·m·s/rad: more, held for 0.1 s, makes these light joints swing from limit to limit
 DAMPING = (0.5, 1.0, 0.3)
@@ -56,13 +56,31 @@ def holding_torques_at(states: Tensor) -> Tensor:
     return holding_torques(states[..., : len(JOINTS)])
 
 
-def movements_around(start: Tensor, u_max: Tensor) -> PDMovements:
+def demonstrated_reach(positions: Tensor, start: Tensor) -> Tensor:
+    """Whole degrees (3,) that demonstrated positions (..., 3), rad, go from the start.
+
+    A slow motion, or a joint that stays where it is, is explored by small movements.
+
+    Example:
+        >>> demonstrated_reach(torch.tensor([[0.0, 0.5, -0.2]]), torch.zeros(3))
+        tensor([ 6., 29., 12.])
+    """
+    farthest = (positions - start).abs().flatten(0, -2).amax(0)
+    return farthest.rad2deg().ceil().clamp(min=LEAST_REACH)
+
+
+def movements_around(start: Tensor, reach: Tensor, u_max: Tensor) -> PDMovements:
     """Simple movements around the start, 6 s in all, gravity compensated (Section 5.2.4).
 
     They are 3 times 2 s at 10 Hz, with a new target every 0.5 s.
+
+    Args:
+        start: state (6,).
+        reach: of the joints (3,), degrees.
+        u_max: torque limits (3,), N·m.
     """
     still = torch.zeros(len(JOINTS), dtype=torch.float64)
-    reach = torch.cat([torch.tensor(REACH, dtype=torch.float64).deg2rad(), still])
+    reach = torch.cat([reach.deg2rad(), still])
     pose = torch.cat([start[: len(JOINTS)], still])
     gains = [torch.tensor(gain, dtype=torch.float64).diag() for gain in (STIFFNESS, DAMPING)]
     gain = torch.cat(gains, 1)
@@ -104,7 +122,13 @@ def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
         error=distance_from_ball,
         tolerance=0.0,
         confirmations=4,
-        pd_movements=movements_around(env.initial_mean, u_max),
+        pd_movements=movements_around(
+            env.initial_mean,
+            demonstrated_reach(
+                demonstrations.positions[..., : len(JOINTS)], env.initial_mean[: len(JOINTS)]
+            ),
+            u_max,
+        ),
         input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64),
         holding_torques=holding_torques_at,
         search=SEARCH,

@@ -23,6 +23,7 @@ from torch_pmil.experiments.tasks.experiment import check_demonstrations, indepe
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 
 # factors of the widths for one ball: strikes at balls to the left and right differ in yaw
+REACH = (24.0, 34.0, 39.0)  # degrees, as far as the demonstrations of one ball go
 WIDENED = (2.0, 1.0, 1.0, 2.0, 1.0, 1.0)
 
 
@@ -64,6 +65,7 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
     check_demonstrations(demonstrations, space, env, TARGET_NAMES)
     u_max = env.action_spec.space.high
     widths, widened = torch.tensor([INPUT_WIDTHS, WIDENED], dtype=torch.float64)
+    reach = torch.tensor(REACH, dtype=torch.float64)
     return TargetExperiment(
         name="biorob_targets",
         make_env=robots_before_balls,
@@ -77,7 +79,7 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
         error=distance_from_ball,
         tolerance=0.0,
         confirmations=4,
-        pd_movements=replace(movements_around(env.initial_mean, u_max), rollouts=1),
+        pd_movements=replace(movements_around(env.initial_mean, reach, u_max), rollouts=1),
         input_widths=widths * widened,
         holding_torques=holding_torques_at,
         search=replace(SEARCH, final_iterations=60),

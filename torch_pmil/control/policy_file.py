@@ -31,7 +31,8 @@ from torch import Tensor
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.files import FileError, LineError, is_whole, load_tensors, replacing, short
+from torch_pmil.control.tensor_file import is_whole, load_tensors
+from torch_pmil.files import FileError, LineError, replacing, short
 
 FORMAT, FORMAT_VERSION = "torch_pmil policy", 1
 LISTS = {"names": str, "units": str, "angles": int, "target_names": str}

@@ -6,9 +6,7 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +15,13 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
-from torchrl.checkpoint import CheckpointError, CheckpointRotation
+from torchrl.checkpoint import CheckpointRotation
 from torchrl.envs import EnvBase
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
 
 from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.files import bounded_line
 from torch_pmil.gp.checks import check_positive, check_whole
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.experience import Experience, check_limits_of_state, widened
@@ -34,7 +31,7 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.archive import SavedRun
 from torch_pmil.trainer.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
-from torch_pmil.trainer.restoring import check_motion, check_run, check_state
+from torch_pmil.trainer.resumption import restore
 from torch_pmil.trainer.search_stepper import PolicySearchStepper
 from torch_pmil.trainer.trials import Candidate, Trial, success_rate
 
@@ -183,39 +180,11 @@ class PMILTrainer(Trainer):
         saved = saved or newest_undamaged(self.rotation)
         if saved is None:
             return None
-        try:
-            self._check(saved)
-        except CheckpointError as error:
-            older = self._one_before(saved)
-            if older is None:
-                raise
-            warnings.warn(f"{error}: the one before it is taken", RuntimeWarning, stacklevel=2)
-            return self.resume(older)
-        self._load(saved)
-        return saved.path
-
-    def _one_before(self, saved: SavedRun) -> SavedRun | None:
-        """The undamaged checkpoint of the same run before one, or None."""
-        if self.rotation is None:
-            return None
-        with suppress(CheckpointError):  # all of those are damaged
-            older = newest_undamaged(self.rotation, before=saved.path)
-            if older is not None and older.metadata == saved.metadata:
-                return older
-        return None
-
-    def _load(self, saved: SavedRun) -> None:
-        """Load a checkpoint that was checked; raise CheckpointError if a part cannot take it."""
-        components = self._sync_checkpoint_components().components
-        for name in sorted(components.keys() & saved.states.keys()):
-            try:
-                components[name].load_state_dict(saved.states[name])
-            except Exception as error:  # parts of TorchRL fail at other states with any type
-                reason = bounded_line(error) or type(error).__name__
-                raise CheckpointError(
-                    f"checkpoint {saved.path}: component {name} does not fit: {reason}"
-                ) from error
+        env, components = self.collector.env, self._sync_checkpoint_components().components
+        widths = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
+        loaded = restore(components, saved, self.rotation, widths)
         self.collector.update_policy_weights_()
+        return loaded.path
 
     def train(self) -> None:
         """Run Algorithm 1 to its end."""
@@ -264,26 +233,6 @@ class PMILTrainer(Trainer):
             return self.loss_module.per_step(self.initial).sum().item()
         except PredictionError:
             return float("inf")
-
-    def _check(self, saved: SavedRun) -> None:
-        """Raise CheckpointError unless a checkpoint fits this trainer's components."""
-        try:
-            self._check_states(self._sync_checkpoint_components().components, saved.states)
-        except (ValueError, TypeError, LookupError, RuntimeError) as error:
-            raise CheckpointError(f"checkpoint {saved.path}: {bounded_line(error)}") from error
-
-    def _check_states(self, components: Mapping[str, Any], saved: Mapping[str, Any]) -> None:
-        """Raise StateError or PolicyFileError unless saved states fit components."""
-        check_run({name: part.state_dict() for name, part in components.items()}, saved)
-        env = self.collector.env
-        widths = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
-        experience, latest = saved["trainer_module.experience"], saved["collector"]["latest"]
-        if experience["count"]:
-            count = (experience["count"],)
-            check_motion("experience", count, experience["transitions"], *widths)
-        if latest is not None:
-            check_state("collector.latest", {"entries": {}, "shape": []}, latest)
-            check_motion("collector.latest", latest["shape"], latest["entries"], *widths)
 
     def _register_state(
         self, policy_generator: torch.Generator, generator: torch.Generator

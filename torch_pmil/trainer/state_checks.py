@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.policy_file import policy_of
-from torch_pmil.files import LineError, is_whole, short
+from torch_pmil.control.tensor_file import is_whole
+from torch_pmil.files import LineError, short
 from torch_pmil.trainer.trials import Candidate, Trial
 
 NUMPY_WORDS = 624  # of the state of NumPy's generator, of which an index goes on
@@ -77,12 +78,13 @@ def check_model(place: str, state: Mapping[str, Tensor]) -> None:
             )
 
 
-def check_run(fresh: Mapping[str, Any], saved: Mapping[str, Any]) -> None:
+def check_run(fresh: Mapping[str, Any], saved: Mapping[str, Any], widths: tuple[int, int]) -> None:
     """Check the states of all components of a trainer.
 
     Args:
         fresh: the states of the components of a new trainer.
         saved: those of a checkpoint.
+        widths: numbers of entries of the robot's observation and of its action.
 
     Raises:
         StateError: a component is missing, or does not fit.
@@ -100,6 +102,7 @@ def check_run(fresh: Mapping[str, Any], saved: Mapping[str, Any]) -> None:
     if not 0 <= saved["rng"]["numpy"][2] <= NUMPY_WORDS:
         raise StateError(f"rng.numpy[2] must be 0 to {NUMPY_WORDS}, got {saved['rng']['numpy'][2]}")
     _check_progress(fresh["policy"], saved["trainer_module.progress"], inputs)
+    _check_motions(saved["trainer_module.experience"], saved["collector"]["latest"], *widths)
 
 
 def check_motion(place: str, shape: Sequence[int], entries: Any, states: int, torques: int) -> None:
@@ -117,6 +120,15 @@ def check_motion(place: str, shape: Sequence[int], entries: Any, states: int, to
     ):
         wanted = torch.empty((*shape, width), dtype=torch.float64, device="meta")
         _check_tensor(f"{place}.{name}", wanted, value)
+
+
+def _check_motions(experience: Any, latest: Any, states: int, torques: int) -> None:
+    if experience["count"]:
+        count = (experience["count"],)
+        check_motion("experience", count, experience["transitions"], states, torques)
+    if latest is not None:
+        check_state("collector.latest", {"entries": {}, "shape": []}, latest)
+        check_motion("collector.latest", latest["shape"], latest["entries"], states, torques)
 
 
 def _check_tensor(place: str, fresh: Tensor, saved: Any) -> None:

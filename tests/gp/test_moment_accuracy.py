@@ -61,6 +61,14 @@ def test_errors_are_below_their_estimates(unchecked: None, seed: int) -> None:
     assert_estimates_hold(seed, most_data=40)
 
 
+def test_error_far_from_all_data_is_below_its_estimate(unchecked: None, draws: Draws) -> None:
+    """There the variance is the prior's, as rounded."""
+    x, one = draws.normal(5, 1), torch.ones(1, dtype=torch.float64)
+    data = x, draws.normal(1, 5), one[:, None], 0.1 * one, 1e-6 * one
+    f, far = KernelExpansion.from_data(*data), wide(torch.full((1,), 40.0, dtype=torch.float64))
+    assert max(errors_over_estimates(moment_match(f, far), f, ExactMoments(*data), far)) < 1
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1000, 2000))
 def test_errors_of_a_thousand_problems_are_below_their_estimates(

@@ -2,14 +2,14 @@ r"""Rounding errors of the moments of GPs and RBF networks, and what they refuse
 
 The variance (Eq. 16) is what remains of :math:`\alpha^2 - \operatorname{tr}(K^{-1} Q) + \beta^\top
 Q \beta - \mu^2`, a sum of terms :math:`W_{ij} Q_{ij}` whose weights grow with the condition number
-of K. It is lost in three ways, which the estimate adds:
+of K. It is lost in four ways, which the estimate adds:
 
 .. math::
     \Delta_{ab} = c \, \varepsilon \Big[
         \big\| W \circ Q \circ T \big\|_F
         + \kappa_a \big\| K_a^{-1} (Q \beta_b - q_a \mu_b) \big\|
         + |\mu_a| \textstyle\sum_j |\beta_{bj}| q_{bj} t_{bj}
-        + (a \leftrightarrow b) \Big]
+        + (a \leftrightarrow b) + \alpha_a^2 \delta_{ab} \Big]
 
 1. Each Q_ij is a rounded exponential. T_ij is one plus the size of the terms of its exponent, t_j
    the same for q_j (Eq. 15). The errors are independent, so that their squares add up.
@@ -17,6 +17,7 @@ of K. It is lost in three ways, which the estimate adds:
    :math:`-K^{-1} \delta K \beta`. With the largest T of K as h, :math:`\kappa = \alpha^2 h
    \|\beta\|` bounds :math:`\delta K \beta`.
 3. The mean is rounded before it is squared.
+4. The sum is rounded, whose largest term is the prior variance where the data are far.
 
 The mean and its gradient have the estimates of ways 2 and 3, with q and its gradient in the place
 of the brackets of way 2.
@@ -92,6 +93,7 @@ class _Rounding:
         sizes: the summands |beta_i| q_i t_i of the rounding of a mean, (N, E, n).
         rounded: their sums, (N, E).
         kappa: bound of a Cholesky factor's error times beta, (E,).
+        prior: variances from which the sums are subtracted, (E,).
     """
 
     def __init__(self, f: KernelExpansion, integrals: GaussianIntegrals) -> None:
@@ -102,8 +104,9 @@ class _Rounding:
         t = 1 + (f.log_signal_variance[:, None] - log_q).abs()
         self.sizes = self.beta.abs() * self.q * t
         self.rounded = self.sizes.sum(-1)
-        self.kappa = torch.zeros_like(f.signal_variance)
+        self.kappa = self.prior = torch.zeros_like(f.signal_variance)
         if f.gram_inverse is not None:
+            self.prior = f.signal_variance
             scaled = (f.inputs - f.inputs.mean(0)) / f.lengthscales[:, None]
             h = 1 + scaled.square().sum(-1).amax(-1)
             self.kappa = f.signal_variance * h * f.weights.norm(dim=-1)
@@ -129,7 +132,8 @@ class _Rounding:
         exponentials = f.self_weights_norm * g.amax(-1) * h.amax(-1)
         through_factor = 2 * self.kappa * signal_to_noise(f) * (2 * variances).sqrt()
         of_mean = 2 * self.mu.abs() * self.rounded
-        return bool((variances > unit * (exponentials + through_factor + of_mean)).all())
+        errors = exponentials + through_factor + of_mean + self.prior
+        return bool((variances > unit * errors).all())
 
     def second_moments(self, count: int) -> Tensor:
         """Errors of the covariances of the first ``count`` pairs of outputs, (N, count).
@@ -156,7 +160,9 @@ class _Rounding:
         through_factors = self.kappa[a] * self.solved(of_a, a)[..., 0]
         through_factors = through_factors + self.kappa[b] * self.solved(of_b, b)[..., 0]
         of_means = mu[:, a].abs() * rounded[:, b] + mu[:, b].abs() * rounded[:, a]
-        return torch.linalg.matrix_norm(W * Q * T) + through_factors + of_means
+        errors = torch.linalg.matrix_norm(W * Q * T) + through_factors + of_means
+        errors[:, : f.num_outputs] += self.prior
+        return errors
 
 
 @torch.no_grad()

@@ -75,7 +75,8 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False) -> Problem:
     """
     experiment = load_experiment("double_pendulum")
     if raw_angles:
-        experiment = replace(experiment, space=replace(experiment.space, angles=()))
+        space = replace(experiment.space, angles=())
+        experiment = replace(experiment, space=space, least_widths=None)
     generator = torch.Generator().manual_seed(SEED)
     states, torques, successors = random_transitions(experiment, n, generator)
     inputs = torch.cat([experiment.space.features(states), torques], -1)

@@ -127,6 +127,7 @@ def variations() -> dict[str, Variation]:
         "noise_0.1m": {"noise_std": 0.1},
         "plain_angles": {
             "space": replace(task.space, angles=()),
+            "least_widths": None,
             "demonstrated_states": near_start(task),
         },
         "successors": {"targets": "successor"},

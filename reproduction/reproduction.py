@@ -149,8 +149,7 @@ def finish(runs: Sequence[Run], command: str) -> None:
         command: said in their summaries.
 
     Raises:
-        RunError: some failed, after the others were given their time; the message has a line for
-            each.
+        RunError: some failed, after the others were given their time; the message names each.
     """
     missing = [run for run in runs if not is_finished(run.out)]
     if not missing:
@@ -160,7 +159,7 @@ def finish(runs: Sequence[Run], command: str) -> None:
     ended = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(attempts)
     complaints = list(filter(None, tqdm(ended, total=len(missing), unit="run")))
     if complaints:
-        raise RunError("\n".join(sorted(complaints)))
+        raise RunError("; ".join(sorted(complaints)))
 
 
 def _attempt(run: Run, command: str) -> str | None:

@@ -235,15 +235,17 @@ def read_zip(content: bytes, most: int, stored: bool = True) -> dict[str, bytes]
 def bounded_line(message: object) -> str:
     """A message without line breaks and control characters, and without its middle if it is long.
 
+    An error that says nothing is told by its type.
+
     Example:
         >>> bounded_line(ValueError("first\\nsecond\\x1b[31m"))
         'first second [31m'
     """
-    text = str(message)
+    text = str(message).strip() or type(message).__name__
     if len(text) > LINE:
         half = LINE // 2 - 3
         text = f"{text[:half]} .... {text[-half:]}"
-    return "".join(letter if letter.isprintable() else " " for letter in text)
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
 def short(value: object) -> str:

@@ -33,7 +33,7 @@ CHANGED = {
     "random_centres": {"random_centres"},
     "noise_0.02m": {"noise_std"},
     "noise_0.1m": {"noise_std"},
-    "plain_angles": {"space", "demonstrated_states"},
+    "plain_angles": {"space", "demonstrated_states", "least_widths"},
     "successors": {"targets"},
     "particles": {"prediction"},
 }

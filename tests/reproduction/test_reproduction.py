@@ -112,7 +112,7 @@ def test_finished_runs_are_not_run_again() -> None:
 
 
 @pytest.mark.usefixtures("one_process")
-def test_failed_runs_are_named_a_line_each_after_the_others_were_run() -> None:
+def test_failed_runs_are_named_after_the_others_were_run() -> None:
     runs = [
         Run(Path("runs/bad"), fail),
         *toy_runs(Path("runs"), False),
@@ -120,7 +120,7 @@ def test_failed_runs_are_named_a_line_each_after_the_others_were_run() -> None:
     ]
     with pytest.raises(RunError) as error:
         finish(runs, COMMAND)
-    assert str(error.value) == "runs/bad: no good\nruns/worse: no good"
+    assert str(error.value) == "runs/bad: no good; runs/worse: no good"
     assert all((run.out / "summary.json").exists() for run in runs[1:3])
 
 

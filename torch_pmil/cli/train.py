@@ -48,8 +48,9 @@ from torch_pmil.experiments.runs.settings import (
 )
 from torch_pmil.experiments.runs.summaries import is_finished
 from torch_pmil.experiments.runs.sweep import register_launchers
-from torch_pmil.experiments.runs.telling import one_line, tell, warn_incomplete
+from torch_pmil.experiments.runs.telling import tell, warn_incomplete
 from torch_pmil.experiments.runs.training import RunResult, train
+from torch_pmil.files import bounded_line
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import Trial
 
@@ -166,7 +167,7 @@ def show(label: str, experiment: Experiment, result: RunResult, out: Path) -> No
     failures = tell(steps_of(experiment, result, out))
     print_summary(label, result.summary, out)
     if lost := lost_output():
-        failures.append(f"standard output: {one_line(lost)}")
+        failures.append(f"standard output: {bounded_line(lost)}")
     if not is_finished(out):
         fail(f"{label}error: {out} was removed or renamed: what was learned is not there", label)
     warn_incomplete(label, failures, out)

@@ -42,9 +42,8 @@ def restore(
         try:
             components[name].load_state_dict(fitting.states[name])
         except Exception as error:  # parts of TorchRL fail at other states with any type
-            reason = bounded_line(error) or type(error).__name__
             raise CheckpointError(
-                f"checkpoint {fitting.path}: component {name} does not fit: {reason}"
+                f"checkpoint {fitting.path}: component {name} does not fit: {bounded_line(error)}"
             ) from error
     return fitting
 

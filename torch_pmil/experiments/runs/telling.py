@@ -7,8 +7,9 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from torch_pmil.files import bounded_line
+
 Step = tuple[str, Callable[[], object]]  # what it makes, and how
-LONGEST = 300  # characters of a failure
 
 
 def tell(steps: Iterable[Step]) -> list[str]:
@@ -32,16 +33,10 @@ def tell(steps: Iterable[Step]) -> list[str]:
         except KeyboardInterrupt:
             stopped = True
         except Exception as error:  # whatever it is: what was learned is saved
-            failures.append(f"{name}: {one_line(error)}")
+            failures.append(f"{name}: {bounded_line(error)}")
         if stopped:
             failures.append(f"{name}: stopped")
     return failures
-
-
-def one_line(error: BaseException) -> str:
-    """The message of an error in one line, or its type where it has none."""
-    words = " ".join(str(error).split()) or type(error).__name__
-    return words if len(words) <= LONGEST else f"{words[:LONGEST]} ..."
 
 
 def warn_incomplete(label: str, failures: list[str], out: Path) -> None:

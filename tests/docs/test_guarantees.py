@@ -9,12 +9,12 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "guarantees.md").read_text()
-ROWS = [line for line in TEXT.splitlines() if line.startswith("| ") and "---" not in line]
+ROWS = [line for line in TEXT.partition("## Quiet motions")[0].splitlines() if line[:2] == "| "]
 NAMED = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", TEXT)
 
 
 def test_every_promise_names_a_test() -> None:
-    promises = [row for row in ROWS if not row.startswith("| promise")]
+    promises = [row for row in ROWS if not row.startswith(("| promise", "| ---"))]
     assert len(promises) > 15
     assert [row for row in promises if "`tests/" not in row] == []
 

@@ -409,10 +409,12 @@ class ScriptedSearches:
         """Number of the search whose policy the loss holds."""
         return int(self.loss.actor_network.weights[0, 0].item())
 
-    def step(self) -> int:
-        """One trial's search; number of the one whose policy was kept."""
+    def step(self, failed: bool = False) -> int:
+        """One trial's search, after a rollout that may have failed; number of the kept policy's."""
         start = TensorDict({"observation": {"mean": torch.zeros(4), "var": torch.eye(4)}})
-        loss = self.stepper.step(SimpleNamespace(loss_module=self.loss), start)["loss_kl"]
+        trials = [SimpleNamespace(own_success=True), SimpleNamespace(own_success=not failed)]
+        trainer = SimpleNamespace(loss_module=self.loss, trials=trials)
+        loss = self.stepper.step(trainer, start)["loss_kl"]
         assert loss.item() == self.stepper.result.loss
         return self.kept
 
@@ -433,6 +435,14 @@ def test_search_that_makes_progress_is_the_only_one(
         [1],
         False,
     )
+
+
+def test_matching_the_whole_horizon_is_not_enough_after_a_rollout_that_failed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scripted = ScriptedSearches(monkeypatch, [(100.0, 4, True), (SLOW, 4, True), (1.0, 4, True)])
+    assert [scripted.step(), scripted.step(failed=True)] == [1, 3]
+    assert (scripted.refitted_from, scripted.stepper.refitted) == ([2], True)
 
 
 @pytest.mark.parametrize(("refitted", "kept"), [(50.0, 3), (99.0, 2)], ids=["better", "worse"])

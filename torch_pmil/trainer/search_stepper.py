@@ -30,7 +30,8 @@ class PolicySearchStepper(OptimizationStepper):
     A search starts from the policy that the last one left. Where it neither matches the whole
     horizon nor brings the loss well below the least so far, a second search starts from the
     refitted policy (:func:`refit_policy`). Where that brings no more, others start from random
-    policies if the settings say so. The best one is kept.
+    policies if the settings say so. The best one is kept. After a rollout that failed it does not
+    suffice to match the whole horizon: an optimum far above others may do so too.
 
     Args:
         settings: budget and horizon of a search.
@@ -69,11 +70,12 @@ class PolicySearchStepper(OptimizationStepper):
 
         first = self._least == math.inf
         self.result = search_policy(loss, initial, self.settings, self.report, random=first)
-        self.refitted = not self._enough()
+        failed = not all(trial.own_success for trial in trainer.trials[-1:])
+        self.refitted = not self._enough(failed)
         if self.refitted:
             self._search_also(loss, initial, refit)
         for _ in range(self.settings.restarts):
-            if not self._enough():
+            if not self._enough(failed):
                 self._search_also(loss, initial, restart, random=True)
         self._least = min(self._least, self.result.loss)
         return TensorDict({loss.out_keys[0]: torch.tensor(self.result.loss, dtype=torch.float64)})
@@ -86,8 +88,9 @@ class PolicySearchStepper(OptimizationStepper):
         """Restore what :meth:`state_dict` gave."""
         self._least = state_dict["least"]
 
-    def _enough(self) -> bool:
-        return self.result.complete or self.result.loss < PROGRESS * self._least
+    def _enough(self, failed: bool) -> bool:
+        progress = self.result.loss < PROGRESS * self._least
+        return progress or (self.result.complete and not failed)
 
     def _search_also(
         self,

@@ -142,7 +142,7 @@ def test_bare_parameters_of_an_older_run_are_refused(policy: RBFPolicy, tmp_path
     [
         ([1.0], "a list"),
         (torch.zeros(3), "a Tensor"),
-        ({}, "entries "),
+        ({}, "entries none"),
         ({"format": "other"}, "entries format"),
     ],
 )

@@ -164,7 +164,7 @@ def _loaded(path: Path | str) -> dict:
     if entries.get("format") != FORMAT:
         found = f"a {type(content).__name__}"
         if isinstance(content, dict):
-            found = f"entries {_listed(list(entries)[:5])}"
+            found = f"entries {_listed(list(entries)[:5]) or 'none'}"
         raise PolicyFileError(
             f"must be a file of save_policy, with the entry format = {FORMAT!r}, got {found}"
         )

@@ -15,7 +15,7 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, normal, symmetric
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import check_finite, check_start
+from torch_pmil.model.rollout import check_finite, check_start_belief
 
 LARGEST_SEED = 2**63 - 1
 
@@ -53,10 +53,10 @@ def sample_trajectories(
         States at t = 1..T, (count, *batch, T, D).
 
     Raises:
-        ValueError: there is no step or no particle, or as of :func:`check_start`.
+        ValueError: there is no step or no particle, or as of :func:`check_start_belief`.
         NotPositiveDefiniteError: the covariance of ``initial`` is none.
     """
-    check_start(initial, "initial", dynamics, space)
+    check_start_belief(initial, "initial", dynamics, space)
     check_whole("horizon", horizon, 1)
     check_whole("count", count, 1)
     controller, state, states = policy.controller, initial.sample(count, generator), []

@@ -57,9 +57,9 @@ def predict_step(
         Belief over the next state.
 
     Raises:
-        ValueError, NotPositiveDefiniteError: as of :func:`check_start`.
+        ValueError, NotPositiveDefiniteError: as of :func:`check_start_belief`.
     """
-    check_start(state, "state", dynamics, space)
+    check_start_belief(state, "state", dynamics, space)
     return _propagate(
         state,
         controller.on_belief,
@@ -129,7 +129,7 @@ def predict_trajectory(
             state that is not finite.
     """
     try:
-        check_start(initial, "initial", dynamics, space)
+        check_start_belief(initial, "initial", dynamics, space)
     except NotPositiveDefiniteError as error:
         raise PredictionError(f"prediction of step 1 of {horizon} failed: {error}", 1) from error
     check_whole("horizon", horizon, 1)
@@ -143,7 +143,9 @@ def predict_trajectory(
     return trajectory
 
 
-def check_start(belief: Gaussian, name: str, dynamics: GPDynamics, space: StateSpace) -> None:
+def check_start_belief(
+    belief: Gaussian, name: str, dynamics: GPDynamics, space: StateSpace
+) -> None:
     """Refuse a belief from which nothing can be predicted.
 
     Raises:

@@ -25,7 +25,7 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.checks import check_positive, check_whole
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.experience import Experience, check_limits_of_state, widened
-from torch_pmil.model.rollout import PredictionError, check_start
+from torch_pmil.model.rollout import PredictionError, check_start_belief
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.archive import SavedRun
@@ -113,7 +113,7 @@ class PMILTrainer(Trainer):
         _check_kind("search", search, SearchSettings)
         _check_kind("policy_generator", policy_generator, torch.Generator)
         _check_kind("generator", generator, torch.Generator)
-        check_start(initial, "initial", loss_module.dynamics, loss_module.space)
+        check_start_belief(initial, "initial", loss_module.dynamics, loss_module.space)
         check_limits_of_state(limits, loss_module.space.dim)
         horizon = loss_module.horizon
         self.explored = env.batch_size.numel() * exploration.rollouts * exploration.steps

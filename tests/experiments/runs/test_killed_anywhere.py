@@ -1,7 +1,8 @@
 """A run that is killed at any of its file operations goes on and leaves what no kill would change.
 
 A run is what ``pmil train`` makes: checkpoints, logs, policy, model, numbers, figures, video, GIF
-and report.
+and report. PyTorch's gradients do not work in a process that was forked from one in which they had
+threads, so that this file is for a process of its own: ``test_killed.py`` starts one.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.plotting.video import write_video
 from torch_pmil.search.policy_search import SearchSettings
 
+pytestmark = pytest.mark.slow
 STEPS = 2
 COMMAND = ["pmil", "train", f"seed={SEED}", f"trials={TRIALS}"]
 
@@ -50,8 +52,11 @@ def small_film(experiment: Experiment, result: RunResult, path: Path) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick() -> Iterator[None]:
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Learning, figures and a video of a second together."""
+    gradient = torch.ones(1, requires_grad=True).sum().backward
+    if end_of(fork(gradient, tmp_path_factory.mktemp("gradient") / "log")) != 0:
+        pytest.skip("other tests were run in this process before")
     with pytest.MonkeyPatch.context() as patch:
         quick_fits(patch)
         patch.setattr(training, "EVALUATION_STARTS", 2)
@@ -173,7 +178,6 @@ def test_run_that_is_killed_again_and_again_goes_on_to_the_same_files(
     assert differences(left_in(folder), undisturbed.left) == []
 
 
-@pytest.mark.slow
 def test_run_that_is_killed_anywhere_goes_on_to_the_same_files(undisturbed: Undisturbed) -> None:
     assert killed(undisturbed, 200) == []
 

@@ -103,6 +103,24 @@ def stop_in(patch: pytest.MonkeyPatch, phase: str, count: int, stop: Callable[[]
     patch.setattr(owner, name, staticmethod(stopping) if name == "_publish_path" else stopping)
 
 
+class Stopped(BaseException):
+    """As sudden as a kill, inside one process."""
+
+
+def stop() -> None:
+    """End whatever is going on."""
+    raise Stopped
+
+
+def stopped_run(folder: Path, phase: str, count: int) -> Path:
+    """The folder of a run that was stopped where a phase is reached for the COUNT-th time."""
+    with pytest.MonkeyPatch.context() as patch:
+        stop_in(patch, phase, count, stop)
+        with pytest.raises(Stopped):
+            run(folder)
+    return folder
+
+
 def wait_to_be_killed() -> None:
     """Say so, and never go on."""
     print("stopped", flush=True)

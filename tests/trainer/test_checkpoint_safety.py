@@ -20,7 +20,14 @@ from tensordict import NonTensorData, TensorDict
 from torchrl.checkpoint import Checkpoint, CheckpointError, GlobalRNGState
 
 from tests.helpers.hostile import Trap, members_of, write_members
-from tests.helpers.short_run import SEED, TRIALS, quick_fits, run, short_experiment, stop_in
+from tests.helpers.short_run import (
+    SEED,
+    TRIALS,
+    quick_fits,
+    run,
+    short_experiment,
+    stopped_run,
+)
 from torch_pmil.experiments.runs.training import make_trainer
 from torch_pmil.trainer.archive import read_archive
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in, saved_checkpoints
@@ -33,14 +40,6 @@ EXPERIENCE = "components/0005-trainer_module.experience"
 SECONDS = 5
 
 
-class Stopped(BaseException):
-    """As sudden as a kill, inside one process."""
-
-
-def stop() -> None:
-    raise Stopped
-
-
 @pytest.fixture(scope="module", autouse=True)
 def quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
@@ -51,11 +50,7 @@ def quick() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that was stopped in the search of its second trial."""
-    folder = tmp_path_factory.mktemp("runs") / "stopped"
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
-        stop_in(patch, "search", 10, stop)
-        run(folder)
-    return folder
+    return stopped_run(tmp_path_factory.mktemp("runs") / "stopped", "search", 10)
 
 
 @pytest.fixture

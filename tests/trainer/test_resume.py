@@ -15,7 +15,18 @@ import torch
 from torch import Tensor
 
 from reproduction.robustness import with_noise
-from tests.helpers.short_run import PD_MOVEMENTS, SEED, STEPS, TRIALS, quick_fits, run, stop_in
+from tests.helpers.short_run import (
+    PD_MOVEMENTS,
+    SEED,
+    STEPS,
+    TRIALS,
+    Stopped,
+    quick_fits,
+    run,
+    stop,
+    stop_in,
+    stopped_run,
+)
 from torch_pmil.experiments import EXPERIMENTS, load_experiment
 from torch_pmil.experiments.runs.run_folder import FinishedRunError, UnfinishedRunError
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
@@ -39,14 +50,6 @@ STOPS = (
     ("fit", 4 * TRIALS + 1),  # all trials are done, the best policy is chosen
 )
 FEW = (STOPS[1], STOPS[6], STOPS[7], STOPS[-1])  # one of each phase that writes no file
-
-
-class Stopped(BaseException):
-    """As sudden as a kill, inside one process."""
-
-
-def stop() -> None:
-    raise Stopped
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -73,14 +76,6 @@ def stopped_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def stopped(stopped_once: Path, tmp_path: Path) -> Path:
     """A run that was stopped in a search after the first trial."""
     return shutil.copytree(stopped_once, tmp_path / "stopped")
-
-
-def stopped_run(folder: Path, phase: str, count: int) -> Path:
-    with pytest.MonkeyPatch.context() as patch:
-        stop_in(patch, phase, count, stop)
-        with pytest.raises(Stopped):
-            run(folder)
-    return folder
 
 
 def tensors(path: Path) -> dict[str, Tensor]:

@@ -13,9 +13,8 @@ import torch
 from torch_pmil.files import MIB, FileError, read_bytes, read_zip
 
 TENSOR_BYTES = 64 * MIB  # of policy.pt and dynamics.pt, some 50 kB
-PICKLE_BYTES = (
-    64 * 2**10
-)  # of their data.pkl, some 2 kB; keys of one hash take their number squared
+# of their data.pkl, some 2 kB; keys of one hash take the square of their number
+PICKLE_BYTES = 64 * 2**10
 STORAGES = ["Double", "Float", "Half", "BFloat16", "Long", "Int", "Short", "Char", "Byte", "Bool"]
 # all that the pickle of a dictionary of tensors, lists and numbers names; torch.load takes more, as
 # bytearray(10**12)

@@ -343,8 +343,7 @@ def _check_data(
             raise ValueError(
                 f"{name} must be a float like inputs ({inputs.dtype}), got {values.dtype}"
             )
-        if not values.isfinite().all():
-            raise ValueError(f"{name} must be finite, got {values[~values.isfinite()][0].item()}")
+        check_finite_entries(name, values)
     offsets = torch.as_tensor(offset)
     if offsets.shape not in ((), (E,)) or not offsets.isfinite().all():
         raise ValueError(f"offset must be finite, and a number or {(E,)}, got {offset}")

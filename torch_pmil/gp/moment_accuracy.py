@@ -55,8 +55,7 @@ def rounding_errors(f: KernelExpansion, belief: Gaussian) -> Moments:
     """Estimates of the absolute rounding errors of the moments of ``f`` at a Gaussian input.
 
     They are above the errors, some thirty times as a rule, and cost several calls of
-    :func:`moment_match`. How exact the data and the hyper-parameters are is no
-    part of them.
+    :func:`moment_match`. How exact the data and the hyper-parameters are is no part of them.
 
     Args:
         f: a GP posterior or an RBF network.

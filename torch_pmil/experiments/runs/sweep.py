@@ -21,6 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from torch_pmil.experiments import run_name
+from torch_pmil.experiments.runs.settings import first_line
 
 # the package's extra that installs a launcher, by the launcher's module
 EXTRAS = {"hydra_ray_launcher": "ray", "hydra_submitit_launcher": "slurm"}
@@ -61,7 +62,7 @@ class SweepCheck(Callback):
             with suppress(CompactHydraException):
                 complaint = complaint or shared_folder(config)
         except OmegaConfBaseException as error:
-            complaint = f"out cannot be read: {str(error).partition(chr(10))[0]}"
+            complaint = f"out cannot be read: {first_line(error)}"
         if complaint:
             sys.exit(f"error: {complaint}")
 

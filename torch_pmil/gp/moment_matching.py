@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import gpytorch
 import torch
-from torch import Tensor
 
 from torch_pmil.gp.exponential_sums import ExponentialSum
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, check_belief
@@ -34,7 +33,6 @@ def moment_match(
     model: KernelExpansion | gpytorch.models.ExactGP,
     belief: Gaussian,
     observation_noise: bool = False,
-    products: tuple[Tensor, Tensor] | None = None,
 ) -> Moments:
     r"""Mean, covariance and input-output covariance of a GP or RBF network at a Gaussian input.
 
@@ -48,8 +46,6 @@ def moment_match(
         belief: belief over the D inputs, any batch shape; its covariance may be singular or zero.
         observation_noise: whether to add the likelihood's noise to the variances (Eq. 5), for the
             distribution of an observation.
-        products: ``RecordedMoments.products`` of the same model at the same beliefs, which save
-            nearly all of the work.
 
     Returns:
         Moments in the units of the outputs.
@@ -80,50 +76,41 @@ def moment_match(
     f = model if isinstance(model, KernelExpansion) else KernelExpansion.from_exact_gp(model)
     if observation_noise and f.noise_variance is None:
         raise ValueError("observation_noise must be False for a deterministic function, got True")
-    if products is None:
-        check_belief(belief, "belief", f.inputs, NO_VARIANCE * f.lengthscales.detach().amin() ** 2)
+    check_belief(belief, "belief", f.inputs, NO_VARIANCE * f.lengthscales.detach().amin() ** 2)
     beliefs = belief.flattened
     try:
         integrals = GaussianIntegrals.of(f, beliefs)
     except NotPositiveDefiniteError:
         f.check_parameters()  # the cause, if a lengthscale is zero or not finite
         raise
-    sums = (f.weights * integrals.q) @ integrals.nu1.mT  # sum_i beta_i q_i [nu_i, 1], (N, E, D + 1)
-    second = ExponentialSum.apply(
-        integrals.left, integrals.right, *f.pair_weights, f.self_weights, f.num_inputs, products
-    )
-    slope = first_slope(integrals.precision, sums)
-    moments = combine(f, sums[..., -1], slope, second, observation_noise)
-    if f.gram_inverse is not None and products is None:
+    moments = _combine(f, integrals, observation_noise)
+    if f.gram_inverse is not None:
         check_variances(f, integrals, moments.cov.diagonal(dim1=-2, dim2=-1))
-    if products is None and not moments.mean.isfinite().all():
+    if not moments.mean.isfinite().all():
         f.check_parameters()
     return moments.unflatten(belief.batch_shape)
 
 
-def first_slope(precision: Tensor, sums: Tensor) -> Tensor:
-    r"""Gradient of the mean, Sigma^-1 cov(x, f) = B sum_i beta_i q_i nu_i, (N, E, D).
-
-    Args:
-        precision: B of all integrals, (N, E + P, D, D).
-        sums: sum_i beta_i q_i [nu_i, 1] of each output, (N, E, D + 1).
-    """
-    return (precision[:, : sums.shape[1]] @ sums[..., :-1, None]).squeeze(-1)
-
-
-def combine(
-    f: KernelExpansion, mean: Tensor, slope: Tensor, second: Tensor, observation_noise: bool
+def exact_moments(
+    f: KernelExpansion, belief: Gaussian, observation_noise: bool = False
 ) -> Moments:
-    r"""Moments at N beliefs from uncentred second moments (Eq. 16), with the offsets added.
+    """:func:`moment_match` at N beliefs without its checks, for the steps of a prediction.
 
-    Args:
-        f: the expansion whose moments they are.
-        mean: means without offsets (Eq. 14), (N, E).
-        slope: Sigma^-1 cov(x, f) as in :func:`first_slope`, (N, E, D).
-        second: E[f_a f_b] of each pair of outputs, without offsets and prior variance, (N, P).
-        observation_noise: as in :func:`moment_match`.
+    Raises:
+        NotPositiveDefiniteError: a covariance has a clearly negative eigenvalue or is not finite.
     """
+    return _combine(f, GaussianIntegrals.of(f, belief), observation_noise)
+
+
+def _combine(f: KernelExpansion, integrals: GaussianIntegrals, observation_noise: bool) -> Moments:
+    """Moments at N beliefs from the integrals of the kernels."""
     E = f.num_outputs
+    sums = (f.weights * integrals.q) @ integrals.nu1.mT  # sum_i beta_i q_i [nu_i, 1], (N, E, D + 1)
+    mean = sums[..., -1]
+    slope = (integrals.precision[:, :E] @ sums[..., :-1, None]).squeeze(-1)  # Sigma^-1 cov(x, f)
+    second = ExponentialSum.apply(
+        integrals.left, integrals.right, *f.pair_weights, f.self_weights, f.num_inputs
+    )
     second = second.index_select(-1, f.pairs.position).view(-1, E, E)
     cov = torch.baddbmm(second, mean[:, :, None], mean[:, None], alpha=-1)
     if f.gram_inverse is not None:

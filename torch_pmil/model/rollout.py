@@ -2,7 +2,7 @@ r"""Trajectory distribution p(x_1), ..., p(x_T) from p(x_0), a policy and a mode
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -17,12 +17,11 @@ from torch_pmil.gp.gaussian import (
     joint,
     symmetric,
 )
-from torch_pmil.gp.moment_derivatives import RecordedMoments
-from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.gp.moment_matching import exact_moments, moment_match
 from torch_pmil.gp.moments import Moments
+from torch_pmil.model.compiled import kernels, serves
+from torch_pmil.model.compiled.plans import Plan
 from torch_pmil.model.dynamics import GPDynamics, Targets
-from torch_pmil.model.recurrence import unroll
-from torch_pmil.model.step_derivatives import StepDerivatives
 
 
 class PredictionError(RuntimeError):
@@ -133,12 +132,44 @@ def predict_trajectory(
     except NotPositiveDefiniteError as error:
         raise PredictionError(f"prediction of step 1 of {horizon} failed: {error}", 1) from error
     check_whole("horizon", horizon, 1)
-    controller = policy.controller
-    step = _MomentStep(controller, dynamics, space, observation_noise, horizon)
-    start = Gaussian(initial.mean, symmetric(initial.cov)).flattened.flat
-    states = unroll(step, start, controller.parameters, horizon)
-    flat = states.movedim(0, -2).reshape(*initial.batch_shape, horizon, -1)
-    trajectory = Gaussian.from_flat(flat, initial.dim)
+    start, controller = initial.flattened, policy.controller
+    trajectory = None
+    if _compiled(start.mean, start.cov, controller, dynamics, space):
+        plan = _plan(controller, dynamics, space, horizon, observation_noise)
+        trajectory = kernels().predict_beliefs(start, plan)
+    if trajectory is None:
+        trajectory = _trajectory(start, controller, dynamics, space, horizon, observation_noise)
+    shape = initial.batch_shape
+    return Gaussian(*(t.reshape(*shape, *t.shape[1:]) for t in (trajectory.mean, trajectory.cov)))
+
+
+def _trajectory(
+    state: Gaussian,
+    controller: Controller,
+    dynamics: GPDynamics,
+    space: StateSpace,
+    horizon: int,
+    observation_noise: bool,
+) -> Gaussian:
+    """:func:`predict_trajectory` from N beliefs by the formulas in PyTorch."""
+    states = []
+    state = Gaussian(state.mean, symmetric(state.cov))
+    network, model = controller.network, dynamics.expansion
+    for step in range(1, horizon + 1):
+        try:
+            state = _propagate(
+                state,
+                lambda features: controller.squashed(exact_moments(network, features)),
+                lambda inputs: exact_moments(model, inputs, observation_noise),
+                dynamics.targets,
+                space,
+            )
+        except NotPositiveDefiniteError as error:
+            message = f"prediction of step {step} of {horizon} failed: {error}"
+            raise PredictionError(message, step) from error
+        states.append(state)
+    mean, cov = (torch.stack(parts, 1) for parts in zip(*((s.mean, s.cov) for s in states)))
+    trajectory = Gaussian(mean, cov)
     check_finite(trajectory, space)
     return trajectory
 
@@ -158,73 +189,6 @@ def check_start_belief(
         raise ValueError(
             f"{name} must be over the {space.dim} entries of the state, like the model's outputs, "
             f"got {belief.dim} entries and {dynamics.num_outputs} outputs"
-        )
-
-
-class _MomentStep:
-    """:func:`predict_step` as a step of a recurrence of flat beliefs."""
-
-    def __init__(
-        self,
-        controller: Controller,
-        dynamics: GPDynamics,
-        space: StateSpace,
-        observation_noise: bool,
-        horizon: int,
-    ) -> None:
-        self.controller, self.space = controller, space
-        self.targets, self.horizon = dynamics.targets, horizon
-        self.network = RecordedMoments(controller.network, keep_products=True)
-        self.model = RecordedMoments(dynamics.expansion, observation_noise)
-        self.taken = 0
-
-    def advance(self, state: Tensor) -> Tensor:
-        self.taken += 1
-        belief = Gaussian.from_flat(state, self.space.dim)
-        try:
-            following = _propagate(belief, self._act, self.model, self.targets, self.space)
-        except NotPositiveDefiniteError as error:
-            raise PredictionError(
-                f"prediction of step {self.taken} of {self.horizon} failed: {error}", self.taken
-            ) from error
-        return following.flat
-
-    def _act(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
-        return self.controller.squashed(self.network(features))
-
-    def jacobian(self, states: Tensor) -> Tensor:
-        size = states.shape[-1]
-        identity = torch.eye(size, dtype=states.dtype, device=states.device)
-        d_next = Gaussian.cotangent_from_flat(identity, self.space.dim)
-        d_mean, d_cov = (t.expand(states[..., 0].numel(), *t.shape) for t in d_next)
-        d_state = self._derivatives(states).state_adjoint(d_mean, d_cov)
-        return Gaussian.flat_cotangent(*d_state).view(*states.shape, size)
-
-    def parameter_gradients(
-        self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor
-    ) -> Sequence[Tensor]:
-        step = self._derivatives(states)
-        d_next = adjoints.flatten(0, 1)[:, None]
-        d_mean, d_cov = Gaussian.cotangent_from_flat(d_next, self.space.dim)
-        d_network = [cotangent.squeeze(1) for cotangent in step.network_adjoint(d_mean, d_cov)]
-        leaves = [parameter.detach().requires_grad_() for parameter in parameters]
-        with torch.enable_grad():
-            network = self.controller.with_parameters(*leaves).network.repeated(len(states))
-            moments = moment_match(network, step.features, products=self.network.products)
-        return torch.autograd.grad(
-            (moments.mean, moments.cov, moments.inv_cov_cross_cov), leaves, d_network
-        )
-
-    def _derivatives(self, states: Tensor) -> StepDerivatives:
-        state = Gaussian.from_flat(states.flatten(0, -2), self.space.dim)
-        differences = self.targets == "difference"
-        return StepDerivatives(
-            state,
-            self.network.derivatives,
-            self.controller.u_max,
-            self.model.derivatives,
-            differences,
-            self.space,
         )
 
 
@@ -262,43 +226,42 @@ def predict_mean_trajectory(
     """
     check_tensor("initial", initial, ("*batch", space.dim))
     check_whole("horizon", horizon, 1)
-    controller = policy.controller
-    step = _MeanStep(controller, dynamics, space)
-    states = unroll(step, initial.reshape(-1, space.dim), controller.parameters, horizon)
-    return states.movedim(0, -2).reshape(*initial.shape[:-1], horizon, space.dim)
+    start, controller = initial.reshape(-1, space.dim), policy.controller
+    if _compiled(start, start, controller, dynamics, space):
+        states = kernels().predict_states(start, _plan(controller, dynamics, space, horizon))
+    else:
+        states = _mean_trajectory(start, controller, dynamics, space, horizon)
+    return states.reshape(*initial.shape[:-1], horizon, space.dim)
 
 
-class _MeanStep:
-    """The model's mean as a step of a recurrence."""
+def _mean_trajectory(
+    state: Tensor, controller: Controller, dynamics: GPDynamics, space: StateSpace, horizon: int
+) -> Tensor:
+    states, expansion = [], dynamics.expansion
+    for _ in range(horizon):
+        features = space.features(state)
+        mean = expansion.mean(torch.cat([features, controller(features)], -1))
+        state = mean if dynamics.targets == "successor" else state + mean
+        states.append(state)
+    return torch.stack(states, -2)
 
-    def __init__(self, controller: Controller, dynamics: GPDynamics, space: StateSpace) -> None:
-        self.controller, self.space = controller, space
-        self.expansion, self.targets = dynamics.expansion, dynamics.targets
 
-    def advance(self, state: Tensor) -> Tensor:
-        return self._follow(state, self.controller)
+def _compiled(
+    mean: Tensor, cov: Tensor, controller: Controller, dynamics: GPDynamics, space: StateSpace
+) -> bool:
+    """Whether the kernels predict these trajectories."""
+    f = dynamics.expansion
+    posterior = f.inputs, f.weights, f.lengthscales, f.signal_variance, f.gram_inverse
+    constant = *posterior, controller.u_max, controller.network.signal_variance
+    return serves(constant, (mean, cov, *controller.parameters))
 
-    def jacobian(self, states: Tensor) -> Tensor:
-        certain = Gaussian(states, torch.diag_embed(torch.zeros_like(states)))
-        features, slope = self.space.feature_moments(certain)
-        raw, raw_slope = self.controller.network.mean_and_gradient(features.mean)
-        action_slope = (self.controller.u_max * raw.cos())[..., None] * raw_slope
-        inputs = torch.cat([features.mean, self.controller.u_max * raw.sin()], -1)
-        _, model_slope = self.expansion.mean_and_gradient(inputs)
-        jacobian = model_slope @ torch.cat([slope.mT, action_slope @ slope.mT], -2)
-        if self.targets == "difference":
-            jacobian.diagonal(dim1=-2, dim2=-1).add_(1)
-        return jacobian
 
-    def parameter_gradients(
-        self, states: Tensor, parameters: Sequence[Tensor], adjoints: Tensor
-    ) -> Sequence[Tensor]:
-        leaves = [parameter.detach().requires_grad_() for parameter in parameters]
-        with torch.enable_grad():
-            following = self._follow(states, self.controller.with_parameters(*leaves))
-        return torch.autograd.grad(following, leaves, adjoints)
-
-    def _follow(self, state: Tensor, controller: Controller) -> Tensor:
-        features = self.space.features(state)
-        mean = self.expansion.mean(torch.cat([features, controller(features)], -1))
-        return mean if self.targets == "successor" else state + mean
+def _plan(
+    controller: Controller,
+    dynamics: GPDynamics,
+    space: StateSpace,
+    horizon: int,
+    observation_noise: bool = True,
+) -> Plan:
+    differences = dynamics.targets == "difference"
+    return Plan(dynamics.expansion, differences, space, controller, horizon, observation_noise)

@@ -1,0 +1,61 @@
+"""The prediction and its gradient as compiled kernels: the same formulas, some eight times as fast.
+
+**When they are used** is decided here, in :func:`serves`, and nowhere else: for float64 on the CPU,
+where gradients are asked for in start beliefs and policies only. All else is computed by the
+formulas in PyTorch, which remain the reference: on a GPU, in float32, with gradients in data and
+hyper-parameters. What the kernels cannot compute, since a matrix has no Cholesky factor or a number
+is not finite, goes to the formulas too, which name it.
+
+``TORCH_PMIL_COMPILED=0`` turns the kernels off. Where Numba is missing there are none. The first
+prediction compiles them, which takes some 20 s once; ``pmil compile`` does so beforehand.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import warnings
+from collections.abc import Sequence
+from functools import cache
+from types import ModuleType
+
+import torch
+from torch import Tensor
+
+SLOWER = "predictions are computed by PyTorch alone, some eight times as slowly: "
+
+
+@cache
+def available() -> bool:
+    """Whether there are kernels; the first answer that there are none comes with a warning."""
+    if os.environ.get("TORCH_PMIL_COMPILED") == "0":
+        reason = "TORCH_PMIL_COMPILED is 0"
+    elif importlib.util.find_spec("numba") is None:
+        reason = "Numba is not installed (pip install numba)"
+    elif os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+        reason = "NUMBA_DISABLE_JIT is set"
+    else:
+        return True
+    warnings.warn(SLOWER + reason, RuntimeWarning, stacklevel=2)
+    return False
+
+
+def serves(constant: Sequence[Tensor], differentiable: Sequence[Tensor]) -> bool:
+    """Whether kernels compute with these tensors.
+
+    Args:
+        constant: what they have no gradient in.
+        differentiable: what they have a gradient in, once.
+    """
+    ordinary = all(
+        tensor.device.type == "cpu" and tensor.dtype == torch.float64
+        for tensor in (*constant, *differentiable)
+    )
+    graph = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in constant)
+    return ordinary and not graph and available()
+
+
+def kernels() -> ModuleType:
+    """:mod:`torch_pmil.model.compiled.prediction`, which needs Numba and so comes when needed."""
+    return importlib.import_module("torch_pmil.model.compiled.prediction")

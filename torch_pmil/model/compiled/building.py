@@ -1,0 +1,210 @@
+"""How the kernels are compiled: by Numba, each for one signature, and cached on disk.
+
+Three kinds of functions make up the kernels:
+
+* a :class:`Kernel` is compiled by itself and cached; Python calls it, or another kernel does, by
+  its address (:func:`call`), so that it is compiled once however often it is called;
+* a function that is ``compiled`` becomes part of each kernel that calls it;
+* a ``part`` is written where it is called: one long function with names for its parts.
+
+Compilation takes no time for what is not needed: arrays come from outside (nothing is allocated,
+and no reference counted), and loops are vectorised by hand or not at all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import numba
+import numpy as np
+from numba import types
+from numba.core import cgutils, config, event
+from numba.extending import intrinsic
+from numba.misc.appdirs import AppDirs
+from numpy.typing import NDArray
+
+# arrays of float64 by their number of dimensions, C-contiguous
+Array1 = Annotated[NDArray[np.float64], 1]
+Array2 = Annotated[NDArray[np.float64], 2]
+Array3 = Annotated[NDArray[np.float64], 3]
+Array4 = Annotated[NDArray[np.float64], 4]
+Array5 = Annotated[NDArray[np.float64], 5]
+Address = Annotated[int, "address"]
+
+# sums may be reordered and products fused; NaN and infinity are what they are
+OPTIONS = {
+    "error_model": "numpy",
+    "fastmath": {"contract", "reassoc", "nsz"},
+    "nogil": True,
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+}
+# of the compiler: what more would save at run time is lost many times over before
+EFFORT = {"OPT": 1, "LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
+
+compiled = numba.njit(**OPTIONS, no_cpython_wrapper=True)
+part = numba.njit(**OPTIONS, no_cpython_wrapper=True, inline="always")
+
+KERNELS: list[Kernel] = []
+
+
+class Kernel:
+    """A function that is compiled for the types that its annotations say, when it is first needed.
+
+    Args:
+        function: returns a bool or an int; its arguments are annotated by arrays of this module, by
+            int, bool, or named tuples of these.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function, self._ready = function, None
+        KERNELS.append(self)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call it from Python."""
+        return self.compile()(*arguments)
+
+    @property
+    def address(self) -> int:
+        """Where it is in memory, for :func:`call`."""
+        return _address(self)
+
+    def compile(self) -> Any:
+        """The compiled function, from the cache if it is there."""
+        if self._ready is None:
+            dispatcher = numba.njit(**OPTIONS)(self.function)
+            with _effort(), _cached(dispatcher):
+                dispatcher.compile(_signature(self.function))
+            dispatcher.disable_compile()
+            self._ready = dispatcher
+        return self._ready
+
+
+@cache
+def _address(kernel: Kernel) -> int:
+    (result,) = kernel.compile().overloads.values()
+    return result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+
+
+@intrinsic
+def call(typing: Any, address: Any, arguments: Any) -> tuple[Any, Callable[..., Any]]:
+    """Call the kernel at an address, which returns a bool."""
+
+    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        convention, kinds = context.call_conv, tuple(arguments)
+        kind = convention.get_function_type(types.boolean, kinds)
+        function = builder.inttoptr(values[0], kind.as_pointer())
+        unpacked = cgutils.unpack_tuple(builder, values[1], len(kinds))
+        status, result = convention.call_function(builder, function, types.boolean, kinds, unpacked)
+        with cgutils.if_unlikely(builder, status.is_error):
+            convention.return_status_propagate(builder, status)
+        return result
+
+    return types.boolean(types.int64, arguments), emit
+
+
+def compile_all() -> None:
+    """Compile the kernels, or take them from the cache; a line on stderr says what takes its time.
+
+    Example:
+        >>> compile_all()
+    """
+    with event.install_listener("numba:compile", _Progress()):
+        for kernel in KERNELS:
+            kernel.compile()
+
+
+class _Progress(event.Listener):
+    """Tells of kernels that are compiled, not of the functions in them."""
+
+    def on_start(self, event: Any) -> None:
+        names = [kernel.function for kernel in KERNELS]
+        function = event.data["dispatcher"].py_func
+        if function in names:
+            done = f"{names.index(function) + 1} of {len(names)}"
+            print(
+                f"\rcompiling the prediction for this processor, once: kernel {done}",
+                end="\n" if function is names[-1] else "",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+def _signature(function: Callable[..., Any]) -> Any:
+    hints = get_type_hints(function, include_extras=True)
+    hints.pop("return")
+    return tuple(_numba_type(hint) for hint in hints.values())
+
+
+def _numba_type(hint: Any) -> Any:
+    if hasattr(hint, "__metadata__"):
+        (dimensions,) = hint.__metadata__
+        return types.Array(types.float64, dimensions, "C") if hint.__origin__ is not int else types.int64
+    if hint in (bool, int):
+        return types.boolean if hint is bool else types.int64
+    fields = get_type_hints(hint, include_extras=True).values()
+    return types.BaseTuple.from_types([_numba_type(field) for field in fields], hint)
+
+
+@contextlib.contextmanager
+def _effort() -> Iterator[None]:
+    """Numba's settings for the kernels, and then those from before."""
+    before = {name: getattr(config, name) for name in EFFORT}
+    try:
+        vars(config).update(EFFORT)
+        yield
+    finally:
+        vars(config).update(before)
+
+
+@contextlib.contextmanager
+def _cached(dispatcher: Any) -> Iterator[None]:
+    """Let Numba look in, and write to, the folder of this version of the kernels."""
+    before = config.CACHE_DIR
+    try:
+        folder = _cache_folder()
+        if folder is not None:
+            config.CACHE_DIR = str(folder)
+            dispatcher.enable_caching()
+        yield
+    finally:
+        config.CACHE_DIR = before
+
+
+@cache
+def _cache_folder() -> Path | None:
+    """A folder for these kernels alone: one that changes with any of their files.
+
+    Numba notices a change in a function's own file only. None where no folder can be written, with
+    a warning.
+    """
+    bases = [Path(config.CACHE_DIR)] if config.CACHE_DIR else [
+        Path(__file__).parent / "__pycache__",
+        Path(AppDirs("torch_pmil", appauthor=False).user_cache_dir),
+    ]
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    version = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
+    for base in bases:
+        folder = base / f"kernels-{version}"
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK):
+                return folder
+    warnings.warn(
+        f"the compiled prediction cannot be kept: none of {', '.join(map(str, bases))} can be "
+        "written, so every process compiles it anew; NUMBA_CACHE_DIR names another folder",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+    return None

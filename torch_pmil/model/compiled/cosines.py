@@ -1,0 +1,93 @@
+"""Moments of a Gaussian of which some entries go through a cosine, and their adjoint.
+
+The formulas are those of :mod:`torch_pmil.gp.trigonometry`.
+"""
+
+from __future__ import annotations
+
+from math import copysign, cos, exp, expm1, sin, tanh
+
+from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled
+
+
+@Kernel
+def write_cosines(
+    phase: Array1, cov: Array2, kept: int, out_mean: Array1, out_cov: Array2, gain: Array1
+) -> bool:
+    """Moments of [x_1, ..., x_kept, cos x_kept+1, ...].
+
+    Args:
+        phase, cov: mean (R,) and covariance (R, R) of x.
+        kept: number of entries that stay as they are.
+        out_mean, out_cov: out, the moments (R,) and (R, R).
+        gain: out, mean slope of each result in its entry, (R,).
+    """
+    size = len(phase)
+    for i in range(kept):
+        gain[i], out_mean[i] = 1.0, phase[i]
+    for i in range(kept, size):
+        decay = exp(-cov[i, i] / 2.0)
+        gain[i], out_mean[i] = -decay * sin(phase[i]), decay * cos(phase[i])
+    for i in range(size):
+        for j in range(i + 1):
+            entry = gain[i] * cov[i, j] * gain[j]
+            if j >= kept:
+                even, odd = _coefficients(cov, i, j)
+                of_sines = odd * sin(phase[i]) * sin(phase[j])
+                entry = even * cos(phase[i]) * cos(phase[j]) + of_sines
+            out_cov[i, j] = out_cov[j, i] = entry
+    return True
+
+
+@compiled
+def _coefficients(cov, i, j):
+    """Factors of the products of cosines and of sines in a covariance of two cosines."""
+    size = abs(cov[i, j])
+    growth = exp(size - (cov[i, i] + cov[j, j]) / 2.0) * expm1(-2.0 * size)
+    odd = copysign(growth / 2.0, cov[i, j])
+    return odd * tanh(cov[i, j] / 2.0), odd
+
+
+@Kernel
+def adjoint_of_cosines(
+    phase: Array1,
+    cov: Array2,
+    kept: int,
+    gain: Array1,
+    d_mean: Array1,
+    d_cov: Array2,
+    d_gain: Array1,
+    d_phase: Array1,
+    d_linear: Array2,
+) -> bool:
+    """Cotangents of mean and covariance of x from those of the results of :func:`write_cosines`.
+
+    Args:
+        phase, cov, kept, gain: arguments of :func:`write_cosines`, and its last result.
+        d_mean, d_cov, d_gain: cotangents of the results; ``d_gain`` is overwritten, ``d_cov``
+            symmetric.
+        d_phase, d_linear: out, cotangents of ``phase`` and of ``cov``.
+    """
+    size = len(phase)
+    for i in range(size):
+        for j in range(size):
+            if i < kept or j < kept:
+                scaled = d_cov[i, j] * gain[j]
+                d_gain[i] += 2.0 * scaled * cov[i, j]
+                d_linear[i, j] = scaled * gain[i]
+    for i in range(kept):
+        d_phase[i] = d_mean[i]
+    for i in range(kept, size):
+        decay, sine, cosine = exp(-cov[i, i] / 2.0), sin(phase[i]), cos(phase[i])
+        by_decay = decay * (d_mean[i] * cosine - d_gain[i] * sine) / 2.0
+        d_phase[i] = -decay * (d_mean[i] * sine + d_gain[i] * cosine)
+        for j in range(kept, size):
+            even, odd = _coefficients(cov, i, j)
+            cosines, sines = cosine * cos(phase[j]), sine * sin(phase[j])
+            level = even + exp(-(cov[i, i] + cov[j, j]) / 2.0)
+            turned = cosine * odd * sin(phase[j]) - sine * even * cos(phase[j])
+            d_phase[i] += 2.0 * d_cov[i, j] * turned
+            by_decay += d_cov[i, j] * (even * cosines + odd * sines)
+            d_linear[i, j] = d_cov[i, j] * (odd * cosines + level * sines)
+        d_linear[i, i] -= by_decay
+    return True

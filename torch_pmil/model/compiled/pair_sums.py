@@ -1,0 +1,111 @@
+r"""Sums of the exponentials Q_ij of all pairs of data (Eq. 17): the O(n^2) work of a prediction.
+
+The exponents are :math:`\log Q_{ij} = f_i + g_j + \nu_i^\top r_j`. Four rows and eight columns at a
+time stay in registers: Q itself is never written.
+"""
+
+from __future__ import annotations
+
+from torch_pmil.model.compiled.building import compiled
+from torch_pmil.model.compiled.thin_products import fill
+from torch_pmil.model.compiled.vectors import (
+    WIDTH,
+    add,
+    exponential,
+    load,
+    multiply,
+    multiply_add,
+    splat,
+    spread,
+    store,
+    total,
+)
+
+
+@compiled
+def sum_pairs(points, right, f, g, w, z, left, rows):
+    """Sums over a whole Q.
+
+    Args:
+        points: [nu_i, 1], (n, D + 1), with n a multiple of eight.
+        right: r_j, (D, n).
+        f, g: terms of i and of j in the exponents, (n,).
+        w, z: factors of the rows and of the columns, (n,).
+        left: out, sum_i w_i [nu_i, 1] Q_ij, (D + 1, n).
+        rows: out, sum_j Q_ij z_j, (n,).
+    """
+    D, n = right.shape[0], right.shape[1]
+    fill(left, 0.0)
+    for i in range(0, n, 4):
+        p0 = i * (D + 1)
+        p1, p2, p3 = p0 + D + 1, p0 + 2 * D + 2, p0 + 3 * D + 3
+        s0 = s1 = s2 = s3 = splat(0.0)
+        for j in range(0, n, WIDTH):
+            of_j = load(g, j)
+            q0, q1 = add(spread(f, i), of_j), add(spread(f, i + 1), of_j)
+            q2, q3 = add(spread(f, i + 2), of_j), add(spread(f, i + 3), of_j)
+            for d in range(D):
+                r = load(right, d * n + j)
+                q0 = multiply_add(spread(points, p0 + d), r, q0)
+                q1 = multiply_add(spread(points, p1 + d), r, q1)
+                q2 = multiply_add(spread(points, p2 + d), r, q2)
+                q3 = multiply_add(spread(points, p3 + d), r, q3)
+            q0, q1, q2, q3 = exponential(q0), exponential(q1), exponential(q2), exponential(q3)
+            factor = load(z, j)
+            s0, s1 = multiply_add(q0, factor, s0), multiply_add(q1, factor, s1)
+            s2, s3 = multiply_add(q2, factor, s2), multiply_add(q3, factor, s3)
+            q0, q1 = multiply(q0, spread(w, i)), multiply(q1, spread(w, i + 1))
+            q2, q3 = multiply(q2, spread(w, i + 2)), multiply(q3, spread(w, i + 3))
+            for d in range(D + 1):
+                sums = load(left, d * n + j)
+                sums = multiply_add(spread(points, p0 + d), q0, sums)
+                sums = multiply_add(spread(points, p1 + d), q1, sums)
+                sums = multiply_add(spread(points, p2 + d), q2, sums)
+                sums = multiply_add(spread(points, p3 + d), q3, sums)
+                store(left, d * n + j, sums)
+        rows[i], rows[i + 1], rows[i + 2], rows[i + 3] = total(s0), total(s1), total(s2), total(s3)
+
+
+@compiled
+def sum_own_pairs(points, right, f, weights, left, rows):
+    """Sums over U, the weighted Q above the diagonal, of an output with itself.
+
+    There Q is symmetric, and with half its diagonal in U all sums are those of U + U'.
+
+    Args:
+        points, right: as in :func:`sum_pairs`.
+        f: the terms of i, and of j, in the exponents, (n,).
+        weights: factors of Q, (n, n): halved on the diagonal, zero below.
+        left: out, sum_i [nu_i, 1] U_ij, (D + 1, n).
+        rows: out, sum_j U_ij, (n,).
+    """
+    D, n = right.shape[0], right.shape[1]
+    fill(left, 0.0)
+    for i in range(0, n, 4):
+        p0, row = i * (D + 1), i * n
+        p1, p2, p3 = p0 + D + 1, p0 + 2 * D + 2, p0 + 3 * D + 3
+        s0 = s1 = s2 = s3 = splat(0.0)
+        for j in range(i // WIDTH * WIDTH, n, WIDTH):
+            of_j = load(f, j)
+            q0, q1 = add(spread(f, i), of_j), add(spread(f, i + 1), of_j)
+            q2, q3 = add(spread(f, i + 2), of_j), add(spread(f, i + 3), of_j)
+            for d in range(D):
+                r = load(right, d * n + j)
+                q0 = multiply_add(spread(points, p0 + d), r, q0)
+                q1 = multiply_add(spread(points, p1 + d), r, q1)
+                q2 = multiply_add(spread(points, p2 + d), r, q2)
+                q3 = multiply_add(spread(points, p3 + d), r, q3)
+            q0, q1, q2, q3 = exponential(q0), exponential(q1), exponential(q2), exponential(q3)
+            at = row + j
+            q0, q1 = multiply(q0, load(weights, at)), multiply(q1, load(weights, at + n))
+            q2 = multiply(q2, load(weights, at + 2 * n))
+            q3 = multiply(q3, load(weights, at + 3 * n))
+            s0, s1, s2, s3 = add(s0, q0), add(s1, q1), add(s2, q2), add(s3, q3)
+            for d in range(D + 1):
+                sums = load(left, d * n + j)
+                sums = multiply_add(spread(points, p0 + d), q0, sums)
+                sums = multiply_add(spread(points, p1 + d), q1, sums)
+                sums = multiply_add(spread(points, p2 + d), q2, sums)
+                sums = multiply_add(spread(points, p3 + d), q3, sums)
+                store(left, d * n + j, sums)
+        rows[i], rows[i + 1], rows[i + 2], rows[i + 3] = total(s0), total(s1), total(s2), total(s3)

@@ -1,0 +1,302 @@
+"""The kernels as functions of PyTorch, with gradients in start beliefs and policies.
+
+Each returns None where a kernel found no answer: the formulas in PyTorch then say why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from torch_pmil.gp.gaussian import Gaussian, symmetric
+from torch_pmil.gp.kernel_expansion import KernelExpansion
+from torch_pmil.gp.trigonometry import Augmentation
+from torch_pmil.model.compiled.costs import (
+    CostWork,
+    Observation,
+    write_costs,
+    write_costs_of_means,
+)
+from torch_pmil.model.compiled.mean_rollouts import (
+    MeanTape,
+    MeanWork,
+    adjoint_of_mean,
+    predict_mean,
+)
+from torch_pmil.model.compiled.moment_adjoints import NetworkGradient
+from torch_pmil.model.compiled.moments import Functions
+from torch_pmil.model.compiled.plans import Comparison, Plan
+from torch_pmil.model.compiled.rollouts import (
+    Cotangents,
+    Robot,
+    StepWork,
+    Steps,
+    Tape,
+    adjoint,
+    predict,
+)
+from torch_pmil.model.compiled.vectors import WIDTH
+
+Parameters = tuple[Tensor, Tensor, Tensor]
+
+
+class _NoAnswer(ArithmeticError):
+    """A kernel met a matrix without Cholesky factor, or a number that is not finite."""
+
+
+def predict_beliefs(start: Gaussian, plan: Plan) -> Gaussian | None:
+    """Predicted marginals, mean (N, T, D), from N start beliefs, mean (N, D)."""
+    try:
+        parameters = plan.controller.parameters
+        return Gaussian(*_Beliefs.apply(plan, start.mean, symmetric(start.cov), *parameters))
+    except _NoAnswer:
+        return None
+
+
+def predict_states(start: Tensor, plan: Plan) -> Tensor | None:
+    """States of the model's mean alone, (N, T, D), from N states (N, D)."""
+    try:
+        return _States.apply(plan, start, *plan.controller.parameters)
+    except _NoAnswer:
+        return None
+
+
+class _Beliefs(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, plan: Plan, mean: Tensor, cov: Tensor, *parameters: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        robots = _robots(plan, parameters, len(mean))
+        tapes = [Tape.of(robot, plan.horizon) for robot in robots]
+
+        def roll_out(i: int) -> None:
+            tapes[i].mean[0], tapes[i].cov[0] = mean[i].numpy(), cov[i].numpy()
+            if predict(robots[i], tapes[i], StepWork.of(robots[i])):
+                raise _NoAnswer
+
+        _each(roll_out, len(robots))
+        ctx.robots, ctx.tapes = robots, tapes
+        ctx.save_for_backward(*parameters)
+        means, covs = (np.stack([part[1:] for part in parts]) for parts in zip(*((tape.mean, tape.cov) for tape in tapes), strict=True))
+        if not (np.isfinite(means).all() and np.isfinite(covs).all()):
+            raise _NoAnswer
+        return torch.from_numpy(means), torch.from_numpy(covs)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, d_mean: Tensor, d_cov: Tensor) -> tuple[Tensor | None, ...]:
+        N, (_, D) = len(d_mean), d_mean.shape[1:]
+        d_means, d_covs = _array(d_mean), _array(symmetric(d_cov))
+        of_start = np.empty((N, D)), np.empty((N, D, D))
+        gradients = [NetworkGradient.zero(robot.network) for robot in ctx.robots]
+
+        def roll_back(i: int) -> None:
+            robot, tape = ctx.robots[i], ctx.tapes[i]
+            work, back, start = StepWork.of(robot), Cotangents.of(robot), (of_start[0][i], of_start[1][i])
+            adjoint(robot, tape, d_means[i], d_covs[i], work, back, *start, gradients[i])
+
+        _each(roll_back, N)
+        return None, *map(torch.from_numpy, of_start), *_gradients(gradients, ctx.saved_tensors)
+
+
+class _States(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, plan: Plan, start: Tensor, *parameters: Tensor) -> Tensor:
+        robots = _robots(plan, parameters, len(start))
+        tapes = [MeanTape.of(robot, plan.horizon) for robot in robots]
+        for i, (robot, tape) in enumerate(zip(robots, tapes, strict=True)):
+            tape.states[0] = start[i].numpy()
+            predict_mean(robot, tape, MeanWork.of(robot.model), MeanWork.of(robot.network))
+        ctx.robots, ctx.tapes = robots, tapes
+        ctx.save_for_backward(*parameters)
+        states = np.stack([tape.states[1:] for tape in tapes])
+        return torch.from_numpy(states)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        d_states, d_start = _array(gradient), np.empty((len(gradient), gradient.shape[-1]))
+        gradients = [NetworkGradient.zero(robot.network) for robot in ctx.robots]
+        for i, (robot, tape) in enumerate(zip(ctx.robots, ctx.tapes, strict=True)):
+            works = MeanWork.of(robot.model), MeanWork.of(robot.network)
+            d_inputs = np.empty(len(robot.model.inputs))
+            adjoint_of_mean(robot, tape, d_states[i], *works, d_inputs, d_start[i], gradients[i])
+        return None, torch.from_numpy(d_start), *_gradients(gradients, ctx.saved_tensors)
+
+
+def costs_of_beliefs(states: Gaussian, comparison: Comparison) -> Tensor | None:
+    """Costs of predicted marginals (\\*batch, T), which broadcast with the comparison's batch."""
+    try:
+        return _Costs.apply(comparison, states.mean, states.cov)
+    except _NoAnswer:
+        return None
+
+
+def costs_of_states(states: Tensor, comparison: Comparison) -> Tensor | None:
+    """Costs of states without variance (\\*batch, T): half of |r|^2 in the demonstrated metric.
+
+    Or its saturating cost.
+    """
+    return _CostsOfMeans.apply(comparison, states)
+
+
+class _Costs(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, comparison: Comparison, mean: Tensor, cov: Tensor) -> Tensor:
+        batch, D = mean.shape[:-1], mean.shape[-1]
+        observation = _observation(comparison, batch)
+        demonstrated, half_log_det = _determinants(comparison, batch)
+        means, covs = _array(mean.reshape(-1, D)), _array(cov.reshape(-1, D, D))
+        costs, d_mean, d_cov = np.empty(len(means)), np.empty_like(means), np.empty_like(covs)
+        work, out = CostWork.of(observation), (costs, d_mean, d_cov)
+        failed = write_costs(observation, demonstrated, half_log_det, means, covs, work, *out)
+        if failed or not np.isfinite(costs).all():
+            raise _NoAnswer
+        ctx.save_for_backward(*(torch.from_numpy(t).reshape_as(s) for t, s in ((d_mean, mean), (d_cov, cov))))
+        return torch.from_numpy(costs).reshape(batch)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        d_mean, d_cov = ctx.saved_tensors
+        return None, gradient[..., None] * d_mean, gradient[..., None, None] * d_cov
+
+
+class _CostsOfMeans(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, comparison: Comparison, mean: Tensor) -> Tensor:
+        batch, D = mean.shape[:-1], mean.shape[-1]
+        observation = _observation(comparison, batch)
+        means = _array(mean.reshape(-1, D))
+        costs, d_mean = np.empty(len(means)), np.empty_like(means)
+        saturating = comparison.demonstrated is None
+        work = CostWork.of(observation)
+        write_costs_of_means(
+            observation, _roots(comparison, batch), means, saturating, work, costs, d_mean
+        )
+        ctx.save_for_backward(torch.from_numpy(d_mean).reshape_as(mean))
+        return torch.from_numpy(costs).reshape(batch)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        (d_mean,) = ctx.saved_tensors
+        return None, gradient[..., None] * d_mean
+
+
+def _robots(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
+    """The kernels' description, one for each belief."""
+    centres, weights, widths = (parameter.detach() for parameter in parameters)
+    f, controller = plan.model, plan.controller
+    variance = f.observed_prior_cov if plan.observation_noise else f.prior_cov
+    model = _functions(f)._replace(variance=_array(variance.diagonal()))
+    rows, turns, kept = _combinations(plan.space.augmentation)
+    networks = [
+        KernelExpansion(centres, own, widths, controller.network.signal_variance)
+        for own in (weights if weights.ndim == 3 else [weights])
+    ]
+    packed = [_packed(network, controller.network.offset) for network in networks]
+    limits, steps = _array(controller.u_max), Steps.compile()
+    return [
+        Robot(model, network, limits, rows, turns, kept, plan.differences, steps)
+        for network in (packed if len(packed) > 1 else packed * beliefs)
+    ]
+
+
+def _observation(comparison: Comparison, batch: tuple[int, ...]) -> Observation:
+    """The map for states (*batch, D) in one row."""
+    offset = comparison.offset.expand(*batch, -1).flatten(0, -2)
+    combinations = _combinations(comparison.augmentation)
+    return Observation(*combinations, *map(_array, (comparison.matrix, offset, comparison.noise)))
+
+
+def _determinants(
+    comparison: Comparison, batch: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Demonstrated covariances, and half the logarithms of their determinants."""
+    if comparison.demonstrated is None:
+        return np.empty((0, 0, 0)), np.empty(0)
+    factor = torch.linalg.cholesky(comparison.demonstrated)
+    half_log_det = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    flat = comparison.demonstrated.expand(*batch, -1, -1).flatten(0, -3)
+    return _array(flat), _array(half_log_det.expand(batch).flatten())
+
+
+def _roots(comparison: Comparison, batch: tuple[int, ...]) -> np.ndarray:
+    """Matrices G with G' G the inverse of the demonstrated covariances; else the identity."""
+    M = comparison.offset.shape[-1]
+    if comparison.demonstrated is None:
+        return np.eye(M)[None]
+    factor = torch.linalg.cholesky(comparison.demonstrated)
+    identity = torch.eye(M).to(factor)
+    root = torch.linalg.solve_triangular(factor, identity, upper=False)
+    return _array(root.expand(*batch, -1, -1).flatten(0, -3))
+
+
+_packs: WeakKeyDictionary[KernelExpansion, Functions] = WeakKeyDictionary()
+
+
+def _functions(f: KernelExpansion) -> Functions:
+    """A GP's posterior as the kernels read it, kept as long as it."""
+    if f not in _packs:
+        _packs[f] = _packed(f, f.offset)
+    return _packs[f]
+
+
+def _packed(f: KernelExpansion, offset: Tensor | float) -> Functions:
+    (n, D), E = f.inputs.shape, f.num_outputs
+    padded = n + -n % WIDTH
+    inputs, weights = np.zeros((D, padded)), np.zeros((E, padded))
+    inputs[:, :n], weights[:, :n] = f.inputs.mT, f.weights
+    own = np.zeros((0 if f.gram_inverse is None else E, padded, padded))
+    for a in range(len(own)):
+        product = np.multiply.outer(weights[a, :n], weights[a, :n])
+        own[a, :n, :n] = np.triu(product - f.gram_inverse[a].numpy())
+        np.fill_diagonal(own[a], own[a].diagonal() / 2)
+    log_signal, squares = _array(f.log_signal_variance), _array(f.lengthscales.square())
+    offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), E))
+    return Functions(inputs, weights, squares, log_signal, offsets, np.zeros(E), own)
+
+
+def _combinations(augmentation: Augmentation) -> tuple[np.ndarray, np.ndarray, int]:
+    return _array(augmentation.rows), _array(augmentation.turns), augmentation.kept
+
+
+def _gradients(gradients: list[NetworkGradient], parameters: Parameters) -> list[Tensor]:
+    """Gradients in centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D')."""
+    centres, weights, widths = parameters
+    m = len(centres)
+    of_weights = np.stack([gradient.weights[:, :m] for gradient in gradients])
+    of_inputs = sum(gradient.inputs for gradient in gradients)[:, :m].T
+    of_squares = torch.from_numpy(sum(gradient.squares for gradient in gradients))
+    return [
+        torch.from_numpy(of_inputs),
+        torch.from_numpy(of_weights if weights.ndim == 3 else of_weights.sum(0)),
+        2 * widths.detach() * of_squares,
+    ]
+
+
+def _array(values: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(values.detach().numpy())
+
+
+def _each(function: Callable[[int], None], count: int) -> None:
+    """Call a function for every belief, in as many threads as PyTorch may use."""
+    if count == 1 or torch.get_num_threads() == 1:
+        for i in range(count):
+            function(i)
+    else:
+        list(_threads(torch.get_num_threads()).map(function, range(count)))
+
+
+@cache
+def _threads(count: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(count, "prediction")

@@ -1,0 +1,129 @@
+"""Products of small matrices with arrays as long as the data, (d, n) with n a multiple of eight."""
+
+from __future__ import annotations
+
+from torch_pmil.model.compiled.building import compiled
+from torch_pmil.model.compiled.vectors import (
+    WIDTH,
+    add,
+    exponential,
+    load,
+    multiply,
+    multiply_add,
+    splat,
+    spread,
+    store,
+    total,
+)
+
+
+@compiled
+def fill(values, number):
+    """Write a number into all entries, as many as a multiple of eight."""
+    for j in range(0, values.size, WIDTH):
+        store(values, j, splat(number))
+
+
+@compiled
+def transform(matrix, values, out):
+    """Write a matrix (k, d) times values (d, n) into ``out`` (k, n)."""
+    rows, size, n = matrix.shape[0], matrix.shape[1], values.shape[1]
+    for k in range(0, rows, 2):
+        other = k + 1 if k + 1 < rows else k
+        a, b = k * size, other * size
+        for j in range(0, n, WIDTH):
+            first = second = splat(0.0)
+            for d in range(size):
+                x = load(values, d * n + j)
+                first = multiply_add(spread(matrix, a + d), x, first)
+                second = multiply_add(spread(matrix, b + d), x, second)
+            store(out, k * n + j, first)
+            store(out, other * n + j, second)
+
+
+@compiled
+def outer_sums(a, b, out):
+    """Write a b', the sums of a (k, n) times b (d, n) over the data, into ``out`` (k, d).
+
+    Further rows of ``a`` are left out.
+    """
+    n, last = a.shape[1], out.shape[1] - 1
+    for k in range(out.shape[0]):
+        for d in range(0, last + 1, 4):
+            d1 = d + 1 if d < last else last
+            d2 = d + 2 if d + 1 < last else last
+            d3 = d + 3 if d + 2 < last else last
+            s0 = s1 = s2 = s3 = splat(0.0)
+            for j in range(0, n, WIDTH):
+                x = load(a, k * n + j)
+                s0 = multiply_add(x, load(b, d * n + j), s0)
+                s1 = multiply_add(x, load(b, d1 * n + j), s1)
+                s2 = multiply_add(x, load(b, d2 * n + j), s2)
+                s3 = multiply_add(x, load(b, d3 * n + j), s3)
+            out[k, d], out[k, d1], out[k, d2], out[k, d3] = total(s0), total(s1), total(s2), total(s3)
+
+
+@compiled
+def sum_products(a, b):
+    """The sum of a (n,) times b (n,)."""
+    sums = splat(0.0)
+    for j in range(0, len(a), WIDTH):
+        sums = multiply_add(load(a, j), load(b, j), sums)
+    return total(sums)
+
+
+@compiled
+def scale_columns(values, factors, out):
+    """Write values (d, n) times factors (n,) into ``out`` (d, n)."""
+    n = values.shape[1]
+    for d in range(values.shape[0]):
+        for j in range(0, n, WIDTH):
+            store(out, d * n + j, multiply(load(values, d * n + j), load(factors, j)))
+
+
+@compiled
+def add_outer_form(nu, transformed, factor, out):
+    """Add the factor times the quadratic forms nu_i' A nu_i to ``out`` (n,), A nu being known."""
+    n = nu.shape[1]
+    for d in range(nu.shape[0]):
+        for j in range(0, n, WIDTH):
+            form = multiply(load(nu, d * n + j), load(transformed, d * n + j))
+            store(out, j, multiply_add(splat(factor), form, load(out, j)))
+
+
+@compiled
+def write_exponentials(exponents, out):
+    """Write the exponentials of (n,) numbers into ``out``."""
+    for j in range(0, len(out), WIDTH):
+        store(out, j, exponential(load(exponents, j)))
+
+
+@compiled
+def multiply_entries(a, b, out):
+    """Write a times b, entry by entry, into ``out`` (n,)."""
+    for j in range(0, len(a), WIDTH):
+        store(out, j, multiply(load(a, j), load(b, j)))
+
+
+@compiled
+def sum_entries(a):
+    """The sum of a (n,)."""
+    sums = splat(0.0)
+    for j in range(0, len(a), WIDTH):
+        sums = add(load(a, j), sums)
+    return total(sums)
+
+
+@compiled
+def add_multiple(factor, a, out):
+    """Add the factor times a to ``out``, of the same shape, with a multiple of eight entries."""
+    for j in range(0, a.size, WIDTH):
+        store(out, j, multiply_add(splat(factor), load(a, j), load(out, j)))
+
+
+@compiled
+def add_squares(factor, a, out):
+    """Add the factor times the squares of a to ``out`` (n,)."""
+    for j in range(0, len(a), WIDTH):
+        x = load(a, j)
+        store(out, j, multiply_add(multiply(splat(factor), x), x, load(out, j)))

@@ -1,0 +1,192 @@
+"""Vectors of eight float64 for Numba, which LLVM lowers to AVX2, AVX-512 or NEON alike.
+
+A loop of scalars that ends in an exponential is not vectorised by Numba, which calls the C
+library's exponential for each. Here the exponential is a polynomial of whole vectors, and a loop
+says itself which numbers it keeps in registers.
+
+All indices count the entries of a C-contiguous array from its first, whatever its shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, models, register_model
+
+WIDTH = 8
+Emitter = tuple[Any, Callable[..., Any]]
+
+_DOUBLES = ir.VectorType(ir.DoubleType(), WIDTH)
+_INTEGERS = ir.VectorType(ir.IntType(64), WIDTH)
+_INDEX = ir.IntType(32)
+
+# e^r = 1 + r + r^2 p(r) for |r| <= log(2) / 2, p by interpolation at Chebyshev's points: 0.07 ulp
+_COEFFICIENTS = (
+    1.0,
+    1.0,
+    0.5000000000000001,
+    0.16666666666666669,
+    0.041666666666624164,
+    0.008333333333330065,
+    0.0013888888917196719,
+    0.00019841269863040545,
+    2.4801521322368692e-05,
+    2.7557268480310024e-06,
+    2.7620075879983367e-07,
+    2.5100375832561234e-08,
+)
+_LOG2_E = 1.4426950408889634
+_LOG_2 = float.fromhex("0x1.62e42fefa3800p-1")  # its last eleven bits are zero
+_REST_OF_LOG_2 = float.fromhex("0x1.ef35793c76730p-45")
+_ROUNDER = 1.5 * 2.0**52  # a double plus this is rounded to an integer, in its last bits
+_LEAST, _LARGEST = -708.0, 709.782712893384  # beyond, the exponential is 0 or infinite
+
+
+class Vector(types.Type):
+    """Numba's type of eight float64."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Vector")
+
+
+vector = Vector()
+
+
+@register_model(Vector)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, numba_type: Any) -> None:
+        super().__init__(manager, numba_type, _DOUBLES)
+
+
+@intrinsic
+def load(typing: Any, array: Any, index: Any) -> Emitter:
+    """The eight numbers of an array from an index on."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(_address(context, builder, signature, arguments, _DOUBLES), align=8)
+
+    return vector(array, types.intp), emit
+
+
+@intrinsic
+def store(typing: Any, array: Any, index: Any, values: Any) -> Emitter:
+    """Write eight numbers into an array, from an index on."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        target = _address(context, builder, signature, arguments, _DOUBLES)
+        builder.store(arguments[2], target, align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vector), emit
+
+
+@intrinsic
+def spread(typing: Any, array: Any, index: Any) -> Emitter:
+    """One number of an array, eight times."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        address = _address(context, builder, signature, arguments, ir.DoubleType())
+        return _splat(builder, builder.load(address))
+
+    return vector(array, types.intp), emit
+
+
+@intrinsic
+def splat(typing: Any, number: Any) -> Emitter:
+    """A number, eight times."""
+    return vector(types.float64), lambda context, builder, _, arguments: _splat(builder, *arguments)
+
+
+@intrinsic
+def add(typing: Any, a: Any, b: Any) -> Emitter:
+    """a + b."""
+    return vector(vector, vector), lambda context, builder, _, arguments: builder.fadd(*arguments)
+
+
+@intrinsic
+def multiply(typing: Any, a: Any, b: Any) -> Emitter:
+    """a b, entry by entry."""
+    return vector(vector, vector), lambda context, builder, _, arguments: builder.fmul(*arguments)
+
+
+@intrinsic
+def multiply_add(typing: Any, a: Any, b: Any, c: Any) -> Emitter:
+    """a b + c, rounded once where the processor can do so."""
+    return (
+        vector(vector, vector, vector),
+        lambda context, builder, _, arguments: _multiply_add(builder, *arguments),
+    )
+
+
+@intrinsic
+def total(typing: Any, values: Any) -> Emitter:
+    """The sum of the eight numbers."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        (values,), width = arguments, WIDTH
+        while width > 1:
+            width //= 2
+            parts = (_indices(range(start, start + width)) for start in (0, width))
+            values = builder.fadd(*(builder.shuffle_vector(values, values, p) for p in parts))
+        return builder.extract_element(values, _INDEX(0))
+
+    return types.float64(vector), emit
+
+
+@intrinsic
+def exponential(typing: Any, exponents: Any) -> Emitter:
+    """e^x of eight numbers, within 2 ulp; 0 below -708, where it is less than 4e-308.
+
+    NaN remains NaN, and what exceeds the largest double is infinite.
+    """
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        (x,) = arguments
+        small, large = (
+            builder.fcmp_ordered(sign, x, _constant(bound))
+            for sign, bound in (("<", _LEAST), (">", _LARGEST))
+        )
+        x = builder.select(small, _constant(_LEAST), x)
+        x = builder.select(large, _constant(_LARGEST), x)
+        rounded = _multiply_add(builder, x, _constant(_LOG2_E), _constant(_ROUNDER))
+        power = builder.fsub(rounded, _constant(_ROUNDER))
+        rest = _multiply_add(builder, power, _constant(-_LOG_2), x)
+        rest = _multiply_add(builder, power, _constant(-_REST_OF_LOG_2), rest)
+        value = _constant(_COEFFICIENTS[-1])
+        for coefficient in _COEFFICIENTS[-2::-1]:
+            value = _multiply_add(builder, value, rest, _constant(coefficient))
+        shift = builder.shl(builder.bitcast(rounded, _INTEGERS), _INTEGERS([52] * WIDTH))
+        scaled = builder.bitcast(builder.add(builder.bitcast(value, _INTEGERS), shift), _DOUBLES)
+        scaled = builder.select(small, _constant(0.0), scaled)
+        return builder.select(large, _constant(float("inf")), scaled)
+
+    return vector(vector), emit
+
+
+def _address(context: Any, builder: Any, signature: Any, arguments: Any, kind: Any) -> Any:
+    array = context.make_array(signature.args[0])(context, builder, arguments[0])
+    return builder.bitcast(builder.gep(array.data, [arguments[1]]), kind.as_pointer())
+
+
+def _splat(builder: Any, number: Any) -> Any:
+    single = builder.insert_element(_DOUBLES(ir.Undefined), number, _INDEX(0))
+    return builder.shuffle_vector(single, single, _indices([0] * WIDTH))
+
+
+def _multiply_add(builder: Any, a: Any, b: Any, c: Any) -> Any:
+    signature = ir.FunctionType(_DOUBLES, [_DOUBLES] * 3)
+    name = f"llvm.fmuladd.v{WIDTH}f64"
+    return builder.call(cgutils.get_or_insert_function(builder.module, signature, name), [a, b, c])
+
+
+def _constant(number: float) -> Any:
+    return _DOUBLES([number] * WIDTH)
+
+
+def _indices(numbers: Any) -> Any:
+    chosen = list(numbers)
+    return ir.VectorType(_INDEX, len(chosen))(chosen)

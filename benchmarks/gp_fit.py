@@ -215,7 +215,7 @@ def total_negative_log_likelihood(
     )
     log_parameters = torch.cat(parts, -1).log()
     outputs = zip(targets.mT, log_parameters, strict=True)
-    return sum(negative_log_likelihood(inputs, *output).item() for output in outputs)
+    return sum(negative_log_likelihood(inputs, *output)[0] for output in outputs)
 
 
 def headline(rows: list[dict[str, object]]) -> dict[str, object]:

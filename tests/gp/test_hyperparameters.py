@@ -64,8 +64,8 @@ def test_likelihood_is_that_of_the_parameters_without_penalties(draws: Draws) ->
     found = find_hyperparameters(
         inputs, inputs[:, 0].sin(), pilco_starts(inputs, inputs[:, 0].sin()), max_iterations=100
     )
-    expected = negative_log_likelihood(inputs, inputs[:, 0].sin(), found.log_parameters).item()
-    assert penalty(found.log_parameters, inputs.std(0).log()) > 0.1
+    expected, _ = negative_log_likelihood(inputs, inputs[:, 0].sin(), found.log_parameters)
+    assert penalty(found.log_parameters, inputs.std(0).log())[0] > 0.1
     assert found.negative_log_likelihood == pytest.approx(expected, abs=1e-9)
 
 
@@ -163,15 +163,24 @@ def log_of(length: float, signal_to_noise: float) -> Tensor:
 def test_penalty_begins_at_a_signal_to_noise_ratio_of_500(
     length: float, ratio: float, least: float, most: float
 ) -> None:
-    assert (
-        least
-        <= penalty(log_of(length, ratio), torch.tensor([math.log(2)], dtype=torch.float64)).item()
-        <= most
-    )
+    log_spread = torch.tensor([math.log(2)], dtype=torch.float64)
+    assert least <= penalty(log_of(length, ratio), log_spread)[0] <= most
 
 
 @pytest.mark.parametrize("length", [0.02, 200.0])
 def test_penalty_begins_at_lengthscales_a_factor_100_from_the_spread(length: float) -> None:
     log_spread = torch.tensor([math.log(2)], dtype=torch.float64)
-    assert penalty(log_of(length, 10), log_spread).item() == pytest.approx(1, abs=1e-6)
-    assert penalty(torch.stack([log_of(2, 10), log_of(length, 10)]), log_spread).shape == (2,)
+    assert penalty(log_of(length, 10), log_spread)[0] == pytest.approx(1, abs=1e-6)
+
+
+def test_slope_of_the_penalty_is_that_by_automatic_differentiation(draws: Draws) -> None:
+    """At two lengthscales near their bounds, and a signal-to-noise ratio near its own."""
+    log_spread = draws.normal(2)
+    parameters = torch.cat([log_spread + math.log(90) * torch.tensor([1, -1]), log_of(1, 480)[1:]])
+    parameters.requires_grad_()
+    ratio = (parameters[2] - parameters[3]) / 2 / math.log(500)
+    plain = ratio**30 + (((parameters[:2] - log_spread) / math.log(100)) ** 30).sum()
+    (expected,) = torch.autograd.grad(plain, parameters)
+    value, slope = penalty(parameters.detach(), log_spread)
+    assert value == pytest.approx(plain.item(), rel=1e-12)
+    torch.testing.assert_close(slope, expected, rtol=1e-12, atol=0)

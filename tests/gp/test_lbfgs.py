@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from torch_pmil.gp.lbfgs import NotFiniteError, minimise
+from torch_pmil.gp.lbfgs import NotFiniteError, minimise, minimise_function
 
 
 class NoValueError(ValueError):
@@ -50,6 +50,23 @@ def test_search_works_where_gradients_are_switched_off() -> None:
     x = parameter(3.0)
     with torch.no_grad():
         assert minimise([x], lambda: (x**2).sum(), max_iterations=10).loss < 1e-8
+
+
+def test_function_that_knows_its_gradient_is_searched_like_one_that_does_not() -> None:
+    x, start, visited = parameter(-1.2, 1.0), parameter(-1.2, 1.0), []
+
+    def function(point: Tensor) -> tuple[float, Tensor]:
+        visited.append(point.clone())
+        with torch.inference_mode(False):
+            variable = point.clone().requires_grad_()
+            value = rosenbrock(variable)
+            (gradient,) = torch.autograd.grad(value, variable)
+        return value.item(), gradient
+
+    best, result = minimise_function(start, function, max_iterations=200)
+    assert result == minimise([x], lambda: rosenbrock(x), max_iterations=200)
+    assert torch.equal(best, x) and len(visited) == result.evaluations
+    assert start.tolist() == [-1.2, 1.0] and not (best.requires_grad or best.is_inference())
 
 
 def test_parameters_end_at_the_best_point_that_was_seen() -> None:

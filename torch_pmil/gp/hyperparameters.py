@@ -7,14 +7,14 @@ in one vector (D + 2,): of the D lengthscales, of the signal variance and of the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
-from torch_pmil.gp.lbfgs import MinimiseResult, NotFiniteError, minimise
+from torch_pmil.gp.lbfgs import MinimiseResult, NotFiniteError, minimise_function
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
 
 # PILCO's penalties lower the likelihood beyond this ratio of standard deviations, and beyond this
@@ -76,22 +76,31 @@ def find_hyperparameters(
     """
     log_spread = _log_spread(inputs)
 
-    def objective(log_parameters: Tensor) -> Tensor:
-        return negative_log_likelihood(inputs, target, log_parameters) + penalty(
-            log_parameters, log_spread
-        )
+    def objective(log_parameters: Tensor) -> tuple[float, Tensor]:
+        likelihood, slope = negative_log_likelihood(inputs, target, log_parameters)
+        penalised, penalty_slope = penalty(log_parameters, log_spread)
+        return likelihood + penalised, slope + penalty_slope
 
     runs: list[tuple[Tensor, MinimiseResult]] = []
     failures: list[ValueError] = []
     for start in starts:
         try:
-            runs.append(_search(objective, start, max_iterations))
+            runs.append(
+                minimise_function(
+                    start,
+                    objective,
+                    max_iterations,
+                    survives=(NotPositiveDefiniteError,),
+                    tolerance_grad=SMALL_GRADIENT,
+                    tolerance_change=SMALL_CHANGE,
+                )
+            )
         except (NotPositiveDefiniteError, NotFiniteError) as error:
             failures.append(error)
     if not runs:
         raise failures[0]
     best, result = min(runs, key=lambda run: run[1].loss)
-    likelihood = result.loss - penalty(best, log_spread).item()
+    likelihood = result.loss - penalty(best, log_spread)[0]
     return Optimum(best, likelihood, sum(run.evaluations for _, run in runs), result.stop_reason)
 
 
@@ -111,31 +120,20 @@ def pilco_starts(inputs: Tensor, target: Tensor) -> list[Tensor]:
     ]
 
 
-def penalty(log_parameters: Tensor, log_spread: Tensor) -> Tensor:
+def penalty(log_parameters: Tensor, log_spread: Tensor) -> tuple[float, Tensor]:
     """Nats by which PILCO's penalties lower the log likelihood, next to none inside the bounds.
 
-    Log parameters are (..., D + 2).
+    With their gradient in the log parameters, (D + 2,).
     """
-    log_lengthscales = log_parameters[..., :-2]
-    log_signal, log_noise = log_parameters[..., -2], log_parameters[..., -1]
-    ratio = (log_signal - log_noise) / 2 / math.log(MAX_SIGNAL_TO_NOISE)
-    length = (log_lengthscales - log_spread) / math.log(MAX_LENGTHSCALE_RATIO)
-    return ratio**PENALTY_POWER + (length**PENALTY_POWER).sum(-1)
-
-
-def _search(
-    objective: Callable[[Tensor], Tensor], start: Tensor, max_iterations: int
-) -> tuple[Tensor, MinimiseResult]:
-    parameters = nn.Parameter(start.clone())
-    result = minimise(
-        [parameters],
-        lambda: objective(parameters),
-        max_iterations,
-        survives=(NotPositiveDefiniteError,),
-        tolerance_grad=SMALL_GRADIENT,
-        tolerance_change=SMALL_CHANGE,
-    )
-    return parameters.detach(), result
+    signal_scale, length_scale = 2 * math.log(MAX_SIGNAL_TO_NOISE), math.log(MAX_LENGTHSCALE_RATIO)
+    ratio = (log_parameters[-2:-1] - log_parameters[-1:]) / signal_scale
+    length = (log_parameters[:-2] - log_spread) / length_scale
+    slopes = [
+        PENALTY_POWER * distance ** (PENALTY_POWER - 1) / scale
+        for distance, scale in ((length, length_scale), (ratio, signal_scale))
+    ]
+    value = (ratio**PENALTY_POWER + (length**PENALTY_POWER).sum()).item()
+    return value, torch.cat([*slopes, -slopes[1]])
 
 
 def _log_spread(values: Tensor) -> Tensor:

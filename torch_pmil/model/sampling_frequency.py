@@ -211,18 +211,16 @@ def held_out_log_likelihood(
         for held in torch.arange(len(inputs)).tensor_split(folds)
         for target in outputs
     ]
-    return torch.stack(values).view(folds, len(outputs))
+    return torch.tensor(values, dtype=torch.float64).view(folds, len(outputs))
 
 
-@torch.no_grad()
-def _held_out(inputs: Tensor, target: Tensor, held: Tensor, max_iterations: int) -> Tensor:
+def _held_out(inputs: Tensor, target: Tensor, held: Tensor, max_iterations: int) -> float:
     training = torch.ones(len(inputs), dtype=torch.bool)
     training[held] = False
     known, seen = inputs[training], target[training]
-    with torch.enable_grad():
-        optimum = find_hyperparameters(known, seen, pilco_starts(known, seen), max_iterations)
-    of_all = negative_log_likelihood(inputs, target, optimum.log_parameters)
-    of_known = negative_log_likelihood(known, seen, optimum.log_parameters)
+    optimum = find_hyperparameters(known, seen, pilco_starts(known, seen), max_iterations)
+    of_all, _ = negative_log_likelihood(inputs, target, optimum.log_parameters)
+    of_known, _ = negative_log_likelihood(known, seen, optimum.log_parameters)
     return (of_known - of_all) / len(held)
 
 

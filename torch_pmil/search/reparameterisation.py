@@ -62,7 +62,8 @@ class ReparameterisedLoss(nn.Module):
 
         Its graph leads to the variables.
         """
-        return functional_call(self, {WEIGHTS: self._weights()}, (per_step, initial, horizon))
+        arguments = per_step, initial, horizon
+        return functional_call(self, {WEIGHTS: self._weights()}, arguments, tie_weights=False)
 
     @torch.no_grad()
     def write(self) -> None:

@@ -19,6 +19,7 @@ ROOMS = (  # bottom first
     ("gp",),
     ("control",),
     ("demonstrations",),
+    ("model", "compiled"),  # reads posteriors and policies, and knows no trajectory but its own
     ("model",),
     ("search",),
     ("torchrl_interop",),
@@ -42,9 +43,7 @@ PURE = {  # of rooms at the edge of TorchRL, the files that compute
     "model/rollout.py",
     "model/particles.py",
     "model/calibration.py",
-    "model/recurrence.py",
     "model/sampling_frequency.py",
-    "model/step_derivatives.py",
     "search/kl.py",
     "search/saturating_cost.py",
     "search/reparameterisation.py",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch import Tensor
 
 from tests.helpers.draws import Draws
 from torch_pmil.gp.gaussian import (
@@ -116,91 +115,6 @@ def test_symmetric_part(draws: Draws) -> None:
     matrix = draws.normal(2, 3, 3)
     assert torch.equal(symmetric(matrix), symmetric(matrix).mT)
     torch.testing.assert_close(symmetric(matrix).sum(), matrix.sum())
-
-
-# --- one vector of mean and covariance ---
-
-
-flat_shapes = pytest.mark.parametrize("shape", [(1,), (3,), (4, 3), (2, 3, 4)])
-
-
-@flat_shapes
-def test_flat_vector_holds_the_mean_and_the_lower_triangle(
-    draws: Draws, shape: tuple[int, ...]
-) -> None:
-    belief, D = draws.belief(*shape), shape[-1]
-    assert belief.flat.shape == (*shape[:-1], D + D * (D + 1) // 2)
-    entries = [belief.mean[..., i] for i in range(D)] + [
-        belief.cov[..., i, j] for i in range(D) for j in range(i + 1)
-    ]
-    assert torch.equal(belief.flat, torch.stack(entries, -1))
-
-
-@flat_shapes
-def test_belief_comes_back_from_its_flat_vector(draws: Draws, shape: tuple[int, ...]) -> None:
-    belief = draws.belief(*shape)
-    belief = Gaussian(belief.mean, symmetric(belief.cov))
-    back = Gaussian.from_flat(belief.flat, belief.dim)
-    assert torch.equal(back.mean, belief.mean)
-    assert torch.equal(back.cov, belief.cov)
-
-
-@flat_shapes
-def test_flat_vector_comes_back_from_its_belief(draws: Draws, shape: tuple[int, ...]) -> None:
-    D = shape[-1]
-    vector = draws.normal(*shape[:-1], D + D * (D + 1) // 2)
-    belief = Gaussian.from_flat(vector, D)
-    assert torch.equal(belief.cov, belief.cov.mT)
-    assert torch.equal(belief.flat, vector)
-
-
-def products(mean: Tensor, cov: Tensor, d_mean: Tensor, d_cov: Tensor) -> Tensor:
-    """Inner products of changes with cotangents."""
-    return (mean * d_mean).sum(-1) + (cov * d_cov).sum((-2, -1))
-
-
-@flat_shapes
-def test_cotangents_from_flat_are_adjoint_to_flattening(
-    draws: Draws, shape: tuple[int, ...]
-) -> None:
-    change = Gaussian(draws.normal(*shape), symmetric(draws.normal(*shape, shape[-1])))
-    cotangent = draws.normal(*change.flat.shape)
-    d_mean, d_cov = Gaussian.cotangent_from_flat(cotangent, change.dim)
-    assert torch.equal(d_cov, d_cov.mT)
-    torch.testing.assert_close(
-        products(change.mean, change.cov, d_mean, d_cov), (change.flat * cotangent).sum(-1)
-    )
-
-
-@flat_shapes
-def test_flat_cotangents_are_adjoint_to_unflattening(draws: Draws, shape: tuple[int, ...]) -> None:
-    d_mean, d_cov = draws.normal(*shape), symmetric(draws.normal(*shape, shape[-1]))
-    cotangent = Gaussian.flat_cotangent(d_mean, d_cov)
-    vector = draws.normal(*cotangent.shape)
-    change = Gaussian.from_flat(vector, shape[-1])
-    torch.testing.assert_close(
-        products(change.mean, change.cov, d_mean, d_cov), (vector * cotangent).sum(-1)
-    )
-
-
-@flat_shapes
-def test_flat_vectors_have_the_cotangents_of_their_graph(
-    draws: Draws, shape: tuple[int, ...]
-) -> None:
-    belief = draws.belief(*shape)
-    leaves = [t.requires_grad_() for t in (belief.mean, belief.cov)]
-    flat = Gaussian(*leaves).flat
-    cotangent = draws.normal(*flat.shape)
-    by_mean, by_cov = torch.autograd.grad(flat, leaves, cotangent)
-    d_mean, d_cov = Gaussian.cotangent_from_flat(cotangent, belief.dim)
-    torch.testing.assert_close(d_mean, by_mean)
-    torch.testing.assert_close(d_cov, symmetric(by_cov))
-
-    vector = flat.detach().requires_grad_()
-    back = Gaussian.from_flat(vector, belief.dim)
-    (by_vector,) = torch.autograd.grad((back.mean, back.cov), vector, (d_mean, d_cov))
-    torch.testing.assert_close(Gaussian.flat_cotangent(d_mean, d_cov), by_vector)
-    torch.testing.assert_close(by_vector, cotangent)
 
 
 # --- beliefs that are none ---

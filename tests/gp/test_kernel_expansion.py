@@ -67,22 +67,6 @@ def test_kernel_and_mean_are_the_formula(draws: Draws, make: Make) -> None:
         )
 
 
-@both
-def test_mean_and_gradient_are_the_mean_and_its_derivative(draws: Draws, make: Make) -> None:
-    f, x = make(draws, 6, 3, 2), draws.normal(2, 4, 3)
-    mean, gradient = f.mean_and_gradient(x)
-    assert gradient.shape == (2, 4, 2, 3)
-    torch.testing.assert_close(mean, f.mean(x), rtol=1e-13, atol=1e-13)
-    for index in range(8):
-        i, j = divmod(index, 4)
-        torch.testing.assert_close(
-            gradient[i, j],
-            torch.autograd.functional.jacobian(f.mean, x[i, j]),
-            rtol=1e-11,
-            atol=1e-11,
-        )
-
-
 def test_prediction_is_the_posterior_written_with_the_whole_gram_matrix(draws: Draws) -> None:
     """Eqs. 6 and 7."""
     f, targets, x = draws.gp(8, 2, 3), draws.normal(3, 8), draws.normal(5, 2)

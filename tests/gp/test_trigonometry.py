@@ -13,14 +13,7 @@ from torch.autograd import gradcheck
 
 from tests.helpers.draws import Draws
 from torch_pmil.gp.gaussian import Gaussian, symmetric
-from torch_pmil.gp.trigonometry import (
-    Augmentation,
-    augment,
-    augment_adjoint,
-    cosines_adjoint,
-    squash,
-    squash_adjoint,
-)
+from torch_pmil.gp.trigonometry import augment, cosines_adjoint, squash
 
 ANGLES = torch.tensor([[1.0, 0.0], [1.0, 1.0], [0.5, -2.0]], dtype=torch.float64)
 PLAIN = torch.tensor([[0.0, 1.0], [1.0, -1.0]], dtype=torch.float64)
@@ -240,55 +233,18 @@ def naive_cosines(m: Tensor, V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return decay * m.cos(), cov, -decay * m.sin()
 
 
-def naive_augment(mean: Tensor, cov: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean and covariance of [Px, sin Ax, cos Ax], and the mean slope of these by x."""
-    turned = ANGLES @ mean[..., None]
-    phases = torch.cat([turned - torch.pi / 2, turned], -2).squeeze(-1)
-    twice = torch.cat([ANGLES, ANGLES])
-    cosine, cosine_cov, slope = naive_cosines(phases, twice @ cov @ twice.mT)
-    slopes = torch.cat([PLAIN.expand(*mean.shape[:-1], -1, -1), slope[..., None] * twice], -2).mT
-    cross = PLAIN @ cov @ slopes[..., len(PLAIN) :]
-    rows = torch.cat([PLAIN @ cov @ PLAIN.mT, cross], -1), torch.cat([cross.mT, cosine_cov], -1)
-    return torch.cat([mean @ PLAIN.mT, cosine], -1), torch.cat(rows, -2), slopes
-
-
-def naive_squash(mean: Tensor, cov: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    cosine, cosine_cov, slope = naive_cosines(mean - torch.pi / 2, cov)
-    return U_MAX * cosine, torch.diag(U_MAX) @ cosine_cov @ torch.diag(U_MAX), U_MAX * slope
-
-
-def squash_adjoint_of(mean: Tensor, cov: Tensor, *d_result: Tensor) -> tuple[Tensor, Tensor]:
-    return squash_adjoint(Gaussian(mean, cov), U_MAX, *d_result)
-
-
-def augment_adjoint_of(mean: Tensor, cov: Tensor, *d_result: Tensor) -> tuple[Tensor, Tensor]:
-    return augment_adjoint(Augmentation.of(PLAIN, ANGLES), mean, cov, *d_result)
-
-
-adjoints = pytest.mark.parametrize(
-    ("adjoint", "naive", "dim"),
-    [
-        (augment_adjoint_of, naive_augment, 2),
-        (squash_adjoint_of, naive_squash, 2),
-        (cosines_adjoint, naive_cosines, 3),
-    ],
-    ids=["augment", "squash", "cosines"],
-)
-
-
-@adjoints
 @pytest.mark.parametrize("scale", [1e-6, 0.5])
 @pytest.mark.parametrize("copies", [1, 4])
 def test_adjoint_is_that_of_the_graph_for_every_copy(
-    draws: Draws, adjoint: Callable, naive: Callable, dim: int, scale: float, copies: int
+    draws: Draws, scale: float, copies: int
 ) -> None:
-    belief = draws.belief(3, dim, scale=scale)
+    belief = draws.belief(3, 3, scale=scale)
     leaves = [t.clone().requires_grad_() for t in (belief.mean, belief.cov)]
-    result = naive(*leaves)
+    result = naive_cosines(*leaves)
     d_mean, d_cov, d_slope = (draws.normal(3, copies, *part.shape[1:]) for part in result)
     d_cov = symmetric(d_cov)
-    ours = adjoint(belief.mean[:, None], belief.cov[:, None], d_mean, d_cov, d_slope)
-    assert ours[0].shape == (3, copies, dim) and ours[1].shape == (3, copies, dim, dim)
+    ours = cosines_adjoint(belief.mean[:, None], belief.cov[:, None], d_mean, d_cov, d_slope)
+    assert ours[0].shape == (3, copies, 3) and ours[1].shape == (3, copies, 3, 3)
     torch.testing.assert_close(ours[1], ours[1].mT, rtol=1e-13, atol=1e-13)
     for c in range(copies):
         by_mean, by_cov = torch.autograd.grad(
@@ -296,53 +252,3 @@ def test_adjoint_is_that_of_the_graph_for_every_copy(
         )
         torch.testing.assert_close(ours[0][:, c], by_mean, rtol=1e-9, atol=1e-9)
         torch.testing.assert_close(ours[1][:, c], symmetric(by_cov), rtol=1e-9, atol=1e-9)
-
-
-@adjoints
-def test_cotangents_stay_as_they_are(
-    draws: Draws, adjoint: Callable, naive: Callable, dim: int
-) -> None:
-    belief = draws.belief(2, dim)
-    given = [draws.normal(*part.shape) for part in naive(belief.mean, belief.cov)]
-    before = [cotangent.clone() for cotangent in given]
-    adjoint(belief.mean, belief.cov, *given)
-    assert all(torch.equal(now, then) for now, then in zip(given, before, strict=True))
-
-
-@pytest.mark.parametrize(
-    ("adjoint", "naive", "dim"),
-    [(squash_adjoint_of, naive_squash, 2), (cosines_adjoint, naive_cosines, 3)],
-    ids=["squash", "cosines"],
-)
-def test_cotangents_that_all_beliefs_share(
-    draws: Draws, adjoint: Callable, naive: Callable, dim: int
-) -> None:
-    belief = draws.belief(3, dim)
-    given = [draws.normal(*part.shape[1:]) for part in naive(belief.mean, belief.cov)]
-    given[1] = symmetric(given[1])
-    shared = adjoint(belief.mean, belief.cov, *given)
-    copied = adjoint(
-        belief.mean, belief.cov, *(cotangent.expand(3, *cotangent.shape) for cotangent in given)
-    )
-    for one, other in zip(shared, copied, strict=True):
-        torch.testing.assert_close(one, other)
-
-
-@pytest.mark.parametrize("copies", [1, 3])
-def test_adjoint_without_angles_is_that_of_a_linear_map(draws: Draws, copies: int) -> None:
-    belief, none = draws.belief(2, 2), torch.zeros(0, 2, dtype=torch.float64)
-    d_mean, d_cov, d_slope = (
-        draws.normal(2, copies, 2),
-        symmetric(draws.normal(2, copies, 2, 2)),
-        draws.normal(2, copies, 2, 2),
-    )
-    by_mean, by_cov = augment_adjoint(
-        Augmentation.of(PLAIN, none),
-        belief.mean[:, None],
-        belief.cov[:, None],
-        d_mean,
-        d_cov,
-        d_slope,
-    )
-    torch.testing.assert_close(by_mean, d_mean @ PLAIN)
-    torch.testing.assert_close(by_cov, PLAIN.mT @ d_cov @ PLAIN)

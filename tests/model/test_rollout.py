@@ -15,7 +15,7 @@ from tests.helpers.draws import Draws
 from tests.helpers.memory import LargestResult
 from torch_pmil.control.rbf_policy import Controller, RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.gp import exponential_sums, moment_derivatives
+from torch_pmil.gp import exponential_sums
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.model import rollout
@@ -53,6 +53,14 @@ def make_dynamics(
     dynamics.gp.covar_module.outputscale = torch.tensor([0.5, 0.8], dtype=torch.float64)
     dynamics.gp.likelihood.noise = torch.full((2, 1), noise**2, dtype=torch.float64)
     return dynamics
+
+
+@pytest.fixture(autouse=True, params=["kernels", "formulas"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Both ways in which a trajectory is predicted."""
+    if request.param == "formulas":
+        monkeypatch.setattr(rollout, "serves", lambda *_: False)
+    return request.param
 
 
 @pytest.fixture
@@ -320,6 +328,7 @@ def test_failed_step_is_named(
             return state
         raise NotPositiveDefiniteError("I + Sigma P must be positive definite")
 
+    monkeypatch.setattr(rollout, "serves", lambda *_: False)
     monkeypatch.setattr(rollout, "_propagate", failing_step)
     with pytest.raises(
         PredictionError,
@@ -335,6 +344,7 @@ def test_state_that_is_not_finite_is_named(
     broken = Gaussian(initial.mean, initial.cov.clone())
     broken.cov[1, 1] = float("inf")
     states = iter(state.flattened for state in (initial, initial, broken, broken))
+    monkeypatch.setattr(rollout, "serves", lambda *_: False)
     monkeypatch.setattr(rollout, "_propagate", lambda *_: next(states))
     with pytest.raises(
         PredictionError, match="prediction of step 3 of 4 failed: dq is not finite"
@@ -494,27 +504,6 @@ def test_trajectories_in_other_spaces_are_those_of_a_loop(
     assert_all_close(*(torch.autograd.grad(states, leaves, cotangent[0]) for states in means))
 
 
-@pytest.mark.parametrize("kept", [0, 300, 2**30])
-def test_gradient_is_the_same_however_many_steps_are_summed_up_together(
-    draws: Draws,
-    policy: RBFPolicy,
-    dynamics: GPDynamics,
-    initial: Gaussian,
-    monkeypatch: pytest.MonkeyPatch,
-    kept: int,
-) -> None:
-    parameters, cotangent = list(policy.parameters()), draws.normal(7, 2, 2)
-    gradients = []
-    for numbers in (moment_derivatives.KEPT_NUMBERS, kept):
-        monkeypatch.setattr(moment_derivatives, "KEPT_NUMBERS", numbers)
-        gradients.append(
-            torch.autograd.grad(
-                predict_trajectory(initial, policy, dynamics, SPACE, 7).cov, parameters, cotangent
-            )
-        )
-    assert_all_close(*gradients)
-
-
 def test_gradient_in_part_of_the_policy(
     policy: RBFPolicy, dynamics: GPDynamics, initial: Gaussian
 ) -> None:
@@ -548,7 +537,6 @@ def test_no_array_of_pairs_of_data_is_saved_for_the_gradient(
     )  # what the expansion itself keeps is there from now on
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
     monkeypatch.setattr(exponential_sums, "CACHED_NUMBERS", 8 * n)
-    monkeypatch.setattr(moment_derivatives, "KEPT_NUMBERS", 0)
     with (
         LargestResult() as largest,
         saved_tensors_hooks(

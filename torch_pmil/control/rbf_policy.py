@@ -211,11 +211,6 @@ class Controller:
         """
         return self.network.inputs, self.network.weights, self.network.lengthscales
 
-    def with_parameters(self, centres: Tensor, weights: Tensor, widths: Tensor) -> Controller:
-        """This controller with other parameters of its network."""
-        network = KernelExpansion(centres, weights, widths, self.network.signal_variance)
-        return Controller(network, self.u_max)
-
     def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
         """Exact moments of the action at a belief over the features: of the network, then squashed.
 

@@ -77,10 +77,11 @@ class MatchSpace:
 
     def moments(self, state: Gaussian) -> Gaussian:
         """Exact mean and covariance of the observation of an uncertain state."""
-        return self._augmentation.to(state.mean)(state)[0].affine(self.weights.to(state.mean))
+        return self.augmentation.to(state.mean)(state)[0].affine(self.weights.to(state.mean))
 
     @cached_property
-    def _augmentation(self) -> Augmentation:
+    def augmentation(self) -> Augmentation:
+        """The map from the moments of a state to those of the state, its sines and cosines."""
         plain = torch.eye(self.angles.shape[-1], dtype=torch.float64)
         return Augmentation.of(plain, self.angles.double())
 

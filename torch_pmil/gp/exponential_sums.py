@@ -97,16 +97,6 @@ def _products_with(
     return torch.bmm(w, Q), torch.bmm(Q, z)
 
 
-def products_for_gradient(
-    left: Tensor, right: Tensor, w: Tensor, z: Tensor, M: Tensor | None
-) -> tuple[Tensor, Tensor]:
-    """The two arrays from which :class:`ExponentialSum` and its gradient follow with O(n) work.
-
-    They are (w l) Q, (N, P, d, n), and Q (z r)', (N, P, n, d).
-    """
-    return pairwise_kernel_sums(left, right, w * left, (z * right).mT, M)
-
-
 class ExponentialSum(torch.autograd.Function):
     r"""The sum S = sum_ij w_i M_ij z_j exp(l_i . r_j) for every belief and pair, (N, P).
 
@@ -114,7 +104,6 @@ class ExponentialSum(torch.autograd.Function):
 
     Arguments as in :func:`pairwise_kernel_sums`, but with a single row w and z of each pair, (P, 1,
     n) or (N, P, 1, n); the entry ``one`` of every l_i and the last of every r_j must be 1.
-    ``products`` are :func:`products_for_gradient` of the same arguments, if they are known.
     """
 
     @staticmethod
@@ -126,9 +115,8 @@ class ExponentialSum(torch.autograd.Function):
         z: Tensor,
         M: Tensor | None,
         one: int,
-        products: tuple[Tensor, Tensor] | None = None,
     ) -> Tensor:
-        left_Q, Q_right = products or products_for_gradient(left, right, w, z, M)
+        left_Q, Q_right = pairwise_kernel_sums(left, right, w * left, (z * right).mT, M)
         ctx.one, ctx.own = one, 0 if M is None else len(M)
         ctx.save_for_backward(left, right, w, z, left_Q, Q_right)
         return (z[..., 0, :] * left_Q[..., one, :]).sum(-1)
@@ -150,7 +138,7 @@ class ExponentialSum(torch.autograd.Function):
             else None
         )
         d_M = _sum_of_Q(left, right, w, z, scale, ctx.own) if ctx.needs_input_grad[4] else None
-        return d_left, d_right, d_w, d_z, d_M, None, None
+        return d_left, d_right, d_w, d_z, d_M, None
 
 
 def _sum_of_Q(left: Tensor, right: Tensor, w: Tensor, z: Tensor, scale: Tensor, own: int) -> Tensor:

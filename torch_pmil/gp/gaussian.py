@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -128,18 +127,6 @@ def _not_a_covariance(message: str, entry: tuple[int, ...]) -> NotPositiveDefini
     return NotPositiveDefiniteError(message, entry[:-2])
 
 
-@lru_cache
-def _triangle(dim: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Index of each entry of the lower triangle in a flattened matrix, and the inverse of this map.
-
-    The inverse says for each entry of a symmetric matrix where it stands in the triangle.
-    """
-    rows, columns = torch.tril_indices(dim, dim, device=device)
-    position = torch.empty(dim, dim, dtype=torch.long, device=device)
-    position[rows, columns] = position[columns, rows] = torch.arange(len(rows), device=device)
-    return rows * dim + columns, position.flatten()
-
-
 @dataclass(frozen=True, eq=False)
 class Gaussian:
     """A Gaussian N(mean, cov), or a batch of them.
@@ -195,34 +182,6 @@ class Gaussian:
         if self.mean.ndim == 2:
             return self
         return Gaussian(self.mean.reshape(-1, self.dim), self.cov.reshape(-1, self.dim, self.dim))
-
-    @property
-    def flat(self) -> Tensor:
-        """Mean and lower triangle of the covariance in one vector, (*batch, D + D(D+1)/2).
-
-        :meth:`from_flat` is the inverse.
-        """
-        lower, _ = _triangle(self.dim, self.mean.device)
-        return torch.cat([self.mean, self.cov.flatten(-2).index_select(-1, lower)], -1)
-
-    @classmethod
-    def from_flat(cls, vector: Tensor, dim: int) -> Gaussian:
-        """The belief over ``dim`` entries whose :attr:`flat` vector this is."""
-        _, position = _triangle(dim, vector.device)
-        mean, triangle = vector.split([dim, vector.shape[-1] - dim], -1)
-        return cls(mean, triangle.index_select(-1, position).unflatten(-1, (dim, dim)))
-
-    @staticmethod
-    def flat_cotangent(d_mean: Tensor, d_cov: Tensor) -> Tensor:
-        """Cotangent of :attr:`flat` from the cotangents of mean and (symmetric) covariance."""
-        return Gaussian(d_mean, 2 * d_cov - torch.diag_embed(d_cov.diagonal(dim1=-2, dim2=-1))).flat
-
-    @classmethod
-    def cotangent_from_flat(cls, vector: Tensor, dim: int) -> tuple[Tensor, Tensor]:
-        """Cotangents of mean and (symmetric) covariance from the cotangent of :attr:`flat`."""
-        cotangent = cls.from_flat(vector, dim)
-        diagonal = torch.diag_embed(cotangent.cov.diagonal(dim1=-2, dim2=-1))
-        return cotangent.mean, (cotangent.cov + diagonal) / 2
 
     def __getitem__(self, index: Any) -> Gaussian:
         """Part of the batch; the variable's axes stay as they are."""

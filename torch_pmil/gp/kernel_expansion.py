@@ -182,13 +182,6 @@ class KernelExpansion:
         """Posterior mean (Eq. 6), (*batch, E), at points x (*batch, D)."""
         return (self.kernel(x) * self.weights).sum(-1) + self.offset
 
-    def mean_and_gradient(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Posterior mean (*batch, E) and its gradient (*batch, E, D) at points x (*batch, D)."""
-        weighted = self.kernel(x) * self.weights
-        total = weighted.sum(-1)
-        gradient = (weighted @ self.inputs - total[..., None] * x[..., None, :]) * self.precision
-        return total + self.offset, gradient
-
     def predict(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior mean (Eq. 6) and variance (Eq. 7) at points x (*batch, D), both (*batch, E).
 
@@ -225,12 +218,6 @@ class KernelExpansion:
         return replace(
             self, inputs=self.inputs[:, :D], weights=weights, lengthscales=self.lengthscales[:, :D]
         )
-
-    def repeated(self, times: int) -> KernelExpansion:
-        """This expansion with its N sets of weights, if any, repeated so many times."""
-        if self.weights.ndim == 2:
-            return self
-        return replace(self, weights=self.weights.repeat(times, 1, 1))
 
     @classmethod
     def from_exact_gp(cls, model: gpytorch.models.ExactGP) -> KernelExpansion:

@@ -19,7 +19,6 @@ class KernelPairs:
         position: index of the product of outputs a and b among the products, (E * E,).
         precision: summed precisions, (E + P, D).
         root: outer products of the square roots of the precisions, (E + P, D, D).
-        shares: the fractions of the first and of the second factor in the sum, (2, P, D).
         constant, factor, integrals: parts of the quadratic forms of one belief, which are
             ``constant + factor * B``, (E + 3P, D, D), with B of the integral ``integrals``
             (E + 3P,). They are forms of x_i for the single kernels; of x_i, of x_j, and of both
@@ -35,7 +34,6 @@ class KernelPairs:
     position: Tensor
     precision: Tensor
     root: Tensor
-    shares: Tensor
     constant: Tensor
     factor: Tensor
     integrals: Tensor
@@ -64,7 +62,6 @@ class KernelPairs:
             position=position.flatten(),
             precision=precisions,
             root=_outer(precisions.sqrt(), precisions.sqrt()),
-            shares=shares,
             constant=torch.cat(
                 [precision.new_zeros(E, D, D), distance / -2, distance / -2, distance]
             ),

@@ -91,9 +91,7 @@ def moment_match(
     return moments.unflatten(belief.batch_shape)
 
 
-def exact_moments(
-    f: KernelExpansion, belief: Gaussian, observation_noise: bool = False
-) -> Moments:
+def exact_moments(f: KernelExpansion, belief: Gaussian, observation_noise: bool = False) -> Moments:
     """:func:`moment_match` at N beliefs without its checks, for the steps of a prediction.
 
     Raises:

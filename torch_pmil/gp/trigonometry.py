@@ -76,76 +76,14 @@ class Augmentation:
 
     def __call__(self, belief: Gaussian) -> tuple[Gaussian, Tensor]:
         """Belief and covariance with x as :func:`augment` returns them."""
-        mean, cov, slope = apply(_Augment, belief.mean, belief.cov, self)
-        return Gaussian(mean, cov), slope
-
-    def linear(self, belief_mean: Tensor, belief_cov: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and covariance of [Px, phases]."""
-        mean = torch.nn.functional.linear(belief_mean, self.rows, self.turns)
-        return mean, self.rows @ belief_cov @ self.rows.mT
-
-
-class _Augment(torch.autograd.Function):
-    """:class:`Augmentation` of a mean (*batch, D) and a covariance (*batch, D, D)."""
-
-    @staticmethod
-    def forward(
-        mean: Tensor, cov: Tensor, augmentation: Augmentation
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        kept = augmentation.kept
-        mean, cov = augmentation.linear(mean, cov)
-        cosine, cosine_cov, slope = _Cosines.forward(mean[..., kept:], cov[..., kept:, kept:])
-        gain = _gain(slope, kept)
-        cov = gain.mT * cov * gain
+        kept = self.kept
+        mean = torch.nn.functional.linear(belief.mean, self.rows, self.turns)
+        linear_cov = self.rows @ belief.cov @ self.rows.mT
+        cosine, cosine_cov, slope = apply(_Cosines, mean[..., kept:], linear_cov[..., kept:, kept:])
+        gain = torch.nn.functional.pad(slope, (kept, 0), value=1.0)[..., None, :]
+        cov = gain.mT * linear_cov * gain
         cov[..., kept:, kept:] = cosine_cov
-        return torch.cat([mean[..., :kept], cosine], -1), cov, augmentation.rows.mT * gain
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: object) -> None:
-        ctx.save_for_backward(*inputs[:2])
-        ctx.augmentation = inputs[2]
-
-    @staticmethod
-    @once_differentiable
-    def backward(
-        ctx: Any, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
-    ) -> tuple[Tensor, Tensor, None]:
-        mean, cov = ctx.saved_tensors
-        adjoint = augment_adjoint(ctx.augmentation, mean, cov, d_mean, symmetric(d_cov), d_slope)
-        return *adjoint, None
-
-
-def augment_adjoint(
-    augmentation: Augmentation,
-    mean: Tensor,
-    cov: Tensor,
-    d_mean: Tensor,
-    d_cov: Tensor,
-    d_slope: Tensor,
-) -> tuple[Tensor, Tensor]:
-    """Cotangents of the mean and covariance of x from those of :class:`Augmentation`'s results.
-
-    ``d_cov`` is symmetric. The cotangents may have more batch dimensions than the belief, which
-    broadcasts.
-    """
-    rows, kept = augmentation.rows, augmentation.kept
-    phase, linear_cov = augmentation.linear(mean, cov)
-    phase, phase_cov = phase[..., kept:], linear_cov[..., kept:, kept:]
-    gain = _gain(_Cosines.forward(phase, phase_cov)[2], kept)
-    scaled = d_cov * gain
-    scaled[..., kept:, kept:] = 0  # that block is not linear, see below
-    d_gain = 2 * (scaled * linear_cov).sum(-1) + (d_slope * rows.mT).sum(-2)
-    d_phase, d_phase_cov = cosines_adjoint(
-        phase, phase_cov, d_mean[..., kept:], d_cov[..., kept:, kept:], d_gain[..., kept:]
-    )
-    d_linear_cov = gain.mT * scaled
-    d_linear_cov[..., kept:, kept:] = d_phase_cov
-    return torch.cat([d_mean[..., :kept], d_phase], -1) @ rows, rows.mT @ d_linear_cov @ rows
-
-
-def _gain(slope: Tensor, kept: int) -> Tensor:
-    """Mean slope of every entry in its linear part, as a row (*batch, 1, K_p + 2K)."""
-    return torch.nn.functional.pad(slope, (kept, 0), value=1.0)[..., None, :]
+        return Gaussian(torch.cat([mean[..., :kept], cosine], -1), cov), self.rows.mT * gain
 
 
 def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
@@ -166,22 +104,6 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
     """
     mean, cov, slope = apply(_Cosines, belief.mean - QUARTER_TURN, belief.cov)
     return Gaussian(u_max * mean, u_max[:, None] * cov * u_max), u_max * slope
-
-
-def squash_adjoint(
-    belief: Gaussian, u_max: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Cotangents of the mean and covariance of ``belief`` from those of :func:`squash`'s results.
-
-    ``d_cov`` is symmetric.
-    """
-    return cosines_adjoint(
-        belief.mean - QUARTER_TURN,
-        belief.cov,
-        u_max * d_mean,
-        u_max[:, None] * d_cov * u_max,
-        u_max * d_slope,
-    )
 
 
 class _Cosines(torch.autograd.Function):

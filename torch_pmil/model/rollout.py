@@ -168,8 +168,8 @@ def _trajectory(
             message = f"prediction of step {step} of {horizon} failed: {error}"
             raise PredictionError(message, step) from error
         states.append(state)
-    mean, cov = (torch.stack(parts, 1) for parts in zip(*((s.mean, s.cov) for s in states)))
-    trajectory = Gaussian(mean, cov)
+    means, covs = [state.mean for state in states], [state.cov for state in states]
+    trajectory = Gaussian(torch.stack(means, 1), torch.stack(covs, 1))
     check_finite(trajectory, space)
     return trajectory
 

@@ -9,6 +9,7 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_noise, check_positive, check_tensor, check_whole
 from torch_pmil.gp.gaussian import Gaussian, check_belief
+from torch_pmil.model.compiled.plans import Comparison
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_trajectory
 from torch_pmil.search.kl import gaussian_kl, mean_kl
@@ -95,6 +96,17 @@ class TrajectoryKLLoss(TrajectoryLoss):
 
     def _mean_costs(self, observed: Tensor) -> Tensor:
         return mean_kl(self._demonstrated(observed.shape[-2]), observed)
+
+    def _comparison(self, horizon: int) -> Comparison:
+        demonstrated, match_space = self._demonstrated(horizon), self.space.match_space
+        noise = torch.as_tensor(self.noise_std, dtype=torch.float64).expand(match_space.dim)
+        return Comparison(
+            match_space.augmentation,
+            match_space.weights,
+            -demonstrated.mean,
+            noise.square().diag(),
+            demonstrated.cov,
+        )
 
     def _demonstrated(self, horizon: int) -> Gaussian:
         mean, cov = self.demonstrated_mean, self.demonstrated_cov
@@ -192,6 +204,13 @@ class ExpectedSaturatingCost(TrajectoryLoss):
     def _costs(self, observed: Gaussian) -> Tensor:
         residual = Gaussian(observed.mean - self.target, observed.cov)
         return expected_saturating_cost(residual.affine(self.to_widths))
+
+    def _comparison(self, horizon: int) -> Comparison:
+        match_space, to_widths = self.space.match_space, self.to_widths
+        target = (-self.target @ to_widths.mT).expand(horizon, -1)
+        weights = to_widths @ match_space.weights.to(to_widths)
+        noise = torch.zeros_like(to_widths)
+        return Comparison(match_space.augmentation, weights, target, noise, None)
 
     def _mean_costs(self, observed: Tensor) -> Tensor:
         return saturating_cost((observed - self.target) @ self.to_widths.mT)

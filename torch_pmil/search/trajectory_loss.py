@@ -21,6 +21,8 @@ from torch_pmil.control.rbf_policy import Policy, RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.model.compiled import kernels, serves
+from torch_pmil.model.compiled.plans import Comparison
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory
 
@@ -115,6 +117,10 @@ class TrajectoryLoss(LossModule):
         """Keys of the predicted beliefs of a rollout: ``in_keys`` below "next"."""
         return [unravel_key(("next", key)) for key in self.in_keys]
 
+    def _comparison(self, horizon: int) -> Comparison | None:
+        """What the kernels compare the first steps with; None for a cost that they do not know."""
+        return None
+
     def predict(self, initial: Gaussian, horizon: int | None = None) -> Gaussian:
         """Predicted observations at t = 1..horizon, mean (*batch, horizon, M).
 
@@ -143,7 +149,10 @@ class TrajectoryLoss(LossModule):
 
         Raises PredictionError.
         """
-        return self._score(self.predict(initial, horizon))
+        states = self.predict_states(initial, horizon)
+        comparison = self._served(states.mean)
+        costs = None if comparison is None else kernels().costs_of_beliefs(states, comparison)
+        return self._score(self._observe(states)) if costs is None else costs
 
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Cost of each step for the model's mean alone, (*batch, horizon).
@@ -154,6 +163,9 @@ class TrajectoryLoss(LossModule):
         states = predict_mean_trajectory(
             start.mean, policy, self.dynamics, self.space, self._steps(horizon)
         )
+        comparison = self._served(states)
+        if comparison is not None:
+            return kernels().costs_of_states(states, comparison)
         return self._mean_costs(self.space.observe(states))
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
@@ -227,6 +239,14 @@ class TrajectoryLoss(LossModule):
             return self.horizon
         check_whole("horizon", horizon, 1, self.horizon)
         return horizon
+
+    def _served(self, states: Tensor) -> Comparison | None:
+        """What the kernels compare states (*batch, T, D) with, if they do."""
+        comparison = self._comparison(states.shape[-2])
+        if comparison is None or not serves((comparison.offset,), (states,)):
+            return None
+        broadcast = torch.broadcast_shapes(comparison.offset.shape[:-1], states.shape[:-1])
+        return comparison if broadcast == states.shape[:-1] else None
 
     def _observe(self, states: Gaussian) -> Gaussian:
         return self.space.match_space.moments(states)

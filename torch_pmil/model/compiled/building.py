@@ -150,7 +150,11 @@ def _signature(function: Callable[..., Any]) -> Any:
 def _numba_type(hint: Any) -> Any:
     if hasattr(hint, "__metadata__"):
         (dimensions,) = hint.__metadata__
-        return types.Array(types.float64, dimensions, "C") if hint.__origin__ is not int else types.int64
+        return (
+            types.Array(types.float64, dimensions, "C")
+            if hint.__origin__ is not int
+            else types.int64
+        )
     if hint in (bool, int):
         return types.boolean if hint is bool else types.int64
     fields = get_type_hints(hint, include_extras=True).values()
@@ -189,10 +193,14 @@ def _cache_folder() -> Path | None:
     Numba notices a change in a function's own file only. None where no folder can be written, with
     a warning.
     """
-    bases = [Path(config.CACHE_DIR)] if config.CACHE_DIR else [
-        Path(__file__).parent / "__pycache__",
-        Path(AppDirs("torch_pmil", appauthor=False).user_cache_dir),
-    ]
+    bases = (
+        [Path(config.CACHE_DIR)]
+        if config.CACHE_DIR
+        else [
+            Path(__file__).parent / "__pycache__",
+            Path(AppDirs("torch_pmil", appauthor=False).user_cache_dir),
+        ]
+    )
     sources = sorted(Path(__file__).parent.glob("*.py"))
     version = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
     for base in bases:

@@ -25,20 +25,20 @@ from torch_pmil.model.compiled.costs import (
     write_costs,
     write_costs_of_means,
 )
-from torch_pmil.model.compiled.mean_rollouts import (
+from torch_pmil.model.compiled.mean_trajectory import (
     MeanTape,
     MeanWork,
     adjoint_of_mean,
     predict_mean,
 )
-from torch_pmil.model.compiled.moment_adjoints import NetworkGradient
-from torch_pmil.model.compiled.moments import Functions
+from torch_pmil.model.compiled.matching_adjoints import NetworkGradient
+from torch_pmil.model.compiled.matching import Functions
 from torch_pmil.model.compiled.plans import Comparison, Plan
-from torch_pmil.model.compiled.rollouts import (
+from torch_pmil.model.compiled.trajectory import (
     Cotangents,
     Robot,
-    StepWork,
     Steps,
+    StepWork,
     Tape,
     adjoint,
     predict,
@@ -85,7 +85,10 @@ class _Beliefs(torch.autograd.Function):
         _each(roll_out, len(robots))
         ctx.robots, ctx.tapes = robots, tapes
         ctx.save_for_backward(*parameters)
-        means, covs = (np.stack([part[1:] for part in parts]) for parts in zip(*((tape.mean, tape.cov) for tape in tapes), strict=True))
+        means, covs = (
+            np.stack([part[1:] for part in parts])
+            for parts in zip(*((tape.mean, tape.cov) for tape in tapes), strict=True)
+        )
         if not (np.isfinite(means).all() and np.isfinite(covs).all()):
             raise _NoAnswer
         return torch.from_numpy(means), torch.from_numpy(covs)
@@ -100,7 +103,11 @@ class _Beliefs(torch.autograd.Function):
 
         def roll_back(i: int) -> None:
             robot, tape = ctx.robots[i], ctx.tapes[i]
-            work, back, start = StepWork.of(robot), Cotangents.of(robot), (of_start[0][i], of_start[1][i])
+            work, back, start = (
+                StepWork.of(robot),
+                Cotangents.of(robot),
+                (of_start[0][i], of_start[1][i]),
+            )
             adjoint(robot, tape, d_means[i], d_covs[i], work, back, *start, gradients[i])
 
         _each(roll_back, N)
@@ -160,7 +167,9 @@ class _Costs(torch.autograd.Function):
         failed = write_costs(observation, demonstrated, half_log_det, means, covs, work, *out)
         if failed or not np.isfinite(costs).all():
             raise _NoAnswer
-        ctx.save_for_backward(*(torch.from_numpy(t).reshape_as(s) for t, s in ((d_mean, mean), (d_cov, cov))))
+        ctx.save_for_backward(
+            *(torch.from_numpy(t).reshape_as(s) for t, s in ((d_mean, mean), (d_cov, cov)))
+        )
         return torch.from_numpy(costs).reshape(batch)
 
     @staticmethod
@@ -218,9 +227,7 @@ def _observation(comparison: Comparison, batch: tuple[int, ...]) -> Observation:
     return Observation(*combinations, *map(_array, (comparison.matrix, offset, comparison.noise)))
 
 
-def _determinants(
-    comparison: Comparison, batch: tuple[int, ...]
-) -> tuple[np.ndarray, np.ndarray]:
+def _determinants(comparison: Comparison, batch: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Demonstrated covariances, and half the logarithms of their determinants."""
     if comparison.demonstrated is None:
         return np.empty((0, 0, 0)), np.empty(0)
@@ -285,7 +292,7 @@ def _gradients(gradients: list[NetworkGradient], parameters: Parameters) -> list
 
 
 def _array(values: Tensor) -> np.ndarray:
-    return np.ascontiguousarray(values.detach().numpy())
+    return np.ascontiguousarray(values.detach().numpy(), dtype=np.float64)
 
 
 def _each(function: Callable[[int], None], count: int) -> None:

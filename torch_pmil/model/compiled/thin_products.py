@@ -60,7 +60,12 @@ def outer_sums(a, b, out):
                 s1 = multiply_add(x, load(b, d1 * n + j), s1)
                 s2 = multiply_add(x, load(b, d2 * n + j), s2)
                 s3 = multiply_add(x, load(b, d3 * n + j), s3)
-            out[k, d], out[k, d1], out[k, d2], out[k, d3] = total(s0), total(s1), total(s2), total(s3)
+            out[k, d], out[k, d1], out[k, d2], out[k, d3] = (
+                total(s0),
+                total(s1),
+                total(s2),
+                total(s3),
+            )
 
 
 @compiled

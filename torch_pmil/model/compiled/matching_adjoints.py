@@ -1,4 +1,4 @@
-r"""Adjoints of :mod:`torch_pmil.model.compiled.moments`: gradients in the belief and in a network.
+r"""Adjoints of :mod:`torch_pmil.model.compiled.matching`: gradients in the belief and in a network.
 
 For a Gaussian a derivative by the covariance is half a second derivative by the mean (Price's
 theorem). A sum :math:`\sum_i u_i e^{-\nu_i^\top B \nu_i / 2}` has the gradient :math:`B \sum_i u_i
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled, part
-from torch_pmil.model.compiled.moments import (
+from torch_pmil.model.compiled.matching import (
     Functions,
     Record,
     Workspace,
@@ -166,13 +166,12 @@ def _adjoint_of_one(f, a, record, t, d_total, d_cov, d_slope, work, d_mean, d_be
 
 @part
 def _adjoint_of_single_parameters(f, a, record, t, work, out):
-    D, n = len(work.nu), len(work.f)
     B, q, h, by_slope = record.precision[t, a], record.q[t, a], work.f, work.vectors[0]
     multiply_entries(q, h, work.left[0])
     add_multiple(1.0, work.left[0], out.weights[a])
     transform(B, work.weighted, work.moved)
     multiply_entries(f.weights[a], q, work.rows)
-    for d in range(D):
+    for d in range(len(B)):
         add_multiple(-1.0, work.moved[d], out.inputs[d])
         add_multiple(by_slope[d], work.rows, out.inputs[d])
         out.squares[a, d] += work.small[2, d, d] + work.shares[0, 0] / f.squares[a, d] / 2

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled, part
-from torch_pmil.model.compiled.moment_adjoints import NetworkGradient
-from torch_pmil.model.compiled.moments import Functions
-from torch_pmil.model.compiled.rollouts import Robot
+from torch_pmil.model.compiled.matching_adjoints import NetworkGradient
+from torch_pmil.model.compiled.matching import Functions
+from torch_pmil.model.compiled.trajectory import Robot
 from torch_pmil.model.compiled.small_matrices import times_vector
 from torch_pmil.model.compiled.thin_products import (
     add_multiple,

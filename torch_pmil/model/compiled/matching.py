@@ -2,7 +2,7 @@ r"""Exact moments of GPs and RBF networks at one Gaussian input (Eqs. 14-18).
 
 The symbols are those of :mod:`torch_pmil.gp.gaussian_integrals`: each integral of a kernel, or of a
 product of two, has a matrix :math:`B = (\Sigma + P^{-1})^{-1}`, and its derivatives by the mean of
-the belief are moments of :math:`B \nu` (:mod:`torch_pmil.model.compiled.moment_adjoints`).
+the belief are moments of :math:`B \nu` (:mod:`torch_pmil.model.compiled.matching_adjoints`).
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from torch_pmil.model.compiled.thin_products import (
     transform,
     write_exponentials,
 )
+
 
 class Functions(NamedTuple):
     """The E functions of a :class:`KernelExpansion` of D inputs, as kernels read them.
@@ -152,7 +153,7 @@ def match(
     work: Workspace,
     cov_of_f: Array2,
 ) -> bool:
-    """Moments of the functions at a belief: ``record.total`` and ``slope``, and ``cov_of_f`` (E, E).
+    """Moments of the functions at a belief, into ``record`` and ``cov_of_f`` (E, E).
 
     False where the covariance of the belief is none.
     """

@@ -18,12 +18,12 @@ from torch_pmil.model.compiled.building import (
     part,
 )
 from torch_pmil.model.compiled.cosines import adjoint_of_cosines, write_cosines
-from torch_pmil.model.compiled.moment_adjoints import (
+from torch_pmil.model.compiled.matching_adjoints import (
     NetworkGradient,
     adjoint_of_gp,
     adjoint_of_network,
 )
-from torch_pmil.model.compiled.moments import Functions, Record, Workspace, match
+from torch_pmil.model.compiled.matching import Functions, Record, Workspace, match
 from torch_pmil.model.compiled.small_matrices import (
     clear,
     copy,
@@ -182,11 +182,15 @@ def predict(robot: Robot, tape: Tape, work: StepWork) -> int:
         features, inputs, change = work.features, work.inputs, work.change
         record, raw_cov = tape.of_network, tape.raw_cov[t]
         mean, cov = features.mean, features.cov
-        if not call(robot.steps.match, (robot.network, mean, cov, record, t, work.of_network, raw_cov)):
+        if not call(
+            robot.steps.match, (robot.network, mean, cov, record, t, work.of_network, raw_cov)
+        ):
             return t + 1
         _write_inputs(robot, tape, t, work)
         record, mean, cov = tape.of_model, inputs.mean, inputs.cov
-        if not call(robot.steps.match, (robot.model, mean, cov, record, t, work.of_model, change.cov)):
+        if not call(
+            robot.steps.match, (robot.model, mean, cov, record, t, work.of_model, change.cov)
+        ):
             return t + 1
         _write_successor(robot, tape, t, work)
     return 0
@@ -202,7 +206,10 @@ def _write_features(robot, mean, cov, work):
     gain = phases.slope[0]
     for r in range(len(rows)):
         phases.mean[r] += robot.turns[r]
-    call(robot.steps.write_cosines, (phases.mean, phases.cov, robot.kept, features.mean, features.cov, gain))
+    call(
+        robot.steps.write_cosines,
+        (phases.mean, phases.cov, robot.kept, features.mean, features.cov, gain),
+    )
     for r in range(len(rows)):
         for d in range(len(mean)):
             features.slope[d, r] = rows[r, d] * gain[r]
@@ -316,18 +323,21 @@ def _adjoint_of_model(robot, tape, t, work, back, d_mean, d_cov):
     else:
         clear(back.inputs.slope)
         clear(back.of_output)
-    call(robot.steps.adjoint_of_gp, (
-        robot.model,
-        tape.of_model,
-        t,
-        inputs.mean,
-        d_mean,
-        d_cov,
-        back.of_output,
-        work.of_model,
-        back.inputs.mean,
-        back.inputs.cov,
-    ))
+    call(
+        robot.steps.adjoint_of_gp,
+        (
+            robot.model,
+            tape.of_model,
+            t,
+            inputs.mean,
+            d_mean,
+            d_cov,
+            back.of_output,
+            work.of_model,
+            back.inputs.mean,
+            back.inputs.cov,
+        ),
+    )
     for d in range(D):
         if not robot.differences:
             d_mean[d] = 0.0
@@ -359,30 +369,36 @@ def _adjoint_of_action(robot, tape, t, work, back, out):
             of_gain += entry_of_slope * slope[d, k]
             d_action.slope[d, k] = entry_of_slope * raw.slope[0, k]
         d_raw.slope[0, k] = u_max[k] * of_gain
-    call(robot.steps.adjoint_of_cosines, (
-        raw.mean,
-        tape.raw_cov[t],
-        0,
-        raw.slope[0],
-        d_action.mean,
-        d_action.cov,
-        d_raw.slope[0],
-        d_raw.mean,
-        d_raw.cov,
-    ))
-    call(robot.steps.adjoint_of_network, (
-        robot.network,
-        tape.of_network,
-        t,
-        features.mean,
-        d_raw.mean,
-        d_raw.cov,
-        d_action.slope,
-        work.of_network,
-        d_features.mean,
-        d_features.cov,
-        out,
-    ))
+    call(
+        robot.steps.adjoint_of_cosines,
+        (
+            raw.mean,
+            tape.raw_cov[t],
+            0,
+            raw.slope[0],
+            d_action.mean,
+            d_action.cov,
+            d_raw.slope[0],
+            d_raw.mean,
+            d_raw.cov,
+        ),
+    )
+    call(
+        robot.steps.adjoint_of_network,
+        (
+            robot.network,
+            tape.of_network,
+            t,
+            features.mean,
+            d_raw.mean,
+            d_raw.cov,
+            d_action.slope,
+            work.of_network,
+            d_features.mean,
+            d_features.cov,
+            out,
+        ),
+    )
     for d in range(R):
         d_features.mean[d] += d_inputs.mean[d]
         for e in range(R):
@@ -408,17 +424,20 @@ def _adjoint_of_features(robot, work, back, d_mean, d_cov):
         for d in range(len(d_mean)):
             of_gain += d_features.slope[d, r] * rows[r, d]
         d_phases.slope[0, r] = of_gain
-    call(robot.steps.adjoint_of_cosines, (
-        phases.mean,
-        phases.cov,
-        robot.kept,
-        phases.slope[0],
-        d_features.mean,
-        d_features.cov,
-        d_phases.slope[0],
-        d_phases.mean,
-        d_phases.cov,
-    ))
+    call(
+        robot.steps.adjoint_of_cosines,
+        (
+            phases.mean,
+            phases.cov,
+            robot.kept,
+            phases.slope[0],
+            d_features.mean,
+            d_features.cov,
+            d_phases.slope[0],
+            d_phases.mean,
+            d_phases.cov,
+        ),
+    )
     product(d_phases.cov, rows, work.linear)
     product_of_transpose(rows, work.linear, back.change.cov)
     make_symmetric(back.change.cov)

@@ -228,6 +228,19 @@ def test_exact_moments_load_neither_simulator_nor_torchrl() -> None:
         assert not loaded_statically(module) & {"torchrl", "tensordict", "mujoco", "matplotlib"}
 
 
+def test_public_mathematics_loads_neither_simulator_nor_torchrl() -> None:
+    pure = {name.removesuffix(".py").replace("/", ".") for name in PURE}
+    pure -= {"search.policy_search"}  # of a loss, which is TorchRL's
+    names = [
+        name
+        for name, module in torch_pmil.MODULES.items()
+        if module.startswith("gp.") or module in pure
+    ]
+    assert {"Gaussian", "RBFPolicy", "GPDynamics", "predict_trajectory", "gaussian_kl"} <= {*names}
+    loaded = loaded_by(f"from torch_pmil import {', '.join(names)}")
+    assert not loaded & {"torchrl", "tensordict", "mujoco", "gymnasium", "matplotlib"}
+
+
 def test_importing_the_experiments_draws_nothing() -> None:
     assert "torchrl" in loaded_statically("experiments.tasks.experiment")
     assert "matplotlib" not in loaded_statically("experiments")

@@ -204,6 +204,10 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     assert not loaded_by("import torch_pmil") & heavy
 
 
+def test_training_loads_no_matplotlib_before_it_draws() -> None:
+    assert "matplotlib" not in loaded_by("import torch_pmil.cli.train")
+
+
 def loaded_statically(first: str) -> set[str]:
     """Top-level packages that a module of the package imports, by others of the package too."""
     seen, left, packages = set(), [first], set()

@@ -25,7 +25,7 @@ FRAMES_PER_SECOND = 50
 
 
 def steps_of(experiment: Experiment, result: RunResult, out: Path) -> Iterator[Step]:
-    """Steps that draw figures and video (as a GIF too), and write the report of a run."""
+    """Steps that draw figures and video (as a GIF too), and write the report with them."""
     yield "figures", partial(draw_figures, experiment, result, out / "figures")
     yield "video", partial(film, experiment, result, out / "video.mp4")
     if (out / "video.mp4").exists():

@@ -29,7 +29,8 @@ from matplotlib.ticker import NullLocator
 
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
-from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure, style
+from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure
+from torch_pmil.plotting.style import style
 
 ROOT = Path(__file__).parents[1]
 OURS, RAW, TORCHRL, FLOOR = "torch_pmil", "torch_pmil_raw_angles", "torchrl", "exp_floor"

@@ -203,6 +203,10 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     assert not loaded_by("import torch_pmil") & heavy
 
 
+def test_training_loads_no_matplotlib_before_it_draws() -> None:
+    assert "matplotlib" not in loaded_by("import torch_pmil.cli.train")
+
+
 def loaded_statically(first: str) -> set[str]:
     """Top-level packages that a module of the package imports, by others of the package too."""
     seen, left, packages = set(), [first], set()
@@ -225,6 +229,19 @@ def loaded_statically(first: str) -> set[str]:
 def test_exact_moments_load_neither_simulator_nor_torchrl() -> None:
     for module in ("gp.moment_matching", "search.kl", "model.dynamics", "model.rollout"):
         assert not loaded_statically(module) & {"torchrl", "tensordict", "mujoco", "matplotlib"}
+
+
+def test_public_mathematics_loads_neither_simulator_nor_torchrl() -> None:
+    pure = {name.removesuffix(".py").replace("/", ".") for name in PURE}
+    pure -= {"search.policy_search"}  # of a loss, which is TorchRL's
+    names = [
+        name
+        for name, module in torch_pmil.MODULES.items()
+        if module.startswith("gp.") or module in pure
+    ]
+    assert {"Gaussian", "RBFPolicy", "GPDynamics", "predict_trajectory", "gaussian_kl"} <= {*names}
+    loaded = loaded_by(f"from torch_pmil import {', '.join(names)}")
+    assert not loaded & {"torchrl", "tensordict", "mujoco", "gymnasium", "matplotlib"}
 
 
 def test_importing_the_experiments_draws_nothing() -> None:

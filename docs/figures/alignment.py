@@ -15,7 +15,8 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.demonstrations.preparation.alignment import align
-from torch_pmil.plotting import BLUE, Figure, save_figure, style
+from torch_pmil.plotting import BLUE, Figure, save_figure
+from torch_pmil.plotting.style import style
 
 STEP = 0.01  # s
 PACES = 0.04  # standard deviation of the moments, as a fraction of the duration

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import io
 import json
 import os
@@ -52,6 +53,15 @@ def test_every_command_has_help(
     except SystemExit as ended:
         assert not ended.code
     assert f"pmil {command}" in capsys.readouterr().out
+
+
+def test_what_a_command_imports_is_left_out_of_garbage_collection(
+    monkeypatch: pytest.MonkeyPatch, capsys: Printed
+) -> None:
+    gc.unfreeze()
+    with pytest.raises(SystemExit):
+        run_command(monkeypatch, "report", "--help")
+    assert gc.get_freeze_count() > 0 and gc.isenabled()
 
 
 def test_unknown_command_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 from hydra.core.config_store import ConfigStore
+from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 
 from tests.experiments.runs.report.test_report import OLD
@@ -184,6 +185,7 @@ def test_all_that_fails_after_the_policy_is_saved_is_one_line_at_the_end(
 ) -> None:
     for name in ("figures_of", "film_outcome", "write_report"):
         monkeypatch.setattr(pictures, name, broken)
+    monkeypatch.setattr(train, "write_report", broken)
     script("out=run")  # does not exit
     printed, complained = capsys.readouterr()
     assert "policy of trial 1: success rate 50%" in printed and "see run/summary.json" in printed
@@ -216,6 +218,30 @@ def test_interruption_while_drawing_leaves_what_was_learned_and_says_what_is_mis
     script("out=run")
     assert "incomplete: video: stopped; report: stopped; pmil" in capsys.readouterr().err
     assert (tmp_path / "run" / "summary.json").exists()
+    assert "pmil resume run" in (tmp_path / "run" / "report.html").read_text()
+
+
+@pytest.mark.usefixtures("finished", "nothing_to_draw")
+def test_report_and_results_are_there_before_anything_is_drawn(
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    seen: list[str] = []
+
+    def drawing(*args: object) -> Iterator[tuple[str, Figure]]:
+        seen.extend((capsys.readouterr().out, (tmp_path / "run" / "report.html").read_text()))
+        return iter([("poses", Figure(figsize=(2, 1)))])
+
+    monkeypatch.setattr(pictures, "figures_of", drawing)
+    script("out=run")
+    printed, page = seen
+    assert "policy of trial 1: success rate 50%" in printed and "see " not in printed
+    assert "It learned in part" in page and "<h2>Figures and video</h2>" in page
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "<h2>Figures and video</h2>" not in page and "Poses of one rollout" in page
+    assert capsys.readouterr().out.startswith("see run/report.html, run/figures, ")
 
 
 @pytest.mark.usefixtures("finished", "nothing_to_draw")

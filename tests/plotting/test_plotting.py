@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from tests.helpers.draws import Draws
+from torch_pmil import plotting
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.plotting import (
     pendulum_frames,
@@ -45,6 +46,13 @@ def draw(demonstrated: Gaussian, predicted: Gaussian, executed: Tensor) -> Figur
     return plot_distributions(
         NAMES[:dim], UNITS[:dim], TIME_STEP, demonstrated, predicted, executed
     )
+
+
+def test_every_name_of_the_room_is_there_when_it_is_asked_for() -> None:
+    assert {"Figure", "Plane", "plot_policy"} <= set(dir(plotting))
+    assert all(hasattr(plotting, name) for name in dir(plotting))
+    with pytest.raises(AttributeError, match="no attribute 'plot_nothing'"):
+        plotting.plot_nothing  # noqa: B018
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 4])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import version
+from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 COMMANDS = {  # in the order in which they are used; each is the module of that name
@@ -131,9 +133,23 @@ def _run() -> None:
         print(f"pmil {version('torch_pmil')}")
     elif name in COMMANDS:
         sys.argv = [f"pmil {name}", *arguments]
-        import_module(f"torch_pmil.cli.{name}").main()
+        _imported(name).main()
     else:
         sys.exit(f"error: the command must be one of {', '.join(COMMANDS)}, got {name!r}")
+
+
+def _imported(name: str) -> ModuleType:
+    """The module of a command, with what it imports left out of garbage collection.
+
+    None of it ever becomes garbage, and there is so much of it that to look through it again and
+    again, and once more at the end of the process, would take seconds.
+    """
+    gc.disable()
+    try:
+        return import_module(f"torch_pmil.cli.{name}")
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def _help() -> str:

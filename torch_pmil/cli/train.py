@@ -16,7 +16,7 @@ import shlex
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -38,6 +38,7 @@ from torch_pmil.experiments.diagnosis.before_a_run import check
 from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
 from torch_pmil.experiments.runs.lock import alone_in
 from torch_pmil.experiments.runs.pictures import steps_of
+from torch_pmil.experiments.runs.report import write_report
 from torch_pmil.experiments.runs.run_folder import FinishedRunError
 from torch_pmil.experiments.runs.settings import (
     Settings,
@@ -160,12 +161,16 @@ def name_of(config: DictConfig) -> str:
 
 
 def show(label: str, experiment: Experiment, result: RunResult, out: Path) -> None:
-    """Draw, film, report and print a run that is saved. What fails is said at the end, in a line.
+    """Report, print, draw and film a run that is saved. What fails is said at the end, in a line.
 
-    Ends with an error only where the run is no longer there.
+    The report is there at once, and again with figures and video when they are drawn. Ends with an
+    error only where the run is no longer there.
     """
+    with suppress(Exception):  # the step that writes it again says what fails
+        write_report(out, drawn=False)
+    print_result(label, result.summary)
     failures = tell(steps_of(experiment, result, out))
-    print_summary(label, result.summary, out)
+    print_left(label, out)
     if lost := lost_output():
         failures.append(f"standard output: {bounded_line(lost)}")
     if not is_finished(out):
@@ -254,10 +259,9 @@ def holds_something(path: Path) -> bool:
     return any(path.glob("*")) if path.is_dir() else path.exists()
 
 
-def print_summary(label: str, summary: dict, out: Path) -> None:
-    """Print the result of the run, and where it is."""
+def print_result(label: str, summary: dict) -> None:
+    """Print what the run came to."""
     reasons = [f"{reason['cause']}: {reason['message']}" for reason in summary["diagnosis"]]
-    left = [str(out / name) for name in LEFT if holds_something(out / name)]
     lines = [
         f"policy of trial {summary['saved_trial']}: success rate "
         f"{summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh starts after "
@@ -265,6 +269,11 @@ def print_summary(label: str, summary: dict, out: Path) -> None:
         f"computing ({summary['stop_reason']})",
         of_predictions(summary),
         *(f"likely reason: {reason}" for reason in reasons),
-        f"see {', '.join(left)}",
     ]
     say(label, "\n".join(lines))
+
+
+def print_left(label: str, out: Path) -> None:
+    """Print where there is something to see."""
+    left = [str(out / name) for name in LEFT if holds_something(out / name)]
+    say(label, f"see {', '.join(left)}")

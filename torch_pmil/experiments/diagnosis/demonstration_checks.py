@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
-from scipy.stats import chi2
+from scipy.special import chdtri
 from torch import Tensor
 
 from torch_pmil.demonstrations import Demonstrations
@@ -155,7 +155,7 @@ def check_start(
     deviation = demonstrations.positions[:, 0] - belief.mean
     factor = torch.linalg.cholesky(belief.cov)
     white = torch.linalg.solve_triangular(factor, deviation.mT, upper=False)
-    bound = chi2.isf(START_SIGNIFICANCE / len(deviation), len(belief.mean))
+    bound = chdtri(len(belief.mean), START_SIGNIFICANCE / len(deviation))  # of chi-squared
     findings = []
     for number in (white.square().sum(0) > bound).nonzero().flatten().tolist():
         entry = int((deviation[number] / belief.std).abs().argmax())

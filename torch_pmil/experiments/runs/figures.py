@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
+from torch_pmil import plotting
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.experiments.runs.training import RunResult
@@ -15,31 +16,16 @@ from torch_pmil.experiments.tasks.handwriting import Handwriting
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 from torch_pmil.model.calibration import standardised_residuals
 from torch_pmil.model.rollout import predict_mean_trajectory
-from torch_pmil.plotting import (
-    Figure,
-    Plane,
-    pendulum_frames,
-    plot_calibration,
-    plot_distributions,
-    plot_gp_slices,
-    plot_kl_per_step,
-    plot_learning_curve,
-    plot_policy,
-    plot_poses,
-    plot_writing,
-)
 from torch_pmil.search.losses import TrajectoryKLLoss
 
-# pictures without OpenGL, from positions in the match space; these have poses too
-SKETCHES = dict.fromkeys(
-    ("double_pendulum", "double_pendulum_pilco", "double_pendulum_targets"), pendulum_frames
-)
+# these have poses, and pictures without OpenGL, drawn from positions in the match space
+SKETCHED = ("double_pendulum", "double_pendulum_pilco", "double_pendulum_targets")
 SLICED = 4  # inputs of the model that slices go over: those on which it depends most
 SHARES = (0.2, 0.4, 0.6, 1.0)  # of the horizon: times at which the policy is shown
 MARGIN = 0.3  # around the executed motion, in its range
 
 
-def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str, Figure]]:
+def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str, plotting.Figure]]:
     """All figures of a run with their names, one after the other.
 
     Names of the figures of a target end in ``_target_0``, ``_target_1``, ...
@@ -52,20 +38,20 @@ def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str,
     yield "calibration", _calibration(experiment, result)
     yield "model", _model(experiment, result)
     first = result.outcomes[0]
-    if experiment.name in SKETCHES:
+    if experiment.name in SKETCHED:
         positions = experiment.space.observe(first.executed[0])
-        yield "poses", plot_poses(positions, experiment.demonstrations.time_step)
+        yield "poses", plotting.plot_poses(positions, experiment.demonstrations.time_step)
     if isinstance(experiment, Handwriting):
         writing = experiment.writing(first.predicted, first.rollouts)
-        yield "writing", plot_writing({experiment.name: writing})
+        yield "writing", plotting.plot_writing({experiment.name: writing})
 
 
-def _learning_curve(experiment: Experiment, result: RunResult) -> Figure:
+def _learning_curve(experiment: Experiment, result: RunResult) -> plotting.Figure:
     objective, trials = experiment.objective, result.trials
     label = f"predicted {objective.label}"
     if objective.unit:
         label = f"{label} ({objective.unit})"
-    return plot_learning_curve(
+    return plotting.plot_learning_curve(
         [t.experience_s for t in trials],
         [t.success_rate for t in trials],
         [t.loss for t in trials],
@@ -75,24 +61,24 @@ def _learning_curve(experiment: Experiment, result: RunResult) -> Figure:
 
 def _of_outcome(
     experiment: Experiment, result: RunResult, outcome: Outcome, number: int
-) -> Iterator[tuple[str, Figure]]:
+) -> Iterator[tuple[str, plotting.Figure]]:
     """The figures of one target: trajectories, KL of each step if it was minimised, and policy."""
     match_space, time_step = experiment.space.match_space, experiment.demonstrations.time_step
     names, demonstrated = match_space.names, outcome.demonstrated
     predicted = match_space.moments(outcome.predicted).add_noise(experiment.noise_std**2)
     executed = match_space(outcome.executed)[:, 1:]
-    trajectories = plot_distributions(
+    trajectories = plotting.plot_distributions(
         names, match_space.units, time_step, demonstrated, predicted, executed
     )
     yield "trajectories", trajectories
     if issubclass(experiment.objective, TrajectoryKLLoss):
-        yield "kl_per_step", plot_kl_per_step(names, time_step, demonstrated, predicted)
+        yield "kl_per_step", plotting.plot_kl_per_step(names, time_step, demonstrated, predicted)
     planes = planes_of(experiment.space, len(experiment.u_max), outcome.executed)
     if planes:
         yield "policy", _policy(experiment, result, outcome, planes, number)
 
 
-def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[Plane]:
+def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[plotting.Plane]:
     """The planes of each position q and its velocity dq, a little larger than the executed motion.
 
     Each plane shows its own joint's torque if every joint has one, else the first torque.
@@ -119,14 +105,18 @@ def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[Plane]:
     ]
     own = torques == len(pairs)
     return [
-        Plane(x, y, index if own else 0, (tuple(spans[x]), tuple(spans[y])))
+        plotting.Plane(x, y, index if own else 0, (tuple(spans[x]), tuple(spans[y])))
         for index, (x, y) in enumerate(pairs)
     ]
 
 
 def _policy(
-    experiment: Experiment, result: RunResult, outcome: Outcome, planes: list[Plane], number: int
-) -> Figure:
+    experiment: Experiment,
+    result: RunResult,
+    outcome: Outcome,
+    planes: list[plotting.Plane],
+    number: int,
+) -> plotting.Figure:
     """The policy in planes of the state, at some times of the predicted motion.
 
     Arrows show the flow of the model's mean.
@@ -142,10 +132,10 @@ def _policy(
     def following(at: Tensor) -> Tensor:
         return predict_mean_trajectory(at, policy.policy, dynamics, space, horizon=1)[:, 0]
 
-    return plot_policy(policy, planes, states, titles, following)
+    return plotting.plot_policy(policy, planes, states, titles, following)
 
 
-def _calibration(experiment: Experiment, result: RunResult) -> Figure:
+def _calibration(experiment: Experiment, result: RunResult) -> plotting.Figure:
     """Calibration of the model on rollouts from fresh starts, of all targets together.
 
     The model has not learned from these.
@@ -153,10 +143,12 @@ def _calibration(experiment: Experiment, result: RunResult) -> Figure:
     states = torch.cat([outcome.executed for outcome in result.outcomes])
     actions = torch.cat([outcome.rollouts["action"] for outcome in result.outcomes])
     residuals = standardised_residuals(result.dynamics, experiment.space, states, actions)
-    return plot_calibration(experiment.space.names, experiment.demonstrations.time_step, residuals)
+    return plotting.plot_calibration(
+        experiment.space.names, experiment.demonstrations.time_step, residuals
+    )
 
 
-def _model(experiment: Experiment, result: RunResult) -> Figure:
+def _model(experiment: Experiment, result: RunResult) -> plotting.Figure:
     """Slices through the model where the robot was halfway.
 
     They go over the inputs on which the model depends most.
@@ -167,7 +159,9 @@ def _model(experiment: Experiment, result: RunResult) -> Figure:
     point = torch.cat([features, outcome.rollouts["action"][0, halfway]])
     relevance = (dynamics.train_inputs.std(0) / dynamics.expansion.lengthscales).amax(0)
     over = relevance.topk(min(SLICED, len(relevance))).indices.sort().values.tolist()
-    return plot_gp_slices(dynamics, point, _input_names(experiment), space.names, space.units, over)
+    return plotting.plot_gp_slices(
+        dynamics, point, _input_names(experiment), space.names, space.units, over
+    )
 
 
 def _input_names(experiment: Experiment) -> list[str]:

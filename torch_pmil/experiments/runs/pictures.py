@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+from torch_pmil import plotting
 from torch_pmil.envs import MujocoRobotEnv
-from torch_pmil.experiments.runs.figures import SKETCHES, figures_of
+from torch_pmil.experiments.runs.figures import SKETCHED, figures_of
 from torch_pmil.experiments.runs.report import write_report
 from torch_pmil.experiments.runs.telling import Step
 from torch_pmil.experiments.runs.training import RunResult
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
-from torch_pmil.plotting import save_figure
 from torch_pmil.plotting.video import (
     dense_states,
     film_rollout,
@@ -25,7 +25,7 @@ FRAMES_PER_SECOND = 50
 
 
 def steps_of(experiment: Experiment, result: RunResult, out: Path) -> Iterator[Step]:
-    """Steps that draw figures and video (as a GIF too), and write the report of a run."""
+    """Steps that draw figures and video (as a GIF too), and write the report with them."""
     yield "figures", partial(draw_figures, experiment, result, out / "figures")
     yield "video", partial(film, experiment, result, out / "video.mp4")
     if (out / "video.mp4").exists():
@@ -37,7 +37,7 @@ def draw_figures(experiment: Experiment, result: RunResult, folder: Path) -> Non
     """Draw all figures of a run into a folder."""
     folder.mkdir(exist_ok=True)
     for name, figure in figures_of(experiment, result):
-        save_figure(figure, folder / f"{name}.png")
+        plotting.save_figure(figure, folder / f"{name}.png")
 
 
 def film(experiment: Experiment, result: RunResult, path: Path) -> None:
@@ -58,11 +58,11 @@ def film_outcome(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, 
     try:
         write_video(path, render_rollout(env, start, actions), FRAMES_PER_SECOND)
     except RuntimeError as error:
-        if experiment.name not in SKETCHES:
+        if experiment.name not in SKETCHED:
             raise
         print(f"{path} is a sketch, because {error}")
         positions = experiment.space.observe(dense_states(env, start, actions))
-        frames = SKETCHES[experiment.name](positions, 1 / FRAMES_PER_SECOND)
+        frames = plotting.pendulum_frames(positions, 1 / FRAMES_PER_SECOND)
         write_video(path, frames, FRAMES_PER_SECOND)
 
 

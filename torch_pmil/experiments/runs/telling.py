@@ -39,13 +39,23 @@ def tell(steps: Iterable[Step]) -> list[str]:
     return failures
 
 
+def making_the_rest(out: Path) -> str:
+    """The command that makes what is missing of what a run leaves.
+
+    Example:
+        >>> making_the_rest(Path("my runs/a"))
+        "pmil resume 'my runs/a'"
+    """
+    folder = f"./{out}" if str(out).startswith("-") else str(out)
+    return shlex.join(["pmil", "resume", folder])
+
+
 def warn_incomplete(label: str, failures: list[str], out: Path) -> None:
     """Say on standard error, in one line, what is missing; nothing if nothing is."""
     if failures:
-        folder = shlex.quote(f"./{out}" if str(out).startswith("-") else str(out))
         print(
-            f"{label}the report is incomplete: {'; '.join(failures)}; pmil resume "
-            f"{folder} makes the rest later, pmil report the page alone",
+            f"{label}the report is incomplete: {'; '.join(failures)}; {making_the_rest(out)} makes "
+            "the rest later, pmil report the page alone",
             file=sys.stderr,
             flush=True,
         )

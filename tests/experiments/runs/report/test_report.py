@@ -55,6 +55,16 @@ def headings(page: str) -> list[str]:
     return re.findall(r"<h2>(.*?)</h2>", page)
 
 
+def test_page_that_is_there_before_the_pictures_shows_none_and_says_that_they_follow(
+    tmp_path: Path,
+) -> None:
+    folder = run_of(tmp_path / "my run", OLD, "poses")  # of an earlier end of this run
+    page = write_report(folder, drawn=False).read_text()
+    assert "<img" not in page and "Figures and video" in headings(page)
+    assert f"pmil resume &#39;{folder}&#39;" in page
+    assert "Figures and video" not in headings(page_of(folder))
+
+
 def test_page_asks_for_nothing_from_elsewhere(tmp_path: Path) -> None:
     folder = run_of(tmp_path / "run", OLD, "poses")
     write_video(folder / "video.mp4", [np.zeros((16, 16, 3), dtype=np.uint8)] * 5, fps=5)

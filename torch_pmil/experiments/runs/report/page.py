@@ -12,6 +12,7 @@ from torch_pmil.experiments.runs.report.captions import Caption, caption_of, pla
 from torch_pmil.experiments.runs.report.tables import tables
 from torch_pmil.experiments.runs.report.words import headline, next_steps, percent, say
 from torch_pmil.experiments.runs.summaries import RunError, read_summary
+from torch_pmil.experiments.runs.telling import making_the_rest
 from torch_pmil.files import MIB, FileError, read_bytes, replacing
 
 MEDIA_BYTES = 64 * MIB  # of a figure or video, some 100 kB
@@ -46,7 +47,7 @@ class Picture:
         return round(self.pixels[0] / DENSEST)
 
 
-def write_report(folder: Path | str) -> Path:
+def write_report(folder: Path | str, drawn: bool = True) -> Path:
     """Write ``report.html`` from what a finished run left in its folder: summary, figures, video.
 
     The page holds all of it and asks for nothing from elsewhere. What a run did not leave, it does
@@ -54,6 +55,8 @@ def write_report(folder: Path | str) -> Path:
 
     Args:
         folder: of the run.
+        drawn: whether figures and video are those of this run; False before they are drawn, and the
+            page says that they follow.
 
     Returns:
         The path of the page.
@@ -70,7 +73,7 @@ def write_report(folder: Path | str) -> Path:
     summary = read_summary(folder)
     page = folder / "report.html"
     try:
-        text = _page(folder, summary)
+        text = _page(folder, summary, drawn)
     except (RunError, OSError):
         raise
     except Exception as error:  # entries of other types fail in what says them, with any type
@@ -82,12 +85,13 @@ def write_report(folder: Path | str) -> Path:
     return page
 
 
-def _page(folder: Path, summary: dict) -> str:
+def _page(folder: Path, summary: dict, drawn: bool) -> str:
     return _template().render(
         summary=summary,
         headline=headline(summary),
-        pictures=_pictures(folder, summary),
-        video=_encoded(_content(folder / "video.mp4")) if (folder / "video.mp4").exists() else None,
+        following=None if drawn else making_the_rest(folder),
+        pictures=_pictures(folder, summary) if drawn else [],
+        video=_video(folder) if drawn else None,
         tables=list(tables(summary)),
         steps=list(next_steps(summary, folder)),
     )
@@ -110,6 +114,12 @@ def _pictures(folder: Path, summary: dict) -> list[Picture]:
     targets = list(summary.get("saved_success_rate_by_target", {}))
     paths = sorted((folder / "figures").glob("*.png"), key=lambda path: place_of(path.stem))
     return [Picture(caption_of(path.stem, targets), *_pixels_and_text(path)) for path in paths]
+
+
+def _video(folder: Path) -> str | None:
+    """The video as text, if there is one."""
+    path = folder / "video.mp4"
+    return _encoded(_content(path)) if path.exists() else None
 
 
 def _pixels_and_text(path: Path) -> tuple[tuple[int, int], str]:

@@ -164,9 +164,8 @@ class TrajectoryLoss(LossModule):
             start.mean, policy, self.dynamics, self.space, self._steps(horizon)
         )
         comparison = self._served(states)
-        if comparison is not None:
-            return kernels().costs_of_states(states, comparison)
-        return self._mean_costs(self.space.observe(states))
+        costs = None if comparison is None else kernels().costs_of_states(states, comparison)
+        return self._mean_costs(self.space.observe(states)) if costs is None else costs
 
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Loss of each predicted marginal by which a search trusts it, (*batch, horizon).

@@ -1,6 +1,6 @@
 """The kernels as functions of PyTorch, with gradients in start beliefs and policies.
 
-Each returns None where a kernel found no answer: the formulas in PyTorch then say why.
+Those that may find no answer return None then: the formulas in PyTorch say why.
 """
 
 from __future__ import annotations
@@ -61,12 +61,9 @@ def predict_beliefs(start: Gaussian, plan: Plan) -> Gaussian | None:
         return None
 
 
-def predict_states(start: Tensor, plan: Plan) -> Tensor | None:
+def predict_states(start: Tensor, plan: Plan) -> Tensor:
     """States of the model's mean alone, (N, T, D), from N states (N, D)."""
-    try:
-        return _States.apply(plan, start, *plan.controller.parameters)
-    except _NoAnswer:
-        return None
+    return _States.apply(plan, start, *plan.controller.parameters)
 
 
 class _Beliefs(torch.autograd.Function):
@@ -140,7 +137,7 @@ class _States(torch.autograd.Function):
 
 
 def costs_of_beliefs(states: Gaussian, comparison: Comparison) -> Tensor | None:
-    """Costs of predicted marginals (\\*batch, T), which broadcast with the comparison's batch."""
+    """Costs of predicted marginals, (\\*batch, T)."""
     try:
         return _Costs.apply(comparison, states.mean, states.cov)
     except _NoAnswer:
@@ -148,11 +145,14 @@ def costs_of_beliefs(states: Gaussian, comparison: Comparison) -> Tensor | None:
 
 
 def costs_of_states(states: Tensor, comparison: Comparison) -> Tensor | None:
-    """Costs of states without variance (\\*batch, T): half of |r|^2 in the demonstrated metric.
+    """Costs of states without variance (\\*batch, T).
 
-    Or its saturating cost.
+    They are half of |r|^2 in the metric of the demonstrated covariances, or the saturating cost.
     """
-    return _CostsOfMeans.apply(comparison, states)
+    try:
+        return _CostsOfMeans.apply(comparison, states)
+    except _NoAnswer:
+        return None
 
 
 class _Costs(torch.autograd.Function):
@@ -231,10 +231,17 @@ def _determinants(comparison: Comparison, batch: tuple[int, ...]) -> tuple[np.nd
     """Demonstrated covariances, and half the logarithms of their determinants."""
     if comparison.demonstrated is None:
         return np.empty((0, 0, 0)), np.empty(0)
-    factor = torch.linalg.cholesky(comparison.demonstrated)
+    factor = _factor(comparison.demonstrated)
     half_log_det = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
     flat = comparison.demonstrated.expand(*batch, -1, -1).flatten(0, -3)
     return _array(flat), _array(half_log_det.expand(batch).flatten())
+
+
+def _factor(cov: Tensor) -> Tensor:
+    factor, failed = torch.linalg.cholesky_ex(cov)
+    if failed.any():
+        raise _NoAnswer
+    return factor
 
 
 def _roots(comparison: Comparison, batch: tuple[int, ...]) -> np.ndarray:
@@ -242,7 +249,7 @@ def _roots(comparison: Comparison, batch: tuple[int, ...]) -> np.ndarray:
     M = comparison.offset.shape[-1]
     if comparison.demonstrated is None:
         return np.eye(M)[None]
-    factor = torch.linalg.cholesky(comparison.demonstrated)
+    factor = _factor(comparison.demonstrated)
     identity = torch.eye(M).to(factor)
     root = torch.linalg.solve_triangular(factor, identity, upper=False)
     return _array(root.expand(*batch, -1, -1).flatten(0, -3))

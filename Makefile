@@ -94,6 +94,7 @@ clean:  ## remove what make and the tests built, not runs/
 	@$(PYTHON) -m venv .venv
 	@$(PIP) $(TORCH_ARGS) -c constraints.txt torch==2.13.0
 	@$(PIP) -c constraints.txt -e ".[test]"
+	@.venv/bin/pmil compile
 	@touch $@
 
 .venv/.dev: .venv/.installed

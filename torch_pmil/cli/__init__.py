@@ -22,6 +22,7 @@ COMMANDS = {  # in the order in which they are used; each is the module of that 
     "report": "write the report of a finished run anew",
     "summarize": "put several runs together: table, main numbers, learning curve",
     "export": "export a learned policy as a program that needs PyTorch alone",
+    "compile": "compile the prediction for this processor, once; or the first training does",
 }
 EXAMPLES = """\
 examples:

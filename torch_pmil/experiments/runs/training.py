@@ -43,6 +43,7 @@ from torch_pmil.files import write_json
 from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
+from torch_pmil.model.compiled import available, kernels
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.trainer.archive import SavedRun
@@ -137,6 +138,8 @@ def train(
         on_trial(trial)
 
     with alone_in(out):
+        if available():
+            kernels()  # compiled before the progress bar stands
         remove_debris(out)
         saved = _same_run(rotation, identity) if resume else None
         if not resume:

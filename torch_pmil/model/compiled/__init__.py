@@ -56,6 +56,9 @@ def serves(constant: Sequence[Tensor], differentiable: Sequence[Tensor]) -> bool
     return ordinary and not graph and available()
 
 
+@cache
 def kernels() -> ModuleType:
-    """:mod:`torch_pmil.model.compiled.prediction`, which needs Numba and so comes when needed."""
-    return importlib.import_module("torch_pmil.model.compiled.prediction")
+    """:mod:`torch_pmil.model.compiled.prediction`, compiled; it needs Numba, so it comes late."""
+    module = importlib.import_module("torch_pmil.model.compiled.prediction")
+    module.compile_all()
+    return module

@@ -37,7 +37,7 @@ Array2 = Annotated[NDArray[np.float64], 2]
 Array3 = Annotated[NDArray[np.float64], 3]
 Array4 = Annotated[NDArray[np.float64], 4]
 Array5 = Annotated[NDArray[np.float64], 5]
-Address = Annotated[int, "address"]
+Address = int  # of a kernel, for :func:`call`
 
 # sums may be reordered and products fused; NaN and infinity are what they are
 OPTIONS = {
@@ -111,34 +111,43 @@ def call(typing: Any, address: Any, arguments: Any) -> tuple[Any, Callable[..., 
     return types.boolean(types.int64, arguments), emit
 
 
-def compile_all() -> None:
-    """Compile the kernels, or take them from the cache; a line on stderr says what takes its time.
+def compile_all() -> Path | None:
+    """Compile the kernels, or take them from the cache; a line on stderr tells what takes its time.
 
-    Example:
-        >>> compile_all()
+    Returns:
+        The folder of the cache, or None if there is none.
     """
-    with event.install_listener("numba:compile", _Progress()):
+    progress = _Progress()
+    with event.install_listener("numba:compile", progress):
         for kernel in KERNELS:
             kernel.compile()
+    progress.clear()
+    return _cache_folder()
 
 
 class _Progress(event.Listener):
-    """Tells of kernels that are compiled, not of the functions in them."""
+    """Tells of each kernel that is compiled, on a terminal; of the first one elsewhere."""
+
+    def __init__(self) -> None:
+        self.told = 0
 
     def on_start(self, event: Any) -> None:
-        names = [kernel.function for kernel in KERNELS]
+        functions = [kernel.function for kernel in KERNELS]
         function = event.data["dispatcher"].py_func
-        if function in names:
-            done = f"{names.index(function) + 1} of {len(names)}"
-            print(
-                f"\rcompiling the prediction for this processor, once: kernel {done}",
-                end="\n" if function is names[-1] else "",
-                file=sys.stderr,
-                flush=True,
-            )
+        terminal = sys.stderr.isatty()
+        if function in functions and (terminal or not self.told):
+            line = "compiling the prediction for this processor, once: kernel "
+            line += f"{functions.index(function) + 1} of {len(functions)}"
+            print(line, end="\r" if terminal else "\n", file=sys.stderr, flush=True)
+            self.told = len(line)
 
     def on_end(self, event: Any) -> None:
-        pass
+        """Nothing to tell."""
+
+    def clear(self) -> None:
+        """Wipe the line from a terminal."""
+        if self.told and sys.stderr.isatty():
+            print(" " * self.told, end="\r", file=sys.stderr, flush=True)
 
 
 def _signature(function: Callable[..., Any]) -> Any:

@@ -8,20 +8,11 @@ the belief are moments of :math:`B \nu` (:mod:`torch_pmil.model.compiled.matchin
 from __future__ import annotations
 
 from math import isnan, sqrt
-from typing import NamedTuple
 
 import numpy as np
 
-from torch_pmil.model.compiled.building import (
-    Array1,
-    Array2,
-    Array3,
-    Array4,
-    Array5,
-    Kernel,
-    compiled,
-    part,
-)
+from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
+from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled, part
 from torch_pmil.model.compiled.pair_sums import sum_own_pairs, sum_pairs
 from torch_pmil.model.compiled.small_matrices import invert, product, times_vector
 from torch_pmil.model.compiled.thin_products import (
@@ -36,111 +27,6 @@ from torch_pmil.model.compiled.thin_products import (
     transform,
     write_exponentials,
 )
-
-
-class Functions(NamedTuple):
-    """The E functions of a :class:`KernelExpansion` of D inputs, as kernels read them.
-
-    Their n data are filled up to a multiple of eight by some of weight zero.
-
-    Args:
-        inputs: (D, n).
-        weights: beta, (E, n).
-        squares: squared lengthscales, the diagonals of Lambda_a, (E, D).
-        log_signal: log alpha_a^2, (E,).
-        offset: c_a, (E,).
-        variance: what a GP's variance is subtracted from, noise included, (E,); 0 for a network.
-        own_weights: beta_a beta_a' - K_a^-1 with half its diagonal and zeros below, (E, n, n);
-            (0, 0, 0) for a network.
-    """
-
-    inputs: Array2
-    weights: Array2
-    squares: Array2
-    log_signal: Array1
-    offset: Array1
-    variance: Array1
-    own_weights: Array3
-
-
-class Record(NamedTuple):
-    """What the moments at T beliefs leave for their adjoints.
-
-    Args:
-        q: integrals of the kernels, (T, E, n).
-        precision: B of the kernels, (T, E, D, D).
-        total, slope: means without offsets (T, E), and Sigma^-1 cov(x, f), (T, D, E).
-        pair_precision: B of the products of the kernels, (T, E, E, D, D).
-        gradient, hessian: of a GP, the derivatives of E[f_a f_b] by the mean and by the covariance,
-            (T, E, E, D) and (T, E, E, D, D).
-        products: of a network, sum_i w_i [nu_i, 1] Q_ij, (T, E, E, D + 1, n).
-    """
-
-    q: Array3
-    precision: Array4
-    total: Array2
-    slope: Array3
-    pair_precision: Array5
-    gradient: Array4
-    hessian: Array5
-    products: Array5
-
-    @classmethod
-    def of(cls, f: Functions, times: int) -> Record:
-        """Room for the moments at so many beliefs."""
-        (D, n), E, gp = f.inputs.shape, len(f.weights), len(f.own_weights) > 0
-        pairs_of_gp, pairs_of_network = (E, 0) if gp else (0, E)
-        shapes = (
-            (E, n),
-            (E, D, D),
-            (E,),
-            (D, E),
-            (E, E, D, D),
-            (pairs_of_gp, E, D),
-            (pairs_of_gp, E, D, D),
-            (pairs_of_network, E, D + 1, n),
-        )
-        return cls(*(np.empty((times, *shape)) for shape in shapes))
-
-
-class Workspace(NamedTuple):
-    """Arrays for the moments at one belief, which the next one overwrites.
-
-    Args:
-        nu: inputs less the mean of the belief, (D, n).
-        points: [nu_i, 1], (n, D + 1).
-        right, f, g: exponents of a pair of outputs, as in :func:`sum_pairs`.
-        left, rows: results of :func:`sum_pairs`.
-        moved, weighted: scratch, (D, n).
-        single: scratch, (n,).
-        shares: of the first and the second output in a pair, and (Lambda_a + Lambda_b)^-1, (3, D).
-        small: scratch, (6, D, D).
-        vectors: scratch, (4, D).
-    """
-
-    nu: Array2
-    points: Array2
-    right: Array2
-    f: Array1
-    g: Array1
-    left: Array2
-    rows: Array1
-    moved: Array2
-    weighted: Array2
-    single: Array1
-    shares: Array2
-    small: Array3
-    vectors: Array2
-
-    @classmethod
-    def of(cls, f: Functions) -> Workspace:
-        """Arrays for these functions."""
-        D, n = f.inputs.shape
-        shapes = (
-            *((D, n), (n, D + 1), (D, n), (n,), (n,), (D + 1, n), (n,), (D, n), (D, n)),
-            *((n,), (3, D), (6, D, D), (4, D)),
-        )
-        return cls(*(np.empty(shape) for shape in shapes))
 
 
 @Kernel

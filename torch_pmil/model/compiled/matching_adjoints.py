@@ -9,15 +9,9 @@ have the same derivative, beside those by what they normalise.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-
+from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, Record, Workspace
 from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled, part
 from torch_pmil.model.compiled.matching import (
-    Functions,
-    Record,
-    Workspace,
     centre,
     combine_pair,
     cross_form,
@@ -36,25 +30,6 @@ from torch_pmil.model.compiled.thin_products import (
     sum_entries,
     transform,
 )
-
-
-class NetworkGradient(NamedTuple):
-    """Gradients in a network, in the layout of its :class:`Functions`.
-
-    Args:
-        inputs: (D, n).
-        weights: (E, n).
-        squares: (E, D).
-    """
-
-    inputs: Array2
-    weights: Array2
-    squares: Array2
-
-    @classmethod
-    def zero(cls, f: Functions) -> NetworkGradient:
-        """Gradients to which others are added."""
-        return cls(*(np.zeros_like(values) for values in (f.inputs, f.weights, f.squares)))
 
 
 @Kernel

@@ -7,10 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from torch_pmil.model.compiled.arrays import Functions, NetworkGradient
 from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled, part
-from torch_pmil.model.compiled.matching_adjoints import NetworkGradient
-from torch_pmil.model.compiled.matching import Functions
-from torch_pmil.model.compiled.trajectory import Robot
 from torch_pmil.model.compiled.small_matrices import times_vector
 from torch_pmil.model.compiled.thin_products import (
     add_multiple,
@@ -20,6 +18,7 @@ from torch_pmil.model.compiled.thin_products import (
     sum_products,
     write_exponentials,
 )
+from torch_pmil.model.compiled.trajectory import Robot
 
 
 class MeanTape(NamedTuple):

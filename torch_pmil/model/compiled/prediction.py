@@ -19,6 +19,8 @@ from torch.autograd.function import once_differentiable
 from torch_pmil.gp.gaussian import Gaussian, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.trigonometry import Augmentation
+from torch_pmil.model.compiled.arrays import Functions, NetworkGradient
+from torch_pmil.model.compiled.building import compile_all as compile_all
 from torch_pmil.model.compiled.costs import (
     CostWork,
     Observation,
@@ -31,18 +33,9 @@ from torch_pmil.model.compiled.mean_trajectory import (
     adjoint_of_mean,
     predict_mean,
 )
-from torch_pmil.model.compiled.matching_adjoints import NetworkGradient
-from torch_pmil.model.compiled.matching import Functions
 from torch_pmil.model.compiled.plans import Comparison, Plan
-from torch_pmil.model.compiled.trajectory import (
-    Cotangents,
-    Robot,
-    Steps,
-    StepWork,
-    Tape,
-    adjoint,
-    predict,
-)
+from torch_pmil.model.compiled.trajectory import Robot, Steps, StepWork, Tape, predict
+from torch_pmil.model.compiled.trajectory_adjoint import Cotangents, adjoint
 from torch_pmil.model.compiled.vectors import WIDTH
 
 Parameters = tuple[Tensor, Tensor, Tensor]

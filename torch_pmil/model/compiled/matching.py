@@ -17,8 +17,6 @@ from torch_pmil.model.compiled.pair_sums import sum_own_pairs, sum_pairs
 from torch_pmil.model.compiled.small_matrices import invert, product, times_vector
 from torch_pmil.model.compiled.thin_products import (
     add_multiple,
-    add_outer_form,
-    fill,
     multiply_entries,
     outer_sums,
     scale_columns,
@@ -26,6 +24,7 @@ from torch_pmil.model.compiled.thin_products import (
     sum_products,
     transform,
     write_exponentials,
+    write_forms,
 )
 
 
@@ -80,9 +79,8 @@ def _match_one(f, a, cov, record, t, work):
     half_log_det = regularised_precision(cov, f.squares[a], B)
     if isnan(half_log_det):
         return False
-    fill(work.f, f.log_signal[a] - half_log_det)
     transform(B, work.nu, work.moved)
-    add_outer_form(work.nu, work.moved, -0.5, work.f)
+    write_forms(work.nu, work.moved, f.log_signal[a] - half_log_det, work.f)
     write_exponentials(work.f, q)
     record.total[t, a] = sum_products(f.weights[a], q)
     multiply_entries(f.weights[a], q, work.single)
@@ -122,10 +120,8 @@ def _exponents(f, a, b, cov, B, work):
     half_log_det = regularised_precision(cov, harmonic, B)
     if isnan(half_log_det):
         return False
-    fill(work.f, f.log_signal[a] - half_log_det / 2)
-    fill(work.g, f.log_signal[b] - half_log_det / 2)
-    _add_form(shares[0], B, shares[2], work, work.f)
-    _add_form(shares[1], B, shares[2], work, work.g)
+    _write_terms(shares[0], B, shares[2], f.log_signal[a] - half_log_det / 2, work, work.f)
+    _write_terms(shares[1], B, shares[2], f.log_signal[b] - half_log_det / 2, work, work.g)
     cross_form(shares[0], B, shares[1], shares[2], -1.0, work.small[0])
     transform(work.small[0], work.nu, work.right)
     return True
@@ -159,10 +155,10 @@ def own_form(share, B, distance, sign, out):
 
 
 @compiled
-def _add_form(share, B, distance, work, terms):
+def _write_terms(share, B, distance, constant, work, terms):
     own_form(share, B, distance, 1.0, work.small[0])
     transform(work.small[0], work.nu, work.moved)
-    add_outer_form(work.nu, work.moved, -0.5, terms)
+    write_forms(work.nu, work.moved, constant, terms)
 
 
 @part

@@ -41,15 +41,16 @@ def sum_pairs(points, right, f, g, w, z, left, rows):
         p1, p2, p3 = p0 + D + 1, p0 + 2 * D + 2, p0 + 3 * D + 3
         s0 = s1 = s2 = s3 = splat(0.0)
         for j in range(0, n, WIDTH):
-            of_j = load(g, j)
-            q0, q1 = add(spread(f, i), of_j), add(spread(f, i + 1), of_j)
-            q2, q3 = add(spread(f, i + 2), of_j), add(spread(f, i + 3), of_j)
+            q0 = q1 = q2 = q3 = splat(0.0)
             for d in range(D):
                 r = load(right, d * n + j)
                 q0 = multiply_add(spread(points, p0 + d), r, q0)
                 q1 = multiply_add(spread(points, p1 + d), r, q1)
                 q2 = multiply_add(spread(points, p2 + d), r, q2)
                 q3 = multiply_add(spread(points, p3 + d), r, q3)
+            of_j = load(g, j)
+            q0, q1 = add(q0, add(spread(f, i), of_j)), add(q1, add(spread(f, i + 1), of_j))
+            q2, q3 = add(q2, add(spread(f, i + 2), of_j)), add(q3, add(spread(f, i + 3), of_j))
             q0, q1, q2, q3 = exponential(q0), exponential(q1), exponential(q2), exponential(q3)
             factor = load(z, j)
             s0, s1 = multiply_add(q0, factor, s0), multiply_add(q1, factor, s1)
@@ -86,15 +87,16 @@ def sum_own_pairs(points, right, f, weights, left, rows):
         p1, p2, p3 = p0 + D + 1, p0 + 2 * D + 2, p0 + 3 * D + 3
         s0 = s1 = s2 = s3 = splat(0.0)
         for j in range(i // WIDTH * WIDTH, n, WIDTH):
-            of_j = load(f, j)
-            q0, q1 = add(spread(f, i), of_j), add(spread(f, i + 1), of_j)
-            q2, q3 = add(spread(f, i + 2), of_j), add(spread(f, i + 3), of_j)
+            q0 = q1 = q2 = q3 = splat(0.0)
             for d in range(D):
                 r = load(right, d * n + j)
                 q0 = multiply_add(spread(points, p0 + d), r, q0)
                 q1 = multiply_add(spread(points, p1 + d), r, q1)
                 q2 = multiply_add(spread(points, p2 + d), r, q2)
                 q3 = multiply_add(spread(points, p3 + d), r, q3)
+            of_j = load(f, j)
+            q0, q1 = add(q0, add(spread(f, i), of_j)), add(q1, add(spread(f, i + 1), of_j))
+            q2, q3 = add(q2, add(spread(f, i + 2), of_j)), add(q3, add(spread(f, i + 3), of_j))
             q0, q1, q2, q3 = exponential(q0), exponential(q1), exponential(q2), exponential(q3)
             at = row + j
             q0, q1 = multiply(q0, load(weights, at)), multiply(q1, load(weights, at + n))

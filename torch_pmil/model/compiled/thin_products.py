@@ -87,13 +87,14 @@ def scale_columns(values, factors, out):
 
 
 @compiled
-def add_outer_form(nu, transformed, factor, out):
-    """Add the factor times the quadratic forms nu_i' A nu_i to ``out`` (n,), A nu being known."""
+def write_forms(nu, transformed, constant, out):
+    """Write a constant less half the forms nu_i' A nu_i into ``out`` (n,), A nu being known."""
     n = nu.shape[1]
-    for d in range(nu.shape[0]):
-        for j in range(0, n, WIDTH):
-            form = multiply(load(nu, d * n + j), load(transformed, d * n + j))
-            store(out, j, multiply_add(splat(factor), form, load(out, j)))
+    for j in range(0, n, WIDTH):
+        forms = splat(0.0)
+        for d in range(nu.shape[0]):
+            forms = multiply_add(load(nu, d * n + j), load(transformed, d * n + j), forms)
+        store(out, j, multiply_add(splat(-0.5), forms, splat(constant)))
 
 
 @compiled

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -26,6 +29,7 @@ from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.kl import gaussian_kl, trajectory_kl
 from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchSettings, search_policy
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 
 @pytest.fixture
@@ -285,3 +289,20 @@ def test_search_lowers_the_loss(key: str, initial: Gaussian) -> None:
 def test_cost_that_makes_no_sense_is_an_error(wrong: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_cost(seed=0, **wrong)
+
+
+@pytest.mark.parametrize("make", [make_kl, make_cost])
+def test_both_predictions_are_those_that_the_loss_was_given(
+    initial: Gaussian, make: Callable[..., TrajectoryLoss]
+) -> None:
+    def halved(start: Tensor, *rest: Any) -> Tensor:
+        return predict_mean_trajectory(start, *rest) / 2
+
+    loss, other = make(0), make(0, mean_prediction=halved)
+    with torch.no_grad():
+        states = predict_mean_trajectory(
+            initial.mean, loss.actor_network, loss.dynamics, SPACE, HORIZON
+        )
+        torch.testing.assert_close(other.per_step(initial), loss.per_step(initial))
+        expected = loss._mean_costs(SPACE.observe(states / 2))
+        torch.testing.assert_close(other.mean_per_step(initial), expected)

@@ -11,10 +11,15 @@ from torch_pmil.gp.checks import check_noise, check_positive, check_tensor, chec
 from torch_pmil.gp.gaussian import Gaussian, check_belief
 from torch_pmil.model.compiled.plans import Comparison
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import predict_trajectory
+from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.kl import gaussian_kl, mean_kl
 from torch_pmil.search.saturating_cost import expected_saturating_cost, saturating_cost
-from torch_pmil.search.trajectory_loss import Prediction, Reduction, TrajectoryLoss
+from torch_pmil.search.trajectory_loss import (
+    MeanPrediction,
+    Prediction,
+    Reduction,
+    TrajectoryLoss,
+)
 
 
 class TrajectoryKLLoss(TrajectoryLoss):
@@ -32,7 +37,7 @@ class TrajectoryKLLoss(TrajectoryLoss):
         demonstrated: demonstrated marginals at t = 1..T in the match space, with observation noise.
         noise_std: standard deviation of the observation noise added to the prediction too, in the
             units of the match space: one number, or one for each entry, (M,).
-        reduction, prediction: as in :class:`TrajectoryLoss`.
+        reduction, prediction, mean_prediction: as in :class:`TrajectoryLoss`.
 
     Raises:
         ValueError: the demonstrated marginals or the noise are not in the match space, or not
@@ -65,8 +70,9 @@ class TrajectoryKLLoss(TrajectoryLoss):
         noise_std: float | Tensor,
         reduction: Reduction = "mean",
         prediction: Prediction = predict_trajectory,
+        mean_prediction: MeanPrediction = predict_mean_trajectory,
     ) -> None:
-        super().__init__(actor_network, dynamics, space, reduction, prediction)
+        super().__init__(actor_network, dynamics, space, reduction, prediction, mean_prediction)
         names = space.match_space.names
         if demonstrated.dim != len(names):
             raise ValueError(
@@ -137,7 +143,7 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         horizon: T, number of steps after the start.
         weight: W, (M, M), symmetric and positive semi-definite; the identity by default. Zeros
             ignore an entry.
-        reduction, prediction: as in :class:`TrajectoryLoss`.
+        reduction, prediction, mean_prediction: as in :class:`TrajectoryLoss`.
 
     Raises:
         ValueError: shapes do not fit the match space, a number is not positive, W is indefinite, or
@@ -170,8 +176,9 @@ class ExpectedSaturatingCost(TrajectoryLoss):
         weight: Tensor | None = None,
         reduction: Reduction = "mean",
         prediction: Prediction = predict_trajectory,
+        mean_prediction: MeanPrediction = predict_mean_trajectory,
     ) -> None:
-        super().__init__(actor_network, dynamics, space, reduction, prediction)
+        super().__init__(actor_network, dynamics, space, reduction, prediction, mean_prediction)
         M = space.match_space.dim
         if target.shape != (M,):
             raise ValueError(

@@ -10,9 +10,9 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_tensor
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.rollout import predict_trajectory
+from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.losses import TrajectoryKLLoss
-from torch_pmil.search.trajectory_loss import Prediction, Reduction
+from torch_pmil.search.trajectory_loss import MeanPrediction, Prediction, Reduction
 
 
 class MultiTargetKLLoss(TrajectoryKLLoss):
@@ -29,7 +29,8 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
 
     Args:
         actor_network: the policy, whose parameters are learned.
-        dynamics, space, noise_std, reduction, prediction: as in :class:`TrajectoryKLLoss`.
+        dynamics, space, noise_std: as in :class:`TrajectoryKLLoss`.
+        reduction, prediction, mean_prediction: as in :class:`TrajectoryKLLoss`.
         demonstrated: demonstrated marginals of each target at t = 1..T, mean (S, T, M), with
             observation noise.
         targets: :math:`\eta_i`, (S, K).
@@ -60,9 +61,17 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         noise_std: float | Tensor,
         reduction: Reduction = "mean",
         prediction: Prediction = predict_trajectory,
+        mean_prediction: MeanPrediction = predict_mean_trajectory,
     ) -> None:
         super().__init__(
-            actor_network, dynamics, space, demonstrated, noise_std, reduction, prediction
+            actor_network,
+            dynamics,
+            space,
+            demonstrated,
+            noise_std,
+            reduction,
+            prediction,
+            mean_prediction,
         )
         if targets.ndim != 2 or demonstrated.batch_shape[:-1] != targets.shape[:1]:
             raise ValueError(

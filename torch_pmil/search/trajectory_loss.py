@@ -28,6 +28,7 @@ from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory
 
 Reduction = Literal["none", "mean", "sum"]
 Prediction = Callable[[Gaussian, Policy, GPDynamics, StateSpace, int], Gaussian]
+MeanPrediction = Callable[[Tensor, Policy, GPDynamics, StateSpace, int], Tensor]
 
 
 class TrajectoryLoss(LossModule):
@@ -54,6 +55,7 @@ class TrajectoryLoss(LossModule):
             gives all steps, (\*batch, T), with 0 where they do not count.
         prediction: how p(x_1..T) is predicted: exact moment matching, or
             :class:`ParticlePrediction`.
+        mean_prediction: how the trajectory of the model's mean alone is predicted.
 
     Raises:
         ValueError: the reduction is none of these.
@@ -79,6 +81,7 @@ class TrajectoryLoss(LossModule):
         space: StateSpace,
         reduction: Reduction,
         prediction: Prediction,
+        mean_prediction: MeanPrediction = predict_mean_trajectory,
     ) -> None:
         super().__init__()
         if reduction not in ("none", "mean", "sum"):
@@ -87,7 +90,7 @@ class TrajectoryLoss(LossModule):
         self.dynamics = dynamics
         self.space = space
         self.reduction = reduction
-        self.prediction = prediction
+        self.prediction, self.mean_prediction = prediction, mean_prediction
 
     @property
     @abstractmethod
@@ -160,7 +163,7 @@ class TrajectoryLoss(LossModule):
         It is cheap, and has no local optimum of wide predictions.
         """
         start, policy = self.begin(initial)
-        states = predict_mean_trajectory(
+        states = self.mean_prediction(
             start.mean, policy, self.dynamics, self.space, self._steps(horizon)
         )
         comparison = self._served(states)

@@ -137,6 +137,7 @@ class ProblemDraws(Draws):
         if self.chance(0.3):
             dynamics.gp.mean_module = ConstantMean(batch_shape=torch.Size([D]))
             dynamics.gp.mean_module.constant.data = signal.sqrt() * self.normal(D)
+            dynamics.gp.mean_module.requires_grad_(False)
         if n * D <= 300 and self.chance(0.3):
             own = x + 0.1 * self.normal(D, n, inputs)
             dynamics.gp.set_train_data(own, y.mT.contiguous(), strict=False)

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from tests.helpers.draws import Draws
+from tests.helpers.losses import make_kl
 from tests.helpers.random_predictions import Problem, ProblemDraws, Results, neighbour
 from tests.helpers.two_ways import formulas_alone, kernels_alone
 from torch_pmil.experiments import load_experiment
@@ -110,3 +111,18 @@ def test_results_of_a_fitted_model_are_those_of_the_formulas() -> None:
     problem = fitted_problem(100)
     assert signal_to_noise(problem.loss.dynamics.expansion).max() > 400
     assert Agreement(problem).excess < SAFETY
+
+
+def test_beliefs_in_threads_are_predicted_as_one_after_the_other(draws: Draws) -> None:
+    loss, start = make_kl(seed=1), draws.belief(7, 2, scale=0.05)
+    problem, before = Problem(start, loss, noise=True, cotangents=draws), torch.get_num_threads()
+    results = []
+    try:
+        for threads in (1, 3):
+            torch.set_num_threads(threads)
+            with kernels_alone():
+                results.append(problem.results())
+    finally:
+        torch.set_num_threads(before)
+    for alone, together in zip(*results, strict=True):
+        assert all(torch.equal(alone[name], together[name]) for name in alone)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import gpytorch
@@ -77,6 +77,12 @@ class KernelExpansion:
             check_finite_entries(name, getattr(self, name).detach())
         for name in ("lengthscales", "signal_variance"):
             _check_positive(name, getattr(self, name))
+
+    @property
+    def tensors(self) -> list[Tensor]:
+        """Those of its arguments that are tensors."""
+        values = (getattr(self, field.name) for field in fields(self))
+        return [value for value in values if isinstance(value, Tensor)]
 
     @property
     def num_outputs(self) -> int:

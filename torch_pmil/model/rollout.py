@@ -250,9 +250,7 @@ def _compiled(
     mean: Tensor, cov: Tensor, controller: Controller, dynamics: GPDynamics, space: StateSpace
 ) -> bool:
     """Whether the kernels predict these trajectories."""
-    f = dynamics.expansion
-    posterior = f.inputs, f.weights, f.lengthscales, f.signal_variance, f.gram_inverse
-    constant = *posterior, controller.u_max, controller.network.signal_variance
+    constant = *dynamics.expansion.tensors, controller.u_max, controller.network.signal_variance
     return serves(constant, (mean, cov, *controller.parameters))
 
 

@@ -108,7 +108,7 @@ class TrajectoryKLLoss(TrajectoryLoss):
         noise = torch.as_tensor(self.noise_std, dtype=torch.float64).expand(match_space.dim)
         return Comparison(
             match_space.augmentation,
-            match_space.weights,
+            match_space.weights.double(),
             -demonstrated.mean,
             noise.square().diag(),
             demonstrated.cov,

@@ -245,7 +245,7 @@ class TrajectoryLoss(LossModule):
     def _served(self, states: Tensor) -> Comparison | None:
         """What the kernels compare states (*batch, T, D) with, if they do."""
         comparison = self._comparison(states.shape[-2])
-        if comparison is None or not serves((comparison.offset,), (states,)):
+        if comparison is None or not serves(comparison.tensors, (states,)):
             return None
         broadcast = torch.broadcast_shapes(comparison.offset.shape[:-1], states.shape[:-1])
         return comparison if broadcast == states.shape[:-1] else None

@@ -19,6 +19,7 @@ from torch_pmil.model.compiled.building import (
     Array3,
     Kernel,
     call,
+    compiled,
     part,
 )
 from torch_pmil.model.compiled.cosines import adjoint_of_cosines, write_cosines
@@ -29,6 +30,10 @@ from torch_pmil.model.compiled.small_matrices import (
     product_with_transpose,
     times_vector,
 )
+
+# how far below zero an eigenvalue of a covariance may be, of its largest variance or of one: less
+# than the formulas allow, which are asked beyond
+NEGLIGIBLE = 1e-6
 
 
 class Observation(NamedTuple):
@@ -108,17 +113,14 @@ def write_costs(
         costs, d_mean, d_cov: out, (T,), (T, D) and (T, D, D).
 
     Returns:
-        The step 1..T whose covariance has no Cholesky factor, or 0.
+        The step 1..T whose covariance has no Cholesky factor, or is none, or 0.
     """
     saturating = len(demonstrated) == 0
     for t in range(len(costs)):
         _observe(observation, t, mean[t], cov[t], work)
-        for i in range(len(work.cov)):
-            for j in range(len(work.cov)):
-                work.inverse[i, j] = work.cov[i, j]
-            if saturating:
-                work.inverse[i, i] += 1.0
-        log_det = invert(work.inverse)
+        if saturating and isnan(_invert_with(work.cov, NEGLIGIBLE * _largest(work.cov), work)):
+            return t + 1
+        log_det = _invert_with(work.cov, 1.0 if saturating else 0.0, work)
         if isnan(log_det):
             return t + 1
         times_vector(work.inverse, work.residual, work.moved)
@@ -148,6 +150,25 @@ def _observe(observation, t, mean, cov, work):
         work.residual[i] += observation.offset[t, i]
         for j in range(len(work.residual)):
             work.cov[i, j] += observation.noise[i, j]
+
+
+@compiled
+def _invert_with(cov, variance, work):
+    """:func:`invert` a covariance, to which a variance of all entries is added, into ``work``."""
+    for i in range(len(cov)):
+        for j in range(len(cov)):
+            work.inverse[i, j] = cov[i, j]
+        work.inverse[i, i] += variance
+    return invert(work.inverse)
+
+
+@compiled
+def _largest(cov):
+    """The largest variance, or one."""
+    largest = 1.0
+    for i in range(len(cov)):
+        largest = max(largest, cov[i, i])
+    return largest
 
 
 @part

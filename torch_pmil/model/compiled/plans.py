@@ -51,3 +51,9 @@ class Comparison:
     offset: Tensor
     noise: Tensor
     demonstrated: Tensor | None
+
+    @property
+    def tensors(self) -> list[Tensor]:
+        """What kernels have no gradient in."""
+        parts = self.matrix, self.offset, self.noise, self.demonstrated
+        return [part for part in parts if part is not None]

@@ -66,9 +66,10 @@ class _Beliefs(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         robots = _robots(plan, parameters, len(mean))
         tapes = [Tape.of(robot, plan.horizon) for robot in robots]
+        start = _array(mean), _array(cov)  # here: other threads record graphs of their own
 
         def roll_out(i: int) -> None:
-            tapes[i].mean[0], tapes[i].cov[0] = mean[i].numpy(), cov[i].numpy()
+            tapes[i].mean[0], tapes[i].cov[0] = (part[i] for part in start)
             if predict(robots[i], tapes[i], StepWork.of(robots[i])):
                 raise _NoAnswer
 

@@ -1,0 +1,133 @@
+"""Costs of predicted states and their gradients, beside the formulas in PyTorch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from tests.helpers.draws import Draws
+from tests.helpers.losses import HORIZON, SPACE, make_cost, make_kl
+from tests.helpers.two_ways import assert_told_alike, formulas_alone, kernels_alone
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.compiled.prediction import costs_of_beliefs, costs_of_states
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+
+losses = pytest.mark.parametrize("make", [make_kl, make_cost], ids=["KL", "saturating cost"])
+batches = pytest.mark.parametrize("batch", [(), (3,), (2, 3)], ids=str)
+Make = Callable[..., TrajectoryLoss]
+
+
+def foretold(loss: TrajectoryLoss, states: Gaussian) -> TrajectoryLoss:
+    """The loss with a prediction that is these states, whatever the policy."""
+    loss.prediction = lambda *_: states
+    return loss
+
+
+def beliefs(draws: Draws, *batch: int) -> Gaussian:
+    return draws.belief(*batch, HORIZON, 2, scale=0.1)
+
+
+@losses
+@batches
+def test_costs_and_gradients_are_those_of_the_formulas(
+    draws: Draws, make: Make, batch: tuple[int, ...]
+) -> None:
+    states, start = beliefs(draws, *batch), draws.belief(*batch, 2)
+    leaves = [t.requires_grad_() for t in (states.mean, states.cov)]
+    loss, cotangent = foretold(make(seed=1), states), draws.normal(*batch, HORIZON)
+    with kernels_alone():
+        ours = loss.per_step(start)
+    with formulas_alone():
+        expected = loss.per_step(start)
+    torch.testing.assert_close(ours, expected, rtol=1e-13, atol=1e-13)
+    own, of_formulas = (torch.autograd.grad(cost, leaves, cotangent) for cost in (ours, expected))
+    symmetric = (of_formulas[1] + of_formulas[1].mT) / 2
+    torch.testing.assert_close(own[0], of_formulas[0], rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(own[1], symmetric, rtol=1e-12, atol=1e-12)
+
+
+@losses
+@batches
+def test_costs_of_means_and_gradients_are_those_of_the_formulas(
+    draws: Draws, make: Make, batch: tuple[int, ...]
+) -> None:
+    loss, mean = make(seed=1), draws.normal(*batch, HORIZON, 2).requires_grad_()
+    ours = costs_of_states(mean, loss._comparison(HORIZON))
+    expected = loss._mean_costs(SPACE.observe(mean))
+    assert ours is not None
+    torch.testing.assert_close(ours, expected, rtol=1e-13, atol=1e-13)
+    cotangent = draws.normal(*batch, HORIZON)
+    own, of_formulas = (torch.autograd.grad(cost, mean, cotangent) for cost in (ours, expected))
+    torch.testing.assert_close(own, of_formulas, rtol=1e-12, atol=1e-12)
+
+
+@losses
+def test_gradients_are_difference_quotients(draws: Draws, make: Make) -> None:
+    comparison, root = make(seed=1)._comparison(HORIZON), 0.3 * draws.normal(HORIZON, 2, 3)
+
+    def costs(mean: Tensor, root: Tensor) -> Tensor:
+        found = costs_of_beliefs(Gaussian(mean, root @ root.mT), comparison)
+        assert found is not None
+        return found
+
+    mean = draws.normal(HORIZON, 2).requires_grad_()
+    assert gradcheck(costs, (mean, root.requires_grad_()))
+    assert gradcheck(lambda mean: costs_of_states(mean, comparison), mean)
+
+
+def test_cost_of_a_certain_state_is_that_of_its_mean(draws: Draws) -> None:
+    comparison, mean = make_cost(seed=1)._comparison(HORIZON), draws.normal(HORIZON, 2)
+    certain = Gaussian(mean, torch.zeros(HORIZON, 2, 2, dtype=torch.float64))
+    torch.testing.assert_close(
+        costs_of_beliefs(certain, comparison), costs_of_states(mean, comparison)
+    )
+
+
+# --- what has no cost ---
+
+
+@losses
+@pytest.mark.parametrize("variance", [-3.0, -0.1])
+@pytest.mark.parametrize("step", [0, 2])
+def test_predicted_covariance_that_is_none_is_named(
+    draws: Draws, make: Make, variance: float, step: int
+) -> None:
+    """Also where the saturating cost could be computed, for I + S has a Cholesky factor."""
+    states = beliefs(draws, 3)
+    states.cov[1, step] = variance * torch.eye(2)
+    loss = foretold(make(seed=1), states)
+    message = f"comparison of step {step + 1} of {HORIZON} failed"
+    assert_told_alike(lambda: loss.per_step(draws.belief(3, 2)), message)
+
+
+@losses
+@pytest.mark.parametrize("entry", [torch.nan, torch.inf])
+def test_predicted_covariance_that_is_not_finite_is_named(
+    draws: Draws, make: Make, entry: float
+) -> None:
+    states = beliefs(draws)
+    states.cov[2, 0, 0] = entry
+    loss = foretold(make(seed=1), states)
+    assert_told_alike(lambda: loss.per_step(draws.belief(2)), "must be finite, got nan")
+
+
+@losses
+def test_predicted_mean_that_is_not_finite_is_named(draws: Draws, make: Make) -> None:
+    states = beliefs(draws)
+    states.mean[2, 1] = torch.nan
+    loss = foretold(make(seed=1), states)
+    assert_told_alike(lambda: loss.per_step(draws.belief(2)), "must be finite, got nan")
+
+
+@pytest.mark.parametrize("entry", [0.0, -1.0, torch.nan])
+def test_demonstrated_covariance_without_cholesky_factor_is_named(
+    draws: Draws, entry: float
+) -> None:
+    loss, start = foretold(make_kl(seed=1), beliefs(draws)), draws.belief(2, scale=0.05)
+    loss.demonstrated_cov[2] = entry * torch.eye(2)
+    assert_told_alike(lambda: loss.per_step(start), f"comparison of step 3 of {HORIZON} failed")
+    assert_told_alike(lambda: loss.mean_per_step(start), "demonstrated covariance must be positive")

@@ -253,7 +253,8 @@ def _compiled(
     f = dynamics.expansion
     posterior = f.inputs, f.weights, f.lengthscales, f.signal_variance, f.gram_inverse
     constant = *posterior, controller.u_max, controller.network.signal_variance
-    return serves(constant, (mean, cov, *controller.parameters))
+    known = [tensor for tensor in constant if tensor is not None]
+    return serves(known, (mean, cov, *controller.parameters))
 
 
 def _plan(

@@ -36,10 +36,11 @@ nitpick_ignore_regex = [
     (r"py:.*", rf"({name})\b.*")
     for name in (
         # their objects are not ours
-        "torch|tensordict|torchrl|gpytorch|numba|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",
-        "argparse|collections|functools|http|os|pathlib|types|typing",
+        "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",
+        "numba|argparse|collections|functools|http|os|pathlib|types|typing",
         # by the names that annotations and docstrings have for them
-        "nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError|Array[1-5]|Address",
+        "nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError",
+        "Array[1-5]?|Address|TypeAliasForwardRef",
         # type variables and a private class
         r"torch_pmil\.(control\.state_policy\.State|model\.compiled\.building\.Function|search\.trajectory_loss\.TrajectoryLoss\._AcceptedKeys)",
     )
@@ -48,7 +49,7 @@ nitpick_ignore_regex = [
 autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
 autodoc_inherit_docstrings = False
 autodoc_preserve_defaults = True
-autodoc_type_aliases = {f"Array{dimensions}": f"Array{dimensions}" for dimensions in range(1, 6)}
+autodoc_type_aliases = {name: name for name in ("Array", *(f"Array{d}" for d in range(1, 6)))}
 python_use_unqualified_type_names = True
 add_module_names = False
 maximum_signature_line_length = 100

@@ -30,12 +30,13 @@ from numba.core import cgutils, event
 from numba.misc.appdirs import AppDirs
 from numpy.typing import NDArray
 
-# arrays of float64 by their number of dimensions, C-contiguous
-Array1 = Annotated[NDArray[np.float64], 1]
-Array2 = Annotated[NDArray[np.float64], 2]
-Array3 = Annotated[NDArray[np.float64], 3]
-Array4 = Annotated[NDArray[np.float64], 4]
-Array5 = Annotated[NDArray[np.float64], 5]
+# arrays of float64, and these by their number of dimensions, C-contiguous
+Array = NDArray[np.float64]
+Array1 = Annotated[Array, 1]
+Array2 = Annotated[Array, 2]
+Array3 = Annotated[Array, 3]
+Array4 = Annotated[Array, 4]
+Array5 = Annotated[Array, 5]
 Address = int  # of a kernel, for :func:`call`
 
 # sums may be reordered and products fused; NaN and infinity are what they are

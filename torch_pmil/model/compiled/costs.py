@@ -256,7 +256,7 @@ def write_costs_of_means(
         observation: as in :func:`write_costs`; the noise is not used.
         roots: matrices G, (T, M, M), of which r is G (A waves + a), or (1, M, M) for all.
         mean: states, (T, D).
-        saturating: whether the cost is 1 - exp(-|r|^2 / 2), not |r|^2 / 2.
+        saturating: whether the cost is 1 - exp(-r'r / 2), not r'r / 2.
         work: scratch.
         costs, d_mean: out, (T,) and (T, D).
     """

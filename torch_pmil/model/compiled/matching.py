@@ -48,7 +48,7 @@ def match(
         cov_of_f: out, covariance of the functions, (E, E).
 
     Returns:
-        Whether the covariance of the belief is one: I + Sigma P has Cholesky factors.
+        Whether all I + Sigma P have Cholesky factors, as they have for a covariance Sigma.
     """
     E, gp, totals = len(f.weights), len(f.own_weights) > 0, record.total[t]
     centre(f.inputs, mean, work.nu, work.points)

@@ -13,7 +13,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -21,7 +20,13 @@ from torch_pmil.gp.gaussian import Gaussian, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.trigonometry import Augmentation
 from torch_pmil.model.compiled.arrays import Functions, NetworkGradient
-from torch_pmil.model.compiled.building import Array1, Array2, Array3, compile_all as compile_all
+from torch_pmil.model.compiled.building import (
+    Array,
+    Array1,
+    Array2,
+    Array3,
+    compile_all as compile_all,
+)
 from torch_pmil.model.compiled.costs import (
     CostWork,
     Observation,
@@ -317,7 +322,7 @@ def _gradients(gradients: list[NetworkGradient], parameters: Parameters) -> list
     ]
 
 
-def _array(values: Tensor) -> NDArray[np.float64]:
+def _array(values: Tensor) -> Array:
     """The values of a tensor as kernels take them, C-contiguous."""
     return np.ascontiguousarray(values.detach().numpy(), dtype=np.float64)
 

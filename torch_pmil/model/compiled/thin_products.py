@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torch_pmil.model.compiled.building import Array1, Array2, compiled
+from torch_pmil.model.compiled.building import Array, Array1, Array2, compiled
 from torch_pmil.model.compiled.vectors import (
     WIDTH,
     add,
@@ -18,7 +18,7 @@ from torch_pmil.model.compiled.vectors import (
 
 
 @compiled
-def fill(values: Array1 | Array2, number: float) -> None:
+def fill(values: Array, number: float) -> None:
     """Write a number into all entries, as many as a multiple of eight."""
     for j in range(0, values.size, WIDTH):
         store(values, j, splat(number))
@@ -116,7 +116,7 @@ def sum_entries(a: Array1) -> float:
 
 
 @compiled
-def add_multiple(factor: float, a: Array1 | Array2, out: Array1 | Array2) -> None:
+def add_multiple(factor: float, a: Array, out: Array) -> None:
     """Add the factor times a to ``out``, of the same shape, with a multiple of eight entries."""
     for j in range(0, a.size, WIDTH):
         store(out, j, multiply_add(splat(factor), load(a, j), load(out, j)))

@@ -26,6 +26,7 @@ extensions = [
     "code_links",
     "docstrings",
     "equations",
+    "kernels",
     "notebooks",
     "whole_links",
 ]
@@ -36,17 +37,19 @@ nitpick_ignore_regex = [
     for name in (
         # their objects are not ours
         "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",
-        "argparse|collections|functools|http|os|pathlib|types|typing",
+        "numba|argparse|collections|functools|http|os|pathlib|types|typing",
         # by the names that annotations and docstrings have for them
         "nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError",
-        # a type variable and a private class
-        r"torch_pmil\.(control\.state_policy\.State|search\.trajectory_loss\.TrajectoryLoss\._AcceptedKeys)",
+        "Array[1-5]?|Address|TypeAliasForwardRef",
+        # type variables and a private class
+        r"torch_pmil\.(control\.state_policy\.State|model\.compiled\.building\.Function|search\.trajectory_loss\.TrajectoryLoss\._AcceptedKeys)",
     )
 ]
 
 autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
 autodoc_inherit_docstrings = False
 autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("Array", *(f"Array{d}" for d in range(1, 6)))}
 python_use_unqualified_type_names = True
 add_module_names = False
 maximum_signature_line_length = 100

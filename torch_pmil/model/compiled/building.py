@@ -14,29 +14,29 @@ and no reference counted), and loops are vectorised by hand or not at all.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import numba
 import numpy as np
-from numba import types
-from numba.core import cgutils, config, event
-from numba.extending import intrinsic
+from numba import extending, types
+from numba.core import cgutils, event
 from numba.misc.appdirs import AppDirs
 from numpy.typing import NDArray
 
-# arrays of float64 by their number of dimensions, C-contiguous
-Array1 = Annotated[NDArray[np.float64], 1]
-Array2 = Annotated[NDArray[np.float64], 2]
-Array3 = Annotated[NDArray[np.float64], 3]
-Array4 = Annotated[NDArray[np.float64], 4]
-Array5 = Annotated[NDArray[np.float64], 5]
+# arrays of float64, and these by their number of dimensions, C-contiguous
+Array = NDArray[np.float64]
+Array1 = Annotated[Array, 1]
+Array2 = Annotated[Array, 2]
+Array3 = Annotated[Array, 3]
+Array4 = Annotated[Array, 4]
+Array5 = Annotated[Array, 5]
 Address = int  # of a kernel, for :func:`call`
 
 # sums may be reordered and products fused; NaN and infinity are what they are
@@ -50,10 +50,23 @@ OPTIONS = {
 # of the compiler: what more would save at run time is lost many times over before
 EFFORT = {"OPT": 1, "LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
 
-compiled = numba.njit(**OPTIONS, no_cpython_wrapper=True)
-part = numba.njit(**OPTIONS, no_cpython_wrapper=True, inline="always")
+# Numba's own annotations know neither all of its options nor how an intrinsic is called
+njit: Any = numba.njit
+config: Any = numba.config
+intrinsic: Any = extending.intrinsic
 
 KERNELS: list[Kernel] = []
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """A function of kernels alone, compiled for the types that it is called with."""
+    return njit(**OPTIONS, no_cpython_wrapper=True)(function)
+
+
+def part(function: Function) -> Function:
+    """A part of one kernel, written where it is called."""
+    return njit(**OPTIONS, no_cpython_wrapper=True, inline="always")(function)
 
 
 class Kernel:
@@ -66,6 +79,7 @@ class Kernel:
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.function, self._ready = function, None
+        functools.update_wrapper(self, function)
         KERNELS.append(self)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -80,7 +94,7 @@ class Kernel:
     def compile(self) -> Any:
         """The compiled function, from the cache if it is there."""
         if self._ready is None:
-            dispatcher = numba.njit(**OPTIONS)(self.function)
+            dispatcher = njit(**OPTIONS)(self.function)
             with _effort(), _cached(dispatcher):
                 dispatcher.compile(_signature(self.function))
             dispatcher.disable_compile()
@@ -88,7 +102,7 @@ class Kernel:
         return self._ready
 
 
-@cache
+@functools.cache
 def _address(kernel: Kernel) -> int:
     (result,) = kernel.compile().overloads.values()
     return result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
@@ -159,11 +173,7 @@ def _signature(function: Callable[..., Any]) -> Any:
 def _numba_type(hint: Any) -> Any:
     if hasattr(hint, "__metadata__"):
         (dimensions,) = hint.__metadata__
-        return (
-            types.Array(types.float64, dimensions, "C")
-            if hint.__origin__ is not int
-            else types.int64
-        )
+        return types.Array(types.float64, dimensions, "C")
     if hint in (bool, int):
         return types.boolean if hint is bool else types.int64
     fields = get_type_hints(hint, include_extras=True).values()
@@ -195,7 +205,7 @@ def _cached(dispatcher: Any) -> Iterator[None]:
         config.CACHE_DIR = before
 
 
-@cache
+@functools.cache
 def _cache_folder() -> Path | None:
     """A folder for these kernels alone: one that changes with any of their files.
 

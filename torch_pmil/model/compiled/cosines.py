@@ -40,7 +40,7 @@ def write_cosines(
 
 
 @compiled
-def _coefficients(cov, i, j):
+def _coefficients(cov: Array2, i: int, j: int) -> tuple[float, float]:
     """Factors of the products of cosines and of sines in a covariance of two cosines."""
     size = abs(cov[i, j])
     growth = exp(size - (cov[i, i] + cov[j, j]) / 2.0) * expm1(-2.0 * size)

@@ -24,6 +24,7 @@ from torch_pmil.model.compiled.building import (
 )
 from torch_pmil.model.compiled.cosines import adjoint_of_cosines, write_cosines
 from torch_pmil.model.compiled.small_matrices import (
+    copy,
     invert,
     product,
     product_of_transpose,
@@ -55,8 +56,27 @@ class Observation(NamedTuple):
     noise: Array2
 
 
+Shapes = tuple[tuple[int, ...], ...]
+
+
 class CostWork(NamedTuple):
-    """Room for the costs of one step."""
+    """Arrays for the cost of one step, which the next one overwrites.
+
+    A name that begins with ``d_`` is the cotangent of what the rest names.
+
+    Args:
+        phase, phase_cov: the R combinations of the state, (R,) and (R, R).
+        waves, waves_cov: these, with cosines taken, (R,) and (R, R).
+        gain: mean slope of each of them in its combination, (R,).
+        residual, cov: r and its covariance, (M,) and (M, M).
+        inverse: of the covariance, with the identity added for the saturating cost, (M, M).
+        moved: the inverse times r, (M,).
+        d_residual, d_cov: (M,) and (M, M).
+        d_waves, d_waves_cov, d_gain: (R,), (R, R) and (R,).
+        d_phase, d_phase_cov: (R,) and (R, R).
+        linear, scratch: scratch, (R, D) and (M, R).
+        write_cosines, adjoint_of_cosines: kernels.
+    """
 
     phase: Array1
     phase_cov: Array2
@@ -83,10 +103,11 @@ class CostWork(NamedTuple):
     def of(cls, observation: Observation) -> CostWork:
         """Room for these observations."""
         (M, R), D = observation.matrix.shape, observation.rows.shape[1]
-        shapes = ((R,), (R, R), (R,), (R, R), (R,), (M,), (M, M), (M, M), (M,), (M,), (M, M))
-        shapes += ((R,), (R, R), (R,), (R,), (R, R), (R, D), (M, R))
-        arrays = (np.empty(shape) for shape in shapes)
-        return cls(*arrays, write_cosines.address, adjoint_of_cosines.address)
+        of_waves: Shapes = (R,), (R, R), (R,), (R, R), (R,)
+        of_residual: Shapes = (M,), (M, M), (M, M), (M,), (M,), (M, M)
+        of_cotangents: Shapes = (R,), (R, R), (R,), (R,), (R, R), (R, D), (M, R)
+        arrays = map(np.empty, (*of_waves, *of_residual, *of_cotangents))
+        return cls._make((*arrays, write_cosines.address, adjoint_of_cosines.address))
 
 
 @Kernel
@@ -116,14 +137,16 @@ def write_costs(
         The step 1..T whose covariance has no Cholesky factor, or is none, or 0.
     """
     saturating = len(demonstrated) == 0
+    residual, cov_of_residual, inverse = work.residual, work.cov, work.inverse
     for t in range(len(costs)):
         _observe(observation, t, mean[t], cov[t], work)
-        if saturating and isnan(_invert_with(work.cov, NEGLIGIBLE * _largest(work.cov), work)):
+        negligible = NEGLIGIBLE * _largest(cov_of_residual)
+        if saturating and isnan(_invert_with(cov_of_residual, negligible, inverse)):
             return t + 1
-        log_det = _invert_with(work.cov, 1.0 if saturating else 0.0, work)
+        log_det = _invert_with(cov_of_residual, 1.0 if saturating else 0.0, inverse)
         if isnan(log_det):
             return t + 1
-        times_vector(work.inverse, work.residual, work.moved)
+        times_vector(inverse, residual, work.moved)
         if saturating:
             costs[t] = _saturating_cost(log_det, work)
         else:
@@ -133,37 +156,38 @@ def write_costs(
 
 
 @part
-def _observe(observation, t, mean, cov, work):
-    """Mean and covariance of r into ``work``."""
-    rows, phase, linear = observation.rows, work.phase, work.linear
+def _observe(observation: Observation, t: int, mean: Array1, cov: Array2, work: CostWork) -> None:
+    """Mean and covariance of r into ``work``, and of what it is made of."""
+    rows, turns, phase, linear = observation.rows, observation.turns, work.phase, work.linear
+    matrix, offset, noise = observation.matrix, observation.offset[t], observation.noise
+    waves_cov, residual, cov_of_residual = work.waves_cov, work.residual, work.cov
     times_vector(rows, mean, phase)
     for r in range(len(rows)):
-        phase[r] += observation.turns[r]
+        phase[r] += turns[r]
     product(rows, cov, linear)
     product_with_transpose(linear, rows, work.phase_cov)
-    waves = (phase, work.phase_cov, observation.kept, work.waves, work.waves_cov, work.gain)
+    waves = (phase, work.phase_cov, observation.kept, work.waves, waves_cov, work.gain)
     call(work.write_cosines, waves)
-    times_vector(observation.matrix, work.waves, work.residual)
-    product(observation.matrix, work.waves_cov, work.scratch)
-    product_with_transpose(work.scratch, observation.matrix, work.cov)
-    for i in range(len(work.residual)):
-        work.residual[i] += observation.offset[t, i]
-        for j in range(len(work.residual)):
-            work.cov[i, j] += observation.noise[i, j]
+    times_vector(matrix, work.waves, residual)
+    product(matrix, waves_cov, work.scratch)
+    product_with_transpose(work.scratch, matrix, cov_of_residual)
+    for i in range(len(residual)):
+        residual[i] += offset[i]
+        for j in range(len(residual)):
+            cov_of_residual[i, j] += noise[i, j]
 
 
 @compiled
-def _invert_with(cov, variance, work):
-    """:func:`invert` a covariance, to which a variance of all entries is added, into ``work``."""
+def _invert_with(cov: Array2, variance: float, inverse: Array2) -> float:
+    """:func:`invert` a covariance, to which a variance of all entries is added."""
+    copy(cov, inverse)
     for i in range(len(cov)):
-        for j in range(len(cov)):
-            work.inverse[i, j] = cov[i, j]
-        work.inverse[i, i] += variance
-    return invert(work.inverse)
+        inverse[i, i] += variance
+    return invert(inverse)
 
 
 @compiled
-def _largest(cov):
+def _largest(cov: Array2) -> float:
     """The largest variance, or one."""
     largest = 1.0
     for i in range(len(cov)):
@@ -172,16 +196,17 @@ def _largest(cov):
 
 
 @part
-def _divergence(demonstrated, half_log_ratio, work):
+def _divergence(demonstrated: Array2, half_log_ratio: float, work: CostWork) -> float:
     """KL to N(r, cov) from N(0, demonstrated) (Eq. 19); its gradients (Eqs. 23, 24)."""
-    M, inverse, moved, d_cov = len(work.moved), work.inverse, work.moved, work.d_cov
+    inverse, moved, residual, ratio = work.inverse, work.moved, work.residual, work.cov
+    d_residual, d_cov, M = work.d_residual, work.d_cov, len(work.moved)
     trace, distance = 0.0, 0.0
-    product(inverse, demonstrated, work.cov)
+    product(inverse, demonstrated, ratio)
     for i in range(M):
-        trace += work.cov[i, i]
-        distance += work.residual[i] * moved[i]
-        work.d_residual[i] = moved[i]
-    product(work.cov, inverse, d_cov)
+        trace += ratio[i, i]
+        distance += residual[i] * moved[i]
+        d_residual[i] = moved[i]
+    product(ratio, inverse, d_cov)
     for i in range(M):
         for j in range(M):
             d_cov[i, j] = (inverse[i, j] - d_cov[i, j] - moved[i] * moved[j]) / 2.0
@@ -189,39 +214,52 @@ def _divergence(demonstrated, half_log_ratio, work):
 
 
 @part
-def _saturating_cost(log_det, work):
+def _saturating_cost(log_det: float, work: CostWork) -> float:
     """Expected saturating cost of N(r, cov) (Eq. 28), and its gradients."""
-    M, distance = len(work.moved), 0.0
+    inverse, moved, residual = work.inverse, work.moved, work.residual
+    d_residual, d_cov, M, distance = work.d_residual, work.d_cov, len(work.moved), 0.0
     for i in range(M):
-        distance += work.residual[i] * work.moved[i]
+        distance += residual[i] * moved[i]
     closeness = exp(-distance / 2.0 - log_det)
     for i in range(M):
-        work.d_residual[i] = closeness * work.moved[i]
+        d_residual[i] = closeness * moved[i]
         for j in range(M):
-            outer = work.moved[i] * work.moved[j]
-            work.d_cov[i, j] = closeness * (work.inverse[i, j] - outer) / 2.0
+            d_cov[i, j] = closeness * (inverse[i, j] - moved[i] * moved[j]) / 2.0
     return 1.0 - closeness
 
 
 @part
-def _adjoint_of_observation(observation, work, d_mean, d_cov):
+def _adjoint_of_observation(
+    observation: Observation, work: CostWork, d_mean: Array1, d_cov: Array2
+) -> None:
     """Gradients in the state from those in r."""
-    matrix, rows = observation.matrix, observation.rows
+    matrix, rows, d_residual, linear = (
+        observation.matrix,
+        observation.rows,
+        work.d_residual,
+        work.linear,
+    )
+    d_waves, d_gain, d_phase, d_phase_cov = (
+        work.d_waves,
+        work.d_gain,
+        work.d_phase,
+        work.d_phase_cov,
+    )
     for r in range(len(rows)):
-        work.d_waves[r] = work.d_gain[r] = 0.0
+        d_waves[r] = d_gain[r] = 0.0
         for i in range(len(matrix)):
-            work.d_waves[r] += matrix[i, r] * work.d_residual[i]
+            d_waves[r] += matrix[i, r] * d_residual[i]
     product(work.d_cov, matrix, work.scratch)
     product_of_transpose(matrix, work.scratch, work.d_waves_cov)
-    cotangents = (work.d_waves, work.d_waves_cov, work.d_gain, work.d_phase, work.d_phase_cov)
-    state = (work.phase, work.phase_cov, observation.kept, work.gain)
+    state = work.phase, work.phase_cov, observation.kept, work.gain
+    cotangents = d_waves, work.d_waves_cov, d_gain, d_phase, d_phase_cov
     call(work.adjoint_of_cosines, state + cotangents)
-    product(work.d_phase_cov, rows, work.linear)
-    product_of_transpose(rows, work.linear, d_cov)
+    product(d_phase_cov, rows, linear)
+    product_of_transpose(rows, linear, d_cov)
     for d in range(len(d_mean)):
         d_mean[d] = 0.0
         for r in range(len(rows)):
-            d_mean[d] += rows[r, d] * work.d_phase[r]
+            d_mean[d] += rows[r, d] * d_phase[r]
 
 
 @Kernel
@@ -240,36 +278,39 @@ def write_costs_of_means(
         observation: as in :func:`write_costs`; the noise is not used.
         roots: matrices G, (T, M, M), of which r is G (A waves + a), or (1, M, M) for all.
         mean: states, (T, D).
-        saturating: whether the cost is 1 - exp(-|r|^2 / 2), not |r|^2 / 2.
+        saturating: whether the cost is 1 - exp(-r'r / 2), not r'r / 2.
         work: scratch.
         costs, d_mean: out, (T,) and (T, D).
     """
-    rows, matrix, waves, moved = observation.rows, observation.matrix, work.waves, work.moved
+    rows, turns, kept = observation.rows, observation.turns, observation.kept
+    matrix, offset, waves, gain = observation.matrix, observation.offset, work.waves, work.gain
+    unscaled, residual, phases = work.moved, work.residual, work.phase
     for t in range(len(costs)):
         root = roots[t if len(roots) > 1 else 0]
-        times_vector(rows, mean[t], work.phase)
+        times_vector(rows, mean[t], phases)
         for r in range(len(rows)):
-            phase = work.phase[r] + observation.turns[r]
-            waves[r] = phase if r < observation.kept else cos(phase)
-            work.gain[r] = 1.0 if r < observation.kept else -sin(phase)
-        times_vector(matrix, waves, moved)
-        for i in range(len(moved)):
-            moved[i] += observation.offset[t, i]
-        times_vector(root, moved, work.residual)
+            phase = phases[r] + turns[r]
+            waves[r] = phase if r < kept else cos(phase)
+            gain[r] = 1.0 if r < kept else -sin(phase)
+        times_vector(matrix, waves, unscaled)
+        for i in range(len(unscaled)):
+            unscaled[i] += offset[t, i]
+        times_vector(root, unscaled, residual)
         half_square = 0.0
-        for i in range(len(moved)):
-            half_square += work.residual[i] * work.residual[i] / 2.0
+        for i in range(len(residual)):
+            half_square += residual[i] * residual[i] / 2.0
         closeness = exp(-half_square) if saturating else 1.0
         costs[t] = 1.0 - closeness if saturating else half_square
-        for i in range(len(moved)):
-            moved[i] = 0.0
-            for j in range(len(moved)):
-                moved[i] += closeness * root[j, i] * work.residual[j]
+        d_unscaled = unscaled
+        for i in range(len(residual)):
+            d_unscaled[i] = 0.0
+            for j in range(len(residual)):
+                d_unscaled[i] += closeness * root[j, i] * residual[j]
         for d in range(d_mean.shape[1]):
             d_mean[t, d] = 0.0
             for r in range(len(rows)):
                 of_wave = 0.0
-                for i in range(len(moved)):
-                    of_wave += matrix[i, r] * moved[i]
-                d_mean[t, d] += of_wave * work.gain[r] * rows[r, d]
+                for i in range(len(residual)):
+                    of_wave += matrix[i, r] * d_unscaled[i]
+                d_mean[t, d] += of_wave * gain[r] * rows[r, d]
     return True

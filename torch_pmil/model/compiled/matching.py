@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from math import isnan, sqrt
 
-import numpy as np
-
 from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
 from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled, part
 from torch_pmil.model.compiled.pair_sums import sum_own_pairs, sum_pairs
@@ -38,65 +36,76 @@ def match(
     work: Workspace,
     cov_of_f: Array2,
 ) -> bool:
-    """Moments of the functions at a belief, into ``record`` and ``cov_of_f`` (E, E).
+    """Moments of E functions at a belief over D inputs.
 
-    False where the covariance of the belief is none.
+    Args:
+        f: functions.
+        mean, cov: belief, (D,) and (D, D).
+        record: out at ``t``, the mean without offsets, the slope, and what the adjoint needs.
+        t: time step.
+        work: scratch.
+        cov_of_f: out, covariance of the functions, (E, E).
+
+    Returns:
+        Whether all I + Sigma P have Cholesky factors, as they have for a covariance Sigma.
     """
-    E = len(f.weights)
-    centre(f.inputs, mean, work)
+    E, gp, totals = len(f.weights), len(f.own_weights) > 0, record.total[t]
+    centre(f.inputs, mean, work.nu, work.points)
     for a in range(E):
         if not _match_one(f, a, cov, record, t, work):
             return False
     for a in range(E):
-        for b in range(a, E):
-            if len(f.own_weights):
-                second = _match_pair_of_gp(f, a, b, cov, record, t, work)
-            else:
-                second = _match_pair_of_network(f, a, b, cov, record, t, work)
-                if a != b:
-                    _match_pair_of_network(f, b, a, cov, record, t, work)
-            if isnan(second):
+        for b in range(a if gp else 0, E):
+            B = record.pair_precision[t, a, b]
+            if not _write_exponents(f, a, b, cov, B, work):
                 return False
-            cov_of_f[a, b] = cov_of_f[b, a] = second - record.total[t, a] * record.total[t, b]
+            if gp:
+                gradient, hessian = record.gradient[t, a, b], record.hessian[t, a, b]
+                second = _match_pair_of_gp(f, a, b, B, work, gradient, hessian)
+            else:
+                second = _match_pair_of_network(f, a, b, work, record.products[t, a, b])
+            cov_of_f[a, b] = cov_of_f[b, a] = second - totals[a] * totals[b]
         cov_of_f[a, a] += f.variance[a]
     return True
 
 
 @compiled
-def centre(inputs, mean, work):
-    """Write the inputs less a mean into ``work``."""
-    D, n = inputs.shape[0], inputs.shape[1]
+def centre(inputs: Array2, mean: Array1, nu: Array2, points: Array2) -> None:
+    """Write the inputs (D, n) less a mean (D,) into ``nu``, and [nu_i, 1] into ``points``."""
+    D, n = inputs.shape
     for d in range(D):
         for i in range(n):
-            work.nu[d, i] = work.points[i, d] = inputs[d, i] - mean[d]
+            nu[d, i] = points[i, d] = inputs[d, i] - mean[d]
     for i in range(n):
-        work.points[i, D] = 1.0
+        points[i, D] = 1.0
 
 
 @part
-def _match_one(f, a, cov, record, t, work):
-    B, q, slope = record.precision[t, a], record.q[t, a], work.vectors[0]
+def _match_one(f: Functions, a: int, cov: Array2, record: Record, t: int, work: Workspace) -> bool:
+    """Mean and slope of output a; False where the covariance of the belief is none."""
+    B, q, slopes, beta = record.precision[t, a], record.q[t, a], record.slope[t], f.weights[a]
+    nu, exponents, weighted, vectors = work.nu, work.f, work.single, work.vectors
     half_log_det = regularised_precision(cov, f.squares[a], B)
     if isnan(half_log_det):
         return False
-    transform(B, work.nu, work.moved)
-    write_forms(work.nu, work.moved, f.log_signal[a] - half_log_det, work.f)
-    write_exponentials(work.f, q)
-    record.total[t, a] = sum_products(f.weights[a], q)
-    multiply_entries(f.weights[a], q, work.single)
-    for d in range(len(cov)):
-        work.vectors[1, d] = sum_products(work.nu[d], work.single)
-    times_vector(B, work.vectors[1], slope)
-    for d in range(len(cov)):
-        record.slope[t, d, a] = slope[d]
+    transform(B, nu, work.moved)
+    write_forms(nu, work.moved, f.log_signal[a] - half_log_det, exponents)
+    write_exponentials(exponents, q)
+    record.total[t, a] = sum_products(beta, q)
+    multiply_entries(beta, q, weighted)
+    for d in range(len(nu)):
+        vectors[1, d] = sum_products(nu[d], weighted)
+    times_vector(B, vectors[1], vectors[0])
+    for d in range(len(nu)):
+        slopes[d, a] = vectors[0, d]
     return True
 
 
 @compiled
-def regularised_precision(cov, squares, B):
-    """Write B = (Sigma + P^-1)^-1 for a diagonal P^-1 into ``B``; return log|I + Sigma P| / 2.
+def regularised_precision(cov: Array2, squares: Array1, B: Array2) -> float:
+    """Write (Sigma + P^-1)^-1, with diagonal P^-1, into ``B``; return log|I + Sigma P| / 2.
 
-    It is exact at Sigma = 0, and NaN where I + Sigma P has no Cholesky factor.
+    Both are exact at Sigma = 0, and the logarithm is NaN where I + Sigma P has no Cholesky factor.
     """
     D = len(squares)
     for d in range(D):
@@ -110,25 +119,34 @@ def regularised_precision(cov, squares, B):
     return half_log_det
 
 
-@compiled
-def _exponents(f, a, b, cov, B, work):
+@part
+def _write_exponents(f: Functions, a: int, b: int, cov: Array2, B: Array2, work: Workspace) -> bool:
     """Exponents of a pair of outputs into ``work``; False where the covariance is none."""
-    harmonic, shares = work.vectors[0], work.shares
-    write_shares(f.squares[a], f.squares[b], shares)
+    nu, moved, small, shares, harmonic = (
+        work.nu,
+        work.moved,
+        work.small,
+        work.shares,
+        work.vectors[0],
+    )
+    of_a, of_b = f.squares[a], f.squares[b]
+    write_shares(of_a, of_b, shares)
     for d in range(len(B)):
-        harmonic[d] = f.squares[a, d] * shares[0, d]
+        harmonic[d] = of_a[d] * shares[0, d]
     half_log_det = regularised_precision(cov, harmonic, B)
     if isnan(half_log_det):
         return False
-    _write_terms(shares[0], B, shares[2], f.log_signal[a] - half_log_det / 2, work, work.f)
-    _write_terms(shares[1], B, shares[2], f.log_signal[b] - half_log_det / 2, work, work.g)
-    cross_form(shares[0], B, shares[1], shares[2], -1.0, work.small[0])
-    transform(work.small[0], work.nu, work.right)
+    for output, share, terms in ((a, 0, work.f), (b, 1, work.g)):
+        own_form(shares[share], B, shares[2], 1.0, small[0])
+        transform(small[0], nu, moved)
+        write_forms(nu, moved, f.log_signal[output] - half_log_det / 2, terms)
+    cross_form(shares[0], B, shares[1], shares[2], -1.0, small[0])
+    transform(small[0], nu, work.right)
     return True
 
 
 @compiled
-def write_shares(squares, others, shares):
+def write_shares(squares: Array1, others: Array1, shares: Array2) -> None:
     """Write the shares of two outputs in their pair, and (Lambda_a + Lambda_b)^-1."""
     for d in range(len(squares)):
         distance = 1.0 / (squares[d] + others[d])
@@ -137,8 +155,10 @@ def write_shares(squares, others, shares):
 
 
 @compiled
-def cross_form(of_a, B, of_b, distance, sign, out):
-    """Write sign (S_a B S_b - D) into ``out``, with diagonal matrices S and D."""
+def cross_form(
+    of_a: Array1, B: Array2, of_b: Array1, distance: Array1, sign: float, out: Array2
+) -> None:
+    """Write sign (S_a B S_b - D) into ``out``; of the diagonal matrices S, D the diagonals come."""
     for d in range(len(B)):
         for e in range(len(B)):
             out[d, e] = sign * of_a[d] * B[d, e] * of_b[e]
@@ -146,82 +166,81 @@ def cross_form(of_a, B, of_b, distance, sign, out):
 
 
 @compiled
-def own_form(share, B, distance, sign, out):
-    """Write sign (S B S + D) into ``out``, with diagonal matrices S and D."""
+def own_form(share: Array1, B: Array2, distance: Array1, sign: float, out: Array2) -> None:
+    """Write sign (S B S + D) into ``out``; of the diagonal matrices S and D the diagonals come."""
     for d in range(len(B)):
         for e in range(len(B)):
             out[d, e] = sign * share[d] * B[d, e] * share[e]
         out[d, d] += sign * distance[d]
 
 
-@compiled
-def _write_terms(share, B, distance, constant, work, terms):
-    own_form(share, B, distance, 1.0, work.small[0])
-    transform(work.small[0], work.nu, work.moved)
-    write_forms(work.nu, work.moved, constant, terms)
+@part
+def _match_pair_of_network(
+    f: Functions, a: int, b: int, work: Workspace, products: Array2
+) -> float:
+    """E[f_a f_b] of a network, and sum_i w_i [nu_i, 1] Q_ij into ``products``."""
+    w, z = f.weights[a], f.weights[b]
+    sum_pairs(work.points, work.right, work.f, work.g, w, z, products, work.rows)
+    return sum_products(z, products[len(products) - 1])
 
 
 @part
-def _match_pair_of_network(f, a, b, cov, record, t, work):
-    """E[f_a f_b] of a network; NaN where the covariance is none."""
-    left = record.products[t, a, b]
-    if not _exponents(f, a, b, cov, record.pair_precision[t, a, b], work):
-        return np.nan
-    weights, others = f.weights[a], f.weights[b]
-    sum_pairs(work.points, work.right, work.f, work.g, weights, others, left, work.rows)
-    return sum_products(others, left[len(cov)])
-
-
-@part
-def _match_pair_of_gp(f, a, b, cov, record, t, work):
-    """E[f_a f_b] of a GP, and its derivatives; NaN where the covariance is none."""
-    B = record.pair_precision[t, a, b]
-    if not _exponents(f, a, b, cov, B, work):
-        return np.nan
+def _match_pair_of_gp(
+    f: Functions, a: int, b: int, B: Array2, work: Workspace, gradient: Array1, hessian: Array2
+) -> float:
+    """E[f_a f_b] of a GP, with its derivatives by mean and covariance of the belief."""
     if a == b:
-        _sum_own_pair(f, a, work)
+        _sum_own_pair(f.own_weights[a], work)
     else:
-        _sum_pair(f, a, b, work)
-    total, first, second = sum_entries(work.rows), work.vectors[1], work.small[3]
-    times_vector(B, first, record.gradient[t, a, b])
-    write_hessian(B, total, second, work.small[0], record.hessian[t, a, b])
+        _sum_pair(f.weights[a], f.weights[b], work)
+    total = sum_entries(work.rows)
+    times_vector(B, work.vectors[1], gradient)
+    write_hessian(B, total, work.small[3], work.small[0], hessian)
     return total
 
 
 @part
-def _sum_own_pair(f, a, work):
-    """Row sums of W into ``work.rows``, sum W nu_ij and sum W nu_ij nu_ij' into ``work``."""
-    D, nu = len(work.nu), work.nu
-    sum_own_pairs(work.points, work.right, work.f, f.own_weights[a], work.left, work.rows)
-    add_multiple(1.0, work.left[D], work.rows)
-    own, mixed, first, second = work.small[0], work.small[1], work.vectors[1], work.small[3]
-    write_squares(nu, work.rows, work.weighted, own, first)
-    outer_sums(work.left, nu, mixed)
-    for d in range(D):
-        for e in range(D):
+def _sum_own_pair(weights: Array2, work: Workspace) -> None:
+    """Row sums of W into ``work.rows``, sum W nu_ij and sum W nu_ij nu_ij' into ``work``.
+
+    W is Q times the weights of an output with itself, nu_ij the datum of a pair less the mean; the
+    sums go to ``work.vectors[1]`` and ``work.small[3]``.
+    """
+    nu, left, rows, small = work.nu, work.left, work.rows, work.small
+    own, mixed, second = small[0], small[1], small[3]
+    sum_own_pairs(work.points, work.right, work.f, weights, left, rows)
+    add_multiple(1.0, left[len(nu)], rows)
+    write_squares(nu, rows, work.weighted, own, work.vectors[1])
+    outer_sums(left, nu, mixed)
+    for d in range(len(nu)):
+        for e in range(len(nu)):
             second[d, e] = (own[d, e] + mixed[d, e] + mixed[e, d]) / 2
 
 
 @part
-def _sum_pair(f, a, b, work):
+def _sum_pair(w: Array1, z: Array1, work: Workspace) -> None:
     """:func:`_sum_own_pair` for two different outputs."""
-    w, z, nu = f.weights[a], f.weights[b], work.nu
-    sum_pairs(work.points, work.right, work.f, work.g, w, z, work.left, work.rows)
-    scale_columns(work.left, z, work.left)
-    multiply_entries(w, work.rows, work.rows)
-    of_i, of_j, mixed = work.small[0], work.small[1], work.small[2]
-    write_squares(nu, work.rows, work.weighted, of_i, work.vectors[2])
-    write_squares(nu, work.left[len(nu)], work.weighted, of_j, work.vectors[3])
-    outer_sums(work.left, nu, mixed)
-    combine_pair(work.shares, of_i, of_j, mixed, work.small[3])
+    nu, left, rows, weighted, small = work.nu, work.left, work.rows, work.weighted, work.small
+    shares, vectors = work.shares, work.vectors
+    sum_pairs(work.points, work.right, work.f, work.g, w, z, left, rows)
+    scale_columns(left, z, left)
+    multiply_entries(w, rows, rows)
+    write_squares(nu, rows, weighted, small[0], vectors[2])
+    write_squares(nu, left[len(nu)], weighted, small[1], vectors[3])
+    outer_sums(left, nu, small[2])
+    combine_pair(shares, small[0], small[1], small[2], small[3])
     for d in range(len(nu)):
-        of_a, of_b = work.shares[0, d], work.shares[1, d]
-        work.vectors[1, d] = of_a * work.vectors[2, d] + of_b * work.vectors[3, d]
+        vectors[1, d] = shares[0, d] * vectors[2, d] + shares[1, d] * vectors[3, d]
 
 
 @compiled
-def write_squares(nu, weights, weighted, squares, first):
-    """Write sum_i w_i nu_i nu_i' into ``squares``, sum_i w_i nu_i into ``first``."""
+def write_squares(
+    nu: Array2, weights: Array1, weighted: Array2, squares: Array2, first: Array1
+) -> None:
+    """Write sum_i w_i nu_i nu_i' into ``squares``, sum_i w_i nu_i into ``first``.
+
+    ``weighted`` receives w_i nu_i, (D, n).
+    """
     scale_columns(nu, weights, weighted)
     outer_sums(weighted, nu, squares)
     for d in range(len(nu)):
@@ -229,8 +248,11 @@ def write_squares(nu, weights, weighted, squares, first):
 
 
 @compiled
-def combine_pair(shares, of_i, of_j, mixed, second):
-    """Write sum W nu_ij nu_ij' into ``second``, from the sums of the squares of nu_i and nu_j."""
+def combine_pair(shares: Array2, of_i: Array2, of_j: Array2, mixed: Array2, second: Array2) -> None:
+    """Write sum W nu_ij nu_ij' into ``second``, from the sums of squares and mixed products.
+
+    Those are of nu_i nu_i', of nu_j nu_j' and of nu_i nu_j'.
+    """
     of_a, of_b = shares[0], shares[1]
     for d in range(len(second)):
         for e in range(len(second)):
@@ -240,7 +262,7 @@ def combine_pair(shares, of_i, of_j, mixed, second):
 
 
 @compiled
-def write_hessian(B, total, second, scratch, out):
+def write_hessian(B: Array2, total: float, second: Array2, scratch: Array2, out: Array2) -> None:
     """Write (B M B - s B) / 2 into ``out``, the derivative of an integral by the covariance."""
     product(B, second, scratch)
     product(scratch, B, out)

@@ -48,19 +48,20 @@ def adjoint_of_gp(
     """Cotangents of a belief from those of a GP's moments.
 
     Args:
-        f, record, t, work: as in :func:`match`.
+        f, record, t, work: as in :func:`match`, which has filled the record.
         mean: of the belief, (D,).
-        d_total, d_cov, d_slope: cotangents of the moments' mean, covariance (symmetric) and slope.
-        d_mean, d_belief: out, cotangents of mean (D,) and covariance (D, D).
+        d_total, d_cov, d_slope: cotangents of the moments: of the mean (E,), of the covariance
+            (E, E), symmetric, and of the slope (D, E).
+        d_mean, d_belief: out, cotangents of mean (D,) and covariance (D, D) of the belief.
     """
-    centre(f.inputs, mean, work)
+    gradient, hessian = record.gradient[t], record.hessian[t]
+    centre(f.inputs, mean, work.nu, work.points)
     _clear(d_mean, d_belief)
     for a in range(len(f.weights)):
         _adjoint_of_one(f, a, record, t, d_total, d_cov, d_slope, work, d_mean, d_belief)
         for b in range(a, len(f.weights)):
             scale = d_cov[a, b] if a == b else 2.0 * d_cov[a, b]
-            gradient, hessian = record.gradient[t, a, b], record.hessian[t, a, b]
-            _add(scale, gradient, hessian, d_mean, d_belief)
+            _add(scale, gradient[a, b], hessian[a, b], d_mean, d_belief)
     return True
 
 
@@ -78,8 +79,14 @@ def adjoint_of_network(
     d_belief: Array2,
     out: NetworkGradient,
 ) -> bool:
-    """:func:`adjoint_of_gp` for a network, whose own gradients are added to ``out``."""
-    centre(f.inputs, mean, work)
+    """Cotangents of a belief, and the gradient in a network, from cotangents of its moments.
+
+    Args:
+        f, record, t, mean, d_total, d_cov, d_slope, work, d_mean, d_belief: as in
+            :func:`adjoint_of_gp`.
+        out: gradient in the network, to which is added.
+    """
+    centre(f.inputs, mean, work.nu, work.points)
     _clear(d_mean, d_belief)
     for a in range(len(f.weights)):
         _adjoint_of_one(f, a, record, t, d_total, d_cov, d_slope, work, d_mean, d_belief)
@@ -91,7 +98,7 @@ def adjoint_of_network(
 
 
 @compiled
-def _clear(d_mean, d_belief):
+def _clear(d_mean: Array1, d_belief: Array2) -> None:
     for d in range(len(d_mean)):
         d_mean[d] = 0.0
         for e in range(len(d_mean)):
@@ -99,7 +106,8 @@ def _clear(d_mean, d_belief):
 
 
 @compiled
-def _add(scale, gradient, hessian, d_mean, d_belief):
+def _add(scale: float, gradient: Array1, hessian: Array2, d_mean: Array1, d_belief: Array2) -> None:
+    """Add the scale times derivatives by mean and covariance to the cotangents."""
     for d in range(len(d_mean)):
         d_mean[d] += scale * gradient[d]
         for e in range(len(d_mean)):
@@ -107,102 +115,154 @@ def _add(scale, gradient, hessian, d_mean, d_belief):
 
 
 @compiled
-def _adjoint_of_one(f, a, record, t, d_total, d_cov, d_slope, work, d_mean, d_belief):
+def _adjoint_of_one(
+    f: Functions,
+    a: int,
+    record: Record,
+    t: int,
+    d_total: Array1,
+    d_cov: Array2,
+    d_slope: Array2,
+    work: Workspace,
+    d_mean: Array1,
+    d_belief: Array2,
+) -> None:
     """Adjoint of the mean of output a, its slope, and its square that the covariance lacks.
 
-    It leaves h_i = d_total + d_slope' B nu_i in ``work.f``, w_i h_i in ``work.g``, their sum in
+    It leaves h_i = d_total + d_slope' B nu_i in ``work.f``, w_i q_i h_i in ``work.g``, their sum in
     ``work.shares[0, 0]``, B d_slope in ``work.vectors[0]``, and the covariance's cotangent in
     ``work.small[2]``.
     """
-    D, B, q, nu = len(d_mean), record.precision[t, a], record.q[t, a], work.nu
+    D, B, q, beta = len(d_mean), record.precision[t, a], record.q[t, a], f.weights[a]
+    totals, slopes, nu, h, u = record.total[t], record.slope[t], work.nu, work.f, work.g
     by_slope, moved, first = work.vectors[0], work.vectors[1], work.vectors[2]
-    total, h, u = d_total[a], work.f, work.g
+    squares, scratch, by_cov = work.small[0], work.small[1], work.small[2]
+    by_total = d_total[a]
     for b in range(len(d_total)):
-        total -= 2.0 * d_cov[a, b] * record.total[t, b]
+        by_total -= 2.0 * d_cov[a, b] * totals[b]
     for d in range(D):
         first[d] = d_slope[d, a]
     times_vector(B, first, by_slope)
-    fill(h, total)
+    fill(h, by_total)
     for d in range(D):
         add_multiple(by_slope[d], nu[d], h)
-    multiply_entries(f.weights[a], q, u)
+    multiply_entries(beta, q, u)
     multiply_entries(u, h, u)
-    work.shares[0, 0] = sum_entries(u)
-    write_squares(nu, u, work.weighted, work.small[0], first)
+    sum_of_u = sum_entries(u)
+    work.shares[0, 0] = sum_of_u
+    write_squares(nu, u, work.weighted, squares, first)
     times_vector(B, first, moved)
-    write_hessian(B, work.shares[0, 0], work.small[0], work.small[1], work.small[2])
+    write_hessian(B, sum_of_u, squares, scratch, by_cov)
     for d in range(D):
         for e in range(D):
-            crossed = by_slope[d] * record.slope[t, e, a] + by_slope[e] * record.slope[t, d, a]
-            work.small[2, d, e] -= crossed / 2
-        moved[d] -= by_slope[d] * record.total[t, a]
-    _add(1.0, moved, work.small[2], d_mean, d_belief)
+            by_cov[d, e] -= (by_slope[d] * slopes[e, a] + by_slope[e] * slopes[d, a]) / 2
+        moved[d] -= by_slope[d] * totals[a]
+    _add(1.0, moved, by_cov, d_mean, d_belief)
 
 
 @part
-def _adjoint_of_single_parameters(f, a, record, t, work, out):
+def _adjoint_of_single_parameters(
+    f: Functions, a: int, record: Record, t: int, work: Workspace, out: NetworkGradient
+) -> None:
+    """Gradient in the network from what :func:`_adjoint_of_one` left."""
     B, q, h, by_slope = record.precision[t, a], record.q[t, a], work.f, work.vectors[0]
-    multiply_entries(q, h, work.left[0])
-    add_multiple(1.0, work.left[0], out.weights[a])
-    transform(B, work.weighted, work.moved)
-    multiply_entries(f.weights[a], q, work.rows)
+    scratch, moved, u = work.left[0], work.moved, work.rows
+    of_inputs, of_squares, squares = out.inputs, out.squares[a], f.squares[a]
+    by_cov, half_sum = work.small[2], work.shares[0, 0] / 2
+    multiply_entries(q, h, scratch)
+    add_multiple(1.0, scratch, out.weights[a])
+    transform(B, work.weighted, moved)
+    multiply_entries(f.weights[a], q, u)
     for d in range(len(B)):
-        add_multiple(-1.0, work.moved[d], out.inputs[d])
-        add_multiple(by_slope[d], work.rows, out.inputs[d])
-        out.squares[a, d] += work.small[2, d, d] + work.shares[0, 0] / f.squares[a, d] / 2
+        add_multiple(-1.0, moved[d], of_inputs[d])
+        add_multiple(by_slope[d], u, of_inputs[d])
+        of_squares[d] += by_cov[d, d] + half_sum / squares[d]
 
 
 @part
-def _adjoint_of_pair(f, a, b, record, t, scale, work, d_mean, d_belief, out):
+def _adjoint_of_pair(
+    f: Functions,
+    a: int,
+    b: int,
+    record: Record,
+    t: int,
+    scale: float,
+    work: Workspace,
+    d_mean: Array1,
+    d_belief: Array2,
+    out: NetworkGradient,
+) -> None:
     """Adjoint of E[f_a f_b], of which both outputs, the inputs and the lengthscales have a part."""
     D, nu, B = len(d_mean), work.nu, record.pair_precision[t, a, b]
     by_b, by_a = record.products[t, a, b], record.products[t, b, a]
     shares, form, first, other = work.shares, work.small[4], work.vectors[0], work.vectors[1]
     of_i, of_j, mixed, second = work.small[0], work.small[1], work.small[2], work.small[3]
+    u, left, weighted, scratch, of_inputs = work.f, work.left, work.weighted, work.right, out.inputs
     add_multiple(scale, by_a[D], out.weights[a])
     add_multiple(scale, by_b[D], out.weights[b])
     write_shares(f.squares[a], f.squares[b], shares)
-    multiply_entries(f.weights[a], by_a[D], work.f)
-    write_squares(nu, work.f, work.weighted, of_i, first)
+    multiply_entries(f.weights[a], by_a[D], u)
+    write_squares(nu, u, weighted, of_i, first)
     own_form(shares[0], B, shares[2], -scale, form)
-    _add_transformed(form, work.weighted, work.right, out.inputs)
-    multiply_entries(f.weights[b], by_b[D], work.f)
-    total = sum_entries(work.f)
-    write_squares(nu, work.f, work.weighted, of_j, other)
+    _add_transformed(form, weighted, scratch, of_inputs)
+    multiply_entries(f.weights[b], by_b[D], u)
+    total = sum_entries(u)
+    write_squares(nu, u, weighted, of_j, other)
     own_form(shares[1], B, shares[2], -scale, form)
-    _add_transformed(form, work.weighted, work.right, out.inputs)
-    scale_columns(by_a, f.weights[a], work.left)
+    _add_transformed(form, weighted, scratch, of_inputs)
+    scale_columns(by_a, f.weights[a], left)
     cross_form(shares[0], B, shares[1], shares[2], -scale, form)
-    _add_transformed(form, work.left, work.right, out.inputs)
-    scale_columns(by_b, f.weights[b], work.left)
-    outer_sums(work.left, nu, mixed)
+    _add_transformed(form, left, scratch, of_inputs)
+    scale_columns(by_b, f.weights[b], left)
+    outer_sums(left, nu, mixed)
     cross_form(shares[1], B, shares[0], shares[2], -scale, form)
-    _add_transformed(form, work.left, work.right, out.inputs)
+    _add_transformed(form, left, scratch, of_inputs)
     combine_pair(shares, of_i, of_j, mixed, second)
     for d in range(D):
         first[d] = shares[0, d] * first[d] + shares[1, d] * other[d]
     times_vector(B, first, other)
     write_hessian(B, total, second, work.small[5], form)
     _add(scale, other, form, d_mean, d_belief)
-    for d in range(D):
-        harmonic = f.squares[a, d] * shares[0, d]
+    _adjoint_of_squares(f.squares[a], a, b, B, total, scale, work, out.squares)
+
+
+@part
+def _adjoint_of_squares(
+    squares: Array1,
+    a: int,
+    b: int,
+    B: Array2,
+    total: float,
+    scale: float,
+    work: Workspace,
+    out: Array2,
+) -> None:
+    """Gradients in the squared lengthscales, from the sums :func:`_adjoint_of_pair` left.
+
+    A lengthscale has a part in the harmonic mean of both outputs, through which it acts as a
+    covariance does, in the distance of two data, and in the centre between them.
+    """
+    shares, form = work.shares, work.small[4]
+    of_i, of_j, mixed = work.small[0], work.small[1], work.small[2]
+    for d in range(len(B)):
+        harmonic = squares[d] * shares[0, d]
         through_harmonic = form[d, d] + total / harmonic / 2.0
         apart = (of_i[d, d] + of_j[d, d]) / 2.0 - mixed[d, d]
         through_distance = shares[2, d] * shares[2, d] * apart
         through_centre = 0.0
-        for e in range(D):
+        for e in range(len(B)):
             of_first = shares[0, e] * (mixed[e, d] - of_i[e, d])
             of_second = shares[1, e] * (of_j[e, d] - mixed[d, e])
             through_centre += shares[2, d] * B[d, e] * (of_first + of_second)
         for output, share, sign in ((a, 0, -1.0), (b, 1, 1.0)):
             own = shares[share, d]
-            out.squares[output, d] += scale * (
+            out[output, d] += scale * (
                 own * own * through_harmonic + sign * own * through_centre + through_distance
             )
 
 
 @compiled
-def _add_transformed(matrix, values, scratch, out):
+def _add_transformed(matrix: Array2, values: Array2, scratch: Array2, out: Array2) -> None:
     """Add a matrix (D, D) times values (D, n) to ``out``."""
     transform(matrix, values, scratch)
     add_multiple(1.0, scratch, out)

@@ -65,40 +65,49 @@ class MeanWork(NamedTuple):
 
 @Kernel
 def predict_mean(robot: Robot, tape: MeanTape, of_model: MeanWork, of_network: MeanWork) -> bool:
-    """Fill a tape from ``states[0]`` on."""
-    D, R, F = robot.rows.shape[1], len(robot.rows), len(robot.u_max)
-    for t in range(len(tape.inputs)):
+    """Fill a tape from ``states[0]`` on.
+
+    Args:
+        robot: what the prediction is made of.
+        tape: in its first state and out.
+        of_model, of_network: scratch.
+    """
+    rows, turns, kept, u_max = robot.rows, robot.turns, robot.kept, robot.u_max
+    states, gain, raw, differences = tape.states, tape.gain, tape.raw, robot.differences
+    for t in range(len(raw)):
         inputs = tape.inputs[t]
-        times_vector(robot.rows, tape.states[t], inputs)
-        for r in range(R):
-            phase = inputs[r] + robot.turns[r]
-            inputs[r] = phase if r < robot.kept else cos(phase)
-            tape.gain[t, r] = 1.0 if r < robot.kept else -sin(phase)
+        times_vector(rows, states[t], inputs)
+        for r in range(len(rows)):
+            phase = inputs[r] + turns[r]
+            inputs[r] = phase if r < kept else cos(phase)
+            gain[t, r] = 1.0 if r < kept else -sin(phase)
         _centre(robot.network.inputs, inputs, of_network.nu)
-        for k in range(F):
-            tape.raw[t, k] = _value(robot.network, k, of_network)
-            inputs[R + k] = robot.u_max[k] * sin(tape.raw[t, k])
+        for k in range(len(u_max)):
+            raw[t, k] = _value(robot.network, k, of_network)
+            inputs[len(rows) + k] = u_max[k] * sin(raw[t, k])
         _centre(robot.model.inputs, inputs, of_model.nu)
-        for d in range(D):
+        for d in range(rows.shape[1]):
             change = _value(robot.model, d, of_model)
-            tape.states[t + 1, d] = tape.states[t, d] + change if robot.differences else change
+            states[t + 1, d] = states[t, d] + change if differences else change
     return True
 
 
 @compiled
-def _centre(data, point, nu):
+def _centre(data: Array2, point: Array1, nu: Array2) -> None:
+    """Write the data (D, n) less a point (D,) into ``nu``."""
     for d in range(len(data)):
         for i in range(data.shape[1]):
             nu[d, i] = data[d, i] - point[d]
 
 
 @compiled
-def _value(f, a, work):
+def _value(f: Functions, a: int, work: MeanWork) -> float:
     """Function a at the point; its kernel stays in ``work``."""
-    fill(work.exponents, f.log_signal[a])
-    for d in range(len(work.nu)):
-        add_squares(-0.5 / f.squares[a, d], work.nu[d], work.exponents)
-    write_exponentials(work.exponents, work.kernel)
+    nu, exponents, squares = work.nu, work.exponents, f.squares[a]
+    fill(exponents, f.log_signal[a])
+    for d in range(len(nu)):
+        add_squares(-0.5 / squares[d], nu[d], exponents)
+    write_exponentials(exponents, work.kernel)
     return f.offset[a] + sum_products(f.weights[a], work.kernel)
 
 
@@ -116,47 +125,54 @@ def adjoint_of_mean(
     """Gradients in start and network from cotangents of the states at t = 1..T.
 
     Args:
-        robot, tape, of_model, of_network: as in :func:`predict_mean`.
+        robot, tape, of_model, of_network: as in :func:`predict_mean`, which has filled the tape.
         d_states: cotangents, (T, D).
         d_inputs: scratch, (D' + F,).
         d_state: out, gradient in the start, (D,).
         out: gradient in the network, to which is added.
     """
-    D, R, F = robot.rows.shape[1], len(robot.rows), len(robot.u_max)
-    for d in range(D):
+    rows, gain, raw, u_max = robot.rows, tape.gain, tape.raw, robot.u_max
+    R, F, differences = len(rows), len(u_max), robot.differences
+    weights, squares = robot.model.weights, robot.model.squares
+    nu, kernel = of_model.nu, of_model.kernel
+    for d in range(len(d_state)):
         d_state[d] = 0.0
     for t in range(len(d_states) - 1, -1, -1):
+        inputs = tape.inputs[t]
         for i in range(R + F):
             d_inputs[i] = 0.0
-        _centre(robot.model.inputs, tape.inputs[t], of_model.nu)
-        for d in range(D):
+        _centre(robot.model.inputs, inputs, nu)
+        for d in range(len(d_state)):
             d_state[d] += d_states[t, d]
             _value(robot.model, d, of_model)
-            multiply_entries(robot.model.weights[d], of_model.kernel, of_model.kernel)
+            multiply_entries(weights[d], kernel, kernel)
             for i in range(R + F):
-                slope = sum_products(of_model.nu[i], of_model.kernel) / robot.model.squares[d, i]
-                d_inputs[i] += d_state[d] * slope
-            if not robot.differences:
+                d_inputs[i] += d_state[d] * sum_products(nu[i], kernel) / squares[d, i]
+            if not differences:
                 d_state[d] = 0.0
-        _centre(robot.network.inputs, tape.inputs[t], of_network.nu)
+        _centre(robot.network.inputs, inputs, of_network.nu)
         for k in range(F):
-            scale = d_inputs[R + k] * robot.u_max[k] * cos(tape.raw[t, k])
+            scale = d_inputs[R + k] * u_max[k] * cos(raw[t, k])
             _adjoint_of_network_value(robot.network, k, scale, of_network, d_inputs, out)
         for r in range(R):
-            for d in range(D):
-                d_state[d] += robot.rows[r, d] * tape.gain[t, r] * d_inputs[r]
+            for d in range(len(d_state)):
+                d_state[d] += rows[r, d] * gain[t, r] * d_inputs[r]
     return True
 
 
 @part
-def _adjoint_of_network_value(f, k, scale, work, d_inputs, out):
+def _adjoint_of_network_value(
+    f: Functions, k: int, scale: float, work: MeanWork, d_inputs: Array1, out: NetworkGradient
+) -> None:
+    """Add the scale times the derivatives of function k by the point and by the network."""
+    nu, kernel, product, squares = work.nu, work.kernel, work.exponents, f.squares[k]
+    of_inputs, of_squares = out.inputs, out.squares[k]
     _value(f, k, work)
-    add_multiple(scale, work.kernel, out.weights[k])
-    multiply_entries(f.weights[k], work.kernel, work.kernel)
-    for d in range(len(work.nu)):
-        square = f.squares[k, d]
-        multiply_entries(work.nu[d], work.kernel, work.exponents)
-        d_inputs[d] += scale * sum_products(work.nu[d], work.kernel) / square
-        add_multiple(-scale / square, work.exponents, out.inputs[d])
-        form = sum_products(work.nu[d], work.exponents)
-        out.squares[k, d] += scale * form / square / square / 2.0
+    add_multiple(scale, kernel, out.weights[k])
+    multiply_entries(f.weights[k], kernel, kernel)
+    for d in range(len(nu)):
+        square = squares[d]
+        multiply_entries(nu[d], kernel, product)
+        d_inputs[d] += scale * sum_products(nu[d], kernel) / square
+        add_multiple(-scale / square, product, of_inputs[d])
+        of_squares[d] += scale * sum_products(nu[d], product) / square / square / 2.0

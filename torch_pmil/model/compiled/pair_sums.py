@@ -6,7 +6,7 @@ time stay in registers: Q itself is never written.
 
 from __future__ import annotations
 
-from torch_pmil.model.compiled.building import compiled
+from torch_pmil.model.compiled.building import Array1, Array2, compiled
 from torch_pmil.model.compiled.thin_products import fill
 from torch_pmil.model.compiled.vectors import (
     WIDTH,
@@ -23,7 +23,16 @@ from torch_pmil.model.compiled.vectors import (
 
 
 @compiled
-def sum_pairs(points, right, f, g, w, z, left, rows):
+def sum_pairs(
+    points: Array2,
+    right: Array2,
+    f: Array1,
+    g: Array1,
+    w: Array1,
+    z: Array1,
+    left: Array2,
+    rows: Array1,
+) -> None:
     """Sums over a whole Q.
 
     Args:
@@ -68,7 +77,9 @@ def sum_pairs(points, right, f, g, w, z, left, rows):
 
 
 @compiled
-def sum_own_pairs(points, right, f, weights, left, rows):
+def sum_own_pairs(
+    points: Array2, right: Array2, f: Array1, weights: Array2, left: Array2, rows: Array1
+) -> None:
     """Sums over U, the weighted Q above the diagonal, of an output with itself.
 
     There Q is symmetric, and with half its diagonal in U all sums are those of U + U'.

@@ -5,7 +5,7 @@ Those that may find no answer return None then: the formulas in PyTorch say why.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
@@ -20,7 +20,13 @@ from torch_pmil.gp.gaussian import Gaussian, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.trigonometry import Augmentation
 from torch_pmil.model.compiled.arrays import Functions, NetworkGradient
-from torch_pmil.model.compiled.building import compile_all as compile_all
+from torch_pmil.model.compiled.building import (
+    Array,
+    Array1,
+    Array2,
+    Array3,
+    compile_all as compile_all,
+)
 from torch_pmil.model.compiled.costs import (
     CostWork,
     Observation,
@@ -38,7 +44,7 @@ from torch_pmil.model.compiled.trajectory import Robot, Steps, StepWork, Tape, p
 from torch_pmil.model.compiled.trajectory_adjoint import Cotangents, adjoint
 from torch_pmil.model.compiled.vectors import WIDTH
 
-Parameters = tuple[Tensor, Tensor, Tensor]
+Parameters = Sequence[Tensor]  # centres, weights and widths of a policy
 
 
 class _NoAnswer(ArithmeticError):
@@ -46,7 +52,15 @@ class _NoAnswer(ArithmeticError):
 
 
 def predict_beliefs(start: Gaussian, plan: Plan) -> Gaussian | None:
-    """Predicted marginals, mean (N, T, D), from N start beliefs, mean (N, D)."""
+    """Predicted marginals from N start beliefs.
+
+    Args:
+        start: mean (N, D) and covariance (N, D, D).
+        plan: what is predicted, and with which policy.
+
+    Returns:
+        Mean (N, T, D) and covariance (N, T, D, D), or None where a belief has no answer.
+    """
     try:
         parameters = plan.controller.parameters
         return Gaussian(*_Beliefs.apply(plan, start.mean, symmetric(start.cov), *parameters))
@@ -55,11 +69,13 @@ def predict_beliefs(start: Gaussian, plan: Plan) -> Gaussian | None:
 
 
 def predict_states(start: Tensor, plan: Plan) -> Tensor:
-    """States of the model's mean alone, (N, T, D), from N states (N, D)."""
+    """States of the model's mean alone, (N, T, D), from N states (N, D); some may not be finite."""
     return _States.apply(plan, start, *plan.controller.parameters)
 
 
 class _Beliefs(torch.autograd.Function):
+    """:func:`predict_beliefs`: tapes of the prediction, and one adjoint sweep over each."""
+
     @staticmethod
     def forward(
         ctx: Any, plan: Plan, mean: Tensor, cov: Tensor, *parameters: Tensor
@@ -77,8 +93,8 @@ class _Beliefs(torch.autograd.Function):
         ctx.robots, ctx.tapes = robots, tapes
         ctx.save_for_backward(*parameters)
         means, covs = (
-            np.stack([part[1:] for part in parts])
-            for parts in zip(*((tape.mean, tape.cov) for tape in tapes), strict=True)
+            np.stack([states[1:] for states in moments])
+            for moments in zip(*((tape.mean, tape.cov) for tape in tapes), strict=True)
         )
         if not (np.isfinite(means).all() and np.isfinite(covs).all()):
             raise _NoAnswer
@@ -87,25 +103,24 @@ class _Beliefs(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, d_mean: Tensor, d_cov: Tensor) -> tuple[Tensor | None, ...]:
-        N, (_, D) = len(d_mean), d_mean.shape[1:]
+        N, _, D = d_mean.shape
         d_means, d_covs = _array(d_mean), _array(symmetric(d_cov))
-        of_start = np.empty((N, D)), np.empty((N, D, D))
+        of_mean, of_cov = np.empty((N, D)), np.empty((N, D, D))
         gradients = [NetworkGradient.zero(robot.network) for robot in ctx.robots]
 
         def roll_back(i: int) -> None:
             robot, tape = ctx.robots[i], ctx.tapes[i]
-            work, back, start = (
-                StepWork.of(robot),
-                Cotangents.of(robot),
-                (of_start[0][i], of_start[1][i]),
-            )
-            adjoint(robot, tape, d_means[i], d_covs[i], work, back, *start, gradients[i])
+            work, out = (StepWork.of(robot), Cotangents.of(robot)), (of_mean[i], of_cov[i])
+            adjoint(robot, tape, d_means[i], d_covs[i], *work, *out, gradients[i])
 
         _each(roll_back, N)
-        return None, *map(torch.from_numpy, of_start), *_gradients(gradients, ctx.saved_tensors)
+        of_start = torch.from_numpy(of_mean), torch.from_numpy(of_cov)
+        return None, *of_start, *_gradients(gradients, ctx.saved_tensors)
 
 
 class _States(torch.autograd.Function):
+    """:func:`predict_states`, as :class:`_Beliefs`."""
+
     @staticmethod
     def forward(ctx: Any, plan: Plan, start: Tensor, *parameters: Tensor) -> Tensor:
         robots = _robots(plan, parameters, len(start))
@@ -131,7 +146,7 @@ class _States(torch.autograd.Function):
 
 
 def costs_of_beliefs(states: Gaussian, comparison: Comparison) -> Tensor | None:
-    """Costs of predicted marginals, (\\*batch, T)."""
+    r"""Costs of predicted marginals, (\*batch, T); None where a covariance is none."""
     try:
         return _Costs.apply(comparison, states.mean, states.cov)
     except _NoAnswer:
@@ -139,9 +154,10 @@ def costs_of_beliefs(states: Gaussian, comparison: Comparison) -> Tensor | None:
 
 
 def costs_of_states(states: Tensor, comparison: Comparison) -> Tensor | None:
-    """Costs of states without variance (\\*batch, T).
+    r"""Costs of states without variance, (\*batch, T).
 
-    They are half of |r|^2 in the metric of the demonstrated covariances, or the saturating cost.
+    They are :math:`\tfrac12 r^\top \hat\Sigma^{-1} r` with the demonstrated covariance, or the
+    saturating cost; None where that covariance has no Cholesky factor.
     """
     try:
         return _CostsOfMeans.apply(comparison, states)
@@ -150,6 +166,8 @@ def costs_of_states(states: Tensor, comparison: Comparison) -> Tensor | None:
 
 
 class _Costs(torch.autograd.Function):
+    """:func:`costs_of_beliefs`; the gradients are computed along with the costs."""
+
     @staticmethod
     def forward(ctx: Any, comparison: Comparison, mean: Tensor, cov: Tensor) -> Tensor:
         batch, D = mean.shape[:-1], mean.shape[-1]
@@ -174,6 +192,8 @@ class _Costs(torch.autograd.Function):
 
 
 class _CostsOfMeans(torch.autograd.Function):
+    """:func:`costs_of_states`, as :class:`_Costs`."""
+
     @staticmethod
     def forward(ctx: Any, comparison: Comparison, mean: Tensor) -> Tensor:
         batch, D = mean.shape[:-1], mean.shape[-1]
@@ -196,7 +216,7 @@ class _CostsOfMeans(torch.autograd.Function):
 
 
 def _robots(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
-    """The kernels' description, one for each belief."""
+    """What the kernels predict with, one for each belief."""
     centres, weights, widths = (parameter.detach() for parameter in parameters)
     f, controller = plan.model, plan.controller
     variance = f.observed_prior_cov if plan.observation_noise else f.prior_cov
@@ -221,8 +241,8 @@ def _observation(comparison: Comparison, batch: tuple[int, ...]) -> Observation:
     return Observation(*combinations, *map(_array, (comparison.matrix, offset, comparison.noise)))
 
 
-def _determinants(comparison: Comparison, batch: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Demonstrated covariances, and half the logarithms of their determinants."""
+def _determinants(comparison: Comparison, batch: tuple[int, ...]) -> tuple[Array3, Array1]:
+    """Demonstrated covariances, and half the logarithms of their determinants; empty if none."""
     if comparison.demonstrated is None:
         return np.empty((0, 0, 0)), np.empty(0)
     factor = _factor(comparison.demonstrated)
@@ -232,13 +252,14 @@ def _determinants(comparison: Comparison, batch: tuple[int, ...]) -> tuple[np.nd
 
 
 def _factor(cov: Tensor) -> Tensor:
+    """Cholesky factors, or no answer."""
     factor, failed = torch.linalg.cholesky_ex(cov)
     if failed.any():
         raise _NoAnswer
     return factor
 
 
-def _roots(comparison: Comparison, batch: tuple[int, ...]) -> np.ndarray:
+def _roots(comparison: Comparison, batch: tuple[int, ...]) -> Array3:
     """Matrices G with G' G the inverse of the demonstrated covariances; else the identity."""
     M = comparison.offset.shape[-1]
     if comparison.demonstrated is None:
@@ -260,21 +281,31 @@ def _functions(f: KernelExpansion) -> Functions:
 
 
 def _packed(f: KernelExpansion, offset: Tensor | float) -> Functions:
+    """Functions with data of weight zero, up to a multiple of a vector's width."""
     (n, D), E = f.inputs.shape, f.num_outputs
     padded = n + -n % WIDTH
     inputs, weights = np.zeros((D, padded)), np.zeros((E, padded))
-    inputs[:, :n], weights[:, :n] = f.inputs.mT, f.weights
-    own = np.zeros((0 if f.gram_inverse is None else E, padded, padded))
-    for a in range(len(own)):
-        product = np.multiply.outer(weights[a, :n], weights[a, :n])
-        own[a, :n, :n] = np.triu(product - f.gram_inverse[a].numpy())
-        np.fill_diagonal(own[a], own[a].diagonal() / 2)
+    inputs[:, :n], weights[:, :n] = _array(f.inputs.mT), _array(f.weights)
     log_signal, squares = _array(f.log_signal_variance), _array(f.lengthscales.square())
     offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), E))
+    own = _own_weights(f.weights, f.gram_inverse, padded)
     return Functions(inputs, weights, squares, log_signal, offsets, np.zeros(E), own)
 
 
-def _combinations(augmentation: Augmentation) -> tuple[np.ndarray, np.ndarray, int]:
+def _own_weights(weights: Tensor, gram_inverse: Tensor | None, padded: int) -> Array3:
+    """Weights of pairs of data in a GP's variances, as in :class:`Functions`."""
+    if gram_inverse is None:
+        return np.zeros((0, 0, 0))
+    E, n = weights.shape
+    own = np.zeros((E, padded, padded))
+    for a, (beta, inverse) in enumerate(zip(_array(weights), _array(gram_inverse), strict=True)):
+        own[a, :n, :n] = np.triu(np.multiply.outer(beta, beta) - inverse)
+        np.fill_diagonal(own[a], own[a].diagonal() / 2)
+    return own
+
+
+def _combinations(augmentation: Augmentation) -> tuple[Array2, Array1, int]:
+    """Rows, turns and number of the kept ones of the combinations of the state."""
     return _array(augmentation.rows), _array(augmentation.turns), augmentation.kept
 
 
@@ -283,16 +314,17 @@ def _gradients(gradients: list[NetworkGradient], parameters: Parameters) -> list
     centres, weights, widths = parameters
     m = len(centres)
     of_weights = np.stack([gradient.weights[:, :m] for gradient in gradients])
-    of_inputs = sum(gradient.inputs for gradient in gradients)[:, :m].T
-    of_squares = torch.from_numpy(sum(gradient.squares for gradient in gradients))
+    of_inputs = np.sum([gradient.inputs[:, :m] for gradient in gradients], 0).T
+    of_squares = np.sum([gradient.squares for gradient in gradients], 0)
     return [
         torch.from_numpy(of_inputs),
         torch.from_numpy(of_weights if weights.ndim == 3 else of_weights.sum(0)),
-        2 * widths.detach() * of_squares,
+        2 * widths.detach() * torch.from_numpy(of_squares),
     ]
 
 
-def _array(values: Tensor) -> np.ndarray:
+def _array(values: Tensor) -> Array:
+    """The values of a tensor as kernels take them, C-contiguous."""
     return np.ascontiguousarray(values.detach().numpy(), dtype=np.float64)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from math import log, nan, sqrt
 
-from torch_pmil.model.compiled.building import compiled
+from torch_pmil.model.compiled.building import Array1, Array2, compiled
 
 
 @compiled
-def product(a, b, out):
+def product(a: Array2, b: Array2, out: Array2) -> None:
     """Write a b into ``out``."""
     for i in range(a.shape[0]):
         for j in range(b.shape[1]):
@@ -19,7 +19,7 @@ def product(a, b, out):
 
 
 @compiled
-def product_of_transpose(a, b, out):
+def product_of_transpose(a: Array2, b: Array2, out: Array2) -> None:
     """Write a' b into ``out``."""
     for i in range(a.shape[1]):
         for j in range(b.shape[1]):
@@ -30,7 +30,7 @@ def product_of_transpose(a, b, out):
 
 
 @compiled
-def product_with_transpose(a, b, out):
+def product_with_transpose(a: Array2, b: Array2, out: Array2) -> None:
     """Write a b' into ``out``."""
     for i in range(a.shape[0]):
         for j in range(b.shape[0]):
@@ -41,7 +41,7 @@ def product_with_transpose(a, b, out):
 
 
 @compiled
-def times_vector(a, x, out):
+def times_vector(a: Array2, x: Array1, out: Array1) -> None:
     """Write a x into ``out``."""
     for i in range(a.shape[0]):
         entry = 0.0
@@ -51,7 +51,7 @@ def times_vector(a, x, out):
 
 
 @compiled
-def make_symmetric(a):
+def make_symmetric(a: Array2) -> None:
     """Replace a square matrix by its symmetric part."""
     for i in range(a.shape[0]):
         for j in range(i):
@@ -59,7 +59,7 @@ def make_symmetric(a):
 
 
 @compiled
-def clear(a):
+def clear(a: Array2) -> None:
     """Fill a matrix with zeros."""
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -67,7 +67,15 @@ def clear(a):
 
 
 @compiled
-def copy(a, out):
+def scale(a: Array2, factor: float) -> None:
+    """Multiply a matrix by a factor."""
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            a[i, j] *= factor
+
+
+@compiled
+def copy(a: Array2, out: Array2) -> None:
     """Write a matrix into ``out``."""
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -75,7 +83,7 @@ def copy(a, out):
 
 
 @compiled
-def invert(a):
+def invert(a: Array2) -> float:
     """Replace a symmetric positive definite matrix by its inverse; return half its log determinant.
 
     NaN where it has no Cholesky factor; the matrix is then of no use.
@@ -100,7 +108,7 @@ def invert(a):
 
 
 @compiled
-def _invert_factor(a):
+def _invert_factor(a: Array2) -> None:
     """From a factor L, with inverse diagonal, in the lower triangle to (L L')^-1."""
     size = a.shape[0]
     for j in range(size):

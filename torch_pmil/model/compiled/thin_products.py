@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torch_pmil.model.compiled.building import compiled
+from torch_pmil.model.compiled.building import Array, Array1, Array2, compiled
 from torch_pmil.model.compiled.vectors import (
     WIDTH,
     add,
@@ -18,14 +18,14 @@ from torch_pmil.model.compiled.vectors import (
 
 
 @compiled
-def fill(values, number):
+def fill(values: Array, number: float) -> None:
     """Write a number into all entries, as many as a multiple of eight."""
     for j in range(0, values.size, WIDTH):
         store(values, j, splat(number))
 
 
 @compiled
-def transform(matrix, values, out):
+def transform(matrix: Array2, values: Array2, out: Array2) -> None:
     """Write a matrix (k, d) times values (d, n) into ``out`` (k, n)."""
     rows, size, n = matrix.shape[0], matrix.shape[1], values.shape[1]
     for k in range(0, rows, 2):
@@ -42,7 +42,7 @@ def transform(matrix, values, out):
 
 
 @compiled
-def outer_sums(a, b, out):
+def outer_sums(a: Array2, b: Array2, out: Array2) -> None:
     """Write a b', the sums of a (k, n) times b (d, n) over the data, into ``out`` (k, d).
 
     Further rows of ``a`` are left out.
@@ -60,16 +60,12 @@ def outer_sums(a, b, out):
                 s1 = multiply_add(x, load(b, d1 * n + j), s1)
                 s2 = multiply_add(x, load(b, d2 * n + j), s2)
                 s3 = multiply_add(x, load(b, d3 * n + j), s3)
-            out[k, d], out[k, d1], out[k, d2], out[k, d3] = (
-                total(s0),
-                total(s1),
-                total(s2),
-                total(s3),
-            )
+            out[k, d], out[k, d1] = total(s0), total(s1)
+            out[k, d2], out[k, d3] = total(s2), total(s3)
 
 
 @compiled
-def sum_products(a, b):
+def sum_products(a: Array1, b: Array1) -> float:
     """The sum of a (n,) times b (n,)."""
     sums = splat(0.0)
     for j in range(0, len(a), WIDTH):
@@ -78,7 +74,7 @@ def sum_products(a, b):
 
 
 @compiled
-def scale_columns(values, factors, out):
+def scale_columns(values: Array2, factors: Array1, out: Array2) -> None:
     """Write values (d, n) times factors (n,) into ``out`` (d, n)."""
     n = values.shape[1]
     for d in range(values.shape[0]):
@@ -87,7 +83,7 @@ def scale_columns(values, factors, out):
 
 
 @compiled
-def write_forms(nu, transformed, constant, out):
+def write_forms(nu: Array2, transformed: Array2, constant: float, out: Array1) -> None:
     """Write a constant less half the forms nu_i' A nu_i into ``out`` (n,), A nu being known."""
     n = nu.shape[1]
     for j in range(0, n, WIDTH):
@@ -98,21 +94,21 @@ def write_forms(nu, transformed, constant, out):
 
 
 @compiled
-def write_exponentials(exponents, out):
+def write_exponentials(exponents: Array1, out: Array1) -> None:
     """Write the exponentials of (n,) numbers into ``out``."""
     for j in range(0, len(out), WIDTH):
         store(out, j, exponential(load(exponents, j)))
 
 
 @compiled
-def multiply_entries(a, b, out):
+def multiply_entries(a: Array1, b: Array1, out: Array1) -> None:
     """Write a times b, entry by entry, into ``out`` (n,)."""
     for j in range(0, len(a), WIDTH):
         store(out, j, multiply(load(a, j), load(b, j)))
 
 
 @compiled
-def sum_entries(a):
+def sum_entries(a: Array1) -> float:
     """The sum of a (n,)."""
     sums = splat(0.0)
     for j in range(0, len(a), WIDTH):
@@ -121,14 +117,14 @@ def sum_entries(a):
 
 
 @compiled
-def add_multiple(factor, a, out):
+def add_multiple(factor: float, a: Array, out: Array) -> None:
     """Add the factor times a to ``out``, of the same shape, with a multiple of eight entries."""
     for j in range(0, a.size, WIDTH):
         store(out, j, multiply_add(splat(factor), load(a, j), load(out, j)))
 
 
 @compiled
-def add_squares(factor, a, out):
+def add_squares(factor: float, a: Array1, out: Array1) -> None:
     """Add the factor times the squares of a to ``out`` (n,)."""
     for j in range(0, len(a), WIDTH):
         x = load(a, j)

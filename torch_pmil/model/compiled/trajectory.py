@@ -1,4 +1,8 @@
-"""The prediction of T steps (Eq. 13) and its adjoint, for one start belief and one policy."""
+"""The prediction of T steps (Eq. 13), for one start belief and one policy.
+
+A state has D entries, D' features and F actions. The beliefs within a step, and what the moments
+need, are kept in arrays that the next step overwrites.
+"""
 
 from __future__ import annotations
 
@@ -52,8 +56,8 @@ class Robot(NamedTuple):
         model: the forward model.
         network: the policy before squashing.
         u_max: limits of the F actions, (F,).
-        rows, turns, kept: features of the state, as in :class:`Augmentation`.
-        differences: whether the model predicts changes of the state.
+        rows, turns, kept: features of the state, (D', D) and (D',), as in :class:`Augmentation`.
+        differences: whether the model predicts changes of the state, not the state.
         steps: kernels.
     """
 
@@ -96,7 +100,12 @@ class Tape(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """Mean and covariance of a Gaussian, or their cotangents, and a slope in another variable."""
+    """Mean and covariance of a Gaussian, and its slope in another variable, or their cotangents.
+
+    Args:
+        mean, cov: (K,) and (K, K).
+        slope: Sigma_x^-1 cov(x, .) for another variable x, (inputs, K).
+    """
 
     mean: Array1
     cov: Array2
@@ -106,6 +115,9 @@ class Belief(NamedTuple):
     def of(cls, size: int, inputs: int) -> Belief:
         """Of ``size`` entries, with a slope in so many inputs, (inputs, size)."""
         return cls(np.empty(size), np.empty((size, size)), np.empty((inputs, size)))
+
+
+Beliefs = tuple[Belief, Belief, Belief, Belief, Belief, Belief]
 
 
 class StepWork(NamedTuple):
@@ -139,102 +151,145 @@ class StepWork(NamedTuple):
         return cls(*beliefs_of(robot), *spaces, np.empty_like(robot.rows))
 
 
-def beliefs_of(robot: Robot) -> tuple[Belief, ...]:
+def beliefs_of(robot: Robot) -> Beliefs:
     """Room for the beliefs within a step, in the order of :class:`StepWork`."""
     (R, D), F = robot.rows.shape, len(robot.u_max)
-    sizes = ((R, 1), (R, D), (F, 1), (F, R), (R + F, D), (D, D))
-    return tuple(Belief.of(size, inputs) for size, inputs in sizes)
+    before_action = Belief.of(R, 1), Belief.of(R, D)
+    action = Belief.of(F, 1), Belief.of(F, R)
+    return *before_action, *action, Belief.of(R + F, D), Belief.of(D, D)
 
 
 @Kernel
 def predict(robot: Robot, tape: Tape, work: StepWork) -> int:
-    """Fill a tape from ``mean[0]`` and ``cov[0]`` on; return the step 1..T that failed, or 0."""
+    """Fill a tape from ``mean[0]`` and ``cov[0]`` on.
+
+    Args:
+        robot: what the prediction is made of.
+        tape: in its first state and out.
+        work: scratch.
+
+    Returns:
+        The step 1..T at which a belief's covariance is none, or 0.
+    """
+    means, covs, of_network, of_model = tape.mean, tape.cov, tape.of_network, tape.of_model
+    features, inputs, change = work.features, work.inputs, work.change.cov
     for t in range(len(tape.raw_cov)):
-        write_features(robot, tape.mean[t], tape.cov[t], work)
-        features, inputs, change = work.features, work.inputs, work.change
-        record, raw_cov = tape.of_network, tape.raw_cov[t]
-        mean, cov = features.mean, features.cov
-        if not call(
-            robot.steps.match, (robot.network, mean, cov, record, t, work.of_network, raw_cov)
-        ):
+        write_features(robot, means[t], covs[t], work)
+        network = robot.network, features.mean, features.cov, of_network, t, work.of_network
+        if not call(robot.steps.match, (*network, tape.raw_cov[t])):
             return t + 1
         write_inputs(robot, tape, t, work)
-        record, mean, cov = tape.of_model, inputs.mean, inputs.cov
-        if not call(
-            robot.steps.match, (robot.model, mean, cov, record, t, work.of_model, change.cov)
-        ):
+        model = robot.model, inputs.mean, inputs.cov, of_model, t, work.of_model
+        if not call(robot.steps.match, (*model, change)):
             return t + 1
         _write_successor(robot, tape, t, work)
     return 0
 
 
-@compiled
-def write_features(robot, mean, cov, work):
-    """Beliefs over phases and features of a state."""
-    phases, features, rows = work.phases, work.features, robot.rows
-    times_vector(rows, mean, phases.mean)
-    product(rows, cov, work.linear)
-    product_with_transpose(work.linear, rows, phases.cov)
-    gain = phases.slope[0]
-    for r in range(len(rows)):
-        phases.mean[r] += robot.turns[r]
-    call(
-        robot.steps.write_cosines,
-        (phases.mean, phases.cov, robot.kept, features.mean, features.cov, gain),
-    )
-    for r in range(len(rows)):
-        for d in range(len(mean)):
-            features.slope[d, r] = rows[r, d] * gain[r]
+@part
+def write_features(robot: Robot, mean: Array1, cov: Array2, work: StepWork) -> None:
+    """Beliefs over phases and features of a state, mean (D,) and covariance (D, D)."""
+    phases, features, gain = work.phases, work.features, work.phases.slope[0]
+    _write_phases(robot.rows, robot.turns, mean, cov, work.linear, phases.mean, phases.cov)
+    out = features.mean, features.cov, gain
+    call(robot.steps.write_cosines, (phases.mean, phases.cov, robot.kept, *out))
+    _write_slope(robot.rows, gain, features.slope)
 
 
 @compiled
-def write_inputs(robot, tape, t, work):
+def _write_phases(
+    rows: Array2,
+    turns: Array1,
+    mean: Array1,
+    cov: Array2,
+    linear: Array2,
+    out_mean: Array1,
+    out_cov: Array2,
+) -> None:
+    """Moments of the linear combinations of a state."""
+    times_vector(rows, mean, out_mean)
+    for r in range(len(rows)):
+        out_mean[r] += turns[r]
+    product(rows, cov, linear)
+    product_with_transpose(linear, rows, out_cov)
+
+
+@compiled
+def _write_slope(rows: Array2, gain: Array1, slope: Array2) -> None:
+    """Slope of the features in the state, (D, D')."""
+    for r in range(len(rows)):
+        for d in range(len(slope)):
+            slope[d, r] = rows[r, d] * gain[r]
+
+
+@part
+def write_inputs(robot: Robot, tape: Tape, t: int, work: StepWork) -> None:
     """Belief over the action, and jointly over features and action."""
-    features, raw, action, inputs = work.features, work.raw, work.action, work.inputs
-    R, F, u_max, gain = len(features.mean), len(robot.u_max), robot.u_max, raw.slope[0]
-    record = tape.of_network
-    for k in range(F):
-        raw.mean[k] = record.total[t, k] + robot.network.offset[k] - pi / 2.0
-    call(robot.steps.write_cosines, (raw.mean, tape.raw_cov[t], 0, action.mean, action.cov, gain))
+    raw, action, record, u_max = work.raw, work.action, tape.of_network, robot.u_max
+    mean, gain, total, offset = raw.mean, raw.slope[0], record.total[t], robot.network.offset
+    for k in range(len(mean)):
+        mean[k] = total[k] + offset[k] - pi / 2.0
+    out = action.mean, action.cov, gain
+    call(robot.steps.write_cosines, (mean, tape.raw_cov[t], 0, *out))
+    _write_joint_moments(u_max, record.slope[t], gain, action, work.features, work.inputs)
+
+
+@compiled
+def _write_joint_moments(
+    u_max: Array1, slope: Array2, gain: Array1, action: Belief, features: Belief, out: Belief
+) -> None:
+    """Belief over features and action; scale the gain, and write the slope of the action.
+
+    Args:
+        u_max: limits of the actions, (F,).
+        slope: of the network, (D', F).
+        gain: mean slope of the sines, (F,).
+        action: over the sines.
+        features: as in :class:`StepWork`.
+        out: over features and action.
+    """
+    cov, D, R, F = features.cov, len(out.slope), len(features.mean), len(u_max)
     for k in range(F):
         gain[k] *= u_max[k]
-        inputs.mean[R + k] = u_max[k] * action.mean[k]
+        out.mean[R + k] = u_max[k] * action.mean[k]
         for other in range(F):
-            inputs.cov[R + k, R + other] = u_max[k] * action.cov[k, other] * u_max[other]
+            out.cov[R + k, R + other] = u_max[k] * action.cov[k, other] * u_max[other]
         for d in range(R):
-            action.slope[d, k] = record.slope[t, d, k] * gain[k]
+            action.slope[d, k] = slope[d, k] * gain[k]
     for d in range(R):
-        inputs.mean[d] = features.mean[d]
+        out.mean[d] = features.mean[d]
         for e in range(R):
-            inputs.cov[d, e] = features.cov[d, e]
+            out.cov[d, e] = cov[d, e]
         for k in range(F):
             cross = 0.0
             for e in range(R):
-                cross += features.cov[d, e] * action.slope[e, k]
-            inputs.cov[d, R + k] = inputs.cov[R + k, d] = cross
-    for d in range(len(inputs.slope)):
+                cross += cov[d, e] * action.slope[e, k]
+            out.cov[d, R + k] = out.cov[R + k, d] = cross
+    for d in range(D):
         for e in range(R):
-            inputs.slope[d, e] = features.slope[d, e]
+            out.slope[d, e] = features.slope[d, e]
         for k in range(F):
             cross = 0.0
             for e in range(R):
                 cross += features.slope[d, e] * action.slope[e, k]
-            inputs.slope[d, R + k] = cross
+            out.slope[d, R + k] = cross
 
 
 @part
-def _write_successor(robot, tape, t, work):
+def _write_successor(robot: Robot, tape: Tape, t: int, work: StepWork) -> None:
     """The belief at t + 1, from that at t and what the model predicts."""
-    mean, cov, change = tape.mean[t + 1], tape.cov[t + 1], work.change
+    before, cov_before, mean, cov = tape.mean[t], tape.cov[t], tape.mean[t + 1], tape.cov[t + 1]
+    record, offset, differences = tape.of_model, robot.model.offset, robot.differences
+    total, change, slope = record.total[t], work.change.cov, work.change.slope
     for d in range(len(mean)):
-        mean[d] = tape.of_model.total[t, d] + robot.model.offset[d]
-    if robot.differences:
-        product(work.inputs.slope, tape.of_model.slope[t], change.slope)
-        product(tape.cov[t], change.slope, cov)
+        mean[d] = total[d] + offset[d]
+    if differences:
+        product(work.inputs.slope, record.slope[t], slope)
+        product(cov_before, slope, cov)
     for d in range(len(mean)):
-        if robot.differences:
-            mean[d] += tape.mean[t, d]
+        if differences:
+            mean[d] += before[d]
         for e in range(len(mean)):
-            known = 2.0 * cov[d, e] + tape.cov[t, d, e] if robot.differences else 0.0
-            cov[d, e] = known + change.cov[d, e]
+            known = 2.0 * cov[d, e] + cov_before[d, e] if differences else 0.0
+            cov[d, e] = known + change[d, e]
     make_symmetric(cov)

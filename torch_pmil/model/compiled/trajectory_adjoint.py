@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from torch_pmil.model.compiled.arrays import NetworkGradient
-from torch_pmil.model.compiled.building import Array1, Array2, Array3, Kernel, call, part
+from torch_pmil.model.compiled.building import Array1, Array2, Array3, Kernel, call, compiled, part
 from torch_pmil.model.compiled.small_matrices import (
     clear,
     copy,
@@ -18,6 +18,7 @@ from torch_pmil.model.compiled.small_matrices import (
     product,
     product_of_transpose,
     product_with_transpose,
+    scale,
 )
 from torch_pmil.model.compiled.trajectory import (
     Belief,
@@ -34,7 +35,8 @@ class Cotangents(NamedTuple):
     """Cotangents of the beliefs within a step, as in :class:`StepWork`.
 
     Args:
-        phases, features, raw, action, inputs, change: as there.
+        phases, features, raw, action, inputs, change: cotangents of these; some arrays serve as
+            scratch.
         of_output: of the slope of the model's moments, (D' + F, D).
     """
 
@@ -68,7 +70,7 @@ def adjoint(
     """Gradients in the start belief and the network from cotangents of the states at t = 1..T.
 
     Args:
-        robot, tape, work: as in :func:`predict`.
+        robot, tape, work: as in :func:`predict`, which has filled the tape.
         d_means, d_covs: cotangents, (T, D) and (T, D, D), the latter symmetric.
         back: room for cotangents.
         d_mean, d_cov: out, gradients in mean (D,) and covariance (D, D) of the start.
@@ -78,12 +80,13 @@ def adjoint(
         d_mean[d] = 0.0
         for e in range(len(d_mean)):
             d_cov[d, e] = 0.0
+    means, covs = tape.mean, tape.cov
     for t in range(len(d_means) - 1, -1, -1):
         for d in range(len(d_mean)):
             d_mean[d] += d_means[t, d]
             for e in range(len(d_mean)):
                 d_cov[d, e] += d_covs[t, d, e]
-        write_features(robot, tape.mean[t], tape.cov[t], work)
+        write_features(robot, means[t], covs[t], work)
         write_inputs(robot, tape, t, work)
         _adjoint_of_model(robot, tape, t, work, back, d_mean, d_cov)
         _adjoint_of_action(robot, tape, t, work, back, out)
@@ -92,142 +95,163 @@ def adjoint(
 
 
 @part
-def _adjoint_of_model(robot, tape, t, work, back, d_mean, d_cov):
+def _adjoint_of_model(
+    robot: Robot,
+    tape: Tape,
+    t: int,
+    work: StepWork,
+    back: Cotangents,
+    d_mean: Array1,
+    d_cov: Array2,
+) -> None:
     """Cotangents of the model's inputs and their slope, and the direct ones of the state."""
-    inputs, change, cov, slope = work.inputs, work.change, tape.cov[t], tape.of_model.slope[t]
-    D, of_slope = len(d_mean), back.change.slope
-    if robot.differences:
-        product(inputs.slope, slope, change.slope)
-        product(cov, d_cov, of_slope)
-        for d in range(D):
-            for e in range(D):
-                of_slope[d, e] *= 2.0
-        product_with_transpose(of_slope, slope, back.inputs.slope)
-        product_of_transpose(inputs.slope, of_slope, back.of_output)
-        product_with_transpose(d_cov, change.slope, back.change.cov)
+    inputs, slope_of_change, record = work.inputs, work.change.slope, tape.of_model
+    slope, d_inputs, of_output = record.slope[t], back.inputs, back.of_output
+    direct, through_slope, differences = back.change.slope, back.change.cov, robot.differences
+    if differences:
+        product(inputs.slope, slope, slope_of_change)
+        product(tape.cov[t], d_cov, direct)
+        scale(direct, 2.0)
+        product_with_transpose(direct, slope, d_inputs.slope)
+        product_of_transpose(inputs.slope, direct, of_output)
+        product_with_transpose(d_cov, slope_of_change, through_slope)
     else:
-        clear(back.inputs.slope)
-        clear(back.of_output)
-    call(
-        robot.steps.adjoint_of_gp,
-        (
-            robot.model,
-            tape.of_model,
-            t,
-            inputs.mean,
-            d_mean,
-            d_cov,
-            back.of_output,
-            work.of_model,
-            back.inputs.mean,
-            back.inputs.cov,
-        ),
-    )
-    for d in range(D):
-        if not robot.differences:
+        clear(d_inputs.slope)
+        clear(of_output)
+    moments = robot.model, record, t, inputs.mean
+    cotangents = d_mean, d_cov, of_output, work.of_model, d_inputs.mean, d_inputs.cov
+    call(robot.steps.adjoint_of_gp, moments + cotangents)
+    for d in range(len(d_mean)):
+        if not differences:
             d_mean[d] = 0.0
-        for e in range(D):
-            direct = d_cov[d, e] + back.change.cov[d, e] + back.change.cov[e, d]
-            back.change.slope[d, e] = direct if robot.differences else 0.0
-    copy(back.change.slope, d_cov)
+        for e in range(len(d_mean)):
+            both = d_cov[d, e] + through_slope[d, e] + through_slope[e, d]
+            direct[d, e] = both if differences else 0.0
+    copy(direct, d_cov)
 
 
 @part
-def _adjoint_of_action(robot, tape, t, work, back, out):
+def _adjoint_of_action(
+    robot: Robot, tape: Tape, t: int, work: StepWork, back: Cotangents, out: NetworkGradient
+) -> None:
     """Cotangents of the features and their slope, and the gradient in the network."""
-    features, raw, action = work.features, work.raw, work.action
-    R, F, u_max, slope = len(features.mean), len(robot.u_max), robot.u_max, tape.of_network.slope[t]
-    d_inputs, d_action, d_raw, d_features = back.inputs, back.action, back.raw, back.features
-    D = len(d_features.slope)
+    raw, d_raw, d_action, d_features = work.raw, back.raw, back.action, back.features
+    record, gain, d_gain = tape.of_network, raw.slope[0], d_raw.slope[0]
+    slope, d_inputs = record.slope[t], back.inputs
+    _adjoint_of_joint_moments(robot.u_max, slope, gain, work.features, d_inputs, d_action, d_gain)
+    action = raw.mean, tape.raw_cov[t], 0, gain
+    of_action = d_action.mean, d_action.cov, d_gain, d_raw.mean, d_raw.cov
+    call(robot.steps.adjoint_of_cosines, action + of_action)
+    moments = robot.network, record, t, work.features.mean
+    of_moments = d_raw.mean, d_raw.cov, d_action.slope, work.of_network
+    results = d_features.mean, d_features.cov, out
+    call(robot.steps.adjoint_of_network, moments + of_moments + results)
+    _add_joint_cotangents(work.action.slope, d_inputs, d_features)
+
+
+@compiled
+def _adjoint_of_joint_moments(
+    u_max: Array1,
+    slope: Array2,
+    gain: Array1,
+    features: Belief,
+    d_inputs: Belief,
+    d_action: Belief,
+    d_gain: Array1,
+) -> None:
+    """Cotangents of the action and of the gain of its slope.
+
+    Args:
+        u_max: limits of the actions, (F,).
+        slope: of the network, (D', F).
+        gain: mean slope of the sines times the limits, (F,).
+        features: as in :class:`StepWork`.
+        d_inputs: cotangents of features and action jointly.
+        d_action: out, cotangents of the sines, and of the slope of the network.
+        d_gain: out, cotangents of the gain before it was multiplied by the limits, (F,).
+    """
+    cov, D, R, F = features.cov, len(features.slope), len(features.mean), len(u_max)
     for k in range(F):
         d_action.mean[k] = u_max[k] * d_inputs.mean[R + k]
         for other in range(F):
-            scale = u_max[k] * u_max[other]
-            d_action.cov[k, other] = scale * d_inputs.cov[R + k, R + other]
+            d_action.cov[k, other] = u_max[k] * u_max[other] * d_inputs.cov[R + k, R + other]
         of_gain = 0.0
         for d in range(R):
-            entry_of_slope = 0.0
+            entry = 0.0
             for e in range(R):
-                entry_of_slope += 2.0 * features.cov[d, e] * d_inputs.cov[e, R + k]
+                entry += 2.0 * cov[d, e] * d_inputs.cov[e, R + k]
             for e in range(D):
-                entry_of_slope += features.slope[e, d] * d_inputs.slope[e, R + k]
-            of_gain += entry_of_slope * slope[d, k]
-            d_action.slope[d, k] = entry_of_slope * raw.slope[0, k]
-        d_raw.slope[0, k] = u_max[k] * of_gain
-    call(
-        robot.steps.adjoint_of_cosines,
-        (
-            raw.mean,
-            tape.raw_cov[t],
-            0,
-            raw.slope[0],
-            d_action.mean,
-            d_action.cov,
-            d_raw.slope[0],
-            d_raw.mean,
-            d_raw.cov,
-        ),
-    )
-    call(
-        robot.steps.adjoint_of_network,
-        (
-            robot.network,
-            tape.of_network,
-            t,
-            features.mean,
-            d_raw.mean,
-            d_raw.cov,
-            d_action.slope,
-            work.of_network,
-            d_features.mean,
-            d_features.cov,
-            out,
-        ),
-    )
+                entry += features.slope[e, d] * d_inputs.slope[e, R + k]
+            of_gain += entry * slope[d, k]
+            d_action.slope[d, k] = entry * gain[k]
+        d_gain[k] = u_max[k] * of_gain
+
+
+@compiled
+def _add_joint_cotangents(slope: Array2, d_inputs: Belief, d_features: Belief) -> None:
+    """Add to the cotangents of the features what reaches them without the network.
+
+    Args:
+        slope: of the action in the features, (D', F).
+        d_inputs: cotangents of features and action jointly.
+        d_features: of the features; those of mean and covariance are added to, that of the slope is
+            written.
+    """
+    R, F = slope.shape
     for d in range(R):
         d_features.mean[d] += d_inputs.mean[d]
         for e in range(R):
-            entry_of_cov = d_inputs.cov[d, e]
+            entry = d_inputs.cov[d, e]
             for k in range(F):
-                entry_of_cov += d_inputs.cov[d, R + k] * action.slope[e, k]
-                entry_of_cov += d_inputs.cov[e, R + k] * action.slope[d, k]
-            d_features.cov[d, e] += entry_of_cov
-    for d in range(D):
+                entry += d_inputs.cov[d, R + k] * slope[e, k] + d_inputs.cov[e, R + k] * slope[d, k]
+            d_features.cov[d, e] += entry
+    for d in range(len(d_features.slope)):
         for e in range(R):
-            entry_of_slope = d_inputs.slope[d, e]
+            entry = d_inputs.slope[d, e]
             for k in range(F):
-                entry_of_slope += d_inputs.slope[d, R + k] * action.slope[e, k]
-            d_features.slope[d, e] = entry_of_slope
+                entry += d_inputs.slope[d, R + k] * slope[e, k]
+            d_features.slope[d, e] = entry
 
 
 @part
-def _adjoint_of_features(robot, work, back, d_mean, d_cov):
+def _adjoint_of_features(
+    robot: Robot, work: StepWork, back: Cotangents, d_mean: Array1, d_cov: Array2
+) -> None:
     """Add the cotangents of the state, through its features."""
     phases, rows, d_features, d_phases = work.phases, robot.rows, back.features, back.phases
+    gain, through = d_phases.slope[0], back.change.cov
+    _write_cotangent_of_gain(rows, d_features.slope, gain)
+    waves = phases.mean, phases.cov, robot.kept, phases.slope[0]
+    cotangents = d_features.mean, d_features.cov, gain, d_phases.mean, d_phases.cov
+    call(robot.steps.adjoint_of_cosines, waves + cotangents)
+    _add_cotangents(rows, d_phases.mean, d_phases.cov, work.linear, through, d_mean, d_cov)
+
+
+@compiled
+def _write_cotangent_of_gain(rows: Array2, d_slope: Array2, out: Array1) -> None:
+    """Cotangents of the phases' gain, (D',), from those of the features' slope, (D, D')."""
     for r in range(len(rows)):
-        of_gain = 0.0
-        for d in range(len(d_mean)):
-            of_gain += d_features.slope[d, r] * rows[r, d]
-        d_phases.slope[0, r] = of_gain
-    call(
-        robot.steps.adjoint_of_cosines,
-        (
-            phases.mean,
-            phases.cov,
-            robot.kept,
-            phases.slope[0],
-            d_features.mean,
-            d_features.cov,
-            d_phases.slope[0],
-            d_phases.mean,
-            d_phases.cov,
-        ),
-    )
-    product(d_phases.cov, rows, work.linear)
-    product_of_transpose(rows, work.linear, back.change.cov)
-    make_symmetric(back.change.cov)
+        out[r] = 0.0
+        for d in range(len(d_slope)):
+            out[r] += d_slope[d, r] * rows[r, d]
+
+
+@compiled
+def _add_cotangents(
+    rows: Array2,
+    d_phase: Array1,
+    d_phase_cov: Array2,
+    linear: Array2,
+    scratch: Array2,
+    d_mean: Array1,
+    d_cov: Array2,
+) -> None:
+    """Add cotangents of linear combinations of the state to those of the state."""
+    product(d_phase_cov, rows, linear)
+    product_of_transpose(rows, linear, scratch)
+    make_symmetric(scratch)
     for d in range(len(d_mean)):
         for r in range(len(rows)):
-            d_mean[d] += rows[r, d] * d_phases.mean[r]
+            d_mean[d] += rows[r, d] * d_phase[r]
         for e in range(len(d_mean)):
-            d_cov[d, e] += back.change.cov[d, e]
+            d_cov[d, e] += scratch[d, e]

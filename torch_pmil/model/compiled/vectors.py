@@ -4,7 +4,8 @@ A loop of scalars that ends in an exponential is not vectorised by Numba, which 
 library's exponential for each. Here the exponential is a polynomial of whole vectors, and a loop
 says itself which numbers it keeps in registers.
 
-All indices count the entries of a C-contiguous array from its first, whatever its shape.
+All indices count the entries of a C-contiguous array from its first, whatever its shape. The first
+argument of each function, ``typing``, is Numba's: a call leaves it out.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, models, register_model
+from numba.extending import models, register_model
+
+from torch_pmil.model.compiled.building import intrinsic
 
 WIDTH = 8
 Emitter = tuple[Any, Callable[..., Any]]

@@ -122,13 +122,8 @@ def regularised_precision(cov: Array2, squares: Array1, B: Array2) -> float:
 @part
 def _write_exponents(f: Functions, a: int, b: int, cov: Array2, B: Array2, work: Workspace) -> bool:
     """Exponents of a pair of outputs into ``work``; False where the covariance is none."""
-    nu, moved, small, shares, harmonic = (
-        work.nu,
-        work.moved,
-        work.small,
-        work.shares,
-        work.vectors[0],
-    )
+    nu, moved, small, shares = work.nu, work.moved, work.small, work.shares
+    harmonic = work.vectors[0]
     of_a, of_b = f.squares[a], f.squares[b]
     write_shares(of_a, of_b, shares)
     for d in range(len(B)):
@@ -136,13 +131,29 @@ def _write_exponents(f: Functions, a: int, b: int, cov: Array2, B: Array2, work:
     half_log_det = regularised_precision(cov, harmonic, B)
     if isnan(half_log_det):
         return False
-    for output, share, terms in ((a, 0, work.f), (b, 1, work.g)):
-        own_form(shares[share], B, shares[2], 1.0, small[0])
-        transform(small[0], nu, moved)
-        write_forms(nu, moved, f.log_signal[output] - half_log_det / 2, terms)
+    constants = f.log_signal[a] - half_log_det / 2, f.log_signal[b] - half_log_det / 2
+    _write_terms(shares[0], B, shares[2], constants[0], nu, small[0], moved, work.f)
+    _write_terms(shares[1], B, shares[2], constants[1], nu, small[0], moved, work.g)
     cross_form(shares[0], B, shares[1], shares[2], -1.0, small[0])
     transform(small[0], nu, work.right)
     return True
+
+
+@compiled
+def _write_terms(
+    share: Array1,
+    B: Array2,
+    distance: Array1,
+    constant: float,
+    nu: Array2,
+    form: Array2,
+    moved: Array2,
+    out: Array1,
+) -> None:
+    """Write a constant less half the forms nu_i' (S B S + D) nu_i into ``out``."""
+    own_form(share, B, distance, 1.0, form)
+    transform(form, nu, moved)
+    write_forms(nu, moved, constant, out)
 
 
 @compiled

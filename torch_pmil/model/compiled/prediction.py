@@ -80,22 +80,22 @@ class _Beliefs(torch.autograd.Function):
     def forward(
         ctx: Any, plan: Plan, mean: Tensor, cov: Tensor, *parameters: Tensor
     ) -> tuple[Tensor, Tensor]:
-        robots = _robots(plan, parameters, len(mean))
-        tapes = [Tape.of(robot, plan.horizon) for robot in robots]
+        (N, D), T, keep = mean.shape, plan.horizon, any(ctx.needs_input_grad)
+        robots, tapes = _robots(plan, parameters, N), [None] * N
         start = _array(mean), _array(cov)  # here: other threads record graphs of their own
+        means, covs = np.empty((N, T, D)), np.empty((N, T, D, D))
 
         def roll_out(i: int) -> None:
-            tapes[i].mean[0], tapes[i].cov[0] = (part[i] for part in start)
-            if predict(robots[i], tapes[i], StepWork.of(robots[i])):
+            tape = Tape.of(robots[i], T)
+            tape.mean[0], tape.cov[0] = (part[i] for part in start)
+            if predict(robots[i], tape, StepWork.of(robots[i])):
                 raise _NoAnswer
+            means[i], covs[i] = tape.mean[1:], tape.cov[1:]
+            tapes[i] = tape if keep else None
 
-        _each(roll_out, len(robots))
+        _each(roll_out, N)
         ctx.robots, ctx.tapes = robots, tapes
         ctx.save_for_backward(*parameters)
-        means, covs = (
-            np.stack([states[1:] for states in moments])
-            for moments in zip(*((tape.mean, tape.cov) for tape in tapes), strict=True)
-        )
         if not (np.isfinite(means).all() and np.isfinite(covs).all()):
             raise _NoAnswer
         return torch.from_numpy(means), torch.from_numpy(covs)
@@ -298,9 +298,10 @@ def _own_weights(weights: Tensor, gram_inverse: Tensor | None, padded: int) -> A
         return np.zeros((0, 0, 0))
     E, n = weights.shape
     own = np.zeros((E, padded, padded))
-    for a, (beta, inverse) in enumerate(zip(_array(weights), _array(gram_inverse), strict=True)):
-        own[a, :n, :n] = np.triu(np.multiply.outer(beta, beta) - inverse)
-        np.fill_diagonal(own[a], own[a].diagonal() / 2)
+    for out, beta, inverse in zip(own, _array(weights), _array(gram_inverse), strict=True):
+        for i in range(n):  # row by row: no other matrix of that size is needed
+            out[i, i:n] = beta[i] * beta[i:] - inverse[i, i:]
+            out[i, i] /= 2
     return own
 
 

@@ -81,7 +81,8 @@ class _Beliefs(torch.autograd.Function):
         ctx: Any, plan: Plan, mean: Tensor, cov: Tensor, *parameters: Tensor
     ) -> tuple[Tensor, Tensor]:
         (N, D), T, keep = mean.shape, plan.horizon, any(ctx.needs_input_grad)
-        robots, tapes = _robots(plan, parameters, N), [None] * N
+        robots = _robots(plan, parameters, N)
+        tapes: list[Tape | None] = [None] * N
         start = _array(mean), _array(cov)  # here: other threads record graphs of their own
         means, covs = np.empty((N, T, D)), np.empty((N, T, D, D))
 

@@ -2,8 +2,8 @@
 
 One process, one thread. Of several evaluations the one that takes least counts; its calls of
 kernels are timed where they are made, and what they leave of the whole is Python's. What happens
-within the prediction is measured by itself, once more at the beliefs that it met: ``PARTS`` says
-which is which.
+within the prediction is measured by itself between the evaluations, at the beliefs that it met, and
+the least of each counts: ``PARTS`` says which is which.
 
 Example:
     python -m benchmarks.breakdown --sizes 50 100 200 400 1000
@@ -87,12 +87,16 @@ def main() -> None:
 
 def measure(n: int, repeats: int) -> dict[str, float]:
     """Milliseconds of each part of the benchmark's problem."""
-    evaluate = evaluation(n)
-    evaluate()
-    calls = Calls()
+    evaluate, calls = evaluation(n), Calls()
     with calls.watched():
-        parts = min((calls.of(evaluate) for _ in range(repeats)), key=lambda times: times["whole"])
-    parts |= times_within(*calls.arguments["prediction"], repeats)
+        evaluate()
+        repeated = within(*calls.arguments["prediction"])
+        evaluations, others = [], []
+        for _ in range(repeats):
+            evaluations.append(calls.of(evaluate))
+            others.append({part: seconds(function) for part, function in repeated.items()})
+    parts = min(evaluations, key=lambda times: times["whole"])
+    parts |= {part: min(times[part] for times in others) for part in repeated}
     return {part: round(1e3 * parts[part], 3) for part in PARTS}
 
 
@@ -160,22 +164,19 @@ class Beliefs(NamedTuple):
         return cls(np.empty((HORIZON, D)), np.empty((HORIZON, D, D)))
 
 
-def times_within(robot: Robot, tape: Tape, work: StepWork, repeats: int) -> dict[str, float]:
-    """Least CPU seconds of the moments of all steps, and of the sums in them."""
+def within(robot: Robot, tape: Tape, work: StepWork) -> dict[str, Callable[[], object]]:
+    """Functions that compute the moments of all steps once more, and the sums in them."""
     of_network, of_model = Beliefs.of(robot.network), Beliefs.of(robot.model)
     record_beliefs(robot, tape, work, of_network, of_model)
     address, change, raw = robot.steps.match, work.change.cov, work.raw.cov
-    parts = {
-        "policy": lambda: match_steps(
-            address, robot.network, of_network, tape.of_network, work.of_network, raw
-        ),
+    return {
         "model": lambda: match_steps(
             address, robot.model, of_model, tape.of_model, work.of_model, change
         ),
         "pairs of data": lambda: sum_all_pairs(robot.model, HORIZON, work.of_model),
-    }
-    return {
-        part: min(seconds(function) for _ in range(repeats + 1)) for part, function in parts.items()
+        "policy": lambda: match_steps(
+            address, robot.network, of_network, tape.of_network, work.of_network, raw
+        ),
     }
 
 

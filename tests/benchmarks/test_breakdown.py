@@ -39,9 +39,10 @@ def test_parts_are_computed_at_the_beliefs_of_the_prediction() -> None:
     robot, tape, work = calls.arguments["prediction"]
     records = tape.of_model, tape.of_network
     before = [[values.copy() for values in (record.q, record.slope)] for record in records]
+    functions = breakdown.within(robot, tape, work)
     for record in records:
         record.q[:], record.slope[:] = 0.0, 0.0
-    for function in breakdown.within(robot, tape, work).values():
+    for function in functions.values():
         assert function()
     for record, (q, slope) in zip(records, before, strict=True):
         np.testing.assert_array_equal(record.q, q)

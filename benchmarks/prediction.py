@@ -44,8 +44,8 @@ NOTES = {
     "torchrl",
     TORCHRL: "takes no sin and cos of angles: 6 GP inputs; adds 1e-6 to the raw action's "
     "covariance and 1e-8 to the state's",
-    FLOOR: "D (D + 1) / 2 n^2 T exponentials by PyTorch, forward only; those of the kernels are "
-    "faster, and half as many for a pair of an output with itself",
+    FLOOR: "D (D + 1) / 2 n^2 T exponentials by PyTorch, forward only; the kernels compute half as "
+    "many for a pair of an output with itself",
 }
 # colour and marker
 DRAWN = {

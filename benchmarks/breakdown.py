@@ -1,41 +1,52 @@
 """CPU time of the parts of one KL with its policy gradient, for several numbers n of data.
 
-The parts are timed where they are called, in one process with one thread, and the least of several
-evaluations counts for each, so that they need not add up exactly. What a part contains stands in
-``PARTS``.
+One process, one thread. Of several evaluations the one that takes least counts; its calls of
+kernels are timed where they are made, and what they leave of the whole is Python's. What happens
+within the prediction is measured by itself between the evaluations, at the beliefs that it met, and
+the least of each counts: ``PARTS`` says which is which.
 
 Example:
-    python -m benchmarks.breakdown --sizes 50 100 200 400
+    python -m benchmarks.breakdown --sizes 50 100 200 400 1000
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import shlex
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import torch
 
 from benchmarks.workloads import make_problem
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
-from torch_pmil.gp import moment_derivatives
-from torch_pmil.model import rollout
+from torch_pmil.model.compiled import kernels
+from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
+from torch_pmil.model.compiled.building import Address, Array2, Array3, Kernel, call
+from torch_pmil.model.compiled.pair_sums import sum_own_pairs, sum_pairs
+from torch_pmil.model.compiled.small_matrices import copy
+from torch_pmil.model.compiled.trajectory import Robot, StepWork, Tape, write_features, write_inputs
 
 ROOT = Path(__file__).parents[1]
 HORIZON = 25
 PARTS = {
-    "rollout": "the T steps one after the other, all of the following included",
-    "pairs of data": "the exponentials of all pairs and their products with thin matrices, O(n^2)",
-    "sums": "the sums over the data that derivatives are made of, several steps at once",
-    "jacobian": "the Jacobians of all steps, with what was left of the sums",
-    "policy gradient": "the policy's moments at all steps once more, and their gradient",
-    "whole": "value and gradient, the comparison with the demonstrations included",
+    "whole": "value and gradient",
+    "prediction": "the kernel that predicts T steps",
+    "model": "of that, the moments of the model, measured by themselves",
+    "pairs of data": "of these, the sums over all pairs of data, measured by themselves, O(n^2)",
+    "policy": "of the prediction, the moments of the policy's network, measured by themselves",
+    "adjoint": "the kernel that goes the steps back",
+    "costs": "the kernel that compares the prediction with the demonstrations",
+    "Python": "the rest: arrays made and handed over, PyTorch and its graph",
 }
+KERNELS = {"predict": "prediction", "adjoint": "adjoint", "write_costs": "costs"}
 
 
 def main() -> None:
@@ -45,14 +56,14 @@ def main() -> None:
         "--sizes",
         nargs="+",
         type=int,
-        default=[50, 100, 200, 400],
+        default=[50, 100, 200, 400, 1000],
         metavar="N",
         help="numbers n of data",
     )
     parser.add_argument(
         "--repeats",
         type=int,
-        default=30,
+        default=50,
         metavar="N",
         help="evaluations, of which the fastest counts",
     )
@@ -64,20 +75,29 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    clock = Clock()
-    clock.watch(rollout, "unroll", "rollout")
-    clock.watch(moment_derivatives, "pairwise_kernel_sums", "pairs of data")
-    clock.watch(moment_derivatives.RecordedMoments, "_sum_up", "sums")
-    clock.watch(rollout._MomentStep, "jacobian", "jacobian")
-    clock.watch(rollout._MomentStep, "parameter_gradients", "policy gradient")
     rows = [
-        {"n": n, "horizon": HORIZON, "cpu_ms": clock.least(evaluation(n), arguments.repeats)}
+        {"n": n, "horizon": HORIZON, "cpu_ms": measure(n, arguments.repeats)}
         for n in arguments.sizes
     ]
     source = provenance(shlex.join(["python", "-m", "benchmarks.breakdown", *sys.argv[1:]]))
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     write_json(arguments.json, {**source, "parts": PARTS, "rows": rows})
     print("\n".join(table(rows)))
+
+
+def measure(n: int, repeats: int) -> dict[str, float]:
+    """Milliseconds of each part of the benchmark's problem."""
+    evaluate, calls = evaluation(n), Calls()
+    with calls.watched():
+        evaluate()
+        repeated = within(*calls.arguments["prediction"])
+        evaluations, others = [], []
+        for _ in range(repeats):
+            evaluations.append(calls.of(evaluate))
+            others.append({part: seconds(function) for part, function in repeated.items()})
+    parts = min(evaluations, key=lambda times: times["whole"])
+    parts |= {part: min(times[part] for times in others) for part in repeated}
+    return {part: round(1e3 * parts[part], 3) for part in PARTS}
 
 
 def evaluation(n: int) -> Callable[[], object]:
@@ -87,41 +107,125 @@ def evaluation(n: int) -> Callable[[], object]:
     return lambda: torch.autograd.grad(loss.per_step(problem.experiment.initial).sum(), parameters)
 
 
-class Clock:
-    """CPU time spent in chosen functions."""
+class Calls:
+    """CPU time and last arguments of the calls of kernels."""
 
     def __init__(self) -> None:
         self.seconds: defaultdict[str, float] = defaultdict(float)
+        self.arguments: dict[str, tuple] = {}
 
-    def watch(self, owner: object, name: str, part: str) -> None:
-        """Time all calls of a function or method from now on."""
-        function = getattr(owner, name)
+    @contextlib.contextmanager
+    def watched(self) -> Iterator[None]:
+        """Time the calls of kernels meanwhile."""
+        originals = {name: getattr(kernels(), name) for name in KERNELS}
+        try:
+            for name, kernel in originals.items():
+                setattr(kernels(), name, self.timed(kernel, KERNELS[name]))
+            yield
+        finally:
+            vars(kernels()).update(originals)
 
-        def timed(*args: object, **kwargs: object) -> object:
+    def timed(self, kernel: Callable[..., object], part: str) -> Callable[..., object]:
+        """A kernel that adds to the time of a part."""
+
+        def call_kernel(*arguments: object) -> object:
+            self.arguments[part] = arguments
             start = time.process_time()
-            result = function(*args, **kwargs)
+            result = kernel(*arguments)
             self.seconds[part] += time.process_time() - start
             return result
 
-        setattr(owner, name, timed)
+        return call_kernel
 
-    def least(self, evaluate: Callable[[], object], repeats: int) -> dict[str, float]:
-        """The least milliseconds of each part in several evaluations, the first not counted."""
-        evaluate()
-        runs = []
-        for _ in range(repeats):
-            self.seconds.clear()
-            start = time.process_time()
-            evaluate()
-            runs.append({**self.seconds, "whole": time.process_time() - start})
-        return {part: round(1e3 * min(run[part] for run in runs), 2) for part in PARTS}
+    def of(self, evaluate: Callable[[], object]) -> dict[str, float]:
+        """Seconds of one evaluation, of its kernels, and of the rest."""
+        self.seconds.clear()
+        whole = seconds(evaluate)
+        return {**self.seconds, "whole": whole, "Python": whole - sum(self.seconds.values())}
+
+
+def seconds(function: Callable[[], object]) -> float:
+    """CPU seconds of a call."""
+    start = time.process_time()
+    function()
+    return time.process_time() - start
+
+
+class Beliefs(NamedTuple):
+    """Means (T, D) and covariances (T, D, D) that moments are computed at."""
+
+    means: Array2
+    covs: Array3
+
+    @classmethod
+    def of(cls, f: Functions) -> Beliefs:
+        """Room for the inputs of these functions."""
+        D = len(f.inputs)
+        return cls(np.empty((HORIZON, D)), np.empty((HORIZON, D, D)))
+
+
+def within(robot: Robot, tape: Tape, work: StepWork) -> dict[str, Callable[[], object]]:
+    """Functions that compute the moments of all steps once more, and the sums in them."""
+    of_network, of_model = Beliefs.of(robot.network), Beliefs.of(robot.model)
+    record_beliefs(robot, tape, work, of_network, of_model)
+    address, change, raw = robot.steps.match, work.change.cov, work.raw.cov
+    return {
+        "model": lambda: match_steps(
+            address, robot.model, of_model, tape.of_model, work.of_model, change
+        ),
+        "pairs of data": lambda: sum_all_pairs(robot.model, HORIZON, work.of_model),
+        "policy": lambda: match_steps(
+            address, robot.network, of_network, tape.of_network, work.of_network, raw
+        ),
+    }
+
+
+@Kernel
+def record_beliefs(
+    robot: Robot, tape: Tape, work: StepWork, of_network: Beliefs, of_model: Beliefs
+) -> bool:
+    """Beliefs over the inputs of the policy and of the model at the states on a tape."""
+    for t in range(len(tape.raw_cov)):
+        write_features(robot, tape.mean[t], tape.cov[t], work)
+        write_inputs(robot, tape, t, work)
+        copy(work.features.cov, of_network.covs[t])
+        copy(work.inputs.cov, of_model.covs[t])
+        for d in range(len(work.features.mean)):
+            of_network.means[t, d] = work.features.mean[d]
+        for d in range(len(work.inputs.mean)):
+            of_model.means[t, d] = work.inputs.mean[d]
+    return True
+
+
+@Kernel
+def match_steps(
+    match: Address, f: Functions, at: Beliefs, record: Record, work: Workspace, cov: Array2
+) -> bool:
+    """Moments of the functions at all beliefs."""
+    for t in range(len(at.means)):
+        if not call(match, (f, at.means[t], at.covs[t], record, t, work, cov)):
+            return False
+    return True
+
+
+@Kernel
+def sum_all_pairs(f: Functions, steps: int, work: Workspace) -> bool:
+    """The sums over pairs of data of all pairs of outputs, at the last belief over and over."""
+    for _ in range(steps):
+        for a in range(len(f.weights)):
+            own, right = f.own_weights[a], work.right
+            sum_own_pairs(work.points, right, work.f, own, work.left, work.rows)
+            for b in range(a + 1, len(f.weights)):
+                w, z = f.weights[a], f.weights[b]
+                sum_pairs(work.points, right, work.f, work.g, w, z, work.left, work.rows)
+    return True
 
 
 def table(rows: list[dict]) -> list[str]:
     """Lines of the printed table."""
     header = "".join(f"{'n = ' + str(row['n']):>10}" for row in rows)
     return [f"{'CPU ms':<18}{header}"] + [
-        f"{part:<18}" + "".join(f"{row['cpu_ms'][part]:>10.1f}" for row in rows) for part in PARTS
+        f"{part:<18}" + "".join(f"{row['cpu_ms'][part]:>10.2f}" for row in rows) for part in PARTS
     ]
 
 

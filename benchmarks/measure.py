@@ -21,7 +21,7 @@ import torch
 
 from benchmarks.workloads import WORKLOADS
 
-PATIENCE_S = 70.0  # work of more than a seventh of it is repeated less often, but twice at least
+PATIENCE_S = 40.0  # all repeats together take no longer, but there are two at least
 
 
 def main() -> None:
@@ -42,8 +42,9 @@ def measure(library: str, n: int, horizon: int, threads: int, repeats: int) -> d
 
     ``peak_mb`` (10^6 bytes) is the most memory that the process held during all of them, the model
     with its inverse Gram matrices included; ``building_peak_mb`` the most while the problem was
-    made, that model's matrices among it. Left out is what it held before (libraries, and what they
-    keep after a tiny evaluation). What the allocator keeps of freed memory counts.
+    made, that model's matrices among it. Left out is what it held before (libraries, the compiled
+    kernels, and what they keep after a tiny evaluation). What the allocator keeps of freed memory
+    counts.
 
     Raises:
         ValueError: the loss is not finite.

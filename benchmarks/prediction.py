@@ -1,6 +1,7 @@
 """Time and memory of a predicted trajectory's KL with its policy gradient.
 
-This package, TorchRL, and the exponentials alone are measured.
+This package, by its compiled kernels and by the formulas in PyTorch, TorchRL, and the exponentials
+alone are measured.
 
 What is measured, and how, stands in ``workloads.py`` and ``measure.py``; each row comes from a
 process of its own.
@@ -27,23 +28,38 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from benchmarks.workloads import make_problem, signal_to_noise
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure
-from torch_pmil.plotting.style import style
+from torch_pmil.plotting.style import GREEN, style
 
 ROOT = Path(__file__).parents[1]
-OURS, RAW, TORCHRL, FLOOR = "torch_pmil", "torch_pmil_raw_angles", "torchrl", "exp_floor"
+OURS, FORMULAS, FITTED = "torch_pmil", "torch_pmil_formulas", "torch_pmil_fitted"
+RAW, TORCHRL, FLOOR = "torch_pmil_raw_angles", "torchrl", "exp_floor"
 NOTES = {
-    OURS: "model and policy see sin and cos of the two angles: 8 GP inputs",
+    OURS: "compiled kernels; model and policy see sin and cos of the two angles: 8 GP inputs",
+    FORMULAS: "the same by the formulas in PyTorch, as with TORCH_PMIL_COMPILED=0",
     RAW: "model and policy see the four states themselves: 6 GP inputs, the same computation as "
     "torchrl",
     TORCHRL: "takes no sin and cos of angles: 6 GP inputs; adds 1e-6 to the raw action's "
     "covariance and 1e-8 to the state's",
-    FLOOR: "D (D + 1) / 2 n^2 T exponentials, forward only",
+    FLOOR: "D (D + 1) / 2 n^2 T exponentials by PyTorch, forward only; the kernels compute half as "
+    "many for a pair of an output with itself",
 }
-DRAWN = {OURS: (BLUE, "o"), TORCHRL: (VERMILLION, "s"), FLOOR: (GREY, "^")}  # colour and marker
-LABELS = {OURS: "torch_pmil", TORCHRL: "TorchRL", FLOOR: "exponentials"}
+# colour and marker
+DRAWN = {
+    OURS: (BLUE, "o"),
+    FORMULAS: (GREEN, "D"),
+    TORCHRL: (VERMILLION, "s"),
+    FLOOR: (GREY, "^"),
+}
+LABELS = {
+    OURS: "compiled",
+    FORMULAS: "PyTorch formulas",
+    TORCHRL: "TorchRL",
+    FLOOR: "exponentials",
+}
 
 
 def main() -> None:
@@ -79,7 +95,7 @@ def parse_arguments() -> argparse.Namespace:
         nargs="*",
         default=[25, 1000],
         **whole,
-        help="more of them for torch_pmil alone",
+        help="more of them for torch_pmil alone, compiled and by the formulas",
     )
     parser.add_argument("--horizon", default=25, **whole, help="time steps T")
     parser.add_argument(
@@ -99,7 +115,7 @@ def parse_arguments() -> argparse.Namespace:
         help="processes with one and with two threads, in turn; 0 for none",
     )
     parser.add_argument(
-        "--repeats", default=7, **whole, help="evaluations, of which the fastest counts"
+        "--repeats", default=30, **whole, help="evaluations, of which the fastest counts"
     )
     parser.add_argument(
         "--json",
@@ -131,7 +147,7 @@ def check(arguments: argparse.Namespace) -> None:
 def make_summary(arguments: argparse.Namespace) -> dict[str, object]:
     """Everything that the JSON file holds."""
     source = provenance(shlex.join(["python", *sys.argv]))
-    libraries, left_out = [FLOOR, OURS, RAW], []
+    libraries, left_out = [FLOOR, OURS, FORMULAS, FITTED, RAW], []
     if importlib.util.find_spec("botorch"):
         libraries.append(TORCHRL)
         source["versions"]["botorch"] = version("botorch")
@@ -155,7 +171,7 @@ def make_summary(arguments: argparse.Namespace) -> dict[str, object]:
     return {
         **source,
         "machine": {"cpu": cpu_model(), "cores": cores()},
-        "notes": NOTES,
+        "notes": NOTES | {FITTED: note_of_fits(arguments.sizes)},
         "left_out": left_out,
         "headline": headline(rows, arguments.horizon) | thread_headline(speedup, size),
         "rows": rows,
@@ -163,11 +179,23 @@ def make_summary(arguments: argparse.Namespace) -> dict[str, object]:
     }
 
 
+def note_of_fits(sizes: list[int]) -> str:
+    """What the fitted models are like."""
+    ratios = [signal_to_noise(make_problem(n, 1, fitted=True).dynamics) for n in sizes]
+    told = [
+        f"{ratio.amin():.0f} to {ratio.amax():.0f} (n = {n})"
+        for n, ratio in zip(sizes, ratios, strict=True)
+    ]
+    return f"as {OURS}, hyper-parameters fitted; signal-to-noise ratios {', '.join(told)}"
+
+
 def plan(arguments: argparse.Namespace, libraries: list[str]) -> list[tuple[str, int, int]]:
     """Library, n and T of each row; what is compared is measured one after the other."""
     compared = [(library, n, arguments.horizon) for n in arguments.sizes for library in libraries]
     grown = [
-        (library, n, arguments.horizon) for n in arguments.growth_sizes for library in (FLOOR, OURS)
+        (library, n, arguments.horizon)
+        for n in arguments.growth_sizes
+        for library in (FLOOR, OURS, FORMULAS)
     ]
     largest = {max(arguments.sizes), max([*arguments.sizes, *arguments.growth_sizes])}
     longer = [(OURS, n, horizon) for n in sorted(largest) for horizon in arguments.growth_horizons]
@@ -181,9 +209,10 @@ def measure(
     numbers = {"--n": n, "--horizon": horizon, "--threads": threads, "--repeats": repeats}
     options = [str(part) for item in numbers.items() for part in item]
     command = [sys.executable, "-m", "benchmarks.measure", library, *options]
-    limits = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS"), str(threads))
+    settings = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS"), str(threads))
+    settings["TORCH_PMIL_COMPILED"] = "1"
     process = subprocess.run(
-        command, cwd=ROOT, env=os.environ | limits, capture_output=True, text=True, check=False
+        command, cwd=ROOT, env=os.environ | settings, capture_output=True, text=True, check=False
     )
     if process.returncode == 0:
         return json.loads(process.stdout.splitlines()[-1])
@@ -247,6 +276,12 @@ def headline(rows: list[dict], horizon: int) -> dict[str, float]:
             numbers[f"ours_cpu_seconds_{suffix}"] = row["cpu_seconds"]
             numbers[f"peak_mb_{suffix}"] = row["peak_mb"]
             numbers[f"ours_over_floor_{suffix}"] = ratio(row, find(rows, FLOOR, n, steps))
+        elif row["library"] == FORMULAS:
+            numbers[f"formulas_cpu_seconds_n{n}"] = row["cpu_seconds"]
+            numbers[f"formulas_peak_mb_n{n}"] = row["peak_mb"]
+            numbers[f"formulas_over_ours_n{n}"] = ratio(row, find(rows, OURS, n, steps))
+        elif row["library"] == FITTED:
+            numbers[f"fitted_cpu_seconds_n{n}"] = row["cpu_seconds"]
         elif row["library"] == TORCHRL:
             numbers[f"torchrl_cpu_seconds_n{n}"] = row["cpu_seconds"]
             numbers[f"torchrl_system_seconds_n{n}"] = row["system_seconds"]

@@ -3,18 +3,23 @@ r"""The workloads of ``prediction.py``: a predicted trajectory's KL and its poli
 All do the same work, in several ways.
 
 The task is the double pendulum's (D = 4 states, F = 2 torques, 100 basis functions), float64. The
-data are n transitions of the robot under random torques, with PILCO's first hyper-parameters
-(lengthscales std(input), signal std(target), noise a tenth of it), the policy has random weights,
-and beyond the demonstrated 25 steps the demonstration stays where it ends.
+data are n transitions of the robot under random torques, without noise. The hyper-parameters are
+PILCO's first ones (lengthscales std(input), signal std(target), noise a tenth of it), the
+lengthscales times factors between 1/2 and 2 that differ by output and input: equal ones would hide
+a mistake in the products of two outputs. The policy has random weights, and beyond the demonstrated
+25 steps the demonstration stays where it ends.
 
 =========================  =====================================================================
-``torch_pmil``             ``TrajectoryKLLoss``; model and policy see sin and cos of the two
-                           angles: 6 features, 8 GP inputs
+``torch_pmil``             ``TrajectoryKLLoss``, by the compiled kernels; model and policy see
+                           sin and cos of the two angles: 6 features, 8 GP inputs
+``torch_pmil_formulas``    the same by the formulas in PyTorch, see :func:`by_formulas`
+``torch_pmil_fitted``      the same as ``torch_pmil`` with the hyper-parameters of a fit: since the
+                           data have no noise, signal-to-noise ratios of several hundreds
 ``torch_pmil_raw_angles``  ``TrajectoryKLLoss``; model and policy see the four states themselves:
                            6 GP inputs, as ``torchrl``
 ``torchrl``                ``GPWorldModel`` and ``RBFController``, see :func:`torchrl_rollout`
-``exp_floor``              D (D + 1) / 2 · n² · T exponentials alone, which exact moment matching
-                           cannot do without
+``exp_floor``              D (D + 1) / 2 · n² · T exponentials alone, by PyTorch, as a measure of
+                           the machine
 =========================  =====================================================================
 """
 
@@ -23,6 +28,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from unittest import mock
 
 import torch
 from tensordict import TensorDict
@@ -31,6 +37,7 @@ from torchrl.modules import GPWorldModel, RBFController
 
 from torch_pmil import Gaussian, GPDynamics, RBFPolicy, TrajectoryKLLoss, trajectory_kl
 from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.model import compiled
 
 SEED = 0
 ROLLOUT_STEPS = 25  # of the rollouts that the data are taken from
@@ -64,7 +71,7 @@ class Problem:
         )
 
 
-def make_problem(n: int, horizon: int, raw_angles: bool = False) -> Problem:
+def make_problem(n: int, horizon: int, raw_angles: bool = False, fitted: bool = False) -> Problem:
     """The benchmark's problem, always the same for the same arguments.
 
     Args:
@@ -72,6 +79,7 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False) -> Problem:
         horizon: T.
         raw_angles: whether model and policy see the angles themselves in place of their sin and
             cos.
+        fitted: whether the hyper-parameters are those of a fit.
     """
     experiment = load_experiment("double_pendulum")
     if raw_angles:
@@ -83,7 +91,7 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False) -> Problem:
     steps = torch.arange(horizon).clamp(max=experiment.horizon - 1)
     return Problem(
         experiment,
-        make_dynamics(inputs, successors - states),
+        (fit_dynamics if fitted else make_dynamics)(inputs, successors - states),
         experiment.make_policy(generator),
         experiment.demonstrated[steps],
     )
@@ -112,7 +120,8 @@ def make_dynamics(inputs: Tensor, targets: Tensor) -> GPDynamics:
     """The model of given data, without a fit."""
     dynamics = GPDynamics(inputs.shape[-1], targets.shape[-1])
     signal_variance = targets.var(0)
-    dynamics.gp.covar_module.base_kernel.lengthscale = inputs.std(0)
+    lengthscales = inputs.std(0) * lengthscale_factors(dynamics.num_outputs, dynamics.num_inputs)
+    dynamics.gp.covar_module.base_kernel.lengthscale = lengthscales[:, None]
     dynamics.gp.covar_module.outputscale = signal_variance
     dynamics.gp.likelihood.noise = NOISE_RATIO**2 * signal_variance[:, None]
     dynamics.set_data(inputs, targets)
@@ -120,9 +129,29 @@ def make_dynamics(inputs: Tensor, targets: Tensor) -> GPDynamics:
     return dynamics
 
 
-def torch_pmil(n: int, horizon: int, raw_angles: bool = False) -> Evaluate:
+def lengthscale_factors(outputs: int, inputs: int) -> Tensor:
+    """Factors between 1/2 and 2, each another, (outputs, inputs)."""
+    count = torch.arange(outputs * inputs, dtype=torch.float64)
+    return 2 ** torch.sin(count).view(outputs, inputs)
+
+
+def fit_dynamics(inputs: Tensor, targets: Tensor) -> GPDynamics:
+    """The model of given data with the hyper-parameters of a fit."""
+    dynamics = GPDynamics(inputs.shape[-1], targets.shape[-1])
+    dynamics.fit(inputs, targets)
+    _ = dynamics.expansion
+    return dynamics
+
+
+def signal_to_noise(dynamics: GPDynamics) -> Tensor:
+    """Ratios of the standard deviations of signal and noise, (D,)."""
+    posterior = dynamics.expansion
+    return (posterior.signal_variance / posterior.noise_variance).sqrt()
+
+
+def torch_pmil(n: int, horizon: int, raw_angles: bool = False, fitted: bool = False) -> Evaluate:
     """This package, by its public names."""
-    problem = make_problem(n, horizon, raw_angles)
+    problem = make_problem(n, horizon, raw_angles, fitted)
     loss, initial = problem.loss, problem.experiment.initial
     parameters = list(problem.policy.parameters())
 
@@ -131,6 +160,16 @@ def torch_pmil(n: int, horizon: int, raw_angles: bool = False) -> Evaluate:
         return [value, *torch.autograd.grad(value, parameters)]
 
     return evaluate
+
+
+def by_formulas(evaluate: Evaluate) -> Evaluate:
+    """The same without compiled kernels, as with ``TORCH_PMIL_COMPILED=0``."""
+
+    def evaluate_formulas() -> list[Tensor]:
+        with mock.patch.object(compiled, "available", lambda: False):
+            return evaluate()
+
+    return evaluate_formulas
 
 
 def torchrl(n: int, horizon: int) -> Evaluate:
@@ -205,9 +244,10 @@ def rbf_controller(policy: RBFPolicy) -> RBFController:
 
 
 def exp_floor(n: int, horizon: int) -> Evaluate:
-    """The exponentials of the D (D + 1) / 2 pairs of outputs alone, forward only.
+    """The exponentials of the D (D + 1) / 2 pairs of outputs alone, forward only, by PyTorch.
 
-    Arguments are between -10 and 0.
+    Arguments are between -10 and 0. The kernels have exponentials of their own, and half as many
+    for the pair of an output with itself.
     """
     states = load_experiment("double_pendulum").space.dim
     count = states * (states + 1) // 2 * n**2 * horizon
@@ -226,6 +266,8 @@ def exp_floor(n: int, horizon: int) -> Evaluate:
 
 WORKLOADS: dict[str, Callable[[int, int], Evaluate]] = {
     "torch_pmil": torch_pmil,
+    "torch_pmil_formulas": lambda n, horizon: by_formulas(torch_pmil(n, horizon)),
+    "torch_pmil_fitted": lambda n, horizon: torch_pmil(n, horizon, fitted=True),
     "torch_pmil_raw_angles": lambda n, horizon: torch_pmil(n, horizon, raw_angles=True),
     "torchrl": torchrl,
     "exp_floor": exp_floor,

@@ -12,7 +12,14 @@ import torch
 
 from benchmarks import prediction
 from benchmarks.measure import forget_peak, measure, memory_mb
-from benchmarks.workloads import make_problem, torch_pmil, torchrl
+from benchmarks.workloads import (
+    by_formulas,
+    lengthscale_factors,
+    make_problem,
+    torch_pmil,
+    torchrl,
+)
+from torch_pmil.model.compiled import prediction as kernels
 
 TINY = [
     "--sizes",
@@ -61,7 +68,13 @@ def test_report_holds_rows_and_their_ratios(
     rows = {(row["library"], row["n"], row["horizon"]): row for row in report["rows"]}
     expected = {
         (library, n, 3)
-        for library in ("torch_pmil", "torch_pmil_raw_angles", "exp_floor")
+        for library in (
+            "torch_pmil",
+            "torch_pmil_formulas",
+            "torch_pmil_fitted",
+            "torch_pmil_raw_angles",
+            "exp_floor",
+        )
         for n in (10, 12)
     }
     assert set(rows) == expected | {("torch_pmil", 12, 4)}
@@ -71,6 +84,12 @@ def test_report_holds_rows_and_their_ratios(
         ours["cpu_seconds"] / floor["cpu_seconds"]
     )
     assert headline["peak_mb_n12_t4"] == rows["torch_pmil", 12, 4]["peak_mb"]
+    formulas = rows["torch_pmil_formulas", 10, 3]
+    assert headline["formulas_over_ours_n10"] == pytest.approx(
+        formulas["cpu_seconds"] / ours["cpu_seconds"]
+    )
+    assert headline["fitted_cpu_seconds_n12"] == rows["torch_pmil_fitted", 12, 3]["cpu_seconds"]
+    assert "signal-to-noise ratios" in report["notes"]["torch_pmil_fitted"]
     assert math.isfinite(ours["loss"]) and floor["loss"] is None
     assert report["left_out"][0].startswith("torchrl: its GPWorldModel needs botorch; pip install")
     assert [row["threads"] for row in report["thread_rows"]] == [1, 2] and headline[
@@ -135,6 +154,29 @@ def test_allocation_of_100_mb_shows_as_100_mb() -> None:
     assert memory_mb("VmHWM") - before == pytest.approx(100, abs=3)
     forget_peak()
     assert memory_mb("VmHWM") - before == pytest.approx(0, abs=3)
+
+
+def test_outputs_have_lengthscales_of_their_own() -> None:
+    factors = lengthscale_factors(4, 8)
+    assert len(factors.unique()) == factors.numel()
+    assert 0.5 <= factors.amin() < 0.6 and 1.8 < factors.amax() <= 2
+    problem = make_problem(10, 3)
+    lengthscales = problem.dynamics.expansion.lengthscales
+    torch.testing.assert_close(lengthscales / lengthscales[0], factors / factors[0])
+
+
+@pytest.mark.parametrize("fitted", [False, True])
+def test_formulas_compute_the_same_without_kernels(
+    monkeypatch: pytest.MonkeyPatch, fitted: bool
+) -> None:
+    """With a signal-to-noise ratio of s the numbers are known to s^2 times the rounding."""
+    evaluate = torch_pmil(30, 8, fitted=fitted)
+    expected = evaluate()
+    monkeypatch.setattr(kernels, "predict_beliefs", None)
+    for value, other in zip(by_formulas(evaluate)(), expected, strict=True):
+        torch.testing.assert_close(value, other, rtol=0, atol=1e-8 * other.abs().max().item())
+    with pytest.raises(TypeError):
+        evaluate()
 
 
 def test_torchrl_computes_the_same() -> None:

@@ -36,7 +36,9 @@ def test_every_size_and_number_of_threads_has_its_times(
     report = json.loads(file.read_text())
     assert report["command"].startswith("python -m benchmarks.targets --sizes 30 40")
     assert [(row["n"], row["threads"]) for row in report["rows"]] == [(30, 1), (40, 1)]
-    assert all(seconds > 0 for row in report["rows"] for seconds in row["wall_s"])
+    for row in report["rows"]:
+        assert len(row["wall_s"]) == len(row["cpu_s"]) == len(row["targets"])
+        assert all(seconds > 0 for seconds in (*row["wall_s"], row["formulas_cpu_s"]))
     assert report["headline"]["three_over_one_40_threads_1"] == report["rows"][1]["ratio"]
     assert len(capsys.readouterr().out.splitlines()) == 2
     assert torch.get_num_threads() == 1

@@ -18,7 +18,6 @@ from torch_pmil.model.compiled.small_matrices import (
 )
 from torch_pmil.model.compiled.thin_products import (
     add_multiple,
-    add_outer_form,
     add_squares,
     fill,
     multiply_entries,
@@ -28,6 +27,7 @@ from torch_pmil.model.compiled.thin_products import (
     sum_products,
     transform,
     write_exponentials,
+    write_forms,
 )
 from torch_pmil.model.compiled.vectors import _LARGEST, _LEAST
 
@@ -72,8 +72,8 @@ def sums_over_data(
 def entry_by_entry(a: Array2, b: Array1, scaled: Array2, products: Array1, forms: Array1) -> bool:
     scale_columns(a, b, scaled)
     multiply_entries(a[0], b, products)
-    fill(forms, 3.0)
-    add_outer_form(a, scaled, -0.5, forms)
+    fill(forms, 7.0)
+    write_forms(a, scaled, 3.0, forms)
     add_squares(2.0, b, forms)
     add_multiple(-1.5, a[0], forms)
     return True

@@ -138,8 +138,6 @@ def train(
         on_trial(trial)
 
     with alone_in(out):
-        if available():
-            kernels()  # compiled before the progress bar stands
         remove_debris(out)
         saved = _same_run(rotation, identity) if resume else None
         if not resume:
@@ -149,6 +147,8 @@ def train(
         source = provenance(command)
         write_origin(out, source)
         opened = None if logger is None else open_logger(logger, out, experiment.name, seed)
+        if available():
+            kernels()  # compiled before the progress bar stands
         trainer = make_trainer(experiment, seed, trials, progress_bar, record, opened, rotation)
         if saved is not None:
             trainer.resume(saved)

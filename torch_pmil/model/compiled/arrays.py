@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from torch_pmil.model.compiled.building import Array1, Array2, Array3, Array4, Array5
+from torch_pmil.model.compiled.vectors import WIDTH
+
+
+def zeros(*shape: int) -> Any:
+    """An array of zeros that begins with a cache line, so that no vector lies in two of them."""
+    count = math.prod(shape)
+    memory = np.zeros(count + WIDTH)
+    start = -memory.ctypes.data // memory.itemsize % WIDTH
+    return memory[start : start + count].reshape(shape)
 
 
 class Functions(NamedTuple):
@@ -71,7 +81,7 @@ class Record(NamedTuple):
             (pairs_of_gp, E, D, D),
             (pairs_of_network, E, D + 1, n),
         )
-        return cls(*(np.empty((times, *shape)) for shape in shapes))
+        return cls(*(zeros(times, *shape) for shape in shapes))
 
 
 class Workspace(NamedTuple):
@@ -111,7 +121,7 @@ class Workspace(NamedTuple):
             *((D, n), (n, D + 1), (D, n), (n,), (n,), (D + 1, n), (n,), (D, n), (D, n)),
             *((n,), (3, D), (6, D, D), (4, D)),
         )
-        return cls(*(np.empty(shape) for shape in shapes))
+        return cls(*(zeros(*shape) for shape in shapes))
 
 
 class NetworkGradient(NamedTuple):
@@ -130,4 +140,4 @@ class NetworkGradient(NamedTuple):
     @classmethod
     def zero(cls, f: Functions) -> NetworkGradient:
         """Gradients to which others are added."""
-        return cls(*(np.zeros_like(values) for values in (f.inputs, f.weights, f.squares)))
+        return cls(*(zeros(*values.shape) for values in (f.inputs, f.weights, f.squares)))

@@ -19,7 +19,7 @@ from torch.autograd.function import once_differentiable
 from torch_pmil.gp.gaussian import Gaussian, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.trigonometry import Augmentation
-from torch_pmil.model.compiled.arrays import Functions, NetworkGradient
+from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, zeros
 from torch_pmil.model.compiled.building import (
     Array,
     Array1,
@@ -285,7 +285,7 @@ def _packed(f: KernelExpansion, offset: Tensor | float) -> Functions:
     """Functions with data of weight zero, up to a multiple of a vector's width."""
     (n, D), E = f.inputs.shape, f.num_outputs
     padded = n + -n % WIDTH
-    inputs, weights = np.zeros((D, padded)), np.zeros((E, padded))
+    inputs, weights = zeros(D, padded), zeros(E, padded)
     inputs[:, :n], weights[:, :n] = _array(f.inputs.mT), _array(f.weights)
     log_signal, squares = _array(f.log_signal_variance), _array(f.lengthscales.square())
     offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), E))
@@ -298,7 +298,7 @@ def _own_weights(weights: Tensor, gram_inverse: Tensor | None, padded: int) -> A
     if gram_inverse is None:
         return np.zeros((0, 0, 0))
     E, n = weights.shape
-    own = np.zeros((E, padded, padded))
+    own = zeros(E, padded, padded)
     for out, beta, inverse in zip(own, _array(weights), _array(gram_inverse), strict=True):
         for i in range(n):  # row by row: no other matrix of that size is needed
             out[i, i:n] = beta[i] * beta[i:] - inverse[i, i:]

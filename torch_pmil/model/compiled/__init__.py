@@ -1,4 +1,4 @@
-"""The prediction and its gradient as compiled kernels: the same formulas, some eight times as fast.
+"""The prediction and its gradient as compiled kernels: the same formulas, some ten times as fast.
 
 **When they are used** is decided here, in :func:`serves`, and nowhere else: for float64 on the CPU,
 where gradients are asked for in start beliefs and policies only. All else is computed by the
@@ -23,7 +23,7 @@ from types import ModuleType
 import torch
 from torch import Tensor
 
-SLOWER = "predictions are computed by PyTorch alone, some eight times as slowly: "
+SLOWER = "predictions are computed by PyTorch alone, some ten times as slowly: "
 
 
 @cache

@@ -249,9 +249,17 @@ def _mean_trajectory(
 def _compiled(
     mean: Tensor, cov: Tensor, controller: Controller, dynamics: GPDynamics, space: StateSpace
 ) -> bool:
-    """Whether the kernels predict these trajectories."""
-    constant = *dynamics.expansion.tensors, controller.u_max, controller.network.signal_variance
-    return serves(constant, (mean, cov, *controller.parameters))
+    """Whether the kernels predict these trajectories: they check no shapes themselves."""
+    f, network, F = dynamics.expansion, controller.network, len(controller.u_max)
+    features, offset = len(space.feature_names), torch.as_tensor(network.offset, dtype=mean.dtype)
+    fit = (
+        (f.num_inputs, f.num_outputs) == (features + F, space.dim)
+        and (network.num_inputs, network.num_outputs) == (features, F)
+        and network.weights.shape[:-2] in ((), mean.shape[:1])
+        and (f.gram_inverse is not None and network.gram_inverse is None)
+    )
+    constant = *f.tensors, controller.u_max, network.signal_variance, offset
+    return fit and serves(constant, (mean, cov, *controller.parameters))
 
 
 def _plan(

@@ -248,7 +248,8 @@ class TrajectoryLoss(LossModule):
         if comparison is None or not serves(comparison.tensors, (states,)):
             return None
         broadcast = torch.broadcast_shapes(comparison.offset.shape[:-1], states.shape[:-1])
-        return comparison if broadcast == states.shape[:-1] else None
+        fits = broadcast == states.shape[:-1] and states.shape[-1] == self.space.dim
+        return comparison if fits else None
 
     def _observe(self, states: Gaussian) -> Gaussian:
         return self.space.match_space.moments(states)

@@ -162,3 +162,18 @@ def test_start_whose_mean_is_not_finite_is_named(parts: tuple[RBFPolicy, GPDynam
     start = Gaussian(torch.nan * belief(0.1).mean, belief(0.1).cov)
     message = "mean of initial must be finite, got nan"
     assert_told_alike(lambda: predict_trajectory(start, *parts, SPACE, STEPS), message)
+
+
+@pytest.mark.parametrize("inputs", [2, 4])
+def test_policy_of_other_inputs_is_refused_by_both_ways_alike(
+    parts: tuple[RBFPolicy, GPDynamics], inputs: int
+) -> None:
+    """The kernels, which check no shapes, would read beyond their arrays."""
+    _, dynamics = parts
+    policy = RBFPolicy(torch.zeros(5, inputs), torch.ones(1), torch.ones(inputs))
+    start = belief(0.1)
+    assert_told_alike(lambda: predict_trajectory(start, policy, dynamics, SPACE, STEPS), "inputs")
+    told = assert_told_alike(
+        lambda: predict_mean_trajectory(start.mean, policy, dynamics, SPACE, STEPS), "inputs"
+    )
+    assert told is None

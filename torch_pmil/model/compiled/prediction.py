@@ -299,7 +299,8 @@ def _own_weights(weights: Tensor, gram_inverse: Tensor | None, padded: int) -> A
         return np.zeros((0, 0, 0))
     E, n = weights.shape
     own = zeros(E, padded, padded)
-    for out, beta, inverse in zip(own, _array(weights), _array(gram_inverse), strict=True):
+    inverses = gram_inverse.detach().numpy()
+    for out, beta, inverse in zip(own, _array(weights), inverses, strict=True):
         for i in range(n):  # row by row: no other matrix of that size is needed
             out[i, i:n] = beta[i] * beta[i:] - inverse[i, i:]
             out[i, i] /= 2

@@ -13,7 +13,8 @@ TORCH_ARGS ?=
 export OMP_NUM_THREADS ?= 1
 NUMERICAL := tests/gp tests/control tests/model tests/search tests/trainer tests/test_reference.py \
   tests/envs/teachers/test_trajectory_optimization.py
-PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Nehalem
+PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Nehalem \
+  NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
 
 .DEFAULT_GOAL := help
 .PHONY: help train test test-ci test-portable test-all lint demonstrations results reproduce docs benchmark benchmark-steps dist test-dist clean

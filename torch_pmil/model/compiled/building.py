@@ -39,10 +39,11 @@ Array4 = Annotated[Array, 4]
 Array5 = Annotated[Array, 5]
 Address = int  # of a kernel, for :func:`call`
 
-# sums may be reordered and products fused; NaN and infinity are what they are
+# products may be fused with sums; all else is as it is written, NaN and infinity too. Sums that may be
+# reordered would undo the rounding in the exponential where a processor fuses nothing
 OPTIONS = {
     "error_model": "numpy",
-    "fastmath": {"contract", "reassoc", "nsz"},
+    "fastmath": {"contract", "nsz"},
     "nogil": True,
     "_nrt": False,
     "no_cfunc_wrapper": True,

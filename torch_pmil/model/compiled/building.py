@@ -39,8 +39,8 @@ Array4 = Annotated[Array, 4]
 Array5 = Annotated[Array, 5]
 Address = int  # of a kernel, for :func:`call`
 
-# products may be fused with sums; all else is as it is written, NaN and infinity too. Sums that may be
-# reordered would undo the rounding in the exponential where a processor fuses nothing
+# products may be fused with sums; all else is as it is written, NaN and infinity too. Sums that may
+# be reordered would undo the rounding in the exponential where a processor fuses nothing
 OPTIONS = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz"},

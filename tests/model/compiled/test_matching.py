@@ -19,7 +19,7 @@ from torch_pmil.gp.moments import Moments
 from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
 from torch_pmil.model.compiled.matching import match
 from torch_pmil.model.compiled.matching_adjoints import adjoint_of_gp
-from torch_pmil.model.compiled.prediction import _functions
+from torch_pmil.model.compiled.packing import functions_of
 
 
 class Match:
@@ -27,7 +27,7 @@ class Match:
 
     def __init__(self, f: KernelExpansion, belief: Gaussian) -> None:
         prior = f.signal_variance.numpy()
-        self.f: Functions = _functions(f)._replace(variance=prior)
+        self.f: Functions = functions_of(f)._replace(variance=prior)
         self.mean, self.record = belief.mean.numpy(), Record.of(self.f, 1)
         self.work, self.cov = Workspace.of(self.f), np.empty((f.num_outputs, f.num_outputs))
         cov = belief.cov.numpy()

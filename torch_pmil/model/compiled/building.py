@@ -87,10 +87,11 @@ class Kernel:
         """Call it from Python."""
         return self.compile()(*arguments)
 
-    @property
+    @functools.cached_property
     def address(self) -> int:
         """Where it is in memory, for :func:`call`."""
-        return _address(self)
+        (result,) = self.compile().overloads.values()
+        return result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
 
     def compile(self) -> Any:
         """The compiled function, from the cache if it is there."""
@@ -101,12 +102,6 @@ class Kernel:
             dispatcher.disable_compile()
             self._ready = dispatcher
         return self._ready
-
-
-@functools.cache
-def _address(kernel: Kernel) -> int:
-    (result,) = kernel.compile().overloads.values()
-    return result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
 
 
 @intrinsic

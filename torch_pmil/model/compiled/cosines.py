@@ -1,4 +1,4 @@
-"""Moments of a Gaussian of which some entries go through a cosine, and their adjoint.
+"""Combinations of a state of which some go through a cosine: values, moments, and their adjoints.
 
 The formulas are those of :mod:`torch_pmil.gp.trigonometry`.
 """
@@ -8,6 +8,64 @@ from __future__ import annotations
 from math import copysign, cos, exp, expm1, sin, tanh
 
 from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled
+from torch_pmil.model.compiled.small_matrices import (
+    make_symmetric,
+    product,
+    product_of_transpose,
+    product_with_transpose,
+    times_vector,
+)
+
+
+@compiled
+def write_waves(
+    rows: Array2, turns: Array1, kept: int, state: Array1, out: Array1, gain: Array1
+) -> None:
+    """Write the combinations of a state (D,), some through a cosine, and their derivatives.
+
+    Args:
+        rows, turns: combinations, (R, D) and (R,).
+        kept: number of entries that do not go through a cosine.
+        state: (D,).
+        out, gain: out, (R,), the latter by the combination itself.
+    """
+    times_vector(rows, state, out)
+    for r in range(len(rows)):
+        phase = out[r] + turns[r]
+        out[r] = phase if r < kept else cos(phase)
+        gain[r] = 1.0 if r < kept else -sin(phase)
+
+
+@compiled
+def write_phases(
+    rows: Array2,
+    turns: Array1,
+    mean: Array1,
+    cov: Array2,
+    linear: Array2,
+    out_mean: Array1,
+    out_cov: Array2,
+) -> None:
+    """Write mean (R,) and covariance (R, R) of combinations of a state; scratch is (R, D)."""
+    times_vector(rows, mean, out_mean)
+    for r in range(len(rows)):
+        out_mean[r] += turns[r]
+    product(rows, cov, linear)
+    product_with_transpose(linear, rows, out_cov)
+
+
+@compiled
+def write_cotangents(
+    rows: Array2, d_phase: Array1, d_cov: Array2, linear: Array2, out_mean: Array1, out_cov: Array2
+) -> None:
+    """Write the cotangents of a state's mean and covariance, from those of its combinations."""
+    for d in range(len(out_mean)):
+        out_mean[d] = 0.0
+        for r in range(len(rows)):
+            out_mean[d] += rows[r, d] * d_phase[r]
+    product(d_cov, rows, linear)
+    product_of_transpose(rows, linear, out_cov)
+    make_symmetric(out_cov)
 
 
 @Kernel

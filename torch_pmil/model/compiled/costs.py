@@ -7,7 +7,7 @@ by :math:`\tfrac12 \|r\|^2` or :math:`1 - e^{-\|r\|^2 / 2}`.
 
 from __future__ import annotations
 
-from math import cos, exp, isnan, sin
+from math import exp, isnan
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,13 @@ from torch_pmil.model.compiled.building import (
     compiled,
     part,
 )
-from torch_pmil.model.compiled.cosines import adjoint_of_cosines, write_cosines
+from torch_pmil.model.compiled.cosines import (
+    adjoint_of_cosines,
+    write_cosines,
+    write_cotangents,
+    write_phases,
+    write_waves,
+)
 from torch_pmil.model.compiled.small_matrices import (
     copy,
     invert,
@@ -161,11 +167,7 @@ def _observe(observation: Observation, t: int, mean: Array1, cov: Array2, work: 
     rows, turns, phase, linear = observation.rows, observation.turns, work.phase, work.linear
     matrix, offset, noise = observation.matrix, observation.offset[t], observation.noise
     waves_cov, residual, cov_of_residual = work.waves_cov, work.residual, work.cov
-    times_vector(rows, mean, phase)
-    for r in range(len(rows)):
-        phase[r] += turns[r]
-    product(rows, cov, linear)
-    product_with_transpose(linear, rows, work.phase_cov)
+    write_phases(rows, turns, mean, cov, linear, phase, work.phase_cov)
     waves = (phase, work.phase_cov, observation.kept, work.waves, waves_cov, work.gain)
     call(work.write_cosines, waves)
     times_vector(matrix, work.waves, residual)
@@ -233,18 +235,13 @@ def _adjoint_of_observation(
     observation: Observation, work: CostWork, d_mean: Array1, d_cov: Array2
 ) -> None:
     """Gradients in the state from those in r."""
-    matrix, rows, d_residual, linear = (
+    matrix, rows, d_residual, d_phase = (
         observation.matrix,
         observation.rows,
         work.d_residual,
-        work.linear,
-    )
-    d_waves, d_gain, d_phase, d_phase_cov = (
-        work.d_waves,
-        work.d_gain,
         work.d_phase,
-        work.d_phase_cov,
     )
+    d_waves, d_gain, d_phase_cov = work.d_waves, work.d_gain, work.d_phase_cov
     for r in range(len(rows)):
         d_waves[r] = d_gain[r] = 0.0
         for i in range(len(matrix)):
@@ -254,12 +251,7 @@ def _adjoint_of_observation(
     state = work.phase, work.phase_cov, observation.kept, work.gain
     cotangents = d_waves, work.d_waves_cov, d_gain, d_phase, d_phase_cov
     call(work.adjoint_of_cosines, state + cotangents)
-    product(d_phase_cov, rows, linear)
-    product_of_transpose(rows, linear, d_cov)
-    for d in range(len(d_mean)):
-        d_mean[d] = 0.0
-        for r in range(len(rows)):
-            d_mean[d] += rows[r, d] * d_phase[r]
+    write_cotangents(rows, d_phase, d_phase_cov, work.linear, d_mean, d_cov)
 
 
 @Kernel
@@ -276,7 +268,7 @@ def write_costs_of_means(
 
     Args:
         observation: as in :func:`write_costs`; the noise is not used.
-        roots: matrices G, (T, M, M), of which r is G (A waves + a), or (1, M, M) for all.
+        roots: matrices G, (T, M, M), of which r is G (A waves + a).
         mean: states, (T, D).
         saturating: whether the cost is 1 - exp(-r'r / 2), not r'r / 2.
         work: scratch.
@@ -284,14 +276,10 @@ def write_costs_of_means(
     """
     rows, turns, kept = observation.rows, observation.turns, observation.kept
     matrix, offset, waves, gain = observation.matrix, observation.offset, work.waves, work.gain
-    unscaled, residual, phases = work.moved, work.residual, work.phase
+    unscaled, residual = work.moved, work.residual
     for t in range(len(costs)):
-        root = roots[t if len(roots) > 1 else 0]
-        times_vector(rows, mean[t], phases)
-        for r in range(len(rows)):
-            phase = phases[r] + turns[r]
-            waves[r] = phase if r < kept else cos(phase)
-            gain[r] = 1.0 if r < kept else -sin(phase)
+        root = roots[t]
+        write_waves(rows, turns, kept, mean[t], waves, gain)
         times_vector(matrix, waves, unscaled)
         for i in range(len(unscaled)):
             unscaled[i] += offset[t, i]

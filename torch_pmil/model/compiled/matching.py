@@ -50,7 +50,8 @@ def match(
         Whether all I + Sigma P have Cholesky factors, as they have for a covariance Sigma.
     """
     E, gp, totals = len(f.weights), len(f.own_weights) > 0, record.total[t]
-    centre(f.inputs, mean, work.nu, work.points)
+    centre(f.inputs, mean, work.nu)
+    _write_points(work.nu, work.points)
     for a in range(E):
         if not _match_one(f, a, cov, record, t, work):
             return False
@@ -70,13 +71,20 @@ def match(
 
 
 @compiled
-def centre(inputs: Array2, mean: Array1, nu: Array2, points: Array2) -> None:
-    """Write the inputs (D, n) less a mean (D,) into ``nu``, and [nu_i, 1] into ``points``."""
-    D, n = inputs.shape
-    for d in range(D):
-        for i in range(n):
-            nu[d, i] = points[i, d] = inputs[d, i] - mean[d]
+def centre(inputs: Array2, mean: Array1, nu: Array2) -> None:
+    """Write the inputs (D, n) less a mean (D,) into ``nu``."""
+    for d in range(len(inputs)):
+        for i in range(inputs.shape[1]):
+            nu[d, i] = inputs[d, i] - mean[d]
+
+
+@compiled
+def _write_points(nu: Array2, points: Array2) -> None:
+    """Write [nu_i, 1] into ``points`` (n, D + 1)."""
+    D, n = nu.shape
     for i in range(n):
+        for d in range(D):
+            points[i, d] = nu[d, i]
         points[i, D] = 1.0
 
 

@@ -55,13 +55,13 @@ def adjoint_of_gp(
         d_mean, d_belief: out, cotangents of mean (D,) and covariance (D, D) of the belief.
     """
     gradient, hessian = record.gradient[t], record.hessian[t]
-    centre(f.inputs, mean, work.nu, work.points)
-    _clear(d_mean, d_belief)
+    centre(f.inputs, mean, work.nu)
+    clear_cotangents(d_mean, d_belief)
     for a in range(len(f.weights)):
         _adjoint_of_one(f, a, record, t, d_total, d_cov, d_slope, work, d_mean, d_belief)
         for b in range(a, len(f.weights)):
             scale = d_cov[a, b] if a == b else 2.0 * d_cov[a, b]
-            _add(scale, gradient[a, b], hessian[a, b], d_mean, d_belief)
+            add_cotangents(scale, gradient[a, b], hessian[a, b], d_mean, d_belief)
     return True
 
 
@@ -86,11 +86,12 @@ def adjoint_of_network(
             :func:`adjoint_of_gp`.
         out: gradient in the network, to which is added.
     """
-    centre(f.inputs, mean, work.nu, work.points)
-    _clear(d_mean, d_belief)
+    centre(f.inputs, mean, work.nu)
+    clear_cotangents(d_mean, d_belief)
     for a in range(len(f.weights)):
-        _adjoint_of_one(f, a, record, t, d_total, d_cov, d_slope, work, d_mean, d_belief)
-        _adjoint_of_single_parameters(f, a, record, t, work, out)
+        moments = d_total, d_cov, d_slope
+        total = _adjoint_of_one(f, a, record, t, *moments, work, d_mean, d_belief)
+        _adjoint_of_single_parameters(f, a, record, t, total, work, out)
         for b in range(a, len(f.weights)):
             scale = d_cov[a, b] if a == b else 2.0 * d_cov[a, b]
             _adjoint_of_pair(f, a, b, record, t, scale, work, d_mean, d_belief, out)
@@ -98,7 +99,8 @@ def adjoint_of_network(
 
 
 @compiled
-def _clear(d_mean: Array1, d_belief: Array2) -> None:
+def clear_cotangents(d_mean: Array1, d_belief: Array2) -> None:
+    """Fill cotangents of mean (D,) and covariance (D, D) with zeros."""
     for d in range(len(d_mean)):
         d_mean[d] = 0.0
         for e in range(len(d_mean)):
@@ -106,7 +108,9 @@ def _clear(d_mean: Array1, d_belief: Array2) -> None:
 
 
 @compiled
-def _add(scale: float, gradient: Array1, hessian: Array2, d_mean: Array1, d_belief: Array2) -> None:
+def add_cotangents(
+    scale: float, gradient: Array1, hessian: Array2, d_mean: Array1, d_belief: Array2
+) -> None:
     """Add the scale times derivatives by mean and covariance to the cotangents."""
     for d in range(len(d_mean)):
         d_mean[d] += scale * gradient[d]
@@ -126,12 +130,12 @@ def _adjoint_of_one(
     work: Workspace,
     d_mean: Array1,
     d_belief: Array2,
-) -> None:
+) -> float:
     """Adjoint of the mean of output a, its slope, and its square that the covariance lacks.
 
-    It leaves h_i = d_total + d_slope' B nu_i in ``work.f``, w_i q_i h_i in ``work.g``, their sum in
-    ``work.shares[0, 0]``, B d_slope in ``work.vectors[0]``, and the covariance's cotangent in
-    ``work.small[2]``.
+    It returns the sum of w_i q_i h_i, with h_i = d_total + d_slope' B nu_i, which stay in
+    ``work.f``; B d_slope is left in ``work.vectors[0]``, w_i q_i h_i nu_i in ``work.weighted``, and
+    the covariance's cotangent in ``work.small[2]``.
     """
     D, B, q, beta = len(d_mean), record.precision[t, a], record.q[t, a], f.weights[a]
     totals, slopes, nu, h, u = record.total[t], record.slope[t], work.nu, work.f, work.g
@@ -149,7 +153,6 @@ def _adjoint_of_one(
     multiply_entries(beta, q, u)
     multiply_entries(u, h, u)
     sum_of_u = sum_entries(u)
-    work.shares[0, 0] = sum_of_u
     write_squares(nu, u, work.weighted, squares, first)
     times_vector(B, first, moved)
     write_hessian(B, sum_of_u, squares, scratch, by_cov)
@@ -157,18 +160,25 @@ def _adjoint_of_one(
         for e in range(D):
             by_cov[d, e] -= (by_slope[d] * slopes[e, a] + by_slope[e] * slopes[d, a]) / 2
         moved[d] -= by_slope[d] * totals[a]
-    _add(1.0, moved, by_cov, d_mean, d_belief)
+    add_cotangents(1.0, moved, by_cov, d_mean, d_belief)
+    return sum_of_u
 
 
 @part
 def _adjoint_of_single_parameters(
-    f: Functions, a: int, record: Record, t: int, work: Workspace, out: NetworkGradient
+    f: Functions,
+    a: int,
+    record: Record,
+    t: int,
+    total: float,
+    work: Workspace,
+    out: NetworkGradient,
 ) -> None:
-    """Gradient in the network from what :func:`_adjoint_of_one` left."""
+    """Gradient in the network from what :func:`_adjoint_of_one` returned and left."""
     B, q, h, by_slope = record.precision[t, a], record.q[t, a], work.f, work.vectors[0]
     scratch, moved, u = work.left[0], work.moved, work.rows
     of_inputs, of_squares, squares = out.inputs, out.squares[a], f.squares[a]
-    by_cov, half_sum = work.small[2], work.shares[0, 0] / 2
+    by_cov = work.small[2]
     multiply_entries(q, h, scratch)
     add_multiple(1.0, scratch, out.weights[a])
     transform(B, work.weighted, moved)
@@ -176,7 +186,7 @@ def _adjoint_of_single_parameters(
     for d in range(len(B)):
         add_multiple(-1.0, moved[d], of_inputs[d])
         add_multiple(by_slope[d], u, of_inputs[d])
-        of_squares[d] += by_cov[d, d] + half_sum / squares[d]
+        of_squares[d] += by_cov[d, d] + total / squares[d] / 2
 
 
 @part
@@ -222,7 +232,7 @@ def _adjoint_of_pair(
         first[d] = shares[0, d] * first[d] + shares[1, d] * other[d]
     times_vector(B, first, other)
     write_hessian(B, total, second, work.small[5], form)
-    _add(scale, other, form, d_mean, d_belief)
+    add_cotangents(scale, other, form, d_mean, d_belief)
     _adjoint_of_squares(f.squares[a], a, b, B, total, scale, work, out.squares)
 
 

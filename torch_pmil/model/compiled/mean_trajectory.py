@@ -5,11 +5,10 @@ from __future__ import annotations
 from math import cos, sin
 from typing import NamedTuple
 
-import numpy as np
-
-from torch_pmil.model.compiled.arrays import Functions, NetworkGradient
+from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, zeros
 from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled, part
-from torch_pmil.model.compiled.small_matrices import times_vector
+from torch_pmil.model.compiled.cosines import write_waves
+from torch_pmil.model.compiled.matching import centre
 from torch_pmil.model.compiled.thin_products import (
     add_multiple,
     add_squares,
@@ -41,7 +40,7 @@ class MeanTape(NamedTuple):
         """Room for so many steps."""
         (R, D), F = robot.rows.shape, len(robot.u_max)
         shapes = ((horizon + 1, D), (horizon, R + F), (horizon, R), (horizon, F))
-        return cls(*(np.empty(shape) for shape in shapes))
+        return cls(*(zeros(*shape) for shape in shapes))
 
 
 class MeanWork(NamedTuple):
@@ -60,7 +59,7 @@ class MeanWork(NamedTuple):
     def of(cls, f: Functions) -> MeanWork:
         """Room for these functions."""
         n = f.inputs.shape[1]
-        return cls(np.empty_like(f.inputs), np.empty(n), np.empty(n))
+        return cls(zeros(*f.inputs.shape), zeros(n), zeros(n))
 
 
 @Kernel
@@ -76,28 +75,16 @@ def predict_mean(robot: Robot, tape: MeanTape, of_model: MeanWork, of_network: M
     states, gain, raw, differences = tape.states, tape.gain, tape.raw, robot.differences
     for t in range(len(raw)):
         inputs = tape.inputs[t]
-        times_vector(rows, states[t], inputs)
-        for r in range(len(rows)):
-            phase = inputs[r] + turns[r]
-            inputs[r] = phase if r < kept else cos(phase)
-            gain[t, r] = 1.0 if r < kept else -sin(phase)
-        _centre(robot.network.inputs, inputs, of_network.nu)
+        write_waves(rows, turns, kept, states[t], inputs, gain[t])
+        centre(robot.network.inputs, inputs, of_network.nu)
         for k in range(len(u_max)):
             raw[t, k] = _value(robot.network, k, of_network)
             inputs[len(rows) + k] = u_max[k] * sin(raw[t, k])
-        _centre(robot.model.inputs, inputs, of_model.nu)
+        centre(robot.model.inputs, inputs, of_model.nu)
         for d in range(rows.shape[1]):
             change = _value(robot.model, d, of_model)
             states[t + 1, d] = states[t, d] + change if differences else change
     return True
-
-
-@compiled
-def _centre(data: Array2, point: Array1, nu: Array2) -> None:
-    """Write the data (D, n) less a point (D,) into ``nu``."""
-    for d in range(len(data)):
-        for i in range(data.shape[1]):
-            nu[d, i] = data[d, i] - point[d]
 
 
 @compiled
@@ -141,7 +128,7 @@ def adjoint_of_mean(
         inputs = tape.inputs[t]
         for i in range(R + F):
             d_inputs[i] = 0.0
-        _centre(robot.model.inputs, inputs, nu)
+        centre(robot.model.inputs, inputs, nu)
         for d in range(len(d_state)):
             d_state[d] += d_states[t, d]
             _value(robot.model, d, of_model)
@@ -150,7 +137,7 @@ def adjoint_of_mean(
                 d_inputs[i] += d_state[d] * sum_products(nu[i], kernel) / squares[d, i]
             if not differences:
                 d_state[d] = 0.0
-        _centre(robot.network.inputs, inputs, of_network.nu)
+        centre(robot.network.inputs, inputs, of_network.nu)
         for k in range(F):
             scale = d_inputs[R + k] * u_max[k] * cos(raw[t, k])
             _adjoint_of_network_value(robot.network, k, scale, of_network, d_inputs, out)

@@ -22,15 +22,10 @@ from torch_pmil.model.compiled.building import (
     compiled,
     part,
 )
-from torch_pmil.model.compiled.cosines import adjoint_of_cosines, write_cosines
+from torch_pmil.model.compiled.cosines import adjoint_of_cosines, write_cosines, write_phases
 from torch_pmil.model.compiled.matching import match
 from torch_pmil.model.compiled.matching_adjoints import adjoint_of_gp, adjoint_of_network
-from torch_pmil.model.compiled.small_matrices import (
-    make_symmetric,
-    product,
-    product_with_transpose,
-    times_vector,
-)
+from torch_pmil.model.compiled.small_matrices import make_symmetric, product
 
 
 class Steps(NamedTuple):
@@ -190,28 +185,10 @@ def predict(robot: Robot, tape: Tape, work: StepWork) -> int:
 def write_features(robot: Robot, mean: Array1, cov: Array2, work: StepWork) -> None:
     """Beliefs over phases and features of a state, mean (D,) and covariance (D, D)."""
     phases, features, gain = work.phases, work.features, work.phases.slope[0]
-    _write_phases(robot.rows, robot.turns, mean, cov, work.linear, phases.mean, phases.cov)
+    write_phases(robot.rows, robot.turns, mean, cov, work.linear, phases.mean, phases.cov)
     out = features.mean, features.cov, gain
     call(robot.steps.write_cosines, (phases.mean, phases.cov, robot.kept, *out))
     _write_slope(robot.rows, gain, features.slope)
-
-
-@compiled
-def _write_phases(
-    rows: Array2,
-    turns: Array1,
-    mean: Array1,
-    cov: Array2,
-    linear: Array2,
-    out_mean: Array1,
-    out_cov: Array2,
-) -> None:
-    """Moments of the linear combinations of a state."""
-    times_vector(rows, mean, out_mean)
-    for r in range(len(rows)):
-        out_mean[r] += turns[r]
-    product(rows, cov, linear)
-    product_with_transpose(linear, rows, out_cov)
 
 
 @compiled

@@ -11,10 +11,11 @@ import numpy as np
 
 from torch_pmil.model.compiled.arrays import NetworkGradient
 from torch_pmil.model.compiled.building import Array1, Array2, Array3, Kernel, call, compiled, part
+from torch_pmil.model.compiled.cosines import write_cotangents
+from torch_pmil.model.compiled.matching_adjoints import add_cotangents, clear_cotangents
 from torch_pmil.model.compiled.small_matrices import (
     clear,
     copy,
-    make_symmetric,
     product,
     product_of_transpose,
     product_with_transpose,
@@ -76,16 +77,10 @@ def adjoint(
         d_mean, d_cov: out, gradients in mean (D,) and covariance (D, D) of the start.
         out: gradient in the network, to which is added.
     """
-    for d in range(len(d_mean)):
-        d_mean[d] = 0.0
-        for e in range(len(d_mean)):
-            d_cov[d, e] = 0.0
+    clear_cotangents(d_mean, d_cov)
     means, covs = tape.mean, tape.cov
     for t in range(len(d_means) - 1, -1, -1):
-        for d in range(len(d_mean)):
-            d_mean[d] += d_means[t, d]
-            for e in range(len(d_mean)):
-                d_cov[d, e] += d_covs[t, d, e]
+        add_cotangents(1.0, d_means[t], d_covs[t], d_mean, d_cov)
         write_features(robot, means[t], covs[t], work)
         write_inputs(robot, tape, t, work)
         _adjoint_of_model(robot, tape, t, work, back, d_mean, d_cov)
@@ -219,12 +214,13 @@ def _adjoint_of_features(
 ) -> None:
     """Add the cotangents of the state, through its features."""
     phases, rows, d_features, d_phases = work.phases, robot.rows, back.features, back.phases
-    gain, through = d_phases.slope[0], back.change.cov
+    gain, through = d_phases.slope[0], back.change
     _write_cotangent_of_gain(rows, d_features.slope, gain)
     waves = phases.mean, phases.cov, robot.kept, phases.slope[0]
     cotangents = d_features.mean, d_features.cov, gain, d_phases.mean, d_phases.cov
     call(robot.steps.adjoint_of_cosines, waves + cotangents)
-    _add_cotangents(rows, d_phases.mean, d_phases.cov, work.linear, through, d_mean, d_cov)
+    write_cotangents(rows, d_phases.mean, d_phases.cov, work.linear, through.mean, through.cov)
+    add_cotangents(1.0, through.mean, through.cov, d_mean, d_cov)
 
 
 @compiled
@@ -234,24 +230,3 @@ def _write_cotangent_of_gain(rows: Array2, d_slope: Array2, out: Array1) -> None
         out[r] = 0.0
         for d in range(len(d_slope)):
             out[r] += d_slope[d, r] * rows[r, d]
-
-
-@compiled
-def _add_cotangents(
-    rows: Array2,
-    d_phase: Array1,
-    d_phase_cov: Array2,
-    linear: Array2,
-    scratch: Array2,
-    d_mean: Array1,
-    d_cov: Array2,
-) -> None:
-    """Add cotangents of linear combinations of the state to those of the state."""
-    product(d_phase_cov, rows, linear)
-    product_of_transpose(rows, linear, scratch)
-    make_symmetric(scratch)
-    for d in range(len(d_mean)):
-        for r in range(len(rows)):
-            d_mean[d] += rows[r, d] * d_phase[r]
-        for e in range(len(d_mean)):
-            d_cov[d, e] += scratch[d, e]

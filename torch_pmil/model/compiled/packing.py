@@ -1,0 +1,134 @@
+"""Tensors and plans as the arrays that kernels read, and gradients as tensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_pmil.gp.gaussian import cholesky
+from torch_pmil.gp.kernel_expansion import KernelExpansion
+from torch_pmil.gp.trigonometry import Augmentation
+from torch_pmil.model.compiled.arrays import Functions, NetworkGradient, zeros
+from torch_pmil.model.compiled.building import Array, Array1, Array2, Array3
+from torch_pmil.model.compiled.costs import Observation
+from torch_pmil.model.compiled.plans import Comparison, Plan
+from torch_pmil.model.compiled.trajectory import Robot, Steps
+from torch_pmil.model.compiled.vectors import WIDTH
+
+Parameters = Sequence[Tensor]  # centres, weights and widths of a policy
+DEMONSTRATED = "demonstrated covariance"
+
+
+def robots_of(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
+    """What the kernels predict with, one for each belief."""
+    centres, weights, widths = (parameter.detach() for parameter in parameters)
+    f, controller = plan.model, plan.controller
+    variance = f.observed_prior_cov if plan.observation_noise else f.prior_cov
+    model = functions_of(f)._replace(variance=array(variance.diagonal()))
+    rows, turns, kept = _combinations(plan.space.augmentation)
+    packed = [
+        _packed(replace(controller.network, inputs=centres, weights=own, lengthscales=widths))
+        for own in (weights if weights.ndim == 3 else [weights])
+    ]
+    limits, steps = array(controller.u_max), Steps.compile()
+    return [
+        Robot(model, network, limits, rows, turns, kept, plan.differences, steps)
+        for network in (packed if len(packed) > 1 else packed * beliefs)
+    ]
+
+
+def observation_of(comparison: Comparison, batch: tuple[int, ...]) -> Observation:
+    """The map for states (*batch, D) in one row."""
+    offset = comparison.offset.expand(*batch, -1).flatten(0, -2)
+    combinations = _combinations(comparison.augmentation)
+    return Observation(*combinations, *map(array, (comparison.matrix, offset, comparison.noise)))
+
+
+def determinants_of(comparison: Comparison, batch: tuple[int, ...]) -> tuple[Array3, Array1]:
+    """Demonstrated covariances, and half the logarithms of their determinants; empty if none.
+
+    Raises NotPositiveDefiniteError where one has no Cholesky factor.
+    """
+    if comparison.demonstrated is None:
+        return np.empty((0, 0, 0)), np.empty(0)
+    factor = cholesky(comparison.demonstrated, DEMONSTRATED)
+    half_log_det = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+    flat = comparison.demonstrated.expand(*batch, -1, -1).flatten(0, -3)
+    return array(flat), array(half_log_det.expand(batch).flatten())
+
+
+def roots_of(comparison: Comparison, batch: tuple[int, ...]) -> Array3:
+    """Matrices G with G' G the inverse of the demonstrated covariances; else the identity.
+
+    Raises NotPositiveDefiniteError where such a covariance has no Cholesky factor.
+    """
+    root = torch.eye(comparison.offset.shape[-1], dtype=torch.float64)
+    if comparison.demonstrated is not None:
+        factor = cholesky(comparison.demonstrated, DEMONSTRATED)
+        root = torch.linalg.solve_triangular(factor, root, upper=False)
+    return array(root.expand(*batch, -1, -1).flatten(0, -3))
+
+
+_packs: WeakKeyDictionary[KernelExpansion, Functions] = WeakKeyDictionary()
+
+
+def functions_of(f: KernelExpansion) -> Functions:
+    """A GP's posterior as the kernels read it, kept as long as it."""
+    if f not in _packs:
+        _packs[f] = _packed(f)
+    return _packs[f]
+
+
+def _packed(f: KernelExpansion) -> Functions:
+    """Functions with data of weight zero, up to a multiple of a vector's width."""
+    (n, D), E = f.inputs.shape, f.num_outputs
+    padded = n + -n % WIDTH
+    inputs, weights = zeros(D, padded), zeros(E, padded)
+    inputs[:, :n], weights[:, :n] = array(f.inputs.mT), array(f.weights)
+    log_signal, squares = array(f.log_signal_variance), array(f.lengthscales.square())
+    offsets = np.array(np.broadcast_to(np.asarray(f.offset, dtype=float), E))
+    own = _own_weights(f.weights, f.gram_inverse, padded)
+    return Functions(inputs, weights, squares, log_signal, offsets, np.zeros(E), own)
+
+
+def _own_weights(weights: Tensor, gram_inverse: Tensor | None, padded: int) -> Array3:
+    """Weights of pairs of data in a GP's variances, as in :class:`Functions`."""
+    if gram_inverse is None:
+        return np.zeros((0, 0, 0))
+    E, n = weights.shape
+    own = zeros(E, padded, padded)
+    inverses = gram_inverse.detach().numpy()
+    for out, beta, inverse in zip(own, array(weights), inverses, strict=True):
+        for i in range(n):  # row by row: no other matrix of that size is needed
+            out[i, i:n] = beta[i] * beta[i:] - inverse[i, i:]
+            out[i, i] /= 2
+    return own
+
+
+def _combinations(augmentation: Augmentation) -> tuple[Array2, Array1, int]:
+    """Rows, turns and number of the kept ones of the combinations of the state."""
+    return array(augmentation.rows), array(augmentation.turns), augmentation.kept
+
+
+def gradients_of(gradients: list[NetworkGradient], parameters: Parameters) -> list[Tensor]:
+    """Gradients in centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D')."""
+    centres, weights, widths = parameters
+    m = len(centres)
+    of_weights = np.stack([gradient.weights[:, :m] for gradient in gradients])
+    of_inputs = np.sum([gradient.inputs[:, :m] for gradient in gradients], 0).T
+    of_squares = np.sum([gradient.squares for gradient in gradients], 0)
+    return [
+        torch.from_numpy(of_inputs),
+        torch.from_numpy(of_weights if weights.ndim == 3 else of_weights.sum(0)),
+        2 * widths.detach() * torch.from_numpy(of_squares),
+    ]
+
+
+def array(values: Tensor) -> Array:
+    """The values of a tensor as kernels take them, C-contiguous."""
+    return np.ascontiguousarray(values.detach().numpy(), dtype=np.float64)

@@ -56,7 +56,7 @@ class GaussianIntegrals:
         D, E, pairs = f.num_inputs, f.num_outputs, f.pairs
         if belief.dim != D:
             raise ValueError(f"belief must have the model's {D} inputs, got {belief.dim}")
-        nu1, squares = centred(f, belief.mean)
+        nu1, squares = _centred(f, belief.mean)
         B, half_log_det = apply(_RegularisedPrecision, belief.cov, pairs.precision, pairs.root)
         P = len(pairs.first)
         forms = torch.addcmul(pairs.constant, pairs.factor, B.index_select(1, pairs.integrals))
@@ -71,7 +71,7 @@ class GaussianIntegrals:
         return cls(nu1, B, log_q.exp().squeeze(2), left, right)
 
 
-def centred(f: KernelExpansion, mean: Tensor) -> tuple[Tensor, Tensor]:
+def _centred(f: KernelExpansion, mean: Tensor) -> tuple[Tensor, Tensor]:
     """The centred inputs nu with a last row of ones, (N, D + 1, n), and their outer squares.
 
     The second array holds the outer products of nu with itself, (N, D * D, n); means are (N, D).

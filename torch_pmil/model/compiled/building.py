@@ -66,7 +66,7 @@ def compiled(function: Function) -> Function:
 
 
 def part(function: Function) -> Function:
-    """A part of one kernel, written where it is called."""
+    """A part of kernels, written where it is called."""
     return njit(**OPTIONS, no_cpython_wrapper=True, inline="always")(function)
 
 

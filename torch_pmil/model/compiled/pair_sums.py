@@ -6,7 +6,9 @@ time stay in registers: Q itself is never written.
 
 from __future__ import annotations
 
-from torch_pmil.model.compiled.building import Array1, Array2, compiled
+from typing import Any
+
+from torch_pmil.model.compiled.building import Array1, Array2, compiled, part
 from torch_pmil.model.compiled.thin_products import fill
 from torch_pmil.model.compiled.vectors import (
     WIDTH,
@@ -20,6 +22,44 @@ from torch_pmil.model.compiled.vectors import (
     store,
     total,
 )
+
+
+@part
+def _exponentials(
+    points: Array2, right: Array2, f: Array1, g: Array1, i: int, j: int
+) -> tuple[Any, Any, Any, Any]:
+    """Q of the rows i to i + 3 and of eight columns from j on; the large terms come last."""
+    D, n = right.shape[0], right.shape[1]
+    p0 = i * (D + 1)
+    p1, p2, p3 = p0 + D + 1, p0 + 2 * D + 2, p0 + 3 * D + 3
+    q0 = q1 = q2 = q3 = splat(0.0)
+    for d in range(D):
+        r = load(right, d * n + j)
+        q0 = multiply_add(spread(points, p0 + d), r, q0)
+        q1 = multiply_add(spread(points, p1 + d), r, q1)
+        q2 = multiply_add(spread(points, p2 + d), r, q2)
+        q3 = multiply_add(spread(points, p3 + d), r, q3)
+    of_j = load(g, j)
+    q0, q1 = add(q0, add(spread(f, i), of_j)), add(q1, add(spread(f, i + 1), of_j))
+    q2, q3 = add(q2, add(spread(f, i + 2), of_j)), add(q3, add(spread(f, i + 3), of_j))
+    return exponential(q0), exponential(q1), exponential(q2), exponential(q3)
+
+
+@part
+def _add_columns(
+    points: Array2, i: int, j: int, q0: Any, q1: Any, q2: Any, q3: Any, left: Array2
+) -> None:
+    """Add [nu_i, 1] times weighted Q, of the rows i to i + 3, to eight columns from j on."""
+    n, entries = left.shape[1], points.shape[1]
+    p0 = i * entries
+    p1, p2, p3 = p0 + entries, p0 + 2 * entries, p0 + 3 * entries
+    for d in range(entries):
+        sums = load(left, d * n + j)
+        sums = multiply_add(spread(points, p0 + d), q0, sums)
+        sums = multiply_add(spread(points, p1 + d), q1, sums)
+        sums = multiply_add(spread(points, p2 + d), q2, sums)
+        sums = multiply_add(spread(points, p3 + d), q3, sums)
+        store(left, d * n + j, sums)
 
 
 @compiled
@@ -43,36 +83,18 @@ def sum_pairs(
         left: out, sum_i w_i [nu_i, 1] Q_ij, (D + 1, n).
         rows: out, sum_j Q_ij z_j, (n,).
     """
-    D, n = right.shape[0], right.shape[1]
+    n = right.shape[1]
     fill(left, 0.0)
     for i in range(0, n, 4):
-        p0 = i * (D + 1)
-        p1, p2, p3 = p0 + D + 1, p0 + 2 * D + 2, p0 + 3 * D + 3
         s0 = s1 = s2 = s3 = splat(0.0)
         for j in range(0, n, WIDTH):
-            q0 = q1 = q2 = q3 = splat(0.0)
-            for d in range(D):
-                r = load(right, d * n + j)
-                q0 = multiply_add(spread(points, p0 + d), r, q0)
-                q1 = multiply_add(spread(points, p1 + d), r, q1)
-                q2 = multiply_add(spread(points, p2 + d), r, q2)
-                q3 = multiply_add(spread(points, p3 + d), r, q3)
-            of_j = load(g, j)
-            q0, q1 = add(q0, add(spread(f, i), of_j)), add(q1, add(spread(f, i + 1), of_j))
-            q2, q3 = add(q2, add(spread(f, i + 2), of_j)), add(q3, add(spread(f, i + 3), of_j))
-            q0, q1, q2, q3 = exponential(q0), exponential(q1), exponential(q2), exponential(q3)
+            q0, q1, q2, q3 = _exponentials(points, right, f, g, i, j)
             factor = load(z, j)
             s0, s1 = multiply_add(q0, factor, s0), multiply_add(q1, factor, s1)
             s2, s3 = multiply_add(q2, factor, s2), multiply_add(q3, factor, s3)
             q0, q1 = multiply(q0, spread(w, i)), multiply(q1, spread(w, i + 1))
             q2, q3 = multiply(q2, spread(w, i + 2)), multiply(q3, spread(w, i + 3))
-            for d in range(D + 1):
-                sums = load(left, d * n + j)
-                sums = multiply_add(spread(points, p0 + d), q0, sums)
-                sums = multiply_add(spread(points, p1 + d), q1, sums)
-                sums = multiply_add(spread(points, p2 + d), q2, sums)
-                sums = multiply_add(spread(points, p3 + d), q3, sums)
-                store(left, d * n + j, sums)
+            _add_columns(points, i, j, q0, q1, q2, q3, left)
         rows[i], rows[i + 1], rows[i + 2], rows[i + 3] = total(s0), total(s1), total(s2), total(s3)
 
 
@@ -91,34 +113,16 @@ def sum_own_pairs(
         left: out, sum_i [nu_i, 1] U_ij, (D + 1, n).
         rows: out, sum_j U_ij, (n,).
     """
-    D, n = right.shape[0], right.shape[1]
+    n = right.shape[1]
     fill(left, 0.0)
     for i in range(0, n, 4):
-        p0, row = i * (D + 1), i * n
-        p1, p2, p3 = p0 + D + 1, p0 + 2 * D + 2, p0 + 3 * D + 3
         s0 = s1 = s2 = s3 = splat(0.0)
         for j in range(i // WIDTH * WIDTH, n, WIDTH):
-            q0 = q1 = q2 = q3 = splat(0.0)
-            for d in range(D):
-                r = load(right, d * n + j)
-                q0 = multiply_add(spread(points, p0 + d), r, q0)
-                q1 = multiply_add(spread(points, p1 + d), r, q1)
-                q2 = multiply_add(spread(points, p2 + d), r, q2)
-                q3 = multiply_add(spread(points, p3 + d), r, q3)
-            of_j = load(f, j)
-            q0, q1 = add(q0, add(spread(f, i), of_j)), add(q1, add(spread(f, i + 1), of_j))
-            q2, q3 = add(q2, add(spread(f, i + 2), of_j)), add(q3, add(spread(f, i + 3), of_j))
-            q0, q1, q2, q3 = exponential(q0), exponential(q1), exponential(q2), exponential(q3)
-            at = row + j
+            q0, q1, q2, q3 = _exponentials(points, right, f, f, i, j)
+            at = i * n + j
             q0, q1 = multiply(q0, load(weights, at)), multiply(q1, load(weights, at + n))
             q2 = multiply(q2, load(weights, at + 2 * n))
             q3 = multiply(q3, load(weights, at + 3 * n))
             s0, s1, s2, s3 = add(s0, q0), add(s1, q1), add(s2, q2), add(s3, q3)
-            for d in range(D + 1):
-                sums = load(left, d * n + j)
-                sums = multiply_add(spread(points, p0 + d), q0, sums)
-                sums = multiply_add(spread(points, p1 + d), q1, sums)
-                sums = multiply_add(spread(points, p2 + d), q2, sums)
-                sums = multiply_add(spread(points, p3 + d), q3, sums)
-                store(left, d * n + j, sums)
+            _add_columns(points, i, j, q0, q1, q2, q3, left)
         rows[i], rows[i + 1], rows[i + 2], rows[i + 3] = total(s0), total(s1), total(s2), total(s3)

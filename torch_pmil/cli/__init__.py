@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 COMMANDS = {  # in the order in which they are used; each is the module of that name
+    "play": "show a learned policy move; without a run, one that comes with the package",
     "inspect": "say what is in a file of recordings, and what training needs beside it",
     "align": "make demonstrations of recordings: condition, align, resample",
     "draw": "draw demonstrations by hand, in the browser of this machine",

@@ -30,12 +30,14 @@ PATIENCE = 60.0  # s without progress after which ffmpeg is ended
 # an MP4, whatever the file is called, with its index first, so that a browser plays at once
 MP4 = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", "10", "-f", "mp4"]
 MP4 += ["-movflags", "+faststart"]
-# a GIF counts in hundredths of a second; the last picture stays; colours are those of this video,
-# not mixed from dots, which flicker
-GIF = (
-    "fps=25,tpad=stop_mode=clone:stop_duration=1,split[a][b];"
+# a GIF counts in hundredths of a second, and 25 pictures per second are enough; the last one stays;
+# colours are those of this video, not mixed from dots, which flicker
+GIF_FILTER = (
+    "fps='min(25,source_fps)',tpad=stop_mode=clone:stop_duration=1,split[a][b];"
     "[a]palettegen[p];[b][p]paletteuse=dither=none"
 )
+GIF = ["-filter_complex", GIF_FILTER, "-f", "gif"]
+FORMATS = {".gif": GIF, ".mp4": MP4}  # of a film, by the ending of its name
 
 
 def render_rollout(
@@ -140,13 +142,40 @@ def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> N
         ...     imageio_ffmpeg.count_frames_and_secs(f"{folder}/black.mp4")[0]
         3
     """
-    check_positive("fps", fps)
-    frames = iter(frames)
-    first = next(frames, None)
-    if first is None:
-        raise ValueError("a video needs at least one frame, got none")
-    with replacing(path) as temporary:
-        _encode(temporary, itertools.chain([first], frames), first.shape, fps)
+    _write(path, frames, fps, MP4)
+
+
+def write_film(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> None:
+    """Write pictures as a video or as a GIF, as the ending of the name says.
+
+    A GIF has 25 pictures per second at most, repeats for ever, and rests on the last one for a
+    second.
+
+    Args:
+        path: the file to write, ending in .gif or .mp4; an existing file is replaced.
+        frames: as those of :func:`write_video`.
+        fps: pictures per second.
+
+    Raises:
+        ValueError: the name has another ending; or as :func:`write_video`.
+        OSError: as :func:`write_video`.
+
+    Example:
+        >>> import tempfile
+        >>> black = np.zeros((16, 16, 3), dtype=np.uint8)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_film(f"{folder}/black.gif", [black] * 25, fps=50)
+        ...     Path(f"{folder}/black.gif").read_bytes()[:6]
+        b'GIF89a'
+    """
+    check_film_name(path)
+    _write(path, frames, fps, FORMATS[Path(path).suffix])
+
+
+def check_film_name(path: Path | str) -> None:
+    """Raise ValueError unless a name ends in .gif or .mp4."""
+    if Path(path).suffix not in FORMATS:
+        raise ValueError(f"a film must be a {' or '.join(FORMATS)} file, got {path}")
 
 
 def write_gif(path: Path | str, video: Path | str) -> None:
@@ -172,8 +201,7 @@ def write_gif(path: Path | str, video: Path | str) -> None:
         b'GIF89a'
     """
     with replacing(path) as temporary:
-        gif = ["-i", url(Path(video)), "-filter_complex", GIF, "-f", "gif"]
-        _run_ffmpeg(gif, temporary, (), f"no GIF of {video}")
+        _run_ffmpeg(["-i", url(Path(video)), *GIF], temporary, (), f"no GIF of {video}")
 
 
 def url(path: Path) -> str:
@@ -186,14 +214,30 @@ def url(path: Path) -> str:
     return f"file:{path.absolute()}"
 
 
-def _encode(path: Path, frames: Iterable[np.ndarray], shape: tuple[int, ...], fps: float) -> None:
+def _write(path: Path | str, frames: Iterable[np.ndarray], fps: float, form: list[str]) -> None:
+    check_positive("fps", fps)
+    frames = iter(frames)
+    first = next(frames, None)
+    if first is None:
+        raise ValueError("a video needs at least one frame, got none")
+    with replacing(path) as temporary:
+        _encode(temporary, itertools.chain([first], frames), first.shape, fps, form)
+
+
+def _encode(
+    path: Path,
+    frames: Iterable[np.ndarray],
+    shape: tuple[int, ...],
+    fps: float,
+    form: list[str],
+) -> None:
     if len(shape) != 3 or shape[2] != 3 or not all(shape):
         raise ValueError(f"frames must have shape (height, width, 3), got {shape}")
     margin = [(0, shape[0] % 2), (0, shape[1] % 2), (0, 0)]
     size = f"{shape[1] + shape[1] % 2}x{shape[0] + shape[0] % 2}"
     rate = str(Fraction(fps).limit_denominator())
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", rate, "-i", "pipe:0"]
-    _run_ffmpeg([*raw, *MP4], path, _checked(frames, shape, margin), "no video")
+    _run_ffmpeg([*raw, *form], path, _checked(frames, shape, margin), "no video")
 
 
 def _checked(

@@ -67,7 +67,7 @@ def test_what_a_command_imports_is_left_out_of_garbage_collection(
 def test_unknown_command_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SystemExit) as ended:
         run_command(monkeypatch, "learn")
-    assert str(ended.value).startswith("error: the command must be one of play, inspect, ")
+    assert str(ended.value).startswith("error: the command must be one of play, new, inspect, ")
     assert str(ended.value).endswith("got 'learn'")
 
 

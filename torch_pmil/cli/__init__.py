@@ -15,6 +15,7 @@ from typing import Any, NoReturn, TextIO
 
 COMMANDS = {  # in the order in which they are used; each is the module of that name
     "play": "show a learned policy move; without a run, one that comes with the package",
+    "new": "write a template of a robot of one's own, with what learns on it",
     "inspect": "say what is in a file of recordings, and what training needs beside it",
     "align": "make demonstrations of recordings: condition, align, resample",
     "draw": "draw demonstrations by hand, in the browser of this machine",

@@ -3,7 +3,7 @@
 Example:
     pmil play
     pmil play runs/double_pendulum/seed_0
-    pmil play runs/double_pendulum/seed_0 --out swing_up.mp4
+    pmil play runs/double_pendulum/seed_0 --out swing_ups.mp4 --starts 5
 
 Without a run it is a policy that comes with the package: the double pendulum's swing-up, learned
 from five demonstrations and 22.5 s on the robot.
@@ -54,7 +54,7 @@ def parsed() -> Namespace:
         "--out", type=Path, help=f"file to write, .gif or .mp4 ({FILM} where there is no screen)"
     )
     parser.add_argument(
-        "--starts", type=int, default=2, help="number of motions in the file (default 2)"
+        "--starts", type=int, default=1, help="number of motions in the file (default 1)"
     )
     parser.add_argument(
         "--seed", type=int, default=secrets.randbelow(2**31), help="of the starts (default: any)"
@@ -66,8 +66,8 @@ def film(player: Player, path: Path, starts: int, seed: int) -> None:
     """Write the file, and say what is in it."""
     succeeded = player.film(path, starts, seed)
     seconds = player.experiment.horizon * player.policy.control_period
-    times = "once" if starts == 1 else f"{starts} times"
+    motions = "motion" if starts == 1 else "motions"
     print(
-        f"wrote {path}: {player.experiment.name}, {times} {seconds:g} s from a fresh start, "
-        f"{succeeded} with success"
+        f"wrote {path}: {player.experiment.name}, {starts} {motions} of {seconds:g} s from a fresh "
+        f"start, {succeeded} of {starts} with success"
     )

@@ -1,0 +1,62 @@
+"""Try an installed ``pmil`` in an empty folder, and print the seconds of each command.
+
+Example:
+    python scripts/check_installed.py build/wheel/.venv/bin/pmil
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+RUN = "runs/double_pendulum/seed_0"
+COMMANDS = {  # with what each must leave
+    "--version": (),
+    "--help": (),
+    "play": ("play.gif",),
+    "new robot": ("my_robot/robot.py", "my_robot/train.py"),
+    "inspect my_robot/demonstrations.csv": (),
+    "draw --help": (),
+    "train trials=1": (f"{RUN}/policy.pt", f"{RUN}/video.mp4", f"{RUN}/report.html"),
+    f"report {RUN}": (),
+    f"play {RUN} --out mine.gif": ("mine.gif",),
+    f"export {RUN}/policy.pt policy.pt2": ("policy.pt2",),
+}
+PATIENCE = 600  # s for a command
+FIRST_MOTION = 10  # s, until pmil play has made its file
+
+
+def main() -> None:
+    """Run all commands in turn; exit with 1 at the first that fails, or is too slow to show."""
+    if len(sys.argv) != 2:
+        sys.exit(f"expected one argument, the installed pmil, got {len(sys.argv) - 1}")
+    pmil = Path(sys.argv[1]).absolute()
+    with tempfile.TemporaryDirectory() as folder:
+        for command, left in COMMANDS.items():
+            seconds = run([str(pmil), *command.split()], Path(folder))
+            print(f"{seconds:6.1f} s  pmil {command}", flush=True)
+            missing = [name for name in left if not Path(folder, name).is_file()]
+            if missing:
+                sys.exit(f"pmil {command} did not leave {', '.join(missing)}")
+            if command == "play" and seconds > FIRST_MOTION:
+                sys.exit(f"pmil play must show a motion within {FIRST_MOTION} s")
+
+
+def run(command: list[str], folder: Path) -> float:
+    """Seconds that a command takes, which sees nothing of the clone; exits with 1 if it fails."""
+    outside = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    begin = time.monotonic()
+    ended = subprocess.run(
+        command, cwd=folder, env=outside, capture_output=True, text=True, timeout=PATIENCE
+    )
+    if ended.returncode or "error" in ended.stderr.lower():
+        sys.exit(f"{' '.join(command)} ended with {ended.returncode}: {ended.stderr[-2000:]}")
+    return time.monotonic() - begin
+
+
+if __name__ == "__main__":
+    main()

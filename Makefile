@@ -9,6 +9,7 @@ GIVEN = $(foreach name,$(SETTINGS),$(if $(filter command,$(origin $(name))),$(na
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=
+CPU := https://download.pytorch.org/whl/cpu
 # the matrices are small: more threads wait for each other
 export OMP_NUM_THREADS ?= 1
 NUMERICAL := tests/gp tests/control tests/model tests/search tests/trainer tests/test_reference.py \
@@ -17,7 +18,7 @@ PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Ne
   NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-ci test-portable test-all lint demonstrations results reproduce docs benchmark benchmark-steps dist test-dist clean
+.PHONY: help train test test-ci test-portable test-all test-newest lint demonstrations results reproduce docs benchmark benchmark-steps dist test-dist test-wheel clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -36,6 +37,16 @@ test-portable: .venv/.installed  ## the numerical tests as a processor without A
 
 test-all: .venv/.installed  ## all tests, the slow ones too
 	@.venv/bin/python -m pytest -n 2 -m "" $(ARGS)
+
+# what a coming torch warns of is told, and fails nothing
+test-newest:  ## the fast tests with the newest torch, in an environment of its own in build/newest; not part of CI
+	@rm -rf build/newest && mkdir -p build/newest
+	@echo "Building build/newest/.venv; this takes a few minutes."
+	@$(PYTHON) -m venv build/newest/.venv
+	@cd build/newest && $(PIP) --extra-index-url $(CPU) -e "$(CURDIR)[test]"
+	@cd build/newest && $(PIP) --index-url $(CPU) --upgrade torch
+	@build/newest/.venv/bin/python -c "import torch; print('torch', torch.__version__)"
+	@build/newest/.venv/bin/python -m pytest -n 2 -W default::FutureWarning $(ARGS)
 
 lint: .venv/.installed  ## check style, formatting and types
 	@.venv/bin/ruff check .
@@ -85,6 +96,14 @@ test-dist: dist  ## the fast tests against the wheel, installed into an environm
 	@cd build/dist && $(PIP) $(TORCH_ARGS) -c constraints.txt torch==2.13.0
 	@cd build/dist && $(PIP) -c constraints.txt "torch_pmil[test] @ file://$$(realpath ../../dist/*.whl)"
 	@cd build/dist && .venv/bin/python -m pytest -n 2 README.md docs/*/*.md notebooks tests --pyargs torch_pmil $(ARGS)
+
+test-wheel: dist  ## the commands of the wheel alone, in an empty folder; PYTHON=python3.12 for another Python
+	@rm -rf build/wheel && mkdir -p build/wheel
+	@echo "Building build/wheel/.venv with the wheel; this takes a few minutes."
+	@$(PYTHON) -m venv build/wheel/.venv
+	@cd build/wheel && $(PIP) $(TORCH_ARGS) -c ../../constraints.txt torch==2.13.0
+	@cd build/wheel && $(PIP) -c ../../constraints.txt ../../dist/*.whl
+	@$(PYTHON) scripts/check_installed.py build/wheel/.venv/bin/pmil
 
 clean:  ## remove what make and the tests built, not runs/
 	@rm -rf .venv .mypy_cache .pytest_cache .ruff_cache docs/_build build dist *.egg-info

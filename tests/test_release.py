@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -19,24 +20,59 @@ import yaml
 
 import torch_pmil
 from tests.helpers.run_script import ROOT
+from torch_pmil.experiments.runs.sweep import EXTRAS
 
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
 CHANGES = (ROOT / "CHANGELOG.md").read_text()
 RELEASES = re.findall(r"^## \[(.*)\] - (.*)$", CHANGES, re.MULTILINE)
+SETTINGS = ConfigParser()
+SETTINGS.read(ROOT / "setup.cfg")
+NAMING = ("torch_pmil", "docs/start", "docs/how_to", "docs/results", "examples", "tests")
 PACKAGE = {"torch_pmil/__init__.py", "torch_pmil/py.typed"}
 TRACKED = PACKAGE | {"README.md", "tests/test_a.py"}
 Check = Callable[[], None]
 
 
 def test_version_is_the_same_everywhere() -> None:
-    settings = ConfigParser()
-    settings.read(ROOT / "setup.cfg")
     assert (
         torch_pmil.__version__
-        == settings["metadata"]["version"]
+        == SETTINGS["metadata"]["version"]
         == CITATION["version"]
         == RELEASES[0][0]
     )
+
+
+def test_extras_that_messages_and_pages_name_are_there() -> None:
+    """As in ``pip install "torch_pmil[gym]"`` and ``pip install -e ".[dev]"``."""
+    folders = [ROOT / folder for folder in NAMING]
+    files = [
+        path for folder in folders for kind in ("py", "md") for path in folder.rglob(f"*.{kind}")
+    ]
+    texts = [path.read_text() for path in (*files, ROOT / "README.md", ROOT / "CONTRIBUTING.md")]
+    named = {
+        extra
+        for text in texts
+        for names in re.findall(r'(?:torch_pmil|"\.)\[([a-z,]+)\]', text)
+        for extra in names.split(",")
+    }
+    assert {"gym", "formats", "handwriting", "dev"} <= named
+    assert named | {*EXTRAS.values()} <= SETTINGS["options.extras_require"].keys()
+
+
+def test_libraries_that_messages_name_with_a_version_are_those_of_the_extras() -> None:
+    texts = [path.read_text() for path in (ROOT / "torch_pmil").rglob("*.py")]
+    named = {name for text in texts for name in re.findall(r"pip install (\w+==[\w.]+)", text)}
+    extras = {
+        line for extra in SETTINGS["options.extras_require"].values() for line in extra.split()
+    }
+    assert named and named <= extras
+
+
+def test_page_about_installing_names_this_wheel_and_the_bounds_of_torch() -> None:
+    page = (ROOT / "docs/start/install.md").read_text()
+    (torch,) = re.findall(r"^torch[^r_].*$", SETTINGS["options"]["install_requires"], re.MULTILINE)
+    assert f'pip install "{torch}" --index-url' in page
+    assert f"torch_pmil-{torch_pmil.__version__}-py3-none-any.whl" in page
 
 
 def test_release_is_dated_the_same_everywhere() -> None:
@@ -58,6 +94,20 @@ def test_citation_has_what_the_format_asks_for_of_the_package_and_of_the_paper()
         )
     assert {"cff-version", "message"} <= CITATION.keys()
     assert CITATION["preferred-citation"]["doi"] in (ROOT / "README.md").read_text()
+
+
+def test_installed_command_that_fails_or_leaves_nothing_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Commands in place of the installed one: ``false`` fails, ``true`` leaves no film."""
+    for name, complaint in (
+        ("false", r"false --version ended with 1"),
+        ("true", r"pmil play did not leave play\.gif"),
+    ):
+        monkeypatch.setattr(sys, "argv", ["check_installed.py", str(shutil.which(name))])
+        script = runpy.run_path(str(ROOT / "scripts" / "check_installed.py"))
+        with pytest.raises(SystemExit, match=complaint):
+            script["main"]()
 
 
 @pytest.fixture

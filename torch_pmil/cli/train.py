@@ -14,9 +14,8 @@ import logging
 import os
 import shlex
 import sys
-from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -29,16 +28,14 @@ from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
-from tqdm import tqdm
 
 from torch_pmil.cli import Parser, lasting_output, lost_output
-from torch_pmil.demonstrations import DemonstrationError, load_demonstrations
+from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.before_a_run import check
-from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
 from torch_pmil.experiments.runs.lock import alone_in
-from torch_pmil.experiments.runs.pictures import steps_of
-from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.experiments.runs.pictures import tell_all
+from torch_pmil.experiments.runs.printing import print_trial, warn_of
 from torch_pmil.experiments.runs.run_folder import FinishedRunError
 from torch_pmil.experiments.runs.settings import (
     Settings,
@@ -49,16 +46,12 @@ from torch_pmil.experiments.runs.settings import (
 )
 from torch_pmil.experiments.runs.summaries import is_finished
 from torch_pmil.experiments.runs.sweep import register_launchers
-from torch_pmil.experiments.runs.telling import tell, warn_incomplete
+from torch_pmil.experiments.runs.telling import warn_incomplete
 from torch_pmil.experiments.runs.training import RunResult, train
 from torch_pmil.files import bounded_line
-from torch_pmil.search.trajectory_loss import TrajectoryLoss
-from torch_pmil.trainer.trials import Trial
 
 CONFIG = Path(__file__).parent / "config"
 FULL_ERROR = "HYDRA_FULL_ERROR"  # the variable with which Hydra raises its errors
-LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what a run may leave for the eye
-MOST_WARNINGS = 10  # of one cause
 
 
 def main() -> None:
@@ -161,16 +154,11 @@ def name_of(config: DictConfig) -> str:
 
 
 def show(label: str, experiment: Experiment, result: RunResult, out: Path) -> None:
-    """Report, print, draw and film a run that is saved. What fails is said at the end, in a line.
+    """Report, print, draw and film a run that is saved.
 
-    The report is there at once, and again with figures and video when they are drawn. Ends with an
-    error only where the run is no longer there.
+    Ends with an error only where the run is no longer there.
     """
-    with suppress(Exception):  # the step that writes it again says what fails
-        write_report(out, drawn=False)
-    print_result(label, result.summary)
-    failures = tell(steps_of(experiment, result, out))
-    print_left(label, out)
+    failures = tell_all(label, experiment, result, out)
     if lost := lost_output():
         failures.append(f"standard output: {bounded_line(lost)}")
     if not is_finished(out):
@@ -196,84 +184,3 @@ def fail(message: str, label: str) -> NoReturn:
         sys.exit(message)
     print(message, file=sys.stderr, flush=True)
     raise CompactHydraException(message)
-
-
-def say(label: str, text: str) -> None:
-    """Print lines above the progress bar, each with the label.
-
-    The runs of a sweep print to one terminal.
-    """
-    tqdm.write("\n".join(label + line for line in text.splitlines()))
-    sys.stdout.flush()
-
-
-def warn_of(label: str, findings: list[Finding]) -> None:
-    """Print what may go wrong with the demonstrations; raise DemonstrationError at what must.
-
-    Of each cause the first ``MOST_WARNINGS`` are printed.
-    """
-    for finding in findings:
-        if finding.fatal:
-            raise DemonstrationError(finding.message)
-    counts: Counter[str] = Counter()
-    for finding in findings:
-        counts[finding.cause] += 1
-        if counts[finding.cause] <= MOST_WARNINGS:
-            say(label, f"warning: {finding.message}")
-    for cause, count in counts.items():
-        if count > MOST_WARNINGS:
-            say(label, f"warning: {count - MOST_WARNINGS} more of {cause}")
-
-
-def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> None:
-    """Print one line for a trial."""
-    predicted = f"{objective.label} {trial.loss:6.1f} {objective.unit}".rstrip()
-    say(
-        label,
-        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {predicted}, own "
-        f"rollout {'succeeded' if trial.own_success else 'failed'}, success rate "
-        f"{trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s",
-    )
-
-
-def by_entry(summary: dict) -> str:
-    """The coverage of each entry of the state."""
-    return ", ".join(
-        f"{name} {coverage:.0%}"
-        for name, coverage in summary["two_sigma_coverage_by_entry"].items()
-    )
-
-
-def of_predictions(summary: dict) -> str:
-    """How far the executed states were predicted, or why they were not."""
-    if "prediction_error" in summary:
-        return f"the model cannot predict this policy: {summary['prediction_error']}"
-    return (
-        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted "
-        f"standard deviations: {by_entry(summary)}"
-    )
-
-
-def holds_something(path: Path) -> bool:
-    """Whether there is a file, or a folder with one."""
-    return any(path.glob("*")) if path.is_dir() else path.exists()
-
-
-def print_result(label: str, summary: dict) -> None:
-    """Print what the run came to."""
-    reasons = [f"{reason['cause']}: {reason['message']}" for reason in summary["diagnosis"]]
-    lines = [
-        f"policy of trial {summary['saved_trial']}: success rate "
-        f"{summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh starts after "
-        f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of "
-        f"computing ({summary['stop_reason']})",
-        of_predictions(summary),
-        *(f"likely reason: {reason}" for reason in reasons),
-    ]
-    say(label, "\n".join(lines))
-
-
-def print_left(label: str, out: Path) -> None:
-    """Print where there is something to see."""
-    left = [str(out / name) for name in LEFT if holds_something(out / name)]
-    say(label, f"see {', '.join(left)}")

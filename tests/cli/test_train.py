@@ -185,7 +185,6 @@ def test_all_that_fails_after_the_policy_is_saved_is_one_line_at_the_end(
 ) -> None:
     for name in ("figures_of", "film_outcome", "write_report"):
         monkeypatch.setattr(pictures, name, broken)
-    monkeypatch.setattr(train, "write_report", broken)
     script("out=run")  # does not exit
     printed, complained = capsys.readouterr()
     assert "policy of trial 1: success rate 50%" in printed and "see run/summary.json" in printed

@@ -464,8 +464,8 @@ CONTROL = {
     "StatePolicy called with NaN": misuse(
         lambda: STATE_POLICY(numbers(0.0, NAN)), "state must be finite, got dq = nan"
     ),
-    "StatePolicy called with a list": misuse(
-        lambda: STATE_POLICY([0.0, 0.0]), "state must be a NumPy array or a PyTorch", TypeError
+    "StatePolicy called with a set": misuse(
+        lambda: STATE_POLICY({0.0}), "state must be a NumPy array, a PyTorch tensor or", TypeError
     ),
     "StatePolicy called with text": misuse(
         lambda: STATE_POLICY(np.array(["a", "b"])),

@@ -10,7 +10,6 @@ with overwrite=true.
 
 from __future__ import annotations
 
-import logging
 import os
 import shlex
 import sys
@@ -46,7 +45,7 @@ from torch_pmil.experiments.runs.settings import (
 )
 from torch_pmil.experiments.runs.summaries import is_finished
 from torch_pmil.experiments.runs.sweep import register_launchers
-from torch_pmil.experiments.runs.telling import warn_incomplete
+from torch_pmil.experiments.runs.telling import making_the_rest, warn_incomplete
 from torch_pmil.experiments.runs.training import RunResult, train
 from torch_pmil.files import bounded_line
 
@@ -92,7 +91,6 @@ def learn(config: DictConfig) -> None:
 
 def run(config: DictConfig) -> None:
     """Learn, save, show."""
-    logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     job = HydraConfig.get()
     alone = job.mode == RunMode.RUN
@@ -163,7 +161,7 @@ def show(label: str, experiment: Experiment, result: RunResult, out: Path) -> No
         failures.append(f"standard output: {bounded_line(lost)}")
     if not is_finished(out):
         fail(f"{label}error: {out} was removed or renamed: what was learned is not there", label)
-    warn_incomplete(label, failures, out)
+    warn_incomplete(label, failures, making_the_rest(out))
 
 
 def experiment_of(settings: Settings) -> Experiment:

@@ -42,7 +42,8 @@ def tell_all(label: str, experiment: Experiment, result: RunResult, out: Path) -
 def steps_of(experiment: Experiment, result: RunResult, out: Path) -> Iterator[Step]:
     """Steps that draw figures and video (as a GIF too), and write the report with them."""
     yield "figures", partial(draw_figures, experiment, result, out / "figures")
-    yield "video", partial(film, experiment, result, out / "video.mp4")
+    if experiment.draws:
+        yield "video", partial(film, experiment, result, out / "video.mp4")
     if (out / "video.mp4").exists():
         yield "GIF", partial(write_gif, out / "video.gif", out / "video.mp4")
     yield "report", partial(write_report, out)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from torch_pmil.files import bounded_line
@@ -39,6 +42,19 @@ def tell(steps: Iterable[Step]) -> list[str]:
     return failures
 
 
+@contextmanager
+def torchrl_warnings_alone() -> Iterator[None]:
+    """TorchRL logs nothing below a warning within, unless ``RL_LOGGING_LEVEL`` asks for it."""
+    logger = logging.getLogger("torchrl")
+    before = logger.level
+    if "RL_LOGGING_LEVEL" not in os.environ:
+        logger.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
 def making_the_rest(out: Path) -> str:
     """The command that makes what is missing of what a run leaves.
 
@@ -50,12 +66,12 @@ def making_the_rest(out: Path) -> str:
     return shlex.join(["pmil", "resume", folder])
 
 
-def warn_incomplete(label: str, failures: list[str], out: Path) -> None:
-    """Say on standard error, in one line, what is missing; nothing if nothing is."""
+def warn_incomplete(label: str, failures: list[str], remedy: str) -> None:
+    """Say on standard error, in one line, what is missing and what makes it, if anything is."""
     if failures:
         print(
-            f"{label}the report is incomplete: {'; '.join(failures)}; {making_the_rest(out)} makes "
-            "the rest later, pmil report the page alone",
+            f"{label}the report is incomplete: {'; '.join(failures)}; {remedy} makes the rest "
+            "later, pmil report the page alone",
             file=sys.stderr,
             flush=True,
         )

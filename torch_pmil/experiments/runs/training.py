@@ -38,6 +38,7 @@ from torch_pmil.experiments.runs.run_folder import (
     write_metrics,
     write_origin,
 )
+from torch_pmil.experiments.runs.telling import torchrl_warnings_alone
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.files import write_json
 from torch_pmil.gp.checks import check_whole
@@ -137,7 +138,7 @@ def train(
         write_metrics(out / "metrics.csv", Trial, trainer.trials)
         on_trial(trial)
 
-    with alone_in(out):
+    with alone_in(out), torchrl_warnings_alone():
         remove_debris(out)
         saved = _same_run(rotation, identity) if resume else None
         if not resume:

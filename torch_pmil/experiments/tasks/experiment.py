@@ -89,6 +89,7 @@ class Experiment:
         holding_torques: torques (S, F) that hold the robot in states (S, D); a new policy holds it
             at the start. None: it need not.
         search: budget and horizon of the policy search.
+        draws: whether the environment gives pictures, for the video.
 
     ``objective`` is the class of the loss that :meth:`make_loss` gives.
 
@@ -119,6 +120,7 @@ class Experiment:
     least_widths: Tensor | None = None
     holding_torques: Callable[[Tensor], Tensor] | None = None
     search: SearchSettings = field(default_factory=SearchSettings)
+    draws: bool = True
 
     def __post_init__(self) -> None:
         transitions = self.exploration.rollouts * self.exploration.steps

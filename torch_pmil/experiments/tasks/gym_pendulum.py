@@ -30,10 +30,7 @@ def gym_pendulum_space() -> StateSpace:
         >>> gym_pendulum_space().observe(torch.zeros(2, dtype=torch.float64))
         tensor([0., 1.], dtype=torch.float64)
     """
-    angle = torch.tensor([[1.0, 0.0]], dtype=torch.float64)
-    tip = torch.zeros(2, 4, dtype=torch.float64)  # columns: state, sin q, cos q
-    tip[0, 2] = tip[1, 3] = LENGTH
-    match_space = MatchSpace(("x", "y"), ("m", "m"), angle, tip)
+    match_space = MatchSpace.of_links(("q",), (LENGTH,), ("q", "dq"), names=("x", "y"))
     return StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), match_space)
 
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import logging
-import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from torch_pmil.files import bounded_line
@@ -40,19 +37,6 @@ def tell(steps: Iterable[Step]) -> list[str]:
         if stopped:
             failures.append(f"{name}: stopped")
     return failures
-
-
-@contextmanager
-def torchrl_warnings_alone() -> Iterator[None]:
-    """TorchRL logs nothing below a warning within, unless ``RL_LOGGING_LEVEL`` asks for it."""
-    logger = logging.getLogger("torchrl")
-    before = logger.level
-    if "RL_LOGGING_LEVEL" not in os.environ:
-        logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
 
 
 def making_the_rest(out: Path) -> str:

@@ -38,7 +38,6 @@ from torch_pmil.experiments.runs.run_folder import (
     write_metrics,
     write_origin,
 )
-from torch_pmil.experiments.runs.telling import torchrl_warnings_alone
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.files import write_json
 from torch_pmil.gp.checks import check_whole
@@ -46,6 +45,7 @@ from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.model.compiled import available, kernels
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.experience import torchrl_warnings_alone
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.trainer.archive import SavedRun
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in

@@ -46,7 +46,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     experiment, runs = load_experiment("biorob"), [read_summary(folder) for folder in folders]
     learned = load_learned(folders[0], experiment)
     rollouts = learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
-    executed = states_of(rollouts)[:, 1:] @ IN_DEGREES.mT
+    executed = states_of(rollouts) @ IN_DEGREES.mT
     predicted = learned.predicted(experiment).add_noise(experiment.noise_std**2)
     curve = success_over_experience(runs)
     figures = {
@@ -54,6 +54,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
             [f"q {joint}" for joint in JOINTS],
             ["°"] * len(JOINTS),
             experiment.demonstrations.time_step,
+            experiment.demonstrations.positions @ IN_DEGREES.mT,
             experiment.demonstrated.affine(IN_DEGREES),
             predicted.affine(IN_DEGREES),
             executed,

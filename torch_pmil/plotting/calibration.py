@@ -76,7 +76,8 @@ def _draw_diagonal(panel: Axes) -> None:
         "transform": panel.transAxes,
         "color": DARK,
         "fontsize": "small",
-        "alpha": 0.7,
+        "zorder": 4,
+        "bbox": {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1},
     }
     panel.text(0.03, 0.96, "not sure enough", va="top", **told)
     panel.text(0.97, 0.04, "too sure", ha="right", **told)

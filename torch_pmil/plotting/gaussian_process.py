@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
@@ -81,7 +82,7 @@ def plot_moment_matching(
         >>> posterior = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
         >>> grid, samples = torch.linspace(-3, 3, 3), torch.linspace(-2, 2, 9)
         >>> figure = plot_moment_matching(grid, posterior, one, samples, one)
-        >>> [text.get_text() for text in figure.legends[0].get_texts()]
+        >>> [text.get_text() for text in figure.axes[-1].get_legend().get_texts()]
         ['mean', '± 2 std', 'exact, by sampling', 'moment matching', 'input']
     """
     if not (belief.mean.shape == matched.mean.shape == (1,) and samples.ndim == 1):
@@ -93,8 +94,8 @@ def plot_moment_matching(
     panels = figure.subplots(
         2, 2, sharex="col", sharey="row", width_ratios=(2, 1), height_ratios=(2, 1)
     )
-    (function, output), (source, empty) = panels
-    empty.set_axis_off()
+    (function, output), (source, corner) = panels
+    corner.set_axis_off()
     _draw_posterior(function, grid, posterior)
     mean, reach = matched.mean.item(), 3 * matched.std.item()
     heights = np.linspace(mean - reach, mean + reach, 400)
@@ -122,8 +123,18 @@ def plot_moment_matching(
     source.set_ylim(bottom=0)
     for panel in (output, source):
         style(panel)
-    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    corner.legend(
+        *_labelled(function, output, source), loc="center", borderaxespad=0, frameon=False
+    )
     return figure
+
+
+def _labelled(*panels: Axes) -> tuple[list[Artist], list[str]]:
+    """What is drawn in panels, with its labels."""
+    drawn = [panel.get_legend_handles_labels() for panel in panels]
+    return [line for lines, _ in drawn for line in lines], [
+        text for _, texts in drawn for text in texts
+    ]
 
 
 def _draw_posterior(panel: Axes, grid: Tensor, posterior: Gaussian) -> None:

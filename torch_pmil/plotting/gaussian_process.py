@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.plotting.style import BAND, BLUE, DARK, GREY, VERMILLION, style
+from torch_pmil.plotting.style import BAND, BLUE, DARK, GREY, VERMILLION, labelled, style
 
 BINS = 120
 INPUT, OUTPUT = "state and action $\\tilde{x}_t$", "next state $x_{t+1}$"
@@ -123,18 +122,8 @@ def plot_moment_matching(
     source.set_ylim(bottom=0)
     for panel in (output, source):
         style(panel)
-    corner.legend(
-        *_labelled(function, output, source), loc="center", borderaxespad=0, frameon=False
-    )
+    corner.legend(handles=labelled(function, output, source), loc="center", frameon=False)
     return figure
-
-
-def _labelled(*panels: Axes) -> tuple[list[Artist], list[str]]:
-    """What is drawn in panels, with its labels."""
-    drawn = [panel.get_legend_handles_labels() for panel in panels]
-    return [line for lines, _ in drawn for line in lines], [
-        text for _, texts in drawn for text in texts
-    ]
 
 
 def _draw_posterior(panel: Axes, grid: Tensor, posterior: Gaussian) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -54,6 +55,11 @@ def style(panel: Axes) -> None:
     panel.spines[["top", "right"]].set_visible(False)
     panel.grid(color="0.92", linewidth=0.6)
     panel.set_axisbelow(True)
+
+
+def labelled(*panels: Axes) -> list[Artist]:
+    """What is drawn in panels and has a label."""
+    return [drawn for panel in panels for drawn in panel.get_legend_handles_labels()[0]]
 
 
 def check_some(name: str, items: Sized) -> None:

@@ -20,6 +20,7 @@ from torch_pmil.plotting.style import (
     WIDTH,
     check_some,
     draw_range,
+    labelled,
     style,
 )
 
@@ -83,9 +84,8 @@ def plot_learning_curve(
     _plain_numbers(lower)
     for panel in (upper, lower):
         style(panel)
-    labelled = [line for panel in (upper, lower) for line in panel.get_legend_handles_labels()[0]]
-    if labelled:
-        figure.legend(handles=labelled, loc="outside upper center", ncols=2, frameon=False)
+    if handles := labelled(upper, lower):
+        figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False)
     return figure
 
 

@@ -50,7 +50,7 @@ def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figur
     check_some("panels", panels)
     columns = math.ceil(math.sqrt(len(panels)))
     rows = math.ceil(len(panels) / columns)
-    height = 0.9 + 3.4 * rows if columns > 1 else 5.0
+    height = 0.9 + 3.4 * rows if columns > 1 else 6.2
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     for index, (title, (shown, predicted, written)) in enumerate(panels.items()):
         shapes = tuple(shown.shape[1:]), tuple(written.shape[1:])

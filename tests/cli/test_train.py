@@ -424,7 +424,8 @@ def test_number_out_of_range_is_refused_before_there_is_a_folder(
         (
             ("x1", "y1", "x2", "z2"),
             0.1,
-            "demonstrations must be of x1, y1, x2, y2, got x1, y1, x2, z2",
+            "demonstrations must be of x1, y1, x2, y2, got x1, y1, x2, z2; pmil align RECORDED "
+            "OUT.npz --names x1 y1 x2 y2 renames them",
         ),
         (
             ("x1", "y1", "x2", "y2"),

@@ -288,25 +288,26 @@ def independent_start(mean: Tensor, std: Tensor) -> Gaussian:
     return Gaussian(mean, torch.diag(std**2))
 
 
-def check_demonstrations(
+def fitting(
     demonstrations: Demonstrations,
     space: StateSpace,
     env: MujocoRobotEnv | AdaptedEnv,
     target_names: tuple[str, ...] = (),
-) -> None:
-    """Raise DemonstrationError unless demonstrations fit match space, targets and control rate."""
+) -> Demonstrations:
+    """Demonstrations with their columns in the order of the match space.
+
+    Raises:
+        DemonstrationError: their names, targets or time step are not those of the task.
+    """
     if demonstrations.target_names != target_names:
         wanted = ", ".join(target_names) or "none"
         found = ", ".join(demonstrations.target_names) or "none"
         raise DemonstrationError(f"targets of the demonstrations must be {wanted}, got {found}")
-    if demonstrations.names != space.match_space.names:
-        raise DemonstrationError(
-            f"demonstrations must be of {', '.join(space.match_space.names)}, got "
-            f"{', '.join(demonstrations.names)}"
-        )
+    demonstrations = demonstrations.in_order(space.match_space.names)
     if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
         raise DemonstrationError(
             f"demonstrations must have a time step of {env.control_period} s, the robot's control "
             f"period, got {demonstrations.time_step} s; pmil align --time-step "
             f"{env.control_period} resamples a recording"
         )
+    return demonstrations

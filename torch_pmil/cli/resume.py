@@ -15,7 +15,7 @@ from pathlib import Path
 from torch_pmil.cli import Parser, train
 from torch_pmil.experiments.runs.run_folder import read_command
 from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.files import short
+from torch_pmil.files import in_words, short
 
 # of our own settings; those of Hydra name functions that it calls, and its flags other folders
 SETTING = re.compile(r"[a-z]+=")
@@ -35,7 +35,7 @@ def main() -> None:
     try:
         sys.argv = ["pmil train", *overrides(arguments.folder, arguments.settings)]
     except (RunError, OSError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     train.main()
 
 

@@ -48,7 +48,7 @@ from torch_pmil.experiments.runs.summaries import is_finished
 from torch_pmil.experiments.runs.sweep import register_launchers
 from torch_pmil.experiments.runs.telling import warn_incomplete
 from torch_pmil.experiments.runs.training import RunResult, train
-from torch_pmil.files import bounded_line
+from torch_pmil.files import bounded_line, in_words
 
 CONFIG = Path(__file__).parent / "config"
 FULL_ERROR = "HYDRA_FULL_ERROR"  # the variable with which Hydra raises its errors
@@ -116,7 +116,7 @@ def run(config: DictConfig) -> None:
         anew = again(command, "overwrite=true")
         fail(f"{label}error: {error}, as {anew}", label)
     except (ImportError, ValueError, OSError, RuntimeError) as error:
-        fail(f"{label}error: {error}", label)
+        fail(f"{label}error: {in_words(error)}", label)
 
 
 def learned(

@@ -566,7 +566,7 @@ CONTROL = {
     ),
     "PDMovements without rollouts": misuse(
         lambda: movements(rollouts=0),
-        "hold, rollouts and steps must be at least 1, got 5, 0 and 20",
+        "rollouts must be a whole number of at least 1, got 0",
     ),
     "PDMovements, gains of other torques": misuse(
         lambda: movements(gain=torch.ones(2, 2)), "reach and gain must have shapes (2,) and (1, 2)"
@@ -1231,7 +1231,7 @@ EXPERIMENTS = {
         "demonstrated_states must have shape (S, 2), got",
     ),
     "Experiment, two and a half centres": misuse(
-        lambda: replace(experiment(), num_centres=2.5), "num_centres must be a whole number of at"
+        lambda: replace(experiment(), num_centres=2.5), "num_centres must be a whole number from"
     ),
 }
 ROBOTS = {

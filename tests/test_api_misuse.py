@@ -1230,6 +1230,28 @@ EXPERIMENTS = {
         lambda: replace(experiment(), space=SPACE),
         "demonstrated_states must have shape (S, 2), got",
     ),
+    "Experiment, a setting it has not": misuse(
+        lambda: experiment().with_settings(search=1),
+        "must be one of num_centres, ",
+    ),
+    "Experiment, widths of other features": misuse(
+        lambda: experiment().with_settings(input_widths=[1.0]),
+        "input_widths must have shape (6,),",
+    ),
+    "Experiment, noise in words": misuse(
+        lambda: experiment().with_settings(noise_std=["a"]), "noise_std must be numbers, got ['a']"
+    ),
+    "Experiment, iterations in words": misuse(
+        lambda: experiment().with_settings(**{"search.restarts": "2"}),
+        "search.restarts must be an integer of at least 0, got '2'",
+    ),
+    "Experiment, an endless threshold": misuse(
+        lambda: replace(experiment(), search=SearchSettings(trust_threshold=math.inf)),
+        "search.trust_threshold must be a finite number that is not negative, got inf",
+    ),
+    "Experiment, more torque than there is": misuse(
+        lambda: replace(experiment(), random_torque=1.5), "random_torque must be at most 1, got 1.5"
+    ),
     "Experiment, two and a half centres": misuse(
         lambda: replace(experiment(), num_centres=2.5), "num_centres must be a whole number from"
     ),

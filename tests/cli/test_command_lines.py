@@ -29,6 +29,7 @@ KINDS = (
 )
 NO_ZIP = "must be a whole ZIP archive, got: File is not a zip file"
 FOLDER = "a folder of demonstrations must hold one of meta/info.json"
+NOISE = "noise_std must be a number or one for each of x1, y1, x2, y2, got "
 WITHIN = "time_step must be positive and at most the duration, 0.8 s, got "
 
 
@@ -70,6 +71,7 @@ def make_recordings(folder: Path) -> None:
         "columns.csv": f"{RECORDED}1,0,1,2,3\n",
         "headless.csv": "1,2,3\n4,5,6\n",
         "picture.png": "",
+        "wrong.yaml": "sede: 1\n",
         "empty.npz": "",
     }
     for name, text in texts.items():
@@ -187,6 +189,62 @@ LINES = (
     ("train demonstrations=loop.npz", "loop.npz: Too many levels of symbolic links"),
     ("train demonstrations=/dev/zero", f"/dev/zero: {KINDS}"),
     ("train demonstrations=strokes.npz", "demonstrations must be of x1, y1, x2, y2, got x, y"),
+    ("train noise_std=0", "noise_std must be positive, got 0.0"),
+    ("train noise_std=abc", f"{NOISE}'abc'"),
+    ("train noise_std=true", f"{NOISE}True"),
+    ("train noise_std=[0.1,0.2]", f"{NOISE}[0.1"),
+    ("train noise_std={a:1}", f"{NOISE}{{'a': 1}}"),
+    ("train noise_std=0.02,0.05", "noise_std must be one value, unless -m is given, got noise_std"),
+    ("train -m noise_std=0.02,0.05", "two runs would write to runs/double_pendulum/seed_0: noise_"),
+    ("train noise_std=${oc.env:NOPE}", "noise_std cannot be read: "),
+    ("train tolerance=-1", "tolerance must be a finite number that is not negative, got -1"),
+    ("train confirmations=0", "confirmations must be a whole number of at least 1, got 0"),
+    ("train num_centres=1e12", "num_centres must be a whole number from 1 to 10000, got 1000000"),
+    ("train random_torque=1.5", "random_torque must be at most 1, got 1.5"),
+    ("train random_torque=much", "random_torque must be a positive finite number, got 'much'"),
+    ("train input_scale=0", "input_scale must be a positive finite number, got 0"),
+    ("train input_widths=2", "input_widths must have shape (6,), got ()"),
+    ("train input_widths=[1,2]", "input_widths must have shape (6,), got (2,)"),
+    ("train input_widths=[a,b]", "input_widths must be numbers, got ['a', 'b']"),
+    ("train 'least_widths=[1,1,1,1,1,-1]'", "least_widths must be positive, got [1.0, "),
+    (
+        "train search.final_iterations=many",
+        "search.final_iterations must be an integer of at",
+    ),
+    (
+        "train search.final_iterations=-1",
+        "search.final_iterations must be an integer of at",
+    ),
+    ("train search.trust_threshold=inf", "search.trust_threshold must be a finite number that is"),
+    ("train search.skip_matched_steps=1", "search.skip_matched_steps must be true or false, got 1"),
+    ("train search.iterations=1", "there is no setting search.iterations in search.iterations=1:"),
+    ("train search=1", "there is no setting search in search=1: did you mean "),
+    ("train final_iterations=1", "there is no setting final_iterations in final_iterations=1: did"),
+    ("train +search.restarts=1", "a setting must be search.restarts=VALUE, got +search.restarts=1"),
+    ("train target_scale=2", "a setting of double_pendulum must be one of num_centres, "),
+    ("train exploration.hold=2", "a setting of double_pendulum must be one of num_centres, "),
+    ("train experiment=biorob exploration.hold=0", "exploration.hold must be a whole number of at"),
+    ("train experiment=biorob exploration.pose=[0]", "exploration.reach and gain must have shapes"),
+    (
+        "train experiment=biorob random_torque=0.5",
+        "a setting of biorob must be one of num_centres, ",
+    ),
+    ("train experiment=double_pendulum_pilco target=[1]", "target must have shape (4,), got (1,)"),
+    ("train settings=missing.yaml", "there is no file missing.yaml"),
+    ("train settings=", ".: must be a regular file of at most 16384 bytes, got a folder"),
+    (
+        "train settings=folder",
+        "folder: must be a regular file of at most 16384 bytes, got a",
+    ),
+    (
+        "train settings=pipe.csv",
+        "pipe.csv: must be a regular file of at most 16384 bytes, ",
+    ),
+    ("train settings=/dev/zero", "/dev/zero: must be a regular file of at most 16384 bytes, got a"),
+    ("train settings=binary.npz", "binary.npz: must be UTF-8, got 'utf-8' codec"),
+    ("train settings=file settings=file", "settings=FILE must be given once, got settings=file"),
+    ("train settings=wrong.yaml", "wrong.yaml: there is no setting sede in sede: 1: did you mean"),
+    ("train +settings=wrong.yaml", "there is no setting settings in +settings=wrong.yaml: "),
     ("train logger=stone", "logger must be one of csv, tensorboard, wandb, mlflow or null"),
     ("train logger=[csv]", "logger must be text that is not empty or null, got ['csv']"),
     ("train hydra.nothing=1", "Could not override 'hydra.nothing'"),

@@ -249,7 +249,9 @@ class Experiment:
         known = self.adjustable
         for name in changes:
             if name not in known:
-                raise ValueError(f"{self.name} has no setting {name}: it has {', '.join(known)}")
+                raise ValueError(
+                    f"a setting of {self.name} must be one of {', '.join(known)}, got {name}"
+                )
         grouped = replace(
             self,
             search=_with(self.search, "search.", changes),

@@ -227,7 +227,7 @@ LINES = (
     ("train experiment=biorob exploration.pose=[0]", "exploration.reach and gain must have shapes"),
     (
         "train experiment=biorob random_torque=0.5",
-        "a setting of biorob must be one of num_centres, ",
+        "a setting of biorob must be one of num_centres",
     ),
     ("train experiment=double_pendulum_pilco target=[1]", "target must have shape (4,), got (1,)"),
     ("train settings=missing.yaml", "there is no file missing.yaml"),

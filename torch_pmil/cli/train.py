@@ -79,7 +79,8 @@ def main() -> None:
         check_overrides(given.overrides, sweep=given.multirun)
         if given.help:
             with hydra_errors():
-                return print(help_of(given.overrides))
+                print(help_of(given.overrides))
+            return
     except (ImportError, ValueError, OSError) as error:
         sys.exit(f"error: {in_words(error)}")
     register_launchers(CONFIG / "launcher")

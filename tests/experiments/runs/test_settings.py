@@ -18,6 +18,7 @@ from torch_pmil.experiments.runs.setting_words import (
     FROM_ZERO,
     OF_EXPERIMENT,
     POSITIVE,
+    SETTINGS,
     SWITCH,
     WHOLE,
 )
@@ -110,9 +111,7 @@ def test_value_that_is_not_as_it_must_be_is_a_line_that_names_the_setting(name: 
 
 
 def test_setting_of_another_experiment_is_refused_with_those_there_are() -> None:
-    with pytest.raises(
-        ValueError, match=r"^a setting of biorob must be one of num_.*, got random_t"
-    ):
+    with pytest.raises(ValueError, match=r"^a setting of biorob must be one of num_.*, got random"):
         task("biorob").with_settings(random_torque=0.5)
 
 
@@ -175,3 +174,12 @@ def test_file_is_named_once() -> None:
 )
 def test_word_is_read_as_the_value_that_it_was_made_of(value: object) -> None:
     assert OverridesParser.create().parse_override(word_of("out", value)).value() == value
+
+
+def test_page_of_the_settings_has_these_words() -> None:
+    page = Path(__file__).parents[3] / "docs" / "how_to" / "settings.md"
+    rows = [
+        f"| `{name}` | {setting.meaning} | {setting.values} | {setting.unit} |"
+        for name, setting in SETTINGS.items()
+    ]
+    assert page.read_text().endswith("\n".join(["| --- | --- | --- | --- |", *rows, ""]))

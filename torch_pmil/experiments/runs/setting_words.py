@@ -49,7 +49,7 @@ OF_RUN = {
         "of all random numbers: same seed, same run", f"whole number from {SEEDS[0]} to {SEEDS[1]}"
     ),
     "demonstrations": Setting(
-        "one's own", "a file or folder; null: those that come with the package"
+        "one's own demonstrations", "a file or folder; null: those that come with the package"
     ),
     "trials": Setting("largest number of trials", f"whole number from 1 to {MOST_TRIALS}"),
     "out": Setting("folder of the run", "a path"),

@@ -566,7 +566,7 @@ CONTROL = {
     ),
     "PDMovements without rollouts": misuse(
         lambda: movements(rollouts=0),
-        "hold, rollouts and steps must be at least 1, got 5, 0 and 20",
+        "rollouts must be a whole number of at least 1, got 0",
     ),
     "PDMovements, gains of other torques": misuse(
         lambda: movements(gain=torch.ones(2, 2)), "reach and gain must have shapes (2,) and (1, 2)"
@@ -1230,8 +1230,30 @@ EXPERIMENTS = {
         lambda: replace(experiment(), space=SPACE),
         "demonstrated_states must have shape (S, 2), got",
     ),
+    "Experiment, a setting it has not": misuse(
+        lambda: experiment().with_settings(search=1),
+        "must be one of num_centres, ",
+    ),
+    "Experiment, widths of other features": misuse(
+        lambda: experiment().with_settings(input_widths=[1.0]),
+        "input_widths must have shape (6,),",
+    ),
+    "Experiment, noise in words": misuse(
+        lambda: experiment().with_settings(noise_std=["a"]), "noise_std must be numbers, got ['a']"
+    ),
+    "Experiment, iterations in words": misuse(
+        lambda: experiment().with_settings(**{"search.restarts": "2"}),
+        "search.restarts must be an integer of at least 0, got '2'",
+    ),
+    "Experiment, an endless threshold": misuse(
+        lambda: replace(experiment(), search=SearchSettings(trust_threshold=math.inf)),
+        "search.trust_threshold must be a finite number that is not negative, got inf",
+    ),
+    "Experiment, more torque than there is": misuse(
+        lambda: replace(experiment(), random_torque=1.5), "random_torque must be at most 1, got 1.5"
+    ),
     "Experiment, two and a half centres": misuse(
-        lambda: replace(experiment(), num_centres=2.5), "num_centres must be a whole number of at"
+        lambda: replace(experiment(), num_centres=2.5), "num_centres must be a whole number from"
     ),
 }
 ROBOTS = {

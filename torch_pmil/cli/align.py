@@ -35,6 +35,7 @@ from torch_pmil.demonstrations.preparation.camera import plane_coordinates
 from torch_pmil.demonstrations.preparation.jumps import without_jumps
 from torch_pmil.demonstrations.preparation.smoothing import smooth, velocities
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
+from torch_pmil.files import in_words
 from torch_pmil.plotting import plot_before_after, save_figure
 
 Timed = tuple[Tensor, Tensor]  # times (T_n,) in s and values (T_n, M)
@@ -288,7 +289,7 @@ def main() -> None:
         if options.draw:
             draw(recordings, demonstrations, options.draw)
     except (AlignmentError, DemonstrationError, ImportError, OSError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     count, samples, _ = demonstrations.positions.shape
     print(
         f"wrote {options.out}: {count} demonstrations of {samples} samples, "

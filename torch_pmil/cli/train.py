@@ -2,6 +2,8 @@
 
 Example:
     pmil train experiment=double_pendulum seed=0 trials=12 out=runs/double_pendulum/seed_0
+    pmil train noise_std=0.03 search.final_iterations=60
+    pmil train settings=mine.yaml seed=1
     pmil train -m "seed=range(10)"
 
 A run that was stopped goes on with the same command and resume=true; one that has ended is replaced
@@ -36,34 +38,67 @@ from torch_pmil.experiments.runs.lock import alone_in
 from torch_pmil.experiments.runs.pictures import tell_all
 from torch_pmil.experiments.runs.printing import print_trial, warn_of
 from torch_pmil.experiments.runs.run_folder import FinishedRunError
+from torch_pmil.experiments.runs.setting_words import OF_RUN, help_lines
 from torch_pmil.experiments.runs.settings import (
     Settings,
-    SettingsError,
     check_overrides,
     first_line,
     settings_of,
+    with_file,
+    word_of,
 )
 from torch_pmil.experiments.runs.summaries import is_finished
 from torch_pmil.experiments.runs.sweep import register_launchers
 from torch_pmil.experiments.runs.telling import making_the_rest, warn_incomplete
 from torch_pmil.experiments.runs.training import RunResult, train
-from torch_pmil.files import bounded_line
+from torch_pmil.files import bounded_line, in_words
 
 CONFIG = Path(__file__).parent / "config"
+HELP = """\
+usage: pmil train [settings=FILE] [NAME=VALUE ...]
+
+Learn an experiment from its demonstrations. The settings, as they would be now:
+
+{}
+
+FILE is YAML with NAME: VALUE in each line, as settings.yaml in the folder of a run. What is given
+beside it takes the place of what it holds. The value null is the experiment's own.
+
+pmil train -m "seed=range(10)" learns several runs, as many at once as there are cores.
+pmil train --hydra-help lists what else can be given."""
 FULL_ERROR = "HYDRA_FULL_ERROR"  # the variable with which Hydra raises its errors
 
 
 def main() -> None:
     """Read the command line and learn."""
     parser = Parser(prog="pmil train", add_help=False, parents=[get_args_parser()])
-    given = parser.parse_args()
     try:
+        sys.argv[1:] = with_file(sys.argv[1:])
+        given = parser.parse_args()
         check_overrides(given.overrides, sweep=given.multirun)
-    except SettingsError as error:
-        sys.exit(f"error: {error}")
+        if given.help:
+            with hydra_errors():
+                print(help_of(given.overrides))
+            return
+    except (ImportError, ValueError, OSError) as error:
+        sys.exit(f"error: {in_words(error)}")
     register_launchers(CONFIG / "launcher")
     with hydra_errors():
         learn()
+
+
+def help_of(overrides: list[str]) -> str:
+    """What ``pmil train --help`` says: all settings, with their values on this command line.
+
+    Raises:
+        ValueError, ImportError, OSError: there is no such experiment, or a setting is out of range.
+    """
+    with hydra.initialize_config_dir(str(CONFIG), version_base="1.3"):
+        settings = settings_of(hydra.compose("train", overrides))
+    experiment = experiment_of(settings)
+    values = {name: getattr(settings, name) for name in OF_RUN} | experiment.adjustable
+    words = {name: word_of(name, value) for name, value in values.items()}
+    return HELP.format("\n".join(help_lines(words)))
 
 
 @contextmanager
@@ -114,7 +149,7 @@ def run(config: DictConfig) -> None:
         anew = again(command, "overwrite=true")
         fail(f"{label}error: {error}, as {anew}", label)
     except (ImportError, ValueError, OSError, RuntimeError) as error:
-        fail(f"{label}error: {error}", label)
+        fail(f"{label}error: {in_words(error)}", label)
 
 
 def learned(
@@ -134,6 +169,7 @@ def learned(
         resume=settings.resume,
         logger=settings.logger,
         overwrite=settings.overwrite,
+        settings=settings.repeated,
     )
 
 
@@ -169,7 +205,10 @@ def experiment_of(settings: Settings) -> Experiment:
     demonstrations = None
     if settings.demonstrations:
         demonstrations = load_demonstrations(settings.demonstrations)
-    return load_experiment(settings.experiment, demonstrations, settings.shape, settings.robot)
+    experiment = load_experiment(
+        settings.experiment, demonstrations, settings.shape, settings.robot
+    )
+    return experiment.with_settings(**settings.changes)
 
 
 def fail(message: str, label: str) -> NoReturn:

@@ -98,6 +98,7 @@ def test_run_leaves_these_files_and_no_temporary_ones(result: RunResult, folder:
         "metrics.csv",
         "policy.pt",
         "run.json",
+        "settings.yaml",
         "summary.json",
     ]
     assert os.listdir(folder / "figures") == []
@@ -346,7 +347,7 @@ def test_run_begins_by_removing_debris(
     monkeypatch.setattr(training, "make_trainer", stop)
     with pytest.raises(KeyboardInterrupt):
         train(experiment, SEED, 1, tmp_path, COMMAND)
-    assert sorted(os.listdir(tmp_path)) == ["figures", "run.json"]
+    assert sorted(os.listdir(tmp_path)) == ["figures", "run.json", "settings.yaml"]
 
 
 @pytest.mark.parametrize("phase", ["clear_folder", "_finish"])

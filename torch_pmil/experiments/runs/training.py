@@ -37,6 +37,7 @@ from torch_pmil.experiments.runs.run_folder import (
     save_tensors,
     write_metrics,
     write_origin,
+    write_settings,
 )
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.files import write_json
@@ -86,16 +87,17 @@ def train(
     resume: bool = False,
     logger: str | None = None,
     overwrite: bool = False,
+    settings: Mapping[str, object] | None = None,
 ) -> RunResult:
     """Learn an experiment, and write policy, model and numbers into the folder of the run.
 
     These are ``policy.pt``, ``dynamics.pt``, ``summary.json``, and after every trial
     ``metrics.csv``.
 
-    ``run.json`` says how the run was begun. A checkpoint is written into ``checkpoints/`` after
-    every rollout of the robot. A run that was killed goes on from there with ``resume`` and ends
-    with the very same policy and model; one that has ended comes to the same end again, or goes on
-    if ``trials`` was its limit and is larger now.
+    ``run.json`` says how the run was begun, ``settings.yaml`` with which settings. A checkpoint is
+    written into ``checkpoints/`` after every rollout of the robot. A run that was killed goes on
+    from there with ``resume`` and ends with the very same policy and model; one that has ended
+    comes to the same end again, or goes on if ``trials`` was its limit and is larger now.
 
     Args:
         experiment: what to learn.
@@ -111,6 +113,7 @@ def train(
             none.
         overwrite: whether to replace a run that has ended; without it, and without ``resume``, such
             a run stays as it is.
+        settings: of the command, by which ``settings.yaml`` names the task.
 
     Raises:
         OSError: the folder cannot be written to.
@@ -146,6 +149,8 @@ def train(
         (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
         prepare_folder(out)
         source = provenance(command)
+        named = {"experiment": experiment.name, "seed": seed, "trials": trials, **(settings or {})}
+        write_settings(out, named | experiment.adjustable)
         write_origin(out, source)
         opened = None if logger is None else open_logger(logger, out, experiment.name, seed)
         if available():

@@ -11,7 +11,7 @@ from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
-    check_demonstrations,
+    fitting,
     independent_start,
 )
 
@@ -102,7 +102,7 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
     """
     demonstrations = demonstrations or shipped_demonstrations("double_pendulum")
     env = DoublePendulumEnv()
-    check_demonstrations(demonstrations, double_pendulum_space(), env)
+    demonstrations = fitting(demonstrations, double_pendulum_space(), env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
     return Experiment(
         name="double_pendulum",

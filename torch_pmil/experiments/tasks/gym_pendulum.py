@@ -12,7 +12,7 @@ from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.double_pendulum import unwrapped
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
-    check_demonstrations,
+    fitting,
     independent_start,
 )
 
@@ -67,7 +67,7 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
     """
     demonstrations = demonstrations or shipped_demonstrations("gym_pendulum")
     space, env = gym_pendulum_space(), gym_pendulum_env()
-    check_demonstrations(demonstrations, space, env)
+    demonstrations = fitting(demonstrations, space, env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
     return Experiment(
         name="gym_pendulum",

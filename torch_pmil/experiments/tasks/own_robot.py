@@ -25,7 +25,7 @@ from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
-    check_demonstrations,
+    fitting,
     independent_start,
 )
 from torch_pmil.gp.gaussian import Gaussian
@@ -92,8 +92,7 @@ def own_robot(
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
     robot, initial = _started(env, control_period, observed, space.names)
-    shown = _at_control_rate(recorded, control_period, space)
-    check_demonstrations(shown, space, robot())
+    shown = fitting(_at_control_rate(recorded, control_period, space), space, robot())
     states = recover_states(
         space.match_space, shown.positions, control_period, initial.mean, rates_of(space.names)
     )

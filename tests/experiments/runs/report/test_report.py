@@ -243,7 +243,7 @@ def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Pa
     ):
         write_report(folder)
     (folder / "summary.json").unlink()
-    with pytest.raises(RunError, match=r"cannot read summary\.json: No such file"):
+    with pytest.raises(RunError, match=r"holds no finished run: there is no file"):
         write_report(folder)
     assert (folder / "report.html").read_text() == page
     assert {path.name for path in folder.iterdir()} == {"figures", "report.html"}

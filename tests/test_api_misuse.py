@@ -249,9 +249,10 @@ def lines(*lengths: int) -> list[Tensor]:
 
 
 def distributions(**changes: object) -> plotting.Figure:
-    beliefs = {"demonstrated": STEPS, "predicted": STEPS, "executed": torch.zeros(3, 5, 2)}
+    beliefs = {"demonstrated": STEPS, "predicted": STEPS}
+    paths = {"demonstrations": torch.zeros(2, 6, 2), "executed": torch.zeros(3, 6, 2)}
     labels = {"names": NAMED[0], "units": NAMED[1], "time_step": 0.1}
-    return plotting.plot_distributions(**(beliefs | labels | changes))
+    return plotting.plot_distributions(**(beliefs | paths | labels | changes))
 
 
 GP = {
@@ -1344,10 +1345,12 @@ ROBOTS = {
 }
 PICTURES = {
     "plot_distributions without steps": misuse(
-        lambda: distributions(
-            demonstrated=STEPS[:0], predicted=STEPS[:0], executed=torch.zeros(3, 0, 2)
-        ),
-        "predicted and executed must",
+        lambda: distributions(demonstrated=STEPS[:0], predicted=STEPS[:0]),
+        "demonstrated.mean must hold one at least, got none",
+    ),
+    "plot_distributions of rollouts without their start": misuse(
+        lambda: distributions(executed=torch.zeros(3, 5, 2)),
+        "predicted must be (5, 2), demonstrations and executed (N, 6, 2) for",
     ),
     "plot_demonstrations of none": misuse(
         lambda: plotting.plot_demonstrations(*NAMED, 0.1, torch.zeros(0, 6, 2), STEPS),

@@ -239,10 +239,11 @@ def _check(
     predicted: Gaussian,
     executed: Tensor,
 ) -> None:
+    check_some("demonstrated.mean", demonstrated.mean)
     T, M = demonstrated.mean.shape
-    beliefs = predicted.mean.shape == (T, M) and T * M > 0
     paths = demonstrations.shape[1:] == executed.shape[1:] == (T + 1, M)
-    if not (beliefs and paths and len(names) == len(units) == M):
+    named = len(names) == len(units) == M
+    if not (predicted.mean.shape == (T, M) and paths and named):
         raise ValueError(
             f"predicted must be {(T, M)}, demonstrations and executed (N, {T + 1}, {M}) for "
             f"demonstrated marginals {(T, M)}, with a name and a unit for each entry, got "

@@ -191,6 +191,13 @@ def test_summary_holds_every_trial_whole(summary: dict, result: RunResult) -> No
     assert summary["trials"] == [asdict(trial) for trial in result.trials]
 
 
+def test_summary_says_the_units_of_the_objective_and_of_what_was_demonstrated(
+    summary: dict,
+) -> None:
+    metres = dict.fromkeys(("x1", "y1", "x2", "y2"), "m")
+    assert summary["units"] == {"objective": "nats", "demonstrations": metres}
+
+
 def test_result_holds_the_summary_that_was_written(summary: dict, result: RunResult) -> None:
     assert result.summary == summary
 

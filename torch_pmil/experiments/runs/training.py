@@ -299,6 +299,7 @@ def _measured(
 
     Of several targets it is the mean.
     """
+    match_space = experiment.space.match_space
     rates = {
         outcome.label: success_rate(experiment.error(outcome.rollouts), experiment.tolerance)
         for outcome in outcomes
@@ -320,10 +321,12 @@ def _measured(
         "saved_success_rate": fmean(rates.values()),
         "saved_n_eval": sum(len(outcome.executed) for outcome in outcomes),
         **({"saved_success_rate_by_target": rates} if len(outcomes) > 1 else {}),
-        "rms_error": _by_name(experiment.space.match_space.names, errors.square().mean(0).sqrt()),
-        "demonstration_spread": _by_name(
-            experiment.space.match_space.names, spread.square().mean(0).sqrt()
-        ),
+        "units": {
+            "objective": experiment.objective.unit,
+            "demonstrations": dict(zip(match_space.names, match_space.units, strict=True)),
+        },
+        "rms_error": _by_name(match_space.names, errors.square().mean(0).sqrt()),
+        "demonstration_spread": _by_name(match_space.names, spread.square().mean(0).sqrt()),
         "saturated": _by_name(trainer.evaluation_env.motor_names, saturated),
     }
 

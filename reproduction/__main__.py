@@ -16,6 +16,7 @@ import sys
 
 from reproduction import PAPER
 from reproduction.reproduction import reproduce
+from torch_pmil.files import in_words
 
 
 def main() -> None:
@@ -38,7 +39,7 @@ def main() -> None:
         print(f"\nstopped; go on with: {command}", file=sys.stderr)
         sys.exit(130)
     except (ImportError, OSError, RuntimeError, ValueError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     for name, value in results.headline.items():
         print(f"{name}: {'never' if value is None else f'{value:.4g}'}")
     print(f"see {out}/summary.json, {', '.join(f'{out}/{name}.png' for name in results.figures)}")

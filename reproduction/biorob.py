@@ -31,7 +31,8 @@ SEEDS, TRIALS = range(10), 4
 QUICK_SEEDS, QUICK_TRIALS = range(1), 2
 SOLVED = 0.95  # hit rate of 20 fresh starts
 START_SEED = 7_000_000  # no start that a run has seen
-PHOTOGRAPHED = (0.0, 0.4, 0.8, 1.1, 1.2, 1.6)  # s
+PHOTOGRAPHED = (0.0, 0.8, 1.1, 1.2, 1.25, 1.4)  # s; the ball is hit between 1.2 s and 1.3 s
+ARM_AND_BALL = (0.2, 0.82)  # of a picture's width
 IN_DEGREES = torch.eye(2 * len(JOINTS), dtype=torch.float64)[: len(JOINTS)].rad2deg()
 
 
@@ -46,7 +47,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     experiment, runs = load_experiment("biorob"), [read_summary(folder) for folder in folders]
     learned = load_learned(folders[0], experiment)
     rollouts = learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
-    executed = states_of(rollouts)[:, 1:] @ IN_DEGREES.mT
+    executed = states_of(rollouts) @ IN_DEGREES.mT
     predicted = learned.predicted(experiment).add_noise(experiment.noise_std**2)
     curve = success_over_experience(runs)
     figures = {
@@ -54,6 +55,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
             [f"q {joint}" for joint in JOINTS],
             ["°"] * len(JOINTS),
             experiment.demonstrations.time_step,
+            experiment.demonstrations.positions @ IN_DEGREES.mT,
             experiment.demonstrated.affine(IN_DEGREES),
             predicted.affine(IN_DEGREES),
             executed,
@@ -123,7 +125,7 @@ def measured(run: dict) -> dict[str, object]:
 
 
 def photo_series(rollout: TensorDictBase, experiment: Experiment) -> Figure:
-    """A demonstration above a rollout (T,) of the robot, as photos (Figure 8).
+    """A demonstration above a rollout (T,) of the robot, in pictures of the simulation (Figure 8).
 
     It is the first demonstration that comes with the package, led by hand anew.
 
@@ -137,10 +139,20 @@ def photo_series(rollout: TensorDictBase, experiment: Experiment) -> Figure:
     frames = [round(time / env.model.opt.timestep) for time in PHOTOGRAPHED]
     photos = {"demonstrated": torch.from_numpy(shown[frames]), "learned": done[frames]}
     try:
-        pictures = {name: [env.draw(one) for one in states] for name, states in photos.items()}
-        return plot_photo_series(pictures, PHOTOGRAPHED)
+        pictures = {
+            name: [cropped(env.draw(one)) for one in states] for name, states in photos.items()
+        }
     finally:
         env.close()
+    figure = plot_photo_series(pictures, PHOTOGRAPHED)
+    figure.supxlabel("pictures rendered from the simulation, not photographs", fontsize="medium")
+    return figure
+
+
+def cropped(picture: np.ndarray) -> np.ndarray:
+    """The part of a picture (height, width, 3) with the arm and the ball."""
+    first, last = (round(share * picture.shape[1]) for share in ARM_AND_BALL)
+    return picture[:, first:last]
 
 
 BIOROB = PaperExperiment(

@@ -62,9 +62,10 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
             match_space.names,
             match_space.units,
             experiment.demonstrations.time_step,
+            experiment.demonstrations.positions,
             experiment.demonstrated,
             predicted,
-            match_space(executed)[:, 1:],
+            match_space(executed),
         ),
     }
     return Results(headline | moment_matching, figures)

@@ -16,7 +16,7 @@ from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.experiments.runs.summaries import RunError, is_finished
 from torch_pmil.experiments.runs.training import train
 from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.files import read_json, write_json
+from torch_pmil.files import in_words, read_json, write_json
 from torch_pmil.plotting import Figure, save_figure
 from torch_pmil.trainer.trials import Measurement
 
@@ -169,7 +169,7 @@ def _attempt(run: Run, command: str) -> str | None:
     try:
         run.learn(run.out, command)
     except (ImportError, OSError, RuntimeError, ValueError) as error:
-        return f"{run.out}: {error}"
+        return f"{run.out}: {in_words(error)}"
     return None
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from reproduction.target_picture import draw_targets
 from torch_pmil.envs.biorob import biorob_model
 from torch_pmil.envs.mujoco_model import open_renderer
+from torch_pmil.files import in_words
 
 SIZE = 560  # pixels
 
@@ -42,7 +43,7 @@ def main() -> None:
         for path, picture in zip(sys.argv[1:], (draw_start(), draw_targets()), strict=True):
             matplotlib.image.imsave(path, picture)
     except (OSError, RuntimeError, ValueError) as error:
-        sys.exit(f"cannot draw: {error}")
+        sys.exit(f"cannot draw: {in_words(error)}")
 
 
 if __name__ == "__main__":

@@ -48,6 +48,7 @@ from torch_pmil.experiments.tasks.double_pendulum import (
 )
 from torch_pmil.experiments.tasks.gym_pendulum import gym_pendulum_space
 from torch_pmil.experiments.tasks.inverted_pendulum import inverted_pendulum_space
+from torch_pmil.files import in_words
 
 DEMONSTRATIONS = 5  # paper
 STRIKES = 3  # paper
@@ -234,7 +235,7 @@ def main(config: DictConfig) -> None:
     try:
         RECORDERS[config.experiment](config.seed, torque_noise_of(config)).save(out)
     except (ImportError, OSError, RuntimeError, ValueError) as error:
-        sys.exit(f"cannot record {out}: {error}")
+        sys.exit(f"cannot record {out}: {in_words(error)}")
     print(f"wrote {out}")
 
 

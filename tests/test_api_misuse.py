@@ -249,9 +249,10 @@ def lines(*lengths: int) -> list[Tensor]:
 
 
 def distributions(**changes: object) -> plotting.Figure:
-    beliefs = {"demonstrated": STEPS, "predicted": STEPS, "executed": torch.zeros(3, 5, 2)}
+    beliefs = {"demonstrated": STEPS, "predicted": STEPS}
+    paths = {"demonstrations": torch.zeros(2, 6, 2), "executed": torch.zeros(3, 6, 2)}
     labels = {"names": NAMED[0], "units": NAMED[1], "time_step": 0.1}
-    return plotting.plot_distributions(**(beliefs | labels | changes))
+    return plotting.plot_distributions(**(beliefs | paths | labels | changes))
 
 
 GP = {
@@ -464,8 +465,8 @@ CONTROL = {
     "StatePolicy called with NaN": misuse(
         lambda: STATE_POLICY(numbers(0.0, NAN)), "state must be finite, got dq = nan"
     ),
-    "StatePolicy called with a list": misuse(
-        lambda: STATE_POLICY([0.0, 0.0]), "state must be a NumPy array or a PyTorch", TypeError
+    "StatePolicy called with a set": misuse(
+        lambda: STATE_POLICY({0.0}), "state must be a NumPy array, a PyTorch tensor or", TypeError
     ),
     "StatePolicy called with text": misuse(
         lambda: STATE_POLICY(np.array(["a", "b"])),
@@ -566,7 +567,7 @@ CONTROL = {
     ),
     "PDMovements without rollouts": misuse(
         lambda: movements(rollouts=0),
-        "hold, rollouts and steps must be at least 1, got 5, 0 and 20",
+        "rollouts must be a whole number of at least 1, got 0",
     ),
     "PDMovements, gains of other torques": misuse(
         lambda: movements(gain=torch.ones(2, 2)), "reach and gain must have shapes (2,) and (1, 2)"
@@ -1230,8 +1231,30 @@ EXPERIMENTS = {
         lambda: replace(experiment(), space=SPACE),
         "demonstrated_states must have shape (S, 2), got",
     ),
+    "Experiment, a setting it has not": misuse(
+        lambda: experiment().with_settings(search=1),
+        "must be one of num_centres, ",
+    ),
+    "Experiment, widths of other features": misuse(
+        lambda: experiment().with_settings(input_widths=[1.0]),
+        "input_widths must have shape (6,),",
+    ),
+    "Experiment, noise in words": misuse(
+        lambda: experiment().with_settings(noise_std=["a"]), "noise_std must be numbers, got ['a']"
+    ),
+    "Experiment, iterations in words": misuse(
+        lambda: experiment().with_settings(**{"search.restarts": "2"}),
+        "search.restarts must be an integer of at least 0, got '2'",
+    ),
+    "Experiment, an endless threshold": misuse(
+        lambda: replace(experiment(), search=SearchSettings(trust_threshold=math.inf)),
+        "search.trust_threshold must be a finite number that is not negative, got inf",
+    ),
+    "Experiment, more torque than there is": misuse(
+        lambda: replace(experiment(), random_torque=1.5), "random_torque must be at most 1, got 1.5"
+    ),
     "Experiment, two and a half centres": misuse(
-        lambda: replace(experiment(), num_centres=2.5), "num_centres must be a whole number of at"
+        lambda: replace(experiment(), num_centres=2.5), "num_centres must be a whole number from"
     ),
 }
 ROBOTS = {
@@ -1322,10 +1345,12 @@ ROBOTS = {
 }
 PICTURES = {
     "plot_distributions without steps": misuse(
-        lambda: distributions(
-            demonstrated=STEPS[:0], predicted=STEPS[:0], executed=torch.zeros(3, 0, 2)
-        ),
-        "predicted and executed must",
+        lambda: distributions(demonstrated=STEPS[:0], predicted=STEPS[:0]),
+        "demonstrated.mean must hold one at least, got none",
+    ),
+    "plot_distributions of rollouts without their start": misuse(
+        lambda: distributions(executed=torch.zeros(3, 5, 2)),
+        "predicted must be (5, 2), demonstrations and executed (N, 6, 2) for",
     ),
     "plot_demonstrations of none": misuse(
         lambda: plotting.plot_demonstrations(*NAMED, 0.1, torch.zeros(0, 6, 2), STEPS),

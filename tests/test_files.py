@@ -12,6 +12,7 @@ import pytest
 
 from torch_pmil.files import (
     FileError,
+    in_words,
     opened,
     parse_json,
     read_bytes,
@@ -237,3 +238,31 @@ def test_only_temporaries_of_that_name_are_removed(tmp_path: Path) -> None:
     remove_temporaries(tmp_path / "*.mp4")
     assert set(os.listdir(tmp_path)) == {*kept, ".video.13.mp4"} - {".other.12.mp4"}
     remove_temporaries(tmp_path / "nowhere" / "video.mp4")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("recorded.csv", "there is no file recorded.csv"),
+        ("nowhere/else/recorded.csv", "there is no folder nowhere"),
+        ("dangling", "dangling: No such file or directory"),
+        ("folder", "folder: Is a directory"),
+        ("file/recorded.csv", "file/recorded.csv: Not a directory"),
+    ],
+)
+def test_what_the_system_says_is_told_in_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "dangling").symlink_to("nothing")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError) as error:
+        Path(name).read_text()
+    assert in_words(error.value) == said
+
+
+def test_error_without_a_file_is_told_without_its_number() -> None:
+    assert in_words(OSError(28, "No space left on device")) == "No space left on device"
+    assert in_words(OSError("ffmpeg is missing")) == "ffmpeg is missing"
+    assert in_words(ValueError("seed must be")) == "seed must be"

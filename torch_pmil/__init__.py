@@ -54,6 +54,7 @@ if TYPE_CHECKING:
         align as align,
     )
     from torch_pmil.experiments import Experiment as Experiment, load_experiment as load_experiment
+    from torch_pmil.experiments.runs.pmil import PMIL as PMIL
     from torch_pmil.gp.gaussian import (
         Gaussian as Gaussian,
         NotPositiveDefiniteError as NotPositiveDefiniteError,
@@ -116,6 +117,7 @@ MODULES = {
     "Moments": "gp.moments",
     "MultiTargetKLLoss": "search.multi_target_loss",
     "NotPositiveDefiniteError": "gp.gaussian",
+    "PMIL": "experiments.runs.pmil",
     "PMILTrainer": "trainer.trainer",
     "ParticlePrediction": "model.particles",
     "PolicyFileError": "control.policy_file",

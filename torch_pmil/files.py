@@ -248,6 +248,27 @@ def bounded_line(message: object) -> str:
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
+def in_words(error: Exception) -> str:
+    """What an error says; of the system's, the file and what is wrong with it, without a number.
+
+    Example:
+        >>> try:
+        ...     open("nowhere/recorded.csv")
+        ... except OSError as error:
+        ...     print(in_words(error))
+        there is no folder nowhere
+    """
+    if not isinstance(error, OSError) or error.strerror is None:
+        return str(error)
+    if error.filename is None:
+        return error.strerror
+    path = Path(os.fsdecode(error.filename))
+    if not isinstance(error, FileNotFoundError) or path.is_symlink():
+        return f"{path}: {error.strerror}"
+    missing = [folder for folder in reversed(path.parents) if not folder.exists()]
+    return f"there is no folder {missing[0]}" if missing else f"there is no file {path}"
+
+
 def short(value: object) -> str:
     """A value as a message shows it: in one line of bounded length, whatever it holds.
 

@@ -19,6 +19,7 @@ from reproduction.baselines.dmp_run import DMPTrial, run_dmp
 from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.files import in_words
 from torch_pmil.plotting import plot_learning_curve, save_figure
 
 
@@ -47,7 +48,7 @@ def main(config: DictConfig) -> None:
         print("\nstopped", file=sys.stderr)
         sys.exit(130)
     except (ValueError, OSError, RuntimeError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     draw(summary["trials"], out)
     print(
         f"success rate {summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh "

@@ -135,7 +135,7 @@ def test_wrong_option_is_one_line_and_writes_nothing(
 
 
 def test_missing_file_and_other_suffix_are_one_line(script: Script, tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match=r"error: .*No such file"):
+    with pytest.raises(SystemExit, match=r"error: .*there is no file"):
         script(tmp_path / "none.csv", tmp_path / "out.npz")
     with pytest.raises(SystemExit, match=r"out.csv: demonstrations are written to a .npz file"):
         script(tmp_path / "none.csv", tmp_path / "out.csv")

@@ -66,9 +66,9 @@ def test_exported_file_is_the_saved_policy(
         ),
         (
             ("policy.pt", "nowhere/policy.pt2"),
-            "error: [Errno 2] No such file or directory: 'nowhere/",
+            "error: there is no folder nowhere",
         ),
-        (("other.pt", "policy.pt2"), "error: [Errno 2] No such file or directory: 'other.pt'"),
+        (("other.pt", "policy.pt2"), "error: there is no file other.pt"),
         (
             ("text.pt", "policy.pt2"),
             "error: text.pt: must be a file of save_policy: must be a whole ZIP archive, got",

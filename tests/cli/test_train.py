@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from hydra.core.config_store import ConfigStore
@@ -23,11 +24,13 @@ from tests.experiments.runs.report.test_report import OLD
 from tests.helpers.run_script import ROOT, run_command
 from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil.cli import train
+from torch_pmil.cli.resume import overrides
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import MujocoRobotEnv
-from torch_pmil.experiments import EXPERIMENTS
+from torch_pmil.experiments import EXPERIMENTS, Experiment
 from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
 from torch_pmil.experiments.runs import pictures, settings
+from torch_pmil.experiments.runs.settings import word_of
 from torch_pmil.experiments.runs.training import RunResult, train as learn
 from torch_pmil.experiments.tasks.experiment import Outcome
 from torch_pmil.search import policy_search
@@ -38,6 +41,7 @@ UNKNOWN = f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}"
 FILES = {
     "run.json",
     "metrics.csv",
+    "settings.yaml",
     "summary.json",
     "policy.pt",
     "dynamics.pt",
@@ -185,7 +189,6 @@ def test_all_that_fails_after_the_policy_is_saved_is_one_line_at_the_end(
 ) -> None:
     for name in ("figures_of", "film_outcome", "write_report"):
         monkeypatch.setattr(pictures, name, broken)
-    monkeypatch.setattr(train, "write_report", broken)
     script("out=run")  # does not exit
     printed, complained = capsys.readouterr()
     assert "policy of trial 1: success rate 50%" in printed and "see run/summary.json" in printed
@@ -362,7 +365,71 @@ def test_setting_that_is_not_as_it_must_be_is_one_line_before_anything_is_writte
 
 def test_settings_are_those_of_the_configuration() -> None:
     config = OmegaConf.load(train.CONFIG / "train.yaml")
-    assert set(settings.NAMES) == set(config) - {"defaults", "hydra"}
+    grouped = {f"{group}.{name}" for group in ("exploration", "search") for name in config[group]}
+    plain = set(config) - {"defaults", "hydra", "exploration", "search"}
+    assert set(settings.NAMES) == plain | grouped
+
+
+def test_help_says_every_setting_with_its_value_and_what_it_means(
+    script: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script("--help", "experiment=biorob", "noise_std=0.1")
+    lines = capsys.readouterr().out.splitlines()
+    own, others = "\n".join(lines).split("Other experiments")
+    words = set(re.findall(r"^  ([a-z_.]+)=", own, re.MULTILINE))
+    words |= set(re.findall(r"^      ([a-z_.]+): ", others, re.MULTILINE))
+    assert words == {*settings.NAMES}
+    assert {"  noise_std=0.1", "  num_centres=80", "  out=runs/biorob/seed_0"} < {*lines}
+
+
+def test_help_of_a_setting_that_is_wrong_is_its_line(script: Script) -> None:
+    assert error_of(script, "--help", "noise_std=-1") == "noise_std must be positive, got -1.0"
+
+
+@pytest.mark.usefixtures("short_double_pendulum")
+def test_settings_of_a_file_and_of_the_command_line_reach_the_run(
+    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def stop(experiment: Experiment, *rest: object, settings: dict, **_: object) -> NoReturn:
+        learned.append((experiment, settings))
+        sys.exit()
+
+    learned: list[tuple[Experiment, dict]] = []
+    monkeypatch.setattr(train, "train", stop)
+    lines = ("seed: 3", "noise_std: [0.1, 0.2, 0.3, 0.4]", "search.restarts: 2", "input_scale: 2")
+    (tmp_path / "mine.yaml").write_text("\n".join(lines))
+    with pytest.raises(SystemExit):
+        script("settings=mine.yaml", "input_scale=3", "search.trust_threshold=2", "out=run")
+    ((experiment, named),) = learned
+    assert experiment.noise_std.tolist() == [0.1, 0.2, 0.3, 0.4]
+    assert (experiment.search.restarts, experiment.search.trust_threshold) == (2, 2)
+    assert (experiment.input_scale, named["seed"]) == (3, 3)
+
+
+@pytest.mark.usefixtures("nothing_to_draw")
+def test_run_leaves_the_settings_that_make_it_again(
+    script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    short = short_experiment(4)
+    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
+    quick_fits(monkeypatch)
+    script("trials=1", "seed=2", "out=run", "noise_std=0.2", "search.horizon_step=1")
+    script("settings=run/settings.yaml", "out=again")
+    script("settings=run/settings.yaml", "seed=3", "out=other")
+    run, again, other = (
+        json.loads((tmp_path / name / "summary.json").read_text())
+        for name in ("run", "again", "other")
+    )
+    assert run["settings"] == again["settings"] == other["settings"]
+    assert run["settings"]["noise_std"] == 0.2 and run["settings"]["search"]["horizon_step"] == 1
+    assert run["loss_per_step"] == again["loss_per_step"] != other["loss_per_step"]
+    assert (tmp_path / "run" / "settings.yaml").read_text().startswith('experiment: "double_pend')
+    assert overrides(tmp_path / "other", [])[-3:-1] == [
+        "seed=3",
+        word_of("out", str(tmp_path / "other")),
+    ]
+    message = error_of(script, *overrides(tmp_path / "other", ["noise_std=0.3"]))
+    assert message.endswith("has noise_std = 0.2, got 0.3: it cannot go on so")
 
 
 def test_settings_that_make_passes_on_are_all_there_are() -> None:
@@ -425,7 +492,8 @@ def test_number_out_of_range_is_refused_before_there_is_a_folder(
         (
             ("x1", "y1", "x2", "z2"),
             0.1,
-            "demonstrations must be of x1, y1, x2, y2, got x1, y1, x2, z2",
+            "demonstrations must be of x1, y1, x2, y2, got x1, y1, x2, z2; pmil align RECORDED "
+            "OUT.npz --names x1 y1 x2 y2 renames them",
         ),
         (
             ("x1", "y1", "x2", "y2"),

@@ -105,8 +105,8 @@ def test_same_generator_gives_the_same_torques(
         ({"gain": torch.zeros(4, 2)}, r"got \(4,\) and \(4, 2\)"),
         ({"reach": -REACH}, r"reach must not be negative and u_max be positive, got \[-0.4"),
         ({"u_max": torch.zeros(2)}, r"u_max be positive, got .* and \[0.0, 0.0\]"),
-        ({"hold": 0}, "must be at least 1, got 0, 3 and 20"),
-        ({"rollouts": 0}, "must be at least 1, got 5, 0 and 20"),
+        ({"hold": 0}, "hold must be a whole number of at least 1, got 0"),
+        ({"rollouts": 0}, "rollouts must be a whole number of at least 1, got 0"),
     ],
 )
 def test_movements_that_make_no_sense_are_an_error(wrong: dict[str, object], message: str) -> None:

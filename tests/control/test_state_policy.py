@@ -175,11 +175,24 @@ def test_wrong_state_is_one_line(
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("state", [[0.0] * 4, (0.0,) * 4, None, "0000"])
+@pytest.mark.parametrize("kind", [list, tuple])
+def test_lists_are_taken_as_arrays(policy: StatePolicy, kind: type) -> None:
+    torque = policy(kind([3.14, 0, 0, 0]))
+    assert isinstance(torque, np.ndarray)
+    np.testing.assert_array_equal(torque, policy(np.array([3.14, 0, 0, 0])))
+    assert policy([[3.14, 0, 0, 0]] * 3).shape == (3, 2)
+
+
+def test_ragged_list_is_one_line(policy: StatePolicy) -> None:
+    with pytest.raises(ValueError, match=r"state must hold numbers, as many in each row, got \[\["):
+        policy([[0.0] * 4, [0.0]])
+
+
+@pytest.mark.parametrize("state", [None, "0000", {0.0}])
 def test_state_that_is_no_array_is_an_error(policy: StatePolicy, state: object) -> None:
     with pytest.raises(
         TypeError,
-        match=f"state must be a NumPy array or a PyTorch tensor, got {type(state).__name__}",
+        match=f"state must be a NumPy array, .* or a list, got {type(state).__name__}",
     ):
         policy(state)
 

@@ -93,7 +93,7 @@ def test_target_that_is_missing_or_too_much_is_an_error(
     [
         (np.zeros(3), ValueError, r"target must have shape \(\*batch, 2\) for y, z, got \(3,\)"),
         (np.array([0.0, np.inf]), ValueError, "target must be finite, got z = inf"),
-        ([0.0, 0.0], TypeError, "target must be a NumPy array or a PyTorch tensor, got list"),
+        ("00", TypeError, "target must be a NumPy array, a PyTorch tensor or a list, got str"),
     ],
 )
 def test_malformed_target_is_an_error(

@@ -363,11 +363,28 @@ def test_wrong_number_of_inputs_is_an_error(draws: Draws) -> None:
 
 
 @pytest.mark.parametrize(
-    "kernel", [ScaleKernel(MaternKernel()), RBFKernel()], ids=["Matern", "unscaled"]
+    ("kernel", "name"),
+    [
+        (MaternKernel(), "MaternKernel"),
+        (ScaleKernel(MaternKernel()), r"ScaleKernel\(MaternKernel\)"),
+        (ScaleKernel(ScaleKernel(RBFKernel())), r"ScaleKernel\(ScaleKernel\)"),
+    ],
 )
-def test_unsupported_kernel_is_an_error(draws: Draws, kernel: Kernel) -> None:
-    with pytest.raises(TypeError, match="covar_module must be"):
+def test_unsupported_kernel_is_an_error(draws: Draws, kernel: Kernel, name: str) -> None:
+    with pytest.raises(TypeError, match=rf"or ScaleKernel\(RBFKernel\), got {name}$"):
         moment_match(make_model(draws, kernel=kernel), draws.belief(2))
+
+
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_kernel_without_a_scale_is_one_of_scale_one(draws: Draws, batch: tuple[int, ...]) -> None:
+    size, belief = torch.Size(batch), draws.belief(2)
+    model = make_model(draws, batch=batch, kernel=RBFKernel(ard_num_dims=2, batch_shape=size))
+    bare = parts(moment_match(model, belief))
+    scaled = ScaleKernel(model.covar_module, batch_shape=size).double()
+    scaled.outputscale = 1.0
+    model.covar_module = scaled
+    for one, other in zip(bare, parts(moment_match(model, belief)), strict=True):
+        torch.testing.assert_close(one, other)
 
 
 def test_unsupported_mean_is_an_error(draws: Draws) -> None:

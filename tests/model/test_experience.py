@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -151,3 +153,19 @@ def test_capacity_can_be_filled_to_the_last(transitions: TensorDict) -> None:
 def test_capacity_for_nothing_is_an_error(capacity: int) -> None:
     with pytest.raises(ValueError, match=f"whole number of at least 1, got {capacity}"):
         Experience(capacity)
+
+
+def test_torchrl_says_nothing_of_its_storage(draws: Draws, monkeypatch: pytest.MonkeyPatch) -> None:
+    logger, said = logging.getLogger("torchrl"), []
+    handler = logging.Handler()
+    monkeypatch.setattr(handler, "emit", said.append)
+    before = logger.level
+    logger.addHandler(handler)
+    try:
+        Experience(capacity=9).extend(make_transitions(draws, 3))
+        assert not said and logger.level == before
+        monkeypatch.setenv("RL_LOGGING_LEVEL", "INFO")
+        Experience(capacity=9).extend(make_transitions(draws, 3))
+        assert said
+    finally:
+        logger.removeHandler(handler)

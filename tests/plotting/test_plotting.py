@@ -24,9 +24,11 @@ from torch_pmil.plotting import (
     plot_success_over_experience,
     save_figure,
 )
+from torch_pmil.plotting.style import BLUE, VERMILLION, panels_of
 
 TIME_STEP = 0.1
 NAMES, UNITS = ("x1", "y1", "q", "dq"), ("m", "m", "rad", "rad/s")
+SHOWN = torch.linspace(-1, 1, 3 * 7 * 4, dtype=torch.float64).view(3, 7, 4)  # demonstrations
 
 
 def make_belief(draws: Draws, steps: int = 6, dim: int = 4, std: float = 0.2) -> Gaussian:
@@ -44,7 +46,7 @@ def swing(count: int) -> Tensor:
 def draw(demonstrated: Gaussian, predicted: Gaussian, executed: Tensor) -> Figure:
     dim = demonstrated.dim
     return plot_distributions(
-        NAMES[:dim], UNITS[:dim], TIME_STEP, demonstrated, predicted, executed
+        NAMES[:dim], UNITS[:dim], TIME_STEP, SHOWN[..., :dim], demonstrated, predicted, executed
     )
 
 
@@ -58,49 +60,80 @@ def test_every_name_of_the_room_is_there_when_it_is_asked_for() -> None:
 @pytest.mark.parametrize("dim", [1, 2, 3, 4])
 def test_every_entry_has_a_panel_with_its_unit(draws: Draws, dim: int) -> None:
     belief = make_belief(draws, dim=dim)
-    panels = draw(belief, belief, draws.normal(2, 6, dim)).axes
+    panels = draw(belief, belief, draws.normal(2, 7, dim)).axes
     assert [panel.get_ylabel() for panel in panels] == [
         f"{name} ({unit})" for name, unit in zip(NAMES[:dim], UNITS[:dim], strict=True)
     ]
     assert panels[-1].get_xlabel() == "time (s)"
 
 
-def test_bands_reach_two_standard_deviations(draws: Draws) -> None:
-    demonstrated, predicted = make_belief(draws), make_belief(draws)
+def edges(belief: Gaussian, entry: int) -> np.ndarray:
+    """Both edges of two standard deviations at t = 1..T, (2, T, 2), with their times."""
+    mean, std = belief.mean[:, entry].numpy(), belief.cov[:, entry, entry].sqrt().numpy()
     time = TIME_STEP * np.arange(1, 7)
-    for entry, panel in enumerate(draw(demonstrated, predicted, draws.normal(2, 6, 4)).axes):
-        bands = [
+    return np.stack([np.stack([time, edge], -1) for edge in (mean - 2 * std, mean + 2 * std)])
+
+
+def test_demonstrated_band_and_predicted_outline_reach_two_standard_deviations(
+    draws: Draws,
+) -> None:
+    demonstrated, predicted = make_belief(draws), make_belief(draws)
+    for entry, panel in enumerate(draw(demonstrated, predicted, draws.normal(2, 7, 4)).axes):
+        (band,) = (
             drawn for drawn in panel.collections if isinstance(drawn, FillBetweenPolyCollection)
-        ]
-        for belief, band in zip((demonstrated, predicted), bands, strict=True):
-            mean, std = belief.mean[:, entry].numpy(), belief.cov[:, entry, entry].sqrt().numpy()
-            corners = band.get_paths()[0].vertices
-            for edge in (mean - 2 * std, mean + 2 * std):
-                distances = np.abs(corners[None] - np.stack([time, edge], -1)[:, None]).max(-1)
-                np.testing.assert_allclose(distances.min(1), 0, atol=1e-12)
+        )
+        corners = band.get_paths()[0].vertices
+        for edge in edges(demonstrated, entry):
+            distances = np.abs(corners[None] - edge[:, None]).max(-1)
+            np.testing.assert_allclose(distances.min(1), 0, atol=1e-12)
+        lower, _, upper = (
+            line.get_xydata() for line in panel.lines if line.get_color() == VERMILLION
+        )
+        np.testing.assert_allclose([lower, upper], edges(predicted, entry))
 
 
-def test_demonstrated_is_blue_and_predicted_is_not(draws: Draws) -> None:
-    figure = draw(make_belief(draws), make_belief(draws), draws.normal(2, 6, 4))
+def test_only_the_demonstrated_is_filled(draws: Draws) -> None:
+    figure = draw(make_belief(draws), make_belief(draws), draws.normal(2, 7, 4))
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == ["demonstrated ± 2 std", "predicted ± 2 std", "executed"]
-    demonstrated, predicted = (
-        handle.get_facecolor()[:3] for handle in figure.legends[0].get_patches()
-    )
-    assert np.argmax(demonstrated) == 2
-    assert np.argmax(predicted) == 0
+    assert labels == [
+        "demonstrated ± 2 std",
+        "demonstrations",
+        "predicted ± 2 std",
+        "all 2 rollouts",
+    ]
+    (demonstrated,) = figure.legends[0].get_patches()
+    assert np.argmax(demonstrated.get_facecolor()[:3]) == 2
 
 
-def test_executed_rollouts_are_drawn_as_they_are(draws: Draws) -> None:
-    executed = draws.normal(3, 6, 4)
-    panel = draw(make_belief(draws), make_belief(draws), executed).axes[1]
-    dashed = [line.get_ydata() for line in panel.lines if line.is_dashed()]
-    np.testing.assert_array_equal(np.stack(dashed), executed[..., 1].numpy())
+def test_demonstrations_and_few_rollouts_are_drawn_from_the_start(draws: Draws) -> None:
+    executed = draws.normal(9, 7, 4)
+    figure = draw(make_belief(draws), make_belief(draws), executed)
+    panel, time = figure.axes[1], TIME_STEP * np.arange(7)
+    dashed = [line.get_xydata() for line in panel.lines if line.is_dashed()]
+    thin = [line.get_xydata() for line in panel.lines if line.get_color() == BLUE]
+    for drawn, paths in ((dashed, executed[:5]), (thin[1:], SHOWN)):  # the first is the mean
+        np.testing.assert_allclose(drawn, [np.stack([time, path], -1) for path in paths[..., 1]])
+    assert figure.legends[0].get_texts()[-1].get_text() == "the first 5 of 9 rollouts"
 
 
 def test_without_rollouts_the_distributions_are_drawn_alone(draws: Draws) -> None:
-    figure = draw(make_belief(draws), make_belief(draws), torch.zeros(0, 6, 4))
-    assert len(figure.legends[0].get_texts()) == 2
+    figure = draw(make_belief(draws), make_belief(draws), torch.zeros(0, 7, 4))
+    assert len(figure.legends[0].get_texts()) == 3
+
+
+def test_prediction_that_is_not_there_is_said_to_be_missing(draws: Draws, tmp_path: Path) -> None:
+    belief = make_belief(draws)
+    nothing = Gaussian(belief.mean * torch.nan, belief.cov * torch.nan)
+    figure = draw(belief, nothing, draws.normal(2, 7, 4))
+    assert figure.legends[0].get_texts()[2].get_text() == "no prediction"
+    save_figure(figure, tmp_path / "figure.png")
+
+
+@pytest.mark.parametrize("dim", range(1, 11))
+def test_grid_of_panels_has_no_empty_place(dim: int) -> None:
+    figure, panels = panels_of(dim, "time (s)")
+    grid = panels[0].get_gridspec()
+    assert grid.nrows * grid.ncols == dim == len(panels) == len(figure.axes)
 
 
 @pytest.mark.parametrize("std", [1e-4, 1e3])
@@ -109,27 +142,26 @@ def test_the_demonstrated_band_stays_readable_beside_any_prediction(
 ) -> None:
     demonstrated = make_belief(draws)
     for entry, panel in enumerate(
-        draw(demonstrated, make_belief(draws, std=std), draws.normal(2, 6, 4)).axes
+        draw(demonstrated, make_belief(draws, std=std), draws.normal(2, 7, 4)).axes
     ):
         bottom, top = panel.get_ylim()
-        edges = torch.stack(
-            [demonstrated.mean - 2 * demonstrated.std, demonstrated.mean + 2 * demonstrated.std]
-        )[..., entry]
-        assert bottom < edges.min()
-        assert edges.max() < top
+        seen = edges(demonstrated, entry)[..., 1]
+        assert bottom < seen.min()
+        assert seen.max() < top
         assert top - bottom < 20
 
 
 def test_distributions_of_different_shapes_are_refused(draws: Draws) -> None:
     with pytest.raises(
-        ValueError, match=r"predicted and executed must be .* got \(5, 4\) and \(2, 6, 4\)"
+        ValueError,
+        match=r"predicted must be \(6, 4\), .* got \(5, 4\), \(3, 7, 4\) and \(2, 7, 4\)",
     ):
-        draw(make_belief(draws), make_belief(draws, steps=5), draws.normal(2, 6, 4))
+        draw(make_belief(draws), make_belief(draws, steps=5), draws.normal(2, 7, 4))
 
 
 def test_a_prediction_with_a_graph_is_drawn(draws: Draws) -> None:
     belief = make_belief(draws)
-    draw(belief, Gaussian(belief.mean.requires_grad_(), belief.cov), draws.normal(2, 6, 4))
+    draw(belief, Gaussian(belief.mean.requires_grad_(), belief.cov), draws.normal(2, 7, 4))
 
 
 def test_learning_curve_is_in_percent_seconds_and_nats() -> None:
@@ -156,9 +188,28 @@ def test_learning_curve_of_another_loss_is_labelled_so() -> None:
     )
 
 
-@pytest.mark.parametrize("kl", [[np.nan, np.nan], [0.0, 1.0]])
-def test_learning_curve_leaves_out_what_has_no_logarithm(kl: list[float], tmp_path: Path) -> None:
-    save_figure(plot_learning_curve([2.5, 5.0], [0.0, 0.5], kl), tmp_path / "curve.png")
+@pytest.mark.parametrize(
+    ("kl", "missing"),
+    [([np.nan, np.nan], [2.5, 5.0]), ([0.0, 1.0], [2.5]), ([2.0, np.inf], [5.0])],
+    ids=str,
+)
+def test_learning_curve_has_a_cross_for_what_has_no_logarithm(
+    kl: list[float], missing: list[float], tmp_path: Path
+) -> None:
+    figure = plot_learning_curve([2.5, 5.0], [0.0, 0.5], kl)
+    (crosses,) = [line for line in figure.axes[1].lines if line.get_marker() == "x"]
+    assert list(crosses.get_xdata()) == missing
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["no value"]
+    save_figure(figure, tmp_path / "curve.png")
+
+
+@pytest.mark.parametrize("loss", [2.0, np.nan])
+def test_learning_curve_ends_with_the_saved_policy(loss: float, tmp_path: Path) -> None:
+    figure = plot_learning_curve([2.5, 5.0], [0.0, 0.5], [9.0, 5.0], saved=(7.5, 1.0, loss))
+    stars = [line.get_xydata() for panel in figure.axes for line in panel.lines[1:]]
+    np.testing.assert_array_equal(stars[-2:], [[[7.5, 100]], [[7.5, loss]]])
+    assert figure.axes[1].get_xlim()[1] > 7.5
+    save_figure(figure, tmp_path / "curve.png")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,11 @@ LINE = torch.tensor([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]], dtype=torch.float64)
 
 
 def writing(cov: torch.Tensor) -> tuple[torch.Tensor, Gaussian, torch.Tensor]:
-    return (LINE.expand(7, 3, 2), Gaussian(LINE[1:], cov.expand(2, 2, 2)), 2 * LINE.expand(4, 3, 2))
+    return (
+        LINE.expand(7, 3, 2),
+        Gaussian(LINE[1:], cov.expand(2, 2, 2)),
+        2 * LINE.expand(20, 3, 2),
+    )
 
 
 @pytest.mark.parametrize("angle", [0.0, 30.0, 100.0])
@@ -34,10 +38,12 @@ def test_ellipses_are_two_standard_deviations_along_the_axes_of_the_covariance(
     np.testing.assert_allclose(ellipses.get_offsets(), LINE[1:])
 
 
-def test_every_stroke_is_a_line_and_every_task_a_panel() -> None:
+def test_every_stroke_of_people_is_a_line_few_of_the_robot_are_and_every_task_a_panel() -> None:
     figure = plot_writing({name: writing(torch.eye(2, dtype=torch.float64)) for name in "abc"})
     assert [panel.get_title() for panel in figure.axes] == ["a", "b", "c"]
     for panel in figure.axes:
-        assert len(panel.lines) == 7 + 1 + 4
+        assert len(panel.lines) == 7 + 1 + 5
         np.testing.assert_allclose(panel.lines[0].get_xydata(), LINE)
         np.testing.assert_allclose(panel.lines[-1].get_xydata(), 2 * LINE)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels[::2] == ["7 strokes of people", "robot: the first 5 of 20 rollouts"]

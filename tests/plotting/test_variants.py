@@ -10,10 +10,10 @@ from matplotlib.lines import Line2D
 from torch_pmil.plotting import plot_variants
 from torch_pmil.plotting.style import VERMILLION
 
-LABELS = ["never", "late", "best", "early"]
-RATES = np.array([[0.0, 0.0], [0.5, 0.7], [1.0, 0.9], [0.6, 0.6]])
-SECONDS = np.array([[np.inf, np.inf], [20.0, np.inf], [10.0, 7.5], [5.0, 7.5]])
-ORDER = [2, 3, 1, 0]
+LABELS = ["ours", "never", "late", "best", "early"]
+RATES = np.array([[0.7, 0.8], [0.0, 0.0], [0.5, 0.7], [1.0, 0.9], [0.6, 0.6]])
+SECONDS = np.array([[10.0, 12.5], [np.inf, np.inf], [20.0, np.inf], [10.0, 7.5], [5.0, 7.5]])
+ORDER = [0, 3, 4, 2, 1]
 
 
 @pytest.fixture
@@ -29,11 +29,13 @@ def points(figure: Figure, panel: int, marker: str) -> np.ndarray:
         if isinstance(line, Line2D) and line.get_marker() == marker
     ]
     rows = np.round(line.get_ydata()).reshape(RATES.shape)
-    np.testing.assert_array_equal(rows, np.arange(4)[:, None] + np.zeros(2))
+    np.testing.assert_array_equal(rows, np.arange(len(LABELS))[:, None] + np.zeros(2))
     return line.get_xdata().reshape(RATES.shape)
 
 
-def test_the_best_is_on_top_and_among_equals_the_one_that_needed_less(figure: Figure) -> None:
+def test_ours_is_on_top_then_the_best_and_among_equals_the_one_that_needed_less(
+    figure: Figure,
+) -> None:
     left, right = figure.axes
     assert [tick.get_text() for tick in left.get_yticklabels()] == [
         LABELS[index] for index in ORDER
@@ -70,21 +72,23 @@ def test_runs_without_success_are_crosses_beyond_the_end(figure: Figure) -> None
 
 
 def test_where_all_succeed_nothing_is_said_of_never() -> None:
-    figure = plot_variants(LABELS, RATES, np.full((4, 2), 5.0))
+    figure = plot_variants(LABELS, RATES, np.full(SECONDS.shape, 5.0))
     assert VERMILLION not in [line.get_color() for line in figure.axes[1].lines]
     assert "never" not in [tick.get_text() for tick in figure.axes[1].get_xticklabels()]
 
 
 def test_where_none_succeeds_all_are_never() -> None:
-    assert np.isfinite(points(plot_variants(LABELS, RATES, np.full((4, 2), np.inf)), 1, "x")).all()
+    assert np.isfinite(
+        points(plot_variants(LABELS, RATES, np.full(SECONDS.shape, np.inf)), 1, "x")
+    ).all()
 
 
 def test_other_shapes_are_refused() -> None:
     with pytest.raises(
-        ValueError, match=r"must be \(3, runs\) for 3 labels, got \(4, 2\), \(4, 2\)"
+        ValueError, match=r"must be \(3, runs\) for 3 labels, got \(5, 2\), \(5, 2\)"
     ):
         plot_variants(LABELS[:3], RATES, SECONDS)
     with pytest.raises(
-        ValueError, match=r"must be \(4, runs\) for 4 labels, got \(4, 2\), \(4, 1\)"
+        ValueError, match=r"must be \(5, runs\) for 5 labels, got \(5, 2\), \(5, 1\)"
     ):
         plot_variants(LABELS, RATES, SECONDS[:, :1])

@@ -12,8 +12,16 @@ import numpy as np
 import pytest
 
 from reproduction import biorob
-from reproduction.biorob import headline_of, needed_runs, photo_series, results
+from reproduction.biorob import (
+    PHOTOGRAPHED,
+    cropped,
+    headline_of,
+    needed_runs,
+    photo_series,
+    results,
+)
 from tests.helpers.short_run import quick_fits
+from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.training import train
 from torch_pmil.search.policy_search import SearchSettings
@@ -89,17 +97,28 @@ def test_report_of_a_short_run_has_its_figures_in_degrees(
     )
 
 
-def test_photographs_are_of_the_demonstration_and_of_the_rollout() -> None:
+def test_pictures_are_of_the_demonstration_and_of_the_rollout_and_said_to_be_rendered() -> None:
     experiment = load_experiment("biorob")
     env = experiment.make_env(seed=3)
     rollout = env.rollout(18)
     try:
-        panels = photo_series(rollout, experiment).axes
+        figure = photo_series(rollout, experiment)
     except RuntimeError as error:
         pytest.skip(str(error))
-    assert len(panels) == 12
-    last = env.draw(env.replay(rollout["observation"][0], rollout["action"], 1)[16])
+    panels = figure.axes
+    assert len(panels) == 12 and "rendered" in figure.get_supxlabel()
+    last = cropped(env.draw(env.replay(rollout["observation"][0], rollout["action"], 1)[14]))
     env.close()
     shades = [panel.images[0].get_array().astype(int) for panel in panels]
     assert np.abs(shades[-1] - last).max() <= 2  # a shade may be rounded either way
     assert np.abs(shades[5] - last).max() > 50
+
+
+def test_the_ball_of_the_demonstration_is_hit_while_pictures_are_taken() -> None:
+    model = load_experiment("biorob").make_env(seed=0).model
+    strike = Variation().of(Strike(), model, np.random.default_rng(0))
+    frames = [round(time / model.opt.timestep) for time in PHOTOGRAPHED]
+    ball = 1 + model.joint("ball").qposadr[0]  # a state begins with the time
+    places = record_strike(model, strike).physics[frames, ball : ball + 3]
+    moved = np.linalg.norm(places - places[0], axis=1)
+    assert moved[:4].max() < 1e-3 < 0.1 < moved[4] < moved[5]

@@ -4,7 +4,9 @@ few evaluations.
 
 from __future__ import annotations
 
+import io
 import math
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from types import SimpleNamespace
@@ -260,11 +262,25 @@ def timeless(trials: list[Trial]) -> list[dict[str, object]]:
     return [asdict(replace(trial, gp_seconds=0.0, search_seconds=0.0)) for trial in trials]
 
 
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    """A terminal that is standard error from now on."""
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    return screen
+
+
 def test_same_seed_gives_the_same_trials_bit_for_bit_with_a_progress_bar_too(
-    trained: PMILTrainer,
+    trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    screen = terminal(monkeypatch)
     again, _ = make(trials=2, progress_bar=True)
     again.train()
+    assert screen.getvalue()
     assert timeless(again.trials) == timeless(trained.trials)
     for key in ("observation", "action"):
         assert torch.equal(again.experience.transitions[key], trained.experience.transitions[key])
@@ -272,11 +288,33 @@ def test_same_seed_gives_the_same_trials_bit_for_bit_with_a_progress_bar_too(
 
 def test_what_is_done_is_shown_beside_the_progress_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[str] = []
+    terminal(monkeypatch)
     trainer, _ = make(trials=1, progress_bar=True)
     monkeypatch.setattr(tqdm, "set_postfix_str", lambda bar, text: shown.append(text))
     trainer.train()
     assert shown[:2] == ["the robot moves", f"fitting the model to {HORIZON} transitions"]
     assert shown[2].startswith("search: ")
+    assert shown[-1] == "limit of trials"
+
+
+def test_bar_of_a_run_that_learned_before_its_last_trial_ends_at_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    screen = terminal(monkeypatch)
+    trainer, _ = make(trials=9, progress_bar=True, tolerance=1e6, confirmations=1)
+    trainer.train()
+    assert len(trainer.trials) == 1
+    last = screen.getvalue().rstrip("\n").rpartition("\r")[-1]
+    assert "100%" in last and f"{2 * HORIZON}/{2 * HORIZON}" in last
+    assert trainer.stop_reason in last
+
+
+def test_where_standard_error_is_no_terminal_there_is_no_bar(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    trainer, _ = make(trials=1, progress_bar=True)
+    trainer.train()
+    assert capsys.readouterr().err == ""
 
 
 def test_other_seed_gives_another_run(trained: PMILTrainer) -> None:

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -28,10 +30,12 @@ from torch_pmil.demonstrations import (
     Recordings,
     load_recordings,
 )
-from torch_pmil.demonstrations.preparation.alignment import AlignmentError, align, crop, resample
+from torch_pmil.demonstrations.preparation.alignment import AlignmentError, crop, resample
 from torch_pmil.demonstrations.preparation.camera import plane_coordinates
 from torch_pmil.demonstrations.preparation.jumps import without_jumps
 from torch_pmil.demonstrations.preparation.smoothing import smooth, velocities
+from torch_pmil.demonstrations.preparation.synchronisation import synchronise
+from torch_pmil.files import in_words
 from torch_pmil.plotting import plot_before_after, save_figure
 
 Timed = tuple[Tensor, Tensor]  # times (T_n,) in s and values (T_n, M)
@@ -55,19 +59,22 @@ def align_recordings(recordings: Recordings, options: argparse.Namespace) -> Dem
         preprocessed_one(*one, recordings.names, options)
         for one in zip(recordings.times, recordings.values, strict=True)
     ]
-    recorded_step = torch.cat([times.diff() for times in recordings.times]).median().item()
-    even = [resample(values, times, recorded_step) for times, values in preprocessed]
-    derived = range(len(recordings.names), len(names))
-    kept = [crop(values, velocities=derived) for values in even] if options.crop else even
+    if options.crop:
+        derived = range(len(recordings.names), len(names))
+        preprocessed = [cropped(*one, derived) for one in preprocessed]
+    times, values = zip(*preprocessed, strict=True)
+    prepared = replace(recordings, times=times, values=values, names=tuple(names), places=())
     reference = None
     if options.reference is not None:
         reference = number_of(options.reference, recordings.labels)
-    aligned = align(kept, [names.index(name) for name in rates], options.window, reference)
-    times = recorded_step * torch.arange(aligned.shape[1], dtype=torch.float64)
-    positions = resample(aligned, times, options.time_step)
-    return Demonstrations(
-        positions, options.time_step, tuple(names), recordings.targets, recordings.target_names
-    )
+    return synchronise(prepared, options.time_step, rates, options.window, reference)
+
+
+def cropped(times: Tensor, values: Tensor, velocities: Sequence[int]) -> Timed:
+    """The part of a recording that moves, at its median time step."""
+    step = times.diff().median().item()
+    kept = crop(resample(values, times, step), velocities=velocities)
+    return step * torch.arange(len(kept), dtype=torch.float64), kept
 
 
 def preprocessed_one(
@@ -76,8 +83,6 @@ def preprocessed_one(
     """One recording, prepared: in metres, without jumps, smoothed, with velocities.
 
     Steps that were not asked for are left out.
-
-    These are metres for pixels, without jumps, smoothed, with velocities.
     """
     positions = torch.tensor([name not in options.velocities for name in names])
     if options.marker:
@@ -284,7 +289,7 @@ def main() -> None:
         if options.draw:
             draw(recordings, demonstrations, options.draw)
     except (AlignmentError, DemonstrationError, ImportError, OSError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     count, samples, _ = demonstrations.positions.shape
     print(
         f"wrote {options.out}: {count} demonstrations of {samples} samples, "

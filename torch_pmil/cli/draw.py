@@ -34,6 +34,7 @@ from torch_pmil.demonstrations.preparation.drawing import (
     read_strokes,
     save_drawing,
 )
+from torch_pmil.files import in_words
 
 STROKES = 5  # that the page asks for
 PAGE = Path(__file__).parent / "drawing_page"
@@ -134,8 +135,8 @@ class DrawingHandler(BaseHTTPRequestHandler):
         try:
             saved = self.server.save(self.rfile.read(int(length)))
         except (AlignmentError, DrawingError, OSError) as error:
-            print(f"not saved: {error}", file=sys.stderr, flush=True)
-            return self._answer(HTTPStatus.UNPROCESSABLE_ENTITY, f"Not saved: {error}.")
+            print(f"not saved: {in_words(error)}", file=sys.stderr, flush=True)
+            return self._answer(HTTPStatus.UNPROCESSABLE_ENTITY, f"Not saved: {in_words(error)}.")
         self._answer(
             HTTPStatus.OK,
             f"Saved {len(saved.positions)} strokes in {self.server.path.name}: see the terminal "
@@ -216,7 +217,7 @@ def main() -> None:
             print(f"draw at {server.address} (Ctrl-C ends without saving)", flush=True)
             server.serve_forever()
     except (DrawingError, OSError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     except KeyboardInterrupt:
         sys.exit("\nended, nothing was saved")
     assert server.saved is not None  # the server ends by itself when a drawing is saved

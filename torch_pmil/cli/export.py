@@ -11,6 +11,7 @@ from pathlib import Path
 
 from torch_pmil.cli import Parser
 from torch_pmil.control.policy_file import load_policy
+from torch_pmil.files import in_words
 
 
 def main() -> None:
@@ -26,5 +27,5 @@ def main() -> None:
         policy = load_policy(arguments.policy)
         policy.export(arguments.out, batch=arguments.batch)
     except (OSError, ValueError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     print(f"wrote {arguments.out}: {policy.extra_repr()}")

@@ -13,6 +13,7 @@ from pathlib import Path
 from torch_pmil.cli import Parser
 from torch_pmil.demonstrations import load_recordings
 from torch_pmil.demonstrations.inspection import advice, describe
+from torch_pmil.files import in_words
 from torch_pmil.gp.checks import check_positive
 from torch_pmil.plotting import plot_recordings, save_figure
 
@@ -44,7 +45,7 @@ def main() -> None:
             save_figure(figure, arguments.draw)
             print(f"\nwrote {arguments.draw}")
     except (ValueError, ImportError, OSError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
 
 
 def _options(arguments: argparse.Namespace) -> list[str]:

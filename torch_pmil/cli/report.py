@@ -12,6 +12,7 @@ from pathlib import Path
 from torch_pmil.cli import Parser
 from torch_pmil.experiments.runs.report import write_report
 from torch_pmil.experiments.runs.summaries import RunError
+from torch_pmil.files import in_words
 
 
 def main() -> None:
@@ -22,7 +23,7 @@ def main() -> None:
     try:
         page = write_report(folder)
     except (RunError, OSError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     absent = ""
     if missing := missing_in(folder):
         absent = f", without {' and '.join(missing)}: pmil resume {folder} makes them"

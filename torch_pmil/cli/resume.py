@@ -7,18 +7,15 @@ Example:
 
 from __future__ import annotations
 
-import re
 import shlex
 import sys
 from pathlib import Path
 
 from torch_pmil.cli import Parser, train
 from torch_pmil.experiments.runs.run_folder import read_command
+from torch_pmil.experiments.runs.settings import NAMES, word_of
 from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.files import short
-
-# of our own settings; those of Hydra name functions that it calls, and its flags other folders
-SETTING = re.compile(r"[a-z]+=")
+from torch_pmil.files import in_words, short
 
 
 def main() -> None:
@@ -35,7 +32,7 @@ def main() -> None:
     try:
         sys.argv = ["pmil train", *overrides(arguments.folder, arguments.settings)]
     except (RunError, OSError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     train.main()
 
 
@@ -52,11 +49,12 @@ def overrides(folder: Path, changed: list[str]) -> list[str]:
             f"{folder} was begun by {shlex.join(words)}, not by pmil train: use that command"
         )
     for word in words[2:]:
-        if not SETTING.match(word):
+        # the settings of Hydra name functions that it calls, and its flags other folders
+        name, equals, _ = word.partition("=")
+        if not equals or name not in NAMES:
             raise RunError(
                 f"{folder}: run.json is damaged: a setting must be NAME=VALUE, got {short(word)}"
             )
-    out = str(folder).replace("\\", "\\\\").replace("'", "\\'")
-    new = [*changed, f"out='{out}'", "resume=true"]
+    new = [*changed, word_of("out", str(folder)), "resume=true"]
     names = {setting.partition("=")[0] for setting in new} | {"overwrite"}
     return [word for word in words[2:] if word.partition("=")[0] not in names] + new

@@ -24,7 +24,7 @@ from torch_pmil.experiments.runs.summaries import (
     read_summary,
     success_over_experience,
 )
-from torch_pmil.files import write_json
+from torch_pmil.files import in_words, write_json
 from torch_pmil.plotting import plot_success_over_experience, save_figure
 
 SUCCESS_RATE = 0.95  # paper
@@ -137,4 +137,4 @@ def main() -> None:
     try:
         summarize(arguments.folders, arguments.out, command)
     except (OSError, RunError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")

@@ -2,6 +2,8 @@
 
 Example:
     pmil train experiment=double_pendulum seed=0 trials=12 out=runs/double_pendulum/seed_0
+    pmil train noise_std=0.03 search.final_iterations=60
+    pmil train settings=mine.yaml seed=1
     pmil train -m "seed=range(10)"
 
 A run that was stopped goes on with the same command and resume=true; one that has ended is replaced
@@ -10,13 +12,11 @@ with overwrite=true.
 
 from __future__ import annotations
 
-import logging
 import os
 import shlex
 import sys
-from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -29,49 +29,76 @@ from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
-from tqdm import tqdm
 
 from torch_pmil.cli import Parser, lasting_output, lost_output
-from torch_pmil.demonstrations import DemonstrationError, load_demonstrations
+from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.before_a_run import check
-from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
 from torch_pmil.experiments.runs.lock import alone_in
-from torch_pmil.experiments.runs.pictures import steps_of
-from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.experiments.runs.pictures import tell_all
+from torch_pmil.experiments.runs.printing import print_trial, warn_of
 from torch_pmil.experiments.runs.run_folder import FinishedRunError
+from torch_pmil.experiments.runs.setting_words import OF_RUN, help_lines
 from torch_pmil.experiments.runs.settings import (
     Settings,
-    SettingsError,
     check_overrides,
     first_line,
     settings_of,
+    with_file,
+    word_of,
 )
 from torch_pmil.experiments.runs.summaries import is_finished
 from torch_pmil.experiments.runs.sweep import register_launchers
-from torch_pmil.experiments.runs.telling import tell, warn_incomplete
+from torch_pmil.experiments.runs.telling import making_the_rest, warn_incomplete
 from torch_pmil.experiments.runs.training import RunResult, train
-from torch_pmil.files import bounded_line
-from torch_pmil.search.trajectory_loss import TrajectoryLoss
-from torch_pmil.trainer.trials import Trial
+from torch_pmil.files import bounded_line, in_words
 
 CONFIG = Path(__file__).parent / "config"
+HELP = """\
+usage: pmil train [settings=FILE] [NAME=VALUE ...]
+
+Learn an experiment from its demonstrations. The settings, as they would be now:
+
+{}
+
+FILE is YAML with NAME: VALUE in each line, as settings.yaml in the folder of a run. What is given
+beside it takes the place of what it holds. The value null is the experiment's own.
+
+pmil train -m "seed=range(10)" learns several runs, as many at once as there are cores.
+pmil train --hydra-help lists what else can be given."""
 FULL_ERROR = "HYDRA_FULL_ERROR"  # the variable with which Hydra raises its errors
-LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what a run may leave for the eye
-MOST_WARNINGS = 10  # of one cause
 
 
 def main() -> None:
     """Read the command line and learn."""
     parser = Parser(prog="pmil train", add_help=False, parents=[get_args_parser()])
-    given = parser.parse_args()
     try:
+        sys.argv[1:] = with_file(sys.argv[1:])
+        given = parser.parse_args()
         check_overrides(given.overrides, sweep=given.multirun)
-    except SettingsError as error:
-        sys.exit(f"error: {error}")
+        if given.help:
+            with hydra_errors():
+                print(help_of(given.overrides))
+            return
+    except (ImportError, ValueError, OSError) as error:
+        sys.exit(f"error: {in_words(error)}")
     register_launchers(CONFIG / "launcher")
     with hydra_errors():
         learn()
+
+
+def help_of(overrides: list[str]) -> str:
+    """What ``pmil train --help`` says: all settings, with their values on this command line.
+
+    Raises:
+        ValueError, ImportError, OSError: there is no such experiment, or a setting is out of range.
+    """
+    with hydra.initialize_config_dir(str(CONFIG), version_base="1.3"):
+        settings = settings_of(hydra.compose("train", overrides))
+    experiment = experiment_of(settings)
+    values = {name: getattr(settings, name) for name in OF_RUN} | experiment.adjustable
+    words = {name: word_of(name, value) for name, value in values.items()}
+    return HELP.format("\n".join(help_lines(words)))
 
 
 @contextmanager
@@ -99,7 +126,6 @@ def learn(config: DictConfig) -> None:
 
 def run(config: DictConfig) -> None:
     """Learn, save, show."""
-    logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # the matrices are small: more threads wait for each other
     job = HydraConfig.get()
     alone = job.mode == RunMode.RUN
@@ -123,7 +149,7 @@ def run(config: DictConfig) -> None:
         anew = again(command, "overwrite=true")
         fail(f"{label}error: {error}, as {anew}", label)
     except (ImportError, ValueError, OSError, RuntimeError) as error:
-        fail(f"{label}error: {error}", label)
+        fail(f"{label}error: {in_words(error)}", label)
 
 
 def learned(
@@ -143,6 +169,7 @@ def learned(
         resume=settings.resume,
         logger=settings.logger,
         overwrite=settings.overwrite,
+        settings=settings.repeated,
     )
 
 
@@ -161,21 +188,16 @@ def name_of(config: DictConfig) -> str:
 
 
 def show(label: str, experiment: Experiment, result: RunResult, out: Path) -> None:
-    """Report, print, draw and film a run that is saved. What fails is said at the end, in a line.
+    """Report, print, draw and film a run that is saved.
 
-    The report is there at once, and again with figures and video when they are drawn. Ends with an
-    error only where the run is no longer there.
+    Ends with an error only where the run is no longer there.
     """
-    with suppress(Exception):  # the step that writes it again says what fails
-        write_report(out, drawn=False)
-    print_result(label, result.summary)
-    failures = tell(steps_of(experiment, result, out))
-    print_left(label, out)
+    failures = tell_all(label, experiment, result, out)
     if lost := lost_output():
         failures.append(f"standard output: {bounded_line(lost)}")
     if not is_finished(out):
         fail(f"{label}error: {out} was removed or renamed: what was learned is not there", label)
-    warn_incomplete(label, failures, out)
+    warn_incomplete(label, failures, making_the_rest(out))
 
 
 def experiment_of(settings: Settings) -> Experiment:
@@ -183,7 +205,10 @@ def experiment_of(settings: Settings) -> Experiment:
     demonstrations = None
     if settings.demonstrations:
         demonstrations = load_demonstrations(settings.demonstrations)
-    return load_experiment(settings.experiment, demonstrations, settings.shape, settings.robot)
+    experiment = load_experiment(
+        settings.experiment, demonstrations, settings.shape, settings.robot
+    )
+    return experiment.with_settings(**settings.changes)
 
 
 def fail(message: str, label: str) -> NoReturn:
@@ -196,84 +221,3 @@ def fail(message: str, label: str) -> NoReturn:
         sys.exit(message)
     print(message, file=sys.stderr, flush=True)
     raise CompactHydraException(message)
-
-
-def say(label: str, text: str) -> None:
-    """Print lines above the progress bar, each with the label.
-
-    The runs of a sweep print to one terminal.
-    """
-    tqdm.write("\n".join(label + line for line in text.splitlines()))
-    sys.stdout.flush()
-
-
-def warn_of(label: str, findings: list[Finding]) -> None:
-    """Print what may go wrong with the demonstrations; raise DemonstrationError at what must.
-
-    Of each cause the first ``MOST_WARNINGS`` are printed.
-    """
-    for finding in findings:
-        if finding.fatal:
-            raise DemonstrationError(finding.message)
-    counts: Counter[str] = Counter()
-    for finding in findings:
-        counts[finding.cause] += 1
-        if counts[finding.cause] <= MOST_WARNINGS:
-            say(label, f"warning: {finding.message}")
-    for cause, count in counts.items():
-        if count > MOST_WARNINGS:
-            say(label, f"warning: {count - MOST_WARNINGS} more of {cause}")
-
-
-def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> None:
-    """Print one line for a trial."""
-    predicted = f"{objective.label} {trial.loss:6.1f} {objective.unit}".rstrip()
-    say(
-        label,
-        f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {predicted}, own "
-        f"rollout {'succeeded' if trial.own_success else 'failed'}, success rate "
-        f"{trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s",
-    )
-
-
-def by_entry(summary: dict) -> str:
-    """The coverage of each entry of the state."""
-    return ", ".join(
-        f"{name} {coverage:.0%}"
-        for name, coverage in summary["two_sigma_coverage_by_entry"].items()
-    )
-
-
-def of_predictions(summary: dict) -> str:
-    """How far the executed states were predicted, or why they were not."""
-    if "prediction_error" in summary:
-        return f"the model cannot predict this policy: {summary['prediction_error']}"
-    return (
-        f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted "
-        f"standard deviations: {by_entry(summary)}"
-    )
-
-
-def holds_something(path: Path) -> bool:
-    """Whether there is a file, or a folder with one."""
-    return any(path.glob("*")) if path.is_dir() else path.exists()
-
-
-def print_result(label: str, summary: dict) -> None:
-    """Print what the run came to."""
-    reasons = [f"{reason['cause']}: {reason['message']}" for reason in summary["diagnosis"]]
-    lines = [
-        f"policy of trial {summary['saved_trial']}: success rate "
-        f"{summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh starts after "
-        f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of "
-        f"computing ({summary['stop_reason']})",
-        of_predictions(summary),
-        *(f"likely reason: {reason}" for reason in reasons),
-    ]
-    say(label, "\n".join(lines))
-
-
-def print_left(label: str, out: Path) -> None:
-    """Print where there is something to see."""
-    left = [str(out / name) for name in LEFT if holds_something(out / name)]
-    say(label, f"see {', '.join(left)}")

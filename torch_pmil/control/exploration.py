@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.rbf_policy import check_limits
-from torch_pmil.gp.checks import check_finite_entries, check_whole
+from torch_pmil.gp.checks import check_finite_entries, check_tensor, check_whole
 
 Feedforward = Callable[[Tensor], Tensor]
 
@@ -139,6 +139,7 @@ class PDMovements:
     feedforward: Feedforward
 
     def __post_init__(self) -> None:
+        check_tensor("pose", self.pose, ("D",))
         D, F = len(self.pose), len(self.u_max)
         if self.reach.shape != (D,) or self.gain.shape != (F, D):
             got = f"{tuple(self.reach.shape)} and {tuple(self.gain.shape)}"
@@ -151,13 +152,10 @@ class PDMovements:
                 f"reach must not be negative and u_max be positive, got {self.reach.tolist()} and "
                 f"{self.u_max.tolist()}"
             )
-        for name in ("pose", "reach", "gain", "u_max"):
+        for name in ("reach", "gain", "u_max"):
             check_finite_entries(name, getattr(self, name))
-        if min(self.hold, self.rollouts, self.steps) < 1:
-            raise ValueError(
-                f"hold, rollouts and steps must be at least 1, got {self.hold}, {self.rollouts} "
-                f"and {self.steps}"
-            )
+        for name in ("hold", "rollouts", "steps"):
+            check_whole(name, getattr(self, name), 1)
 
     @property
     def settings(self) -> dict[str, object]:

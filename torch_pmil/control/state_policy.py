@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -26,10 +26,10 @@ State = TypeVar("State", np.ndarray, Tensor)
 class StatePolicy(nn.Module):
     """Policy that maps states (*batch, D) to torques (*batch, F), N·m.
 
-    It returns NumPy arrays for NumPy arrays and tensors for tensors, always float64. Integers and
-    floats of any precision are taken; a tensor must be on the device of the policy, and its
-    gradient passes. A policy of targets is called with these too, (*batch, K): ``policy(state,
-    target)``.
+    It returns tensors for tensors, and NumPy arrays for NumPy arrays and lists, always float64.
+    Integers and floats of any precision are taken; a tensor must be on the device of the policy,
+    and its gradient passes. A policy of targets is called with these too, (*batch, K):
+    ``policy(state, target)``.
 
     Args:
         policy: a policy that sees the features of the state, then the target if there is one.
@@ -50,7 +50,7 @@ class StatePolicy(nn.Module):
         >>> space = StateSpace(names, units, (0,), joint_match(names, units))
         >>> network = RBFPolicy(torch.zeros(5, 3), torch.ones(1), torch.ones(3))
         >>> policy = StatePolicy(network, space, control_period=0.1)
-        >>> policy(np.zeros(2))
+        >>> policy([3.14, 0])
         array([0.])
         >>> policy(torch.zeros(7, 2)).shape
         torch.Size([7, 1])
@@ -80,13 +80,14 @@ class StatePolicy(nn.Module):
     def extra_repr(self) -> str:
         """State, torque limits and control period, in their units."""
         entries = zip(self.space.names, self.space.units, strict=True)
-        state = ", ".join(f"{name} ({unit})" for name, unit in entries)
+        state = ", ".join(f"{name} ({unit})" if unit else name for name, unit in entries)
         limits = ", ".join(f"{limit:g}" for limit in self.policy.u_max)
         target = f"; target {', '.join(self.target_names)}" if self.target_names else ""
         return f"state {state}{target}; torques up to {limits} N·m; every {self.control_period:g} s"
 
     def forward(self, state: State, target: State | None = None) -> State:
         """Torques (*batch, F), N·m, at states (*batch, D) and, if any, for targets (*batch, K)."""
+        state, target = _as_array("state", state), _as_array("target", target)
         if (target is None) == bool(self.target_names):
             wanted, got = ("a state alone", "a target too")
             if self.target_names:
@@ -149,7 +150,8 @@ class StatePolicy(nn.Module):
         dim, device = len(names), self.policy.u_max.device
         if not isinstance(state, np.ndarray | Tensor):
             raise TypeError(
-                f"{what} must be a NumPy array or a PyTorch tensor, got {type(state).__name__}"
+                f"{what} must be a NumPy array, a PyTorch tensor or a list, got "
+                f"{type(state).__name__}"
             )
         if not _is_real(state):
             raise TypeError(f"{what} must hold real numbers, got {state.dtype}")
@@ -171,6 +173,18 @@ class StatePolicy(nn.Module):
                 f"{state[*element, entry].item()}{where}"
             )
         return state.double()
+
+
+def _as_array(what: str, values: Any) -> Any:
+    """A list or tuple as an array; anything else as it is."""
+    if not isinstance(values, list | tuple):
+        return values
+    try:
+        return np.array(values)
+    except ValueError as error:
+        raise ValueError(
+            f"{what} must hold numbers, as many in each row, got {values!r:.80}"
+        ) from error
 
 
 def _is_real(state: np.ndarray | Tensor) -> bool:

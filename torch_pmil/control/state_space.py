@@ -5,6 +5,8 @@ Models and policies see the features; trajectories are compared in the match spa
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -63,6 +65,78 @@ class MatchSpace:
             raise ValueError(
                 f"angles and weights of {self.names} must be finite, got an entry that is not"
             )
+
+    @classmethod
+    def of_entries(
+        cls, names: Sequence[str], state: Sequence[str], units: Sequence[str] = ()
+    ) -> MatchSpace:
+        """Some entries of the state, as they are.
+
+        Args:
+            names: of the M observed entries.
+            state: names of the D entries of the state.
+            units: of the observed entries; none if empty.
+
+        Raises:
+            ValueError: there is no such entry.
+
+        Example:
+            >>> MatchSpace.of_entries(("q",), state=("q", "dq"))(torch.tensor([1.0, 2.0]))
+            tensor([1.])
+        """
+        if unknown := [name for name in names if name not in state]:
+            raise ValueError(
+                f"names must be entries of the state {', '.join(state)}, got {', '.join(unknown)}"
+            )
+        chosen = torch.eye(len(state), dtype=torch.float64)[[state.index(name) for name in names]]
+        without_angles = torch.zeros(0, len(state), dtype=torch.float64)
+        return cls(tuple(names), tuple(units) or ("",) * len(names), without_angles, chosen)
+
+    @classmethod
+    def of_links(
+        cls,
+        angles: Sequence[str],
+        lengths: Sequence[float],
+        state: Sequence[str],
+        zero: float = 0.0,
+        names: Sequence[str] = (),
+    ) -> MatchSpace:
+        r"""Positions of the ends of the links of an arm in a plane.
+
+        .. math::
+            x_k = \sum_{i \le k} l_i \sin(q_1 + \dots + q_i), \quad
+            y_k = \sum_{i \le k} l_i \cos(q_1 + \dots + q_i)
+
+        Args:
+            angles: names of the joints' angles from the base to the tip, each (rad) from the link
+                before, the first from upwards.
+            lengths: of the links, m.
+            state: names of the D entries of the state.
+            zero: direction of the first link where its angle is 0, rad from upwards; pi for an arm
+                that hangs there.
+            names: of the coordinates; x1, y1, x2, ... if empty.
+
+        Raises:
+            ValueError: lengths and angles are not as many, or an angle is no entry of the state.
+
+        Example:
+            >>> state = ("q1", "dq1", "q2", "dq2")
+            >>> two = MatchSpace.of_links(("q1", "q2"), (0.5, 0.5), state)
+            >>> two(torch.zeros(4, dtype=torch.float64))
+            tensor([0.0000, 0.5000, 0.0000, 1.0000], dtype=torch.float64)
+        """
+        K = len(angles)
+        if len(lengths) != K:
+            raise ValueError(f"lengths must be those of the {K} links, got {len(lengths)}")
+        joints = cls.of_entries(angles, state).weights
+        down_the_arm = torch.ones(K, K, dtype=torch.float64).tril()
+        links = down_the_arm * torch.as_tensor(lengths, dtype=torch.float64)
+        along, across = math.cos(zero) * links, math.sin(zero) * links
+        x, y = torch.cat([along, across], -1), torch.cat([-across, along], -1)
+        weights = torch.stack([x, y], 1).flatten(0, 1)  # rows x1, y1, x2, ...
+        known = tuple(names) or tuple(f"{axis}{k}" for k in range(1, K + 1) for axis in "xy")
+        of_state = torch.zeros(2 * K, len(state), dtype=torch.float64)
+        return cls(known, ("m",) * 2 * K, down_the_arm @ joints, torch.cat([of_state, weights], -1))
 
     @property
     def dim(self) -> int:

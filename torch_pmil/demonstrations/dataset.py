@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, SupportsFloat
 
@@ -120,6 +120,33 @@ class Demonstrations:
         of_target = [self.positions[(self.targets == target).all(-1)] for target in distinct]
         sets = tuple(Demonstrations(shown, self.time_step, self.names) for shown in of_target)
         return distinct, sets
+
+    def in_order(self, names: tuple[str, ...]) -> Demonstrations:
+        """The demonstrations with their columns in the order of these names.
+
+        Raises:
+            DemonstrationError: the columns have other names; the message says what changes them.
+
+        Example:
+            >>> shown = Demonstrations(torch.tensor([[[1.0, 2.0]] * 2] * 2), 0.1, ("x", "y"))
+            >>> shown.in_order(("y", "x")).positions[0, 0]
+            tensor([2., 1.], dtype=torch.float64)
+        """
+        if set(self.names) != set(names):
+            raise DemonstrationError(
+                f"demonstrations must be of {', '.join(names)}, got {', '.join(self.names)}"
+                f"{self._renaming(names)}"
+            )
+        columns = [self.names.index(name) for name in names]
+        return replace(self, positions=self.positions[..., columns], names=names)
+
+    def _renaming(self, names: tuple[str, ...]) -> str:
+        """What gives a recording with these columns those names, if it has enough of them."""
+        if set(self.names) > set(names):
+            return f"; pmil align RECORDED OUT.npz --keys {' '.join(names)} leaves out the others"
+        if len(self.names) == len(names):
+            return f"; pmil align RECORDED OUT.npz --names {' '.join(names)} renames them"
+        return ""
 
     def _check_shapes(self) -> None:
         shape = tuple(self.positions.shape)

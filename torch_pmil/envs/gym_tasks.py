@@ -68,7 +68,7 @@ def cart_dynamics() -> partial[Array]:
 
     It takes states [x, q, dx, dq] (N, 4) and actions (N, 1) to states (N, 4).
     """
-    _check_gymnasium()
+    check_gymnasium()
     return partial(_simulate_cart, gymnasium.make("InvertedPendulum-v5").unwrapped)
 
 
@@ -77,7 +77,7 @@ def pendulum_dynamics() -> partial[Array]:
 
     It takes states [q, dq] (N, 2) and torques (N, 1) to states (N, 2).
     """
-    _check_gymnasium()
+    check_gymnasium()
     return partial(_simulate_pendulum, gymnasium.make("Pendulum-v1").unwrapped)
 
 
@@ -93,7 +93,7 @@ class HangingStart(Wrapper):
         return robot._get_obs(), info
 
 
-def _check_gymnasium() -> None:
+def check_gymnasium() -> None:
     if gymnasium is None:
         raise ModuleNotFoundError(
             "this task needs gymnasium, which is not installed: pip install 'torch_pmil[gym]'"
@@ -101,7 +101,7 @@ def _check_gymnasium() -> None:
 
 
 def _make_cart(from_pixels: bool = False) -> EnvBase:
-    _check_gymnasium()
+    check_gymnasium()
     return GymEnv(
         "InvertedPendulum-v5",
         from_pixels=from_pixels,
@@ -111,7 +111,7 @@ def _make_cart(from_pixels: bool = False) -> EnvBase:
 
 
 def _make_pendulum(from_pixels: bool = False) -> EnvBase:
-    _check_gymnasium()
+    check_gymnasium()
     if from_pixels:
         os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pygame draws without a window
     robot = gymnasium.make(

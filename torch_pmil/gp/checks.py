@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
+LARGEST = sys.float_info.max  # of whole numbers, which Python lets grow beyond it
 Shape = tuple[int | str, ...]
 
 
@@ -34,7 +35,7 @@ def check_positive(name: str, value: object, zero: bool = False) -> None:
         ValueError: width must be a positive finite number, got nan
     """
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not 0 <= value < math.inf or (value == 0 and not zero):  # type: ignore[operator]
+    if not number or not 0 <= value <= LARGEST or (value == 0 and not zero):  # type: ignore[operator]
         wanted = "a finite number that is not negative" if zero else "a positive finite number"
         raise ValueError(f"{name} must be {wanted}, got {value!r}")
 
@@ -87,8 +88,10 @@ def check_noise(noise_std: object, names: Sequence[str], zero: bool = False) -> 
         ValueError: it is another number of numbers, or one is not finite, or not positive.
     """
     try:
+        if isinstance(noise_std, bool):
+            raise TypeError
         noise = torch.as_tensor(noise_std, dtype=torch.float64)
-    except (TypeError, ValueError, RuntimeError):
+    except (TypeError, ValueError, OverflowError, RuntimeError):
         noise = torch.zeros(0)
     if noise.numel() and not ((noise > 0) | ((noise == 0) & zero)).all():
         wanted = "not be negative" if zero else "be positive"

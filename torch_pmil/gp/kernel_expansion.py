@@ -230,9 +230,9 @@ class KernelExpansion:
         """Posterior of a GPyTorch model, differentiable in its hyper-parameters and data.
 
         Args:
-            model: an ``ExactGP`` with ``ScaleKernel(RBFKernel)`` (ARD or not), a zero or constant
-                mean and a Gaussian likelihood; a batch shape of (E,) makes E outputs, none makes
-                one.
+            model: an ``ExactGP`` with ``RBFKernel`` or ``ScaleKernel(RBFKernel)`` (ARD or not), a
+                zero or constant mean and a Gaussian likelihood; a batch shape of (E,) makes E
+                outputs, none makes one.
 
         Raises:
             TypeError: another kernel, mean or likelihood.
@@ -243,9 +243,11 @@ class KernelExpansion:
         inputs, targets = model.train_inputs[0], model.train_targets
         if inputs.ndim == 3 and (inputs == inputs[0]).all():
             inputs = inputs[0]
-        lengthscales = model.covar_module.base_kernel.lengthscale.squeeze(-2)  # (*E, D)
+        kernel = model.covar_module
+        scaled = isinstance(kernel, ScaleKernel)
+        lengthscales = (kernel.base_kernel if scaled else kernel).lengthscale.squeeze(-2)  # (*E, D)
         noise = model.likelihood.noise.squeeze(-1)
-        signal = model.covar_module.outputscale
+        signal = kernel.outputscale if scaled else torch.ones_like(noise)
         offset = (
             model.mean_module.constant
             if isinstance(model.mean_module, ConstantMean)
@@ -359,9 +361,11 @@ def _check_model(model: gpytorch.models.ExactGP) -> None:
             f"model must be an ExactGP or a KernelExpansion, got {type(model).__name__}"
         )
     kernel, mean, likelihood = model.covar_module, model.mean_module, model.likelihood
-    if not (type(kernel) is ScaleKernel and type(kernel.base_kernel) is RBFKernel):
-        raise TypeError(f"covar_module must be ScaleKernel(RBFKernel), got {type(kernel).__name__}")
-    if kernel.active_dims is not None or kernel.base_kernel.active_dims is not None:
+    base = kernel.base_kernel if type(kernel) is ScaleKernel else kernel
+    if type(base) is not RBFKernel:
+        got = f"ScaleKernel({type(base).__name__})" if base is not kernel else type(base).__name__
+        raise TypeError(f"covar_module must be RBFKernel or ScaleKernel(RBFKernel), got {got}")
+    if kernel.active_dims is not None or base.active_dims is not None:
         raise TypeError("covar_module must see all inputs, got a kernel with active_dims")
     if model.train_targets.ndim > 2:
         raise ValueError(

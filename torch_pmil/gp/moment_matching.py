@@ -40,9 +40,9 @@ def moment_match(
     two moments are these. Differentiable in the belief, the data and the hyper-parameters (once).
 
     Args:
-        model: a trained GPyTorch ``ExactGP`` (``ScaleKernel(RBFKernel)``, zero or constant mean, E
-            outputs as its batch), or a :class:`KernelExpansion`, which keeps its Cholesky factors'
-            results between calls.
+        model: a trained GPyTorch ``ExactGP`` (``RBFKernel`` or ``ScaleKernel(RBFKernel)``, zero or
+            constant mean, E outputs as its batch), or a :class:`KernelExpansion`, which keeps its
+            Cholesky factors' results between calls.
         belief: belief over the D inputs, any batch shape; its covariance may be singular or zero.
         observation_noise: whether to add the likelihood's noise to the variances (Eq. 5), for the
             distribution of an observation.

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
@@ -71,7 +74,8 @@ class Experience:
             raise ValueError(
                 f"experience holds at most {self.capacity} transitions, got {len(self) + len(flat)}"
             )
-        self.buffer.extend(TensorDict(flat.to_dict(), batch_size=flat.batch_size))
+        with torchrl_warnings_alone():
+            self.buffer.extend(TensorDict(flat.to_dict(), batch_size=flat.batch_size))
 
     def _check_shapes(self, flat: TensorDictBase) -> None:
         like = self.transitions if len(self) else flat
@@ -174,3 +178,16 @@ def gp_data(
         )
     inputs = torch.cat([space.features(states), actions], -1)
     return inputs, successors if targets == "successor" else successors - states
+
+
+@contextmanager
+def torchrl_warnings_alone() -> Iterator[None]:
+    """TorchRL logs nothing below a warning within, unless ``RL_LOGGING_LEVEL`` asks for it."""
+    logger = logging.getLogger("torchrl")
+    before = logger.level
+    if "RL_LOGGING_LEVEL" not in os.environ:
+        logger.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.model.calibration import observed_coverage
-from torch_pmil.plotting.style import DARK, GREY, SERIES, style
+from torch_pmil.plotting.style import DARK, GREY, SERIES, WIDTH, style
 
 INTERVALS = 50  # number of intervals of the reliability diagram
 
@@ -46,7 +46,7 @@ def plot_calibration(names: Sequence[str], time_step: float, residuals: Tensor) 
             f"residuals must be (N, T, {len(names)}) for {', '.join(names)}, got "
             f"{tuple(residuals.shape)}"
         )
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
     coverage, course = figure.subplots(1, 2, width_ratios=(1, 1.3))
     _draw_diagonal(coverage)
     course.axhline(1, color=GREY, linewidth=1.0, linestyle="--")
@@ -76,7 +76,8 @@ def _draw_diagonal(panel: Axes) -> None:
         "transform": panel.transAxes,
         "color": DARK,
         "fontsize": "small",
-        "alpha": 0.7,
+        "zorder": 4,
+        "bbox": {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1},
     }
     panel.text(0.03, 0.96, "not sure enough", va="top", **told)
     panel.text(0.97, 0.04, "too sure", ha="right", **told)

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.plotting.style import BAND, BLUE, DARK, GREY, VERMILLION, style
+from torch_pmil.plotting.style import BAND, BLUE, DARK, GREY, VERMILLION, labelled, style
 
 BINS = 120
 INPUT, OUTPUT = "state and action $\\tilde{x}_t$", "next state $x_{t+1}$"
@@ -81,7 +81,7 @@ def plot_moment_matching(
         >>> posterior = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
         >>> grid, samples = torch.linspace(-3, 3, 3), torch.linspace(-2, 2, 9)
         >>> figure = plot_moment_matching(grid, posterior, one, samples, one)
-        >>> [text.get_text() for text in figure.legends[0].get_texts()]
+        >>> [text.get_text() for text in figure.axes[-1].get_legend().get_texts()]
         ['mean', '± 2 std', 'exact, by sampling', 'moment matching', 'input']
     """
     if not (belief.mean.shape == matched.mean.shape == (1,) and samples.ndim == 1):
@@ -93,8 +93,8 @@ def plot_moment_matching(
     panels = figure.subplots(
         2, 2, sharex="col", sharey="row", width_ratios=(2, 1), height_ratios=(2, 1)
     )
-    (function, output), (source, empty) = panels
-    empty.set_axis_off()
+    (function, output), (source, corner) = panels
+    corner.set_axis_off()
     _draw_posterior(function, grid, posterior)
     mean, reach = matched.mean.item(), 3 * matched.std.item()
     heights = np.linspace(mean - reach, mean + reach, 400)
@@ -122,7 +122,7 @@ def plot_moment_matching(
     source.set_ylim(bottom=0)
     for panel in (output, source):
         style(panel)
-    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    corner.legend(handles=labelled(function, output, source), loc="center", frameon=False)
     return figure
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.plotting.style import BAND, DARK, GREY, VERMILLION, style
+from torch_pmil.plotting.style import BAND, DARK, GREY, VERMILLION, WIDTH, style
 
 POINTS = 200  # points of each slice
 BEYOND = 0.15  # how far a slice goes beyond the data, as a fraction of their range
@@ -57,9 +57,7 @@ def plot_gp_slices(
     """
     over = range(dynamics.num_inputs) if over is None else over
     _check(dynamics, point, input_names, output_names, output_units, over)
-    figure = Figure(
-        figsize=(1.0 + 2.3 * len(over), 0.8 + 1.7 * dynamics.num_outputs), layout="constrained"
-    )
+    figure = Figure(figsize=(WIDTH, 0.8 + 1.5 * dynamics.num_outputs), layout="constrained")
     panels = figure.subplots(
         dynamics.num_outputs, len(over), sharex="col", sharey="row", squeeze=False
     )
@@ -95,7 +93,11 @@ def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, ou
     )
     panel.plot(x, centre, color=DARK, linewidth=1.4, label="mean", zorder=3)
     panel.axvline(
-        point[entry].item(), color=VERMILLION, linewidth=0.8, linestyle=":", label="point"
+        point[entry].item(),
+        color=VERMILLION,
+        linewidth=0.8,
+        linestyle=":",
+        label="where the slices meet",
     )
     panel.margins(x=0)
     _draw_data(panel, dynamics, point, entry, output)

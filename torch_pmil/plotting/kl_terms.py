@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.plotting.style import BLUE, COLOURS, HATCHES, VERMILLION, style
+from torch_pmil.plotting.style import BLUE, COLOURS, HATCHES, VERMILLION, WIDTH, style
 from torch_pmil.search.kl import gaussian_kl_terms
 
 
@@ -53,7 +53,7 @@ def plot_kl_per_step(
     terms = gaussian_kl_terms(demonstrated.detach(), predicted.detach())
     mean, spread = (term.numpy() for term in terms)  # (T, M)
     time = time_step * np.arange(1, len(mean) + 1)
-    figure = Figure(figsize=(6.0, 4.8), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
     by_kind = {"means differ": mean.sum(1), "spreads differ": spread.sum(1)}
     by_entry = dict(zip(names, (mean + spread).T, strict=True))

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from torch import Tensor
 
-from torch_pmil.plotting.style import BLUE, DARK, GREY, ORANGE, style
+from torch_pmil.plotting.style import BLUE, DARK, GREY, ORANGE, WIDTH, style
 
 # colours of times, without the faintest yellow
 LATE_IS_DARK = ListedColormap(mpl.colormaps["viridis_r"](np.linspace(0.12, 1, 256)))
@@ -43,7 +43,7 @@ def plot_poses(positions: Tensor, time_step: float) -> Figure:
     joints = _joints(positions)
     reach = _reach(joints)
     colours = ScalarMappable(Normalize(0, time_step * (len(joints) - 1)), LATE_IS_DARK)
-    figure = Figure(figsize=(5.4, 4.6), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     panel = figure.subplots()
     times = time_step * np.arange(len(joints))
     for pose, colour in zip(joints, map(tuple, colours.to_rgba(times)), strict=True):

@@ -9,6 +9,8 @@ from matplotlib.figure import Figure
 
 from torch_pmil.plotting.style import check_some
 
+HEIGHT = 2.4  # inches, of a picture
+
 
 def plot_photo_series(rows: Mapping[str, Sequence[np.ndarray]], times: Sequence[float]) -> Figure:
     """Pictures of several motions below each other, at the same times (Figure 8).
@@ -33,7 +35,9 @@ def plot_photo_series(rows: Mapping[str, Sequence[np.ndarray]], times: Sequence[
                 f"{len(pictures)}"
             )
     check_some("rows", rows)
-    figure = Figure(figsize=(2.0 * len(times) + 0.3, 2.0 * len(rows) + 0.3), layout="compressed")
+    height, width, _ = next(iter(rows.values()))[0].shape
+    size = HEIGHT * width / height * len(times) + 0.3, HEIGHT * len(rows) + 0.5
+    figure = Figure(figsize=size, layout="compressed")
     panels = figure.subplots(len(rows), len(times), squeeze=False)
     for line, (name, pictures) in zip(panels, rows.items(), strict=True):
         line[0].set_ylabel(name)

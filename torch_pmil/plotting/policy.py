@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.control.state_policy import StatePolicy
-from torch_pmil.plotting.style import DARK, check_some
+from torch_pmil.plotting.style import DARK, WIDTH, check_some
 
 # white at no torque, without the darkest colours, on which arrows fade
 COLOURS = ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.1, 0.9, 21)))
@@ -79,9 +79,7 @@ def plot_policy(
         ('q (rad)', 'dq (rad/s)')
     """
     _check(policy, planes, states, titles)
-    figure = Figure(
-        figsize=(1.8 + 2.6 * len(states), 0.6 + 2.4 * len(planes)), layout="constrained"
-    )
+    figure = Figure(figsize=(WIDTH, 0.6 + 1.9 * len(planes)), layout="constrained")
     rows = figure.subplots(len(planes), len(states), sharex="row", sharey="row", squeeze=False)
     for row, plane in zip(rows, planes, strict=True):
         limit = policy.policy.u_max[plane.torque].item()

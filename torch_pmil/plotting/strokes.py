@@ -13,19 +13,29 @@ from matplotlib.ticker import MultipleLocator
 from torch import Tensor
 
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.plotting.style import BAND, BLUE, DARK, VERMILLION, check_some, style
+from torch_pmil.plotting.style import (
+    BAND,
+    BLUE,
+    DARK,
+    FEW,
+    VERMILLION,
+    WIDTH,
+    check_some,
+    rollouts_of,
+    style,
+)
 
 
 def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figure:
     """Human strokes, the prediction for the learned policy, and the robot's strokes.
 
     There is one panel for each stroke. The prediction is an ellipse of two standard deviations at
-    each step.
+    each step, in outline.
 
     Args:
         panels: strokes of people (N, T + 1, 2), marginals of the tip at t = 1..T, mean (T, 2), and
-            strokes of the robot (B, T + 1, 2), by the title of their panel; all in m, x to the
-            right and y up.
+            strokes of the robot (B, T + 1, 2), of which the first 5 are drawn, by the title of
+            their panel; all in m, x to the right and y up.
 
     Raises:
         ValueError: there is no panel, or shapes do not fit each other.
@@ -40,7 +50,8 @@ def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figur
     check_some("panels", panels)
     columns = math.ceil(math.sqrt(len(panels)))
     rows = math.ceil(len(panels) / columns)
-    figure = Figure(figsize=(0.8 + 3.6 * columns, 0.9 + 3.4 * rows), layout="constrained")
+    height = 0.9 + 3.4 * rows if columns > 1 else 6.2
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
     for index, (title, (shown, predicted, written)) in enumerate(panels.items()):
         shapes = tuple(shown.shape[1:]), tuple(written.shape[1:])
         wanted = len(predicted.mean) + 1, 2
@@ -74,15 +85,15 @@ def _draw(panel: Axes, shown: Tensor, predicted: Gaussian, written: Tensor) -> N
             units="xy",
             offsets=predicted.mean.detach().numpy(),
             offset_transform=panel.transData,
-            facecolor=(VERMILLION, 0.12),
-            edgecolor=(VERMILLION, 0.7),
+            facecolor="none",
+            edgecolor=(VERMILLION, 0.6),
             linewidth=0.7,
         )
     )
     strokes = (
-        (shown, BLUE, "-", 1.2, "people"),
+        (shown, BLUE, "-", 0.7, f"{len(shown)} strokes of people"),
         (predicted.mean[None], VERMILLION, "-", 1.4, f"predicted ± {BAND} std"),
-        (written, DARK, (0, (4, 2)), 0.8, "robot"),
+        (written[:FEW], DARK, (0, (4, 2)), 0.9, f"robot: {rollouts_of(len(written))}"),
     )
     for paths, colour, line, width, label in strokes:
         drawn = panel.plot(
@@ -90,7 +101,6 @@ def _draw(panel: Axes, shown: Tensor, predicted: Gaussian, written: Tensor) -> N
             color=colour,
             linestyle=line,
             linewidth=width,
-            alpha=0.8,
         )
         drawn[0].set_label(label)
     panel.set_aspect("equal", adjustable="datalim")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence, Sized
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from torch_pmil.files import replacing
 from torch_pmil.gp.gaussian import Gaussian
@@ -21,7 +22,12 @@ DARK = "#1A1A1A"
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE)  # of parts, which hatches tell apart too
 HATCHES = (None, "///", "...", "xxx")
 SERIES = tuple(zip(COLOURS, "os^Dvp", strict=True))  # colours and markers of several lines
+WIDTH = 8.0  # inches, of all figures of a run
+MOST_COLUMNS = 3  # of panels
+FEW = 5  # rollouts that are drawn one by one
 BAND = 2  # standard deviations on either side of the mean
+
+Band = tuple[np.ndarray, np.ndarray, np.ndarray]  # lower edge, mean and upper edge, (T,) each
 
 
 def save_figure(figure: Figure, path: Path | str) -> None:
@@ -51,6 +57,11 @@ def style(panel: Axes) -> None:
     panel.set_axisbelow(True)
 
 
+def labelled(*panels: Axes) -> list[Artist]:
+    """What is drawn in panels and has a label."""
+    return [drawn for panel in panels for drawn in panel.get_legend_handles_labels()[0]]
+
+
 def check_some(name: str, items: Sized) -> None:
     """Raise ValueError where there is nothing to draw."""
     if not len(items):
@@ -58,13 +69,14 @@ def check_some(name: str, items: Sized) -> None:
 
 
 def panels_of(count: int, xlabel: str) -> tuple[Figure, list[Axes]]:
-    """A nearly square grid of ``count`` panels with one time axis.
+    """A grid of ``count`` panels with one time axis and no place left empty.
 
     The lowest panel in each column is labelled.
     """
-    columns = math.ceil(math.sqrt(count))
-    rows = math.ceil(count / columns)
-    figure = Figure(figsize=(1.2 + 3.4 * columns, 0.8 + 2.2 * rows), layout="constrained")
+    fitting = [columns for columns in range(1, MOST_COLUMNS + 1) if count % columns == 0]
+    columns = max(fitting)
+    rows = count // columns
+    figure = Figure(figsize=(WIDTH, 0.8 + 2.2 * rows), layout=ConstrainedLayoutEngine(w_pad=0.08))
     panels = [figure.add_subplot(rows, columns, index + 1) for index in range(count)]
     for index, panel in enumerate(panels):
         style(panel)
@@ -77,8 +89,18 @@ def panels_of(count: int, xlabel: str) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def band_of(belief: Gaussian, entry: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lower edge, mean and upper edge of one entry, (T,) each."""
+def rollouts_of(count: int) -> str:
+    """Label of the rollouts that are drawn.
+
+    Example:
+        >>> rollouts_of(20), rollouts_of(3)
+        ('the first 5 of 20 rollouts', 'all 3 rollouts')
+    """
+    return f"the first {FEW} of {count} rollouts" if count > FEW else f"all {count} rollouts"
+
+
+def band_of(belief: Gaussian, entry: int) -> Band:
+    """The band of one entry."""
     mean, std = (moment[:, entry].detach().numpy() for moment in (belief.mean, belief.std))
     return mean - BAND * std, mean, mean + BAND * std
 
@@ -86,7 +108,7 @@ def band_of(belief: Gaussian, entry: int) -> tuple[np.ndarray, np.ndarray, np.nd
 def draw_band(
     panel: Axes,
     time: np.ndarray,
-    band: tuple[np.ndarray, np.ndarray, np.ndarray],
+    band: Band,
     colour: str,
     label: str,
 ) -> None:

@@ -17,8 +17,10 @@ from torch_pmil.plotting.style import (
     GREY,
     SERIES,
     VERMILLION,
+    WIDTH,
     check_some,
     draw_range,
+    labelled,
     style,
 )
 
@@ -28,6 +30,7 @@ def plot_learning_curve(
     success_rate: Sequence[float],
     loss: Sequence[float],
     label: str = "predicted KL (nats)",
+    saved: tuple[float, float, float] | None = None,
 ) -> Figure:
     """Success rate (Figure 7) and loss after each trial, over the robot's experience.
 
@@ -36,8 +39,10 @@ def plot_learning_curve(
         success_rate: fractions from 0 to 1, (N,); drawn in percent, with the paper's 95 % as a
             dotted line.
         loss: loss of each trial, such as the predicted KL over the trajectory, (N,), on a
-            logarithmic axis; a value that is NaN, or not positive, is left out.
+            logarithmic axis; a cross at the top stands for one that is not finite or not positive.
         label: name of the loss, with its unit.
+        saved: experience (s), success rate and loss of the policy that was saved in the end, drawn
+            as a star; None for none.
 
     Raises:
         ValueError: the lengths differ, or a success rate is outside 0 to 1.
@@ -57,24 +62,56 @@ def plot_learning_curve(
         raise ValueError(f"success_rate must be between 0 and 1, got {list(success_rate)}")
     losses = np.asarray(loss, dtype=float)
     check_some("experience_s", experience_s)
-    figure = Figure(figsize=(6.0, 4.6), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     _success_axis(upper)
     upper.plot(experience_s, percent, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3)
+    there = np.isfinite(losses) & (losses > 0)
     lower.plot(
         experience_s,
-        np.where(losses > 0, losses, np.nan),
+        np.where(there, losses, np.nan),
         color=VERMILLION,
         marker="s",
         markersize=4,
         zorder=3,
     )
+    if not there.all():
+        _draw_missing(lower, np.asarray(experience_s)[~there])
+    if saved is not None:
+        _draw_saved(upper, lower, *saved)
     lower.set(yscale="log", xlabel="experience (s)", ylabel=label)
     lower.set_xlim(left=0)
     _plain_numbers(lower)
     for panel in (upper, lower):
         style(panel)
+    if handles := labelled(upper, lower):
+        figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False)
     return figure
+
+
+def _draw_missing(panel: Axes, experience_s: np.ndarray) -> None:
+    """Draw a cross at the top where there is no value."""
+    panel.plot(
+        experience_s,
+        np.full(len(experience_s), 0.95),
+        "x",
+        transform=panel.get_xaxis_transform(),
+        color=GREY,
+        label="no value",
+    )
+
+
+def _draw_saved(upper: Axes, lower: Axes, experience_s: float, rate: float, loss: float) -> None:
+    star: dict[str, Any] = {"color": DARK, "marker": "*", "markersize": 10, "linestyle": ""}
+    upper.plot(
+        experience_s,
+        100 * rate,
+        label="the saved policy at the end",
+        clip_on=False,
+        zorder=4,
+        **star,
+    )
+    lower.plot(experience_s, loss if loss > 0 else np.nan, zorder=4, **star)
 
 
 def _plain_numbers(panel: Axes) -> None:

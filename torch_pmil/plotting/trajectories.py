@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
@@ -14,41 +15,47 @@ from torch_pmil.plotting.style import (
     BAND,
     BLUE,
     DARK,
+    FEW,
     GREY,
     VERMILLION,
+    Band,
     band_of,
     check_some,
     draw_band,
     panels_of,
+    rollouts_of,
 )
 
 # how far a prediction may stretch a panel, in heights of the demonstrated and executed motion
 OVERSHOOT = 0.75
 SHOWN = 20  # number of particles that are drawn one by one
+EXECUTED: dict[str, Any] = {"color": DARK, "linewidth": 0.9, "linestyle": (0, (4, 2))}
 
 
 def plot_distributions(
     names: Sequence[str],
     units: Sequence[str],
     time_step: float,
+    demonstrations: Tensor,
     demonstrated: Gaussian,
     predicted: Gaussian,
     executed: Tensor,
 ) -> Figure:
     """Demonstrated and predicted trajectory distribution with executed rollouts (Figure 6).
 
-    There is one panel for each entry.
-
-    Bands are two standard deviations on either side of the mean. A predicted band that goes far
-    beyond the demonstrated and executed motion leaves the panel, so that the motion stays readable.
+    There is one panel for each entry. The demonstrated distribution is a band with the
+    demonstrations in it, the predicted one its mean with an outline: two standard deviations on
+    either side of the mean. A prediction that goes far beyond the demonstrated and executed motion
+    leaves the panel, so that the motion stays readable; one that is not finite is not drawn.
 
     Args:
         names: names of the M entries of the match space.
         units: units of the M entries.
-        time_step: seconds between two samples; the first one shown is t = 1.
+        time_step: seconds between two samples.
+        demonstrations: N demonstrations at t = 0..T, (N, T + 1, M).
         demonstrated: demonstrated marginals at t = 1..T, mean (T, M) and cov (T, M, M).
         predicted: predicted marginals of the same shape.
-        executed: rollouts of the robot at t = 1..T, (B, T, M).
+        executed: rollouts of the robot at t = 0..T, (B, T + 1, M); the first 5 are drawn.
 
     Raises:
         ValueError: shapes do not fit each other.
@@ -56,35 +63,31 @@ def plot_distributions(
     Example:
         >>> import torch
         >>> belief = Gaussian(torch.zeros(5, 2), torch.eye(2).expand(5, 2, 2))
-        >>> names, units, executed = ("q", "dq"), ("rad", "rad/s"), torch.zeros(3, 5, 2)
-        >>> figure = plot_distributions(names, units, 0.1, belief, belief, executed)
+        >>> names, units, shown, executed = "ab", ("rad", "m"), torch.zeros(2, 6, 2), torch.ones(
+        ...     9, 6, 2
+        ... )
+        >>> figure = plot_distributions(names, units, 0.1, shown, belief, belief, executed)
         >>> [panel.get_ylabel() for panel in figure.axes]
-        ['q (rad)', 'dq (rad/s)']
+        ['a (rad)', 'b (m)']
+        >>> figure.legends[0].get_texts()[-1].get_text()
+        'the first 5 of 9 rollouts'
     """
-    shape = demonstrated.mean.shape
-    named = len(names) == len(units) == shape[-1]
-    if not (named and predicted.mean.shape == shape == executed.shape[1:] and shape.numel()):
-        raise ValueError(
-            "predicted and executed must be (T, M) and (B, T, M) for demonstrated marginals "
-            f"{tuple(shape)} and {len(names)} names with {len(units)} units, got "
-            f"{tuple(predicted.mean.shape)} and {tuple(executed.shape)}"
-        )
-    time = time_step * np.arange(1, shape[0] + 1)
+    _check(names, units, demonstrations, demonstrated, predicted, executed)
+    time = time_step * np.arange(len(demonstrated.mean) + 1)
     figure, panels = panels_of(len(names), "time (s)")
     for entry, panel in enumerate(panels):
-        rollouts = executed[..., entry].detach().numpy()
-        shown, prediction = band_of(demonstrated, entry), band_of(predicted, entry)
-        draw_band(panel, time, shown, BLUE, f"demonstrated ± {BAND} std")
-        draw_band(panel, time, prediction, VERMILLION, f"predicted ± {BAND} std")
-        lines = panel.plot(
-            time, rollouts.T, color=DARK, linewidth=0.7, linestyle=(0, (4, 2)), alpha=0.8
+        shown, done = (
+            paths[..., entry].detach().numpy() for paths in (demonstrations, executed[:FEW])
         )
-        if lines:
-            lines[0].set_label("executed")
-        panel.set_ylim(*_limits(np.concatenate([*shown, *rollouts]), np.concatenate(prediction)))
+        band, prediction = band_of(demonstrated, entry), band_of(predicted, entry)
+        draw_band(panel, time[1:], band, BLUE, f"demonstrated ± {BAND} std")
+        _draw_paths(panel, time, shown, {"color": BLUE, "linewidth": 0.6}, "demonstrations")
+        _draw_outline(panel, time[1:], prediction)
+        _draw_paths(panel, time, done, EXECUTED, rollouts_of(len(executed)))
+        panel.set_ylim(*_limits(np.concatenate([*band, *shown, *done]), np.concatenate(prediction)))
         panel.set_ylabel(f"{names[entry]} ({units[entry]})")
     figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
+        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False
     )
     return figure
 
@@ -198,6 +201,23 @@ def plot_prediction(
     return figure
 
 
+def _draw_paths(
+    panel: Axes, time: np.ndarray, paths: np.ndarray, look: Mapping[str, Any], label: str
+) -> None:
+    """Draw paths (N, T + 1), if there are any, with one label."""
+    lines = panel.plot(time, paths.T, **look)
+    for line in lines[:1]:
+        line.set_label(label)
+
+
+def _draw_outline(panel: Axes, time: np.ndarray, band: Band) -> None:
+    """Draw both edges of a band and, thinner, its mean."""
+    there = np.isfinite(band).all()
+    for edge, width in zip(band, (1.3, 0.6, 1.3), strict=True):
+        lines = panel.plot(time, edge, color=VERMILLION, linewidth=width)
+    lines[0].set_label(f"predicted ± {BAND} std" if there else "no prediction")
+
+
 def _limits(shown: np.ndarray, prediction: np.ndarray) -> tuple[float, float]:
     """Ends of an axis on which all of ``shown`` is seen, and much of the prediction.
 
@@ -205,6 +225,28 @@ def _limits(shown: np.ndarray, prediction: np.ndarray) -> tuple[float, float]:
     """
     low, high = shown.min(), shown.max()
     overshoot, margin = OVERSHOOT * (high - low), 0.05 * (high - low)
-    lowest = np.clip(prediction.min(), low - overshoot, low)
-    highest = np.clip(prediction.max(), high, high + overshoot)
+    there = np.isfinite(prediction)
+    lowest = max(prediction.min(initial=low, where=there), low - overshoot)
+    highest = min(prediction.max(initial=high, where=there), high + overshoot)
     return lowest - margin, highest + margin
+
+
+def _check(
+    names: Sequence[str],
+    units: Sequence[str],
+    demonstrations: Tensor,
+    demonstrated: Gaussian,
+    predicted: Gaussian,
+    executed: Tensor,
+) -> None:
+    check_some("demonstrated.mean", demonstrated.mean)
+    T, M = demonstrated.mean.shape
+    paths = demonstrations.shape[1:] == executed.shape[1:] == (T + 1, M)
+    named = len(names) == len(units) == M
+    if not (predicted.mean.shape == (T, M) and paths and named):
+        raise ValueError(
+            f"predicted must be {(T, M)}, demonstrations and executed (N, {T + 1}, {M}) for "
+            f"demonstrated marginals {(T, M)}, with a name and a unit for each entry, got "
+            f"{tuple(predicted.mean.shape)}, {tuple(demonstrations.shape)} and "
+            f"{tuple(executed.shape)}, {len(names)} names and {len(units)} units"
+        )

@@ -1,4 +1,4 @@
-"""Figure of variants of a method side by side."""
+"""Figure of a method and its variants side by side."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
-from torch_pmil.plotting.style import BLUE, DARK, VERMILLION, check_some, style
+from torch_pmil.plotting.style import BLUE, DARK, VERMILLION, WIDTH, check_some, style
 
 SPREAD = 0.5  # height over which the runs of a variant are spread, in rows
 
 
 def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.ndarray) -> Figure:
-    """Success rate of variants of a method, and the experience that each needed.
+    """Success rate of a method and its variants, and the experience that each needed.
 
-    There is a row for each variant, the best on top, with a point for each run.
+    There is a row for each with a point for each run: the method on top, below it the variants, the
+    best first.
 
     Args:
-        labels: labels of the V variants.
+        labels: labels of the method and its variants, V in all, the method's first.
         rates: fractions from 0 to 1, (V, runs); drawn in percent, with their mean as a bar.
         first_success_s: seconds of experience before the first success, (V, runs); infinite where
             there was none, drawn as "never".
@@ -31,10 +32,10 @@ def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.
         ValueError: the shapes do not fit each other.
 
     Example:
-        >>> rates, seconds = np.array([[0.0], [1.0]]), np.array([[np.inf], [5.0]])
-        >>> figure = plot_variants(["a", "b"], rates, seconds)
+        >>> rates, seconds = np.array([[0.9], [0.0], [1.0]]), np.array([[7.0], [np.inf], [5.0]])
+        >>> figure = plot_variants(["ours", "a", "b"], rates, seconds)
         >>> [tick.get_text() for tick in figure.axes[0].get_yticklabels()]
-        ['b', 'a']
+        ['ours', 'b', 'a']
     """
     if rates.shape[:1] != (len(labels),) or first_success_s.shape != rates.shape:
         raise ValueError(
@@ -42,9 +43,10 @@ def plot_variants(labels: Sequence[str], rates: np.ndarray, first_success_s: np.
             f"got {rates.shape}, {first_success_s.shape}"
         )
     check_some("labels", labels)
-    order = np.lexsort((first_success_s.mean(1), -rates.mean(1)))
+    best_first = np.lexsort((first_success_s[1:].mean(1), -rates[1:].mean(1)))
+    order = [0, *(1 + best_first)]
     rates, seconds, rows = 100 * rates[order], first_success_s[order], np.arange(len(labels))
-    figsize = 7.6, 1.0 + 0.36 * len(labels)
+    figsize = WIDTH, 1.0 + 0.36 * len(labels)
     figure = Figure(figsize=figsize, layout=ConstrainedLayoutEngine(wspace=0.05))
     left, right = figure.subplots(1, 2, sharey=True)
     left.barh(rows, rates.mean(1), height=0.72, color=BLUE, alpha=0.25, label="mean")

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
@@ -70,7 +71,7 @@ class PMILTrainer(Trainer):
         policy_generator: generator of new policies.
         generator: generator of the exploration, and of the states at which policies are refitted.
         on_trial: called with each trial when its own rollout is done.
-        progress_bar: whether to show progress.
+        progress_bar: whether to show progress where standard error is a terminal.
         logger: TorchRL's logger for the numbers of every trial; None for none.
         checkpoint_rotation: rotation of the checkpoints; None for none.
         checkpoint_metadata: entries about the run in a checkpoint's manifest, in JSON's types.
@@ -131,7 +132,7 @@ class PMILTrainer(Trainer):
             optimization_stepper=PolicySearchStepper(
                 search, lambda: make_policy(policy_generator), generator, self._report
             ),
-            progress_bar=progress_bar,
+            progress_bar=progress_bar and sys.stderr.isatty(),
             logger=logger,
             log_interval=0,
             checkpoint=new_checkpoint(),
@@ -190,7 +191,13 @@ class PMILTrainer(Trainer):
         """Run Algorithm 1 to its end."""
         super().train()
         if self.progress_bar:
-            self._pbar.close()
+            self._end_bar()
+
+    def _end_bar(self) -> None:
+        """Bring the bar to its end, which comes early where the robot learned early."""
+        self._pbar.total = self._pbar.n = self.collected_frames
+        self._say(self.stop_reason)
+        self._pbar.close()
 
     def optim_steps(self, batch: TensorDictBase) -> None:
         """Fit and search, unless training is over and only the last rollout was missing."""

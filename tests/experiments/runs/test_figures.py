@@ -7,12 +7,15 @@ from pathlib import Path
 
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from tests.helpers.short_run import quick_fits
 from torch_pmil.experiments import EXPERIMENTS, load_experiment
-from torch_pmil.experiments.runs.figures import figures_of, planes_of
-from torch_pmil.experiments.runs.training import train
+from torch_pmil.experiments.runs import figures
+from torch_pmil.experiments.runs.figures import figures_of, planes_of, sliced
+from torch_pmil.experiments.runs.training import RunResult, train
 from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.plotting import save_figure
 from torch_pmil.search.policy_search import SearchSettings
 
@@ -73,3 +76,26 @@ def test_planes_of_a_cart_have_its_one_motor() -> None:
     )
     assert [(plane.x, plane.y, plane.torque) for plane in planes] == [(0, 2, 0), (1, 3, 0)]
     assert planes[0].span == (pytest.approx((-0.3, 1.3)), pytest.approx((-0.9, 3.9)))
+
+
+def test_slices_go_over_torques_and_over_one_feature_at_least() -> None:
+    relevance = torch.tensor([1.0, 3.0, 2.0, 0.1, 0.4, 0.3, 0.2])
+    assert [sliced(relevance, torques) for torques in (1, 3, 5)] == [
+        [0, 1, 2, 6],
+        [1, 4, 5, 6],
+        [1, 2, 4, 5],
+    ]
+
+
+def test_what_shows_a_prediction_is_left_out_where_there_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("_learning_curve", "_calibration", "_model"):
+        monkeypatch.setattr(figures, name, lambda experiment, result: Figure())
+    experiment = load_experiment("double_pendulum")
+    shape = experiment.demonstrated.mean.shape
+    nothing = Gaussian(torch.full(shape, torch.nan), torch.full((*shape, 4), torch.nan))
+    rollouts = experiment.robots(2, seed=100).rollout(experiment.horizon)
+    outcomes = experiment.outcomes(nothing, rollouts)
+    result = RunResult({}, [], outcomes, policy=None, dynamics=None)
+    assert {"kl_per_step", "policy"}.isdisjoint(dict(figures_of(experiment, result)))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from torch_pmil.experiments.runs.telling import tell, warn_incomplete
+from torch_pmil.experiments.runs.telling import making_the_rest, tell, warn_incomplete
 
 
 def failing(error: BaseException):
@@ -45,14 +45,14 @@ def test_after_ctrl_c_nothing_more_is_made() -> None:
 
 
 def test_what_is_missing_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    warn_incomplete("", [], Path("run"))
+    warn_incomplete("", [], "pmil resume run")
     assert capsys.readouterr() == ("", "")
-    warn_incomplete("a: ", tell([("video", failing(OSError("x\n" * 10_000)))]), Path("run"))
+    warn_incomplete("a: ", tell([("video", failing(OSError("x\n" * 10_000)))]), "pmil resume run")
     printed, complained = capsys.readouterr()
     assert (printed, complained.count("\n")) == ("", 1) and len(complained) < 1200
     assert complained.startswith("a: the report is incomplete: video: x x ")
     assert complained.endswith(
         " x x; pmil resume run makes the rest later, pmil report the page alone\n"
     )
-    warn_incomplete("", ["video: none"], Path("-a b"))
+    warn_incomplete("", ["video: none"], making_the_rest(Path("-a b")))
     assert "; pmil resume './-a b' makes" in capsys.readouterr().err

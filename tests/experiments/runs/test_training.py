@@ -98,6 +98,7 @@ def test_run_leaves_these_files_and_no_temporary_ones(result: RunResult, folder:
         "metrics.csv",
         "policy.pt",
         "run.json",
+        "settings.yaml",
         "summary.json",
     ]
     assert os.listdir(folder / "figures") == []
@@ -188,6 +189,13 @@ def test_summary_holds_every_trial_whole(summary: dict, result: RunResult) -> No
     assert len(summary["trials"]) == TRIALS
     assert all(named <= trial.keys() for trial in summary["trials"])
     assert summary["trials"] == [asdict(trial) for trial in result.trials]
+
+
+def test_summary_says_the_units_of_the_objective_and_of_what_was_demonstrated(
+    summary: dict,
+) -> None:
+    metres = dict.fromkeys(("x1", "y1", "x2", "y2"), "m")
+    assert summary["units"] == {"objective": "nats", "demonstrations": metres}
 
 
 def test_result_holds_the_summary_that_was_written(summary: dict, result: RunResult) -> None:
@@ -346,7 +354,7 @@ def test_run_begins_by_removing_debris(
     monkeypatch.setattr(training, "make_trainer", stop)
     with pytest.raises(KeyboardInterrupt):
         train(experiment, SEED, 1, tmp_path, COMMAND)
-    assert sorted(os.listdir(tmp_path)) == ["figures", "run.json"]
+    assert sorted(os.listdir(tmp_path)) == ["figures", "run.json", "settings.yaml"]
 
 
 @pytest.mark.parametrize("phase", ["clear_folder", "_finish"])

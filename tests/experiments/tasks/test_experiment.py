@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tests.helpers.short_run import PD_MOVEMENTS, quick_fits
 from torch_pmil.control.exploration import RandomTorques
-from torch_pmil.demonstrations import DemonstrationError
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
 from torch_pmil.experiments.runs.training import make_trainer, train
 from torch_pmil.search.policy_search import SearchSettings
@@ -83,6 +83,35 @@ def test_settings_say_what_the_first_policy_and_motion_are(experiment: Experimen
     )
     assert changed.settings["holds_start"] and not experiment.settings["holds_start"]
     assert changed.settings["exploration"]["gain"] == PD_MOVEMENTS.gain.tolist()
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "double_pendulum_targets", "biorob"])
+def test_columns_in_another_order_are_the_same_demonstrations(name: str) -> None:
+    shipped = load_experiment(name).demonstrations
+    backwards = shipped.in_order(shipped.names[::-1])
+    assert not torch.equal(backwards.positions, shipped.positions)
+    learned = load_experiment(name, backwards).demonstrations
+    assert learned.names == shipped.names
+    assert torch.equal(learned.positions, shipped.positions)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("x1", "y1", "x2", "z"), "; pmil align RECORDED OUT.npz --names x1 y1 x2 y2 renames them"),
+        (("z", "y2", "x2", "y1", "x1"), "; pmil align RECORDED OUT.npz --keys x1 y1 x2 y2 leaves"),
+        (("x1", "y1"), ""),
+    ],
+)
+def test_columns_of_other_names_are_refused_with_what_mends_it(
+    names: tuple[str, ...], said: str
+) -> None:
+    shown = Demonstrations(torch.zeros(2, 26, len(names)), 0.1, names)
+    with pytest.raises(DemonstrationError) as error:
+        load_experiment("double_pendulum", shown)
+    assert str(error.value).startswith(
+        f"demonstrations must be of x1, y1, x2, y2, got {', '.join(names)}{said}"
+    )
 
 
 def still(name: str, samples: int, tremor: float = 0.0) -> Experiment:

@@ -252,7 +252,7 @@ def test_stroke_that_takes_too_much_torque_is_refused_in_one_line() -> None:
         ),
         (
             {"demonstrations": replace(wave(), names=("u", "v"))},
-            r"^strokes must be of x, y, got u, v$",
+            r"^demonstrations must be of x, y, got u, v; pmil align .* --names x y renames them$",
         ),
         (
             {"demonstrations": replace(wave(), time_step=0.05)},

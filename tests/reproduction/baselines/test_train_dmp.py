@@ -61,7 +61,7 @@ def test_run_leaves_its_numbers_and_says_them(
             "feedback_period=0.03",
             "feedback_period must divide the control period of 0.1 s, got 0.03 s",
         ),
-        ("demonstrations=none.csv", "[Errno 2] No such file or directory: 'none.csv'"),
+        ("demonstrations=none.csv", "there is no file none.csv"),
     ],
 )
 def test_what_cannot_be_run_is_said_in_one_line(

@@ -79,7 +79,8 @@ def likely_reasons(
     if reasons:
         return reasons
     largest = _largest(experiment, loss, outcomes, step_loss)
-    return [unexplained(int(failed.sum()), len(failed), experiment.tolerance, largest)]
+    count, settings = int(failed.sum()), experiment.adjustable
+    return [unexplained(count, len(failed), experiment.tolerance, largest, settings)]
 
 
 def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
@@ -92,7 +93,10 @@ def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
         outcome,
         check_saturation(outcome.rollouts["action"], experiment.u_max, names, needed),
         check_motion(
-            experiment.space.observe(outcome.executed), outcome.demonstrations.positions, noise_std
+            experiment.space.observe(outcome.executed),
+            outcome.demonstrations.positions,
+            noise_std,
+            experiment.adjustable,
         ),
     )
 
@@ -105,10 +109,11 @@ def _of_the_model(
     residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, actions)
     residuals, known = residuals[:, :steps], known_steps(experiment, dynamics, outcome)[:, :steps]
     predicted, executed = outcome.predicted[:steps], outcome.executed[:, : steps + 1]
+    names, settings = experiment.space.names, experiment.adjustable
     return _found(
         outcome,
-        check_model(residuals[known], predicted, executed, experiment.space.names, time_step),
-        check_experience(~known, len(dynamics.train_inputs), time_step),
+        check_model(residuals[known], predicted, executed, names, time_step, settings),
+        check_experience(~known, len(dynamics.train_inputs), time_step, settings),
     )
 
 
@@ -139,9 +144,8 @@ def _of_the_search(
 ) -> Reason:
     """The step at which the search is stuck, by the newest model."""
     mismatch = _mismatch(experiment, loss, outcomes, step)
-    return check_search(
-        step_loss, step, *_named(loss), mismatch, horizons, experiment.demonstrations.time_step
-    )
+    time_step, settings = experiment.demonstrations.time_step, experiment.adjustable
+    return check_search(step_loss, step, *_named(loss), mismatch, horizons, time_step, settings)
 
 
 def _largest(

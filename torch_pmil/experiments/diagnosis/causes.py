@@ -8,8 +8,9 @@ value, of ``results/benchmarks/diagnosis/summary.json`` (``benchmarks/diagnosis.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor
 
@@ -127,6 +128,31 @@ def group(findings: Sequence[Finding]) -> list[Reason]:
     ]
 
 
+def scaled(settings: Mapping[str, Any], name: str, factor: float) -> str:
+    """NAME=VALUE of a setting whose numbers are so many times the present ones.
+
+    Example:
+        >>> scaled({"noise_std": [0.1, 0.25]}, "noise_std", 2)
+        'noise_std=[0.2,0.5]'
+    """
+    value = settings[name]
+    if isinstance(value, list):
+        return f"{name}=[{','.join(f'{factor * number:g}' for number in value)}]"
+    return f"{name}={factor * value:g}"
+
+
+def larger_motion(settings: Mapping[str, Any]) -> str:
+    """What makes a first motion larger, as NAME=VALUE.
+
+    Example:
+        >>> larger_motion({"random_torque": 0.4}), larger_motion({"random_torque": 0.8})
+        ('random_torque=0.8', 'random_torque=1')
+    """
+    if "exploration.reach" in settings:
+        return scaled(settings, "exploration.reach", 1.5)
+    return scaled(settings, "random_torque", min(2, 1 / settings["random_torque"]))
+
+
 def unpredictable(error: str) -> Reason:
     """The reason for a run whose newest model cannot predict the saved policy.
 
@@ -137,7 +163,8 @@ def unpredictable(error: str) -> Reason:
     return Reason(
         "model not right",
         f"the model cannot predict the saved policy ({error}), so what was predicted is compared "
-        "with nothing; give it more data (more trials, a larger first motion)",
+        "with nothing; give it more data: more trials, or a larger first motion (random_torque or "
+        "exploration.reach)",
     )
 
 
@@ -188,18 +215,22 @@ def _need(limit: float, needed: float | None) -> str:
     )
 
 
-def check_motion(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> Reason | None:
+def check_motion(
+    executed: Tensor, demonstrated: Tensor, noise_std: Tensor, settings: Mapping[str, Any]
+) -> Reason | None:
     """A reason if the robot hardly moved.
 
     Args:
         executed: rollouts in the match space, z_0..z_T, (N, T + 1, M).
         demonstrated: demonstrations in the match space, of any number.
         noise_std: observation noise, () or (M,), in whose units distances are compared.
+        settings: of the run, by name.
 
     Example:
         >>> import torch
         >>> way = torch.linspace(0, 1, 5)[None, :, None]
-        >>> check_motion(0.1 * way, way, torch.tensor(0.05)).message.partition(":")[0]
+        >>> reason = check_motion(0.1 * way, way, torch.tensor(0.05), {"random_torque": 0.4})
+        >>> reason.message.partition(":")[0]
         'the robot went 10 % as far from its start as the demonstrations'
     """
     moved = moved_fraction(executed, demonstrated, noise_std)
@@ -208,8 +239,9 @@ def check_motion(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> R
     return Reason(
         "robot did not move",
         f"the robot went {_percent(moved)} as far from its start as the demonstrations: torques "
-        "below its weight or static friction move and teach nothing; begin at torques that hold "
-        "it (holding_torques), and let its first motion be larger (exploration)",
+        "below its weight or static friction move and teach nothing; let its first motion be "
+        f"larger ({larger_motion(settings)}), and begin at torques that hold it (holding_torques "
+        "of an Experiment)",
     )
 
 
@@ -227,7 +259,12 @@ def _farthest(positions: Tensor, noise_std: Tensor) -> Tensor:
 
 
 def check_model(
-    residuals: Tensor, predicted: Gaussian, executed: Tensor, names: Sequence[str], time_step: float
+    residuals: Tensor,
+    predicted: Gaussian,
+    executed: Tensor,
+    names: Sequence[str],
+    time_step: float,
+    settings: Mapping[str, Any],
 ) -> Reason | None:
     """A reason if the model promises more than the robot keeps, in a step or over the trajectory.
 
@@ -238,12 +275,13 @@ def check_model(
         executed: the rollouts x_0..x_T, (N, T + 1, D).
         names: of the D entries.
         time_step: s.
+        settings: of the run, by name.
 
     Example:
         >>> import torch
         >>> still = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
         >>> residuals, executed = torch.full((30, 1), 4.0), torch.full((10, 4, 1), 4.0)
-        >>> reason = check_model(residuals, still, executed, ("q",), 0.1)
+        >>> reason = check_model(residuals, still, executed, ("q",), 0.1, {"random_torque": 0.4})
         >>> reason.message.partition(", lie within")[0]
         '0 % of the one-step errors in q, and 0 % of the executed states'
     """
@@ -262,23 +300,26 @@ def check_model(
         "model not right",
         f"{steps}{_percent(followed)} of the executed states, lie within two predicted standard "
         f"deviations (95 % if the model were right){departure}; give it more data there (more "
-        "trials, a larger first motion), and see that load, friction, delay and sensors have not "
-        "changed",
+        f"trials, or a larger first motion: {larger_motion(settings)}), and see that load, "
+        "friction, delay and sensors have not changed",
     )
 
 
-def check_experience(unknown: Tensor, data: int, time_step: float) -> Reason | None:
+def check_experience(
+    unknown: Tensor, data: int, time_step: float, settings: Mapping[str, Any]
+) -> Reason | None:
     """A reason if the experience is far from where the policy goes.
 
     Args:
         unknown: at which steps t = 0..T-1 of the rollouts the model knows little, bool, (N, T).
         data: number of transitions that the model was fitted to.
         time_step: s.
+        settings: of the run, by name.
 
     Example:
         >>> import torch
         >>> away = torch.arange(10) >= 4
-        >>> reason = check_experience(away.expand(20, -1), 50, 0.1)
+        >>> reason = check_experience(away.expand(20, -1), 50, 0.1, {"random_torque": 0.4})
         >>> reason.message.partition(", the robot")[0]
         'in 60 % of the executed steps, first at 0.40 s'
     """
@@ -290,7 +331,7 @@ def check_experience(unknown: Tensor, data: int, time_step: float) -> Reason | N
         "too little experience",
         f"in {_percent(share)} of the executed steps, first at {first * time_step:.2f} s, the "
         f"robot is where the {data} transitions of its model tell little; give it more of them: "
-        "more trials, or a longer or larger first motion",
+        f"more trials, or a larger first motion ({larger_motion(settings)})",
     )
 
 
@@ -302,6 +343,7 @@ def check_search(
     mismatch: str,
     horizons: Sequence[int],
     time_step: float,
+    settings: Mapping[str, Any],
 ) -> Reason:
     """A reason why a search is stuck at a step.
 
@@ -312,28 +354,35 @@ def check_search(
         mismatch: what does not match there, see :func:`worst_entry`.
         horizons: step up to which the search of each trial went.
         time_step: s.
+        settings: of the run, by name.
 
     Example:
         >>> import torch
         >>> step_loss = torch.tensor([0.1, 0.5, 14.0, 30.0])
-        >>> reason = check_search(step_loss, 3, "KL", "nats", "most in q", [2, 2, 2, 2], 0.1)
+        >>> reason = check_search(step_loss, 3, "KL", "nats", "most in q", [2], 0.1, {})
         >>> reason.message.partition(";")[0]
         'the KL of a step rises from 0.5 at 0.20 s to 14 nats at 0.30 s (step 3 of 4), most in q'
     """
     rise = "is"
     if step > 1:
         rise = f"rises from {step_loss[step - 2]:.3g} at {(step - 1) * time_step:.2f} s to"
-    hint = (
-        f"{LATEST} trials led them no further, so try another seed, more iterations or a larger "
-        "trust_threshold (SearchSettings), or a larger noise_std, which forgives more"
-    )
-    if _advancing(horizons):
-        hint = "more trials may lead them further"
+    hint = "more trials may lead them further"
+    if not _advancing(horizons):
+        hint = f"{LATEST} trials led them no further, so try {_other_search(settings)}"
     return Reason(
         "search stuck",
         f"the {name} of a step {rise} {step_loss[step - 1]:.3g} {unit} at "
         f"{step * time_step:.2f} s (step {step} of {len(step_loss)}), {mismatch}; the last "
         f"searches went up to step {', '.join(map(str, horizons[-LATEST - 2 :]))}: {hint}",
+    )
+
+
+def _other_search(settings: Mapping[str, Any]) -> str:
+    """What may help a search that is stuck."""
+    return (
+        f"another seed, more iterations ({scaled(settings, 'search.stage_iterations', 2)}), a "
+        f"larger threshold ({scaled(settings, 'search.trust_threshold', 2)}), or "
+        f"{scaled(settings, 'noise_std', 2)}, which forgives more"
     )
 
 
@@ -370,7 +419,9 @@ def worst_entry(
     return "most in {} (predicted {}, demonstrated {})".format(names[worst], *said)
 
 
-def unexplained(failed: int, count: int, tolerance: float, largest: str) -> Reason:
+def unexplained(
+    failed: int, count: int, tolerance: float, largest: str, settings: Mapping[str, Any]
+) -> Reason:
     """The reason for a run in which nothing is wrong but its success rate.
 
     Args:
@@ -378,13 +429,15 @@ def unexplained(failed: int, count: int, tolerance: float, largest: str) -> Reas
         count: of all.
         tolerance: error up to which a rollout is a success.
         largest: what is left of the objective, and where.
+        settings: of the run, by name.
     """
     return Reason(
         "success criterion",
         f"the robot does what was predicted, and the search is content with it, yet {failed} of "
         f"{count} rollouts have an error above {tolerance:.3g}: the criterion asks for more than "
-        f"the objective does. {largest}; a smaller noise_std, or more trials and confirmations, "
-        "bring the robot nearer to the demonstrations",
+        f"the objective does. {largest}; {scaled(settings, 'noise_std', 0.5)}, or more trials with "
+        f"confirmations={settings['confirmations'] + 2}, bring the robot nearer to the "
+        "demonstrations",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import nan
 
 import torch
 from torch import Tensor
@@ -20,7 +21,7 @@ from torch_pmil.search.losses import TrajectoryKLLoss
 
 # these have poses, and pictures without OpenGL, drawn from positions in the match space
 SKETCHED = ("double_pendulum", "double_pendulum_pilco", "double_pendulum_targets")
-SLICED = 4  # inputs of the model that slices go over: those on which it depends most
+SLICED = 4  # inputs of the model that slices go over
 SHARES = (0.2, 0.4, 0.6, 1.0)  # of the horizon: times at which the policy is shown
 MARGIN = 0.3  # around the executed motion, in its range
 
@@ -28,6 +29,7 @@ MARGIN = 0.3  # around the executed motion, in its range
 def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str, plotting.Figure]]:
     """All figures of a run with their names, one after the other.
 
+    Those that show a prediction alone are left out where there is none.
     Names of the figures of a target end in ``_target_0``, ``_target_1``, ...
     """
     yield "learning_curve", _learning_curve(experiment, result)
@@ -41,13 +43,18 @@ def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str,
     if experiment.name in SKETCHED:
         positions = experiment.space.observe(first.executed[0])
         yield "poses", plotting.plot_poses(positions, experiment.demonstrations.time_step)
-    if isinstance(experiment, Handwriting):
+    if isinstance(experiment, Handwriting) and is_predicted(first):
         writing = experiment.writing(first.predicted, first.rollouts)
-        yield "writing", plotting.plot_writing({experiment.name: writing})
+        yield "writing", plotting.plot_writing({experiment.name.replace("_", " "): writing})
+
+
+def is_predicted(outcome: Outcome) -> bool:
+    """Whether the newest model can predict the saved policy's trajectory."""
+    return bool(outcome.predicted.mean.isfinite().all())
 
 
 def _learning_curve(experiment: Experiment, result: RunResult) -> plotting.Figure:
-    objective, trials = experiment.objective, result.trials
+    objective, trials, summary = experiment.objective, result.trials, result.summary
     label = f"predicted {objective.label}"
     if objective.unit:
         label = f"{label} ({objective.unit})"
@@ -56,7 +63,13 @@ def _learning_curve(experiment: Experiment, result: RunResult) -> plotting.Figur
         [t.success_rate for t in trials],
         [t.loss for t in trials],
         label,
+        (summary["experience_s"], summary["saved_success_rate"], _saved_loss(summary)),
     )
+
+
+def _saved_loss(summary: dict) -> float:
+    """Predicted loss of the saved policy under the newest model; NaN if that cannot predict it."""
+    return sum(summary["loss_per_step"]) if "loss_per_step" in summary else nan
 
 
 def _of_outcome(
@@ -66,11 +79,20 @@ def _of_outcome(
     match_space, time_step = experiment.space.match_space, experiment.demonstrations.time_step
     names, demonstrated = match_space.names, outcome.demonstrated
     predicted = match_space.moments(outcome.predicted).add_noise(experiment.noise_std**2)
-    executed = match_space(outcome.executed)[:, 1:]
-    trajectories = plotting.plot_distributions(
-        names, match_space.units, time_step, demonstrated, predicted, executed
+    yield (
+        "trajectories",
+        plotting.plot_distributions(
+            names,
+            match_space.units,
+            time_step,
+            outcome.demonstrations.positions,
+            demonstrated,
+            predicted,
+            match_space(outcome.executed),
+        ),
     )
-    yield "trajectories", trajectories
+    if not is_predicted(outcome):
+        return
     if issubclass(experiment.objective, TrajectoryKLLoss):
         yield "kl_per_step", plotting.plot_kl_per_step(names, time_step, demonstrated, predicted)
     planes = planes_of(experiment.space, len(experiment.u_max), outcome.executed)
@@ -151,17 +173,43 @@ def _calibration(experiment: Experiment, result: RunResult) -> plotting.Figure:
 def _model(experiment: Experiment, result: RunResult) -> plotting.Figure:
     """Slices through the model where the robot was halfway.
 
-    They go over the inputs on which the model depends most.
+    They go over the torques, and the features on which the model depends most.
     """
     space, dynamics, outcome = experiment.space, result.dynamics, result.outcomes[0]
     halfway = experiment.horizon // 2
     features = space.features(outcome.executed[0, halfway])
     point = torch.cat([features, outcome.rollouts["action"][0, halfway]])
     relevance = (dynamics.train_inputs.std(0) / dynamics.expansion.lengthscales).amax(0)
-    over = relevance.topk(min(SLICED, len(relevance))).indices.sort().values.tolist()
     return plotting.plot_gp_slices(
-        dynamics, point, _input_names(experiment), space.names, space.units, over
+        dynamics,
+        point,
+        _input_names(experiment),
+        space.names,
+        space.units,
+        sliced(relevance, len(experiment.u_max)),
     )
+
+
+def sliced(relevance: Tensor, torques: int) -> list[int]:
+    """The inputs that slices go over: the most relevant features, and the most relevant torques.
+
+    There is one feature at least.
+
+    Args:
+        relevance: of each input, the features before the torques, (D' + F,).
+        torques: F.
+
+    Example:
+        >>> sliced(torch.tensor([3.0, 1.0, 5.0, 4.0, 0.1, 0.2]), torques=2)
+        [2, 3, 4, 5]
+    """
+    features = len(relevance) - torques
+    actions = min(torques, SLICED - 1)
+    chosen = [
+        relevance[:features].topk(min(SLICED - actions, features)).indices,
+        features + relevance[features:].topk(actions).indices,
+    ]
+    return torch.cat(chosen).sort().values.tolist()
 
 
 def _input_names(experiment: Experiment) -> list[str]:

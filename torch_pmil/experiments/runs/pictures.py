@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 from torch_pmil import plotting
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments.runs.figures import SKETCHED, figures_of
+from torch_pmil.experiments.runs.printing import print_left, print_result
 from torch_pmil.experiments.runs.report import write_report
-from torch_pmil.experiments.runs.telling import Step
+from torch_pmil.experiments.runs.telling import Step, tell
 from torch_pmil.experiments.runs.training import RunResult
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.plotting.video import (
@@ -24,10 +26,24 @@ from torch_pmil.plotting.video import (
 FRAMES_PER_SECOND = 50
 
 
+def tell_all(label: str, experiment: Experiment, result: RunResult, out: Path) -> list[str]:
+    """Report, print, draw and film a run that is saved; a line for each of these that failed.
+
+    The report is there at once, and again with figures and video when they are drawn.
+    """
+    with suppress(Exception):  # the step that writes it again says what fails
+        write_report(out, drawn=False)
+    print_result(label, result.summary)
+    failures = tell(steps_of(experiment, result, out))
+    print_left(label, out)
+    return failures
+
+
 def steps_of(experiment: Experiment, result: RunResult, out: Path) -> Iterator[Step]:
     """Steps that draw figures and video (as a GIF too), and write the report with them."""
     yield "figures", partial(draw_figures, experiment, result, out / "figures")
-    yield "video", partial(film, experiment, result, out / "video.mp4")
+    if experiment.draws:
+        yield "video", partial(film, experiment, result, out / "video.mp4")
     if (out / "video.mp4").exists():
         yield "GIF", partial(write_gif, out / "video.gif", out / "video.mp4")
     yield "report", partial(write_report, out)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import platform
 import re
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -40,7 +41,7 @@ MOST_TRIALS = 1000  # memory for all their rollouts is taken at once
 # what a run leaves besides checkpoints, logs and figures; what says that it has ended comes last
 FILES = (
     *("video.mp4", "video.gif", "report.html", "policy.pt", "dynamics.pt", "metrics.csv"),
-    *("run.json", "summary.json"),
+    *("settings.yaml", "run.json", "summary.json"),
 )
 LOGGED = re.compile(r"(\d{1,18}),.*\n")  # a whole row of a CSV logger: step, value
 STAGED = re.compile(r"\.(.+\.torchrl)\.(stage|archive|backup)-[0-9a-f]{32}")
@@ -65,6 +66,15 @@ def prepare_folder(out: Path) -> None:
 def write_origin(out: Path, source: dict[str, object]) -> None:
     """Write ``run.json``: command, date, commit and versions, from the run's first second on."""
     write_json(out / "run.json", source)
+
+
+def write_settings(out: Path, settings: Mapping[str, object]) -> None:
+    """Write ``settings.yaml``, with which ``pmil train settings=FILE`` makes the run again."""
+    lines = (
+        f"{name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in settings.items()
+    )
+    with replacing(out / "settings.yaml") as temporary:
+        temporary.write_text("".join(lines), encoding="utf-8")
 
 
 def read_command(folder: Path) -> list[str]:

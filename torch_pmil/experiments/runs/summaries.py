@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import ndtri
 
-from torch_pmil.files import LineError, read_json, read_text, short
+from torch_pmil.files import LineError, in_words, read_json, read_text, short
 
 CONFIDENCE = 0.95
 ROUNDING = 1e-9  # of a mean of rates
@@ -109,7 +109,7 @@ def read_summary(folder: Path) -> dict:
         summary = read_json(folder / "summary.json", finite=True)
         _check_summary(summary)
     except OSError as error:
-        raise RunError(f"{folder}: cannot read summary.json: {error.strerror}") from error
+        raise RunError(f"{folder} holds no finished run: {in_words(error)}") from error
     except KeyError as error:
         raise RunError(f"{folder}: summary.json has no {error.args[0]!r}") from error
     except (ValueError, TypeError, AttributeError) as error:

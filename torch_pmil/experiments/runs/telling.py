@@ -50,12 +50,12 @@ def making_the_rest(out: Path) -> str:
     return shlex.join(["pmil", "resume", folder])
 
 
-def warn_incomplete(label: str, failures: list[str], out: Path) -> None:
-    """Say on standard error, in one line, what is missing; nothing if nothing is."""
+def warn_incomplete(label: str, failures: list[str], remedy: str) -> None:
+    """Say on standard error, in one line, what is missing and what makes it, if anything is."""
     if failures:
         print(
-            f"{label}the report is incomplete: {'; '.join(failures)}; {making_the_rest(out)} makes "
-            "the rest later, pmil report the page alone",
+            f"{label}the report is incomplete: {'; '.join(failures)}; {remedy} makes the rest "
+            "later, pmil report the page alone",
             file=sys.stderr,
             flush=True,
         )

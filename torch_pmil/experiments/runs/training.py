@@ -37,6 +37,7 @@ from torch_pmil.experiments.runs.run_folder import (
     save_tensors,
     write_metrics,
     write_origin,
+    write_settings,
 )
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.files import write_json
@@ -45,6 +46,7 @@ from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.model.compiled import available, kernels
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.experience import torchrl_warnings_alone
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.trainer.archive import SavedRun
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in
@@ -85,16 +87,17 @@ def train(
     resume: bool = False,
     logger: str | None = None,
     overwrite: bool = False,
+    settings: Mapping[str, object] | None = None,
 ) -> RunResult:
     """Learn an experiment, and write policy, model and numbers into the folder of the run.
 
     These are ``policy.pt``, ``dynamics.pt``, ``summary.json``, and after every trial
     ``metrics.csv``.
 
-    ``run.json`` says how the run was begun. A checkpoint is written into ``checkpoints/`` after
-    every rollout of the robot. A run that was killed goes on from there with ``resume`` and ends
-    with the very same policy and model; one that has ended comes to the same end again, or goes on
-    if ``trials`` was its limit and is larger now.
+    ``run.json`` says how the run was begun, ``settings.yaml`` with which settings. A checkpoint is
+    written into ``checkpoints/`` after every rollout of the robot. A run that was killed goes on
+    from there with ``resume`` and ends with the very same policy and model; one that has ended
+    comes to the same end again, or goes on if ``trials`` was its limit and is larger now.
 
     Args:
         experiment: what to learn.
@@ -110,6 +113,7 @@ def train(
             none.
         overwrite: whether to replace a run that has ended; without it, and without ``resume``, such
             a run stays as it is.
+        settings: of the command, by which ``settings.yaml`` names the task.
 
     Raises:
         OSError: the folder cannot be written to.
@@ -137,7 +141,7 @@ def train(
         write_metrics(out / "metrics.csv", Trial, trainer.trials)
         on_trial(trial)
 
-    with alone_in(out):
+    with alone_in(out), torchrl_warnings_alone():
         remove_debris(out)
         saved = _same_run(rotation, identity) if resume else None
         if not resume:
@@ -145,6 +149,8 @@ def train(
         (out / "summary.json").unlink(missing_ok=True)  # from now on the run is unfinished
         prepare_folder(out)
         source = provenance(command)
+        named = {"experiment": experiment.name, "seed": seed, "trials": trials, **(settings or {})}
+        write_settings(out, named | experiment.adjustable)
         write_origin(out, source)
         opened = None if logger is None else open_logger(logger, out, experiment.name, seed)
         if available():
@@ -293,6 +299,7 @@ def _measured(
 
     Of several targets it is the mean.
     """
+    match_space = experiment.space.match_space
     rates = {
         outcome.label: success_rate(experiment.error(outcome.rollouts), experiment.tolerance)
         for outcome in outcomes
@@ -314,10 +321,12 @@ def _measured(
         "saved_success_rate": fmean(rates.values()),
         "saved_n_eval": sum(len(outcome.executed) for outcome in outcomes),
         **({"saved_success_rate_by_target": rates} if len(outcomes) > 1 else {}),
-        "rms_error": _by_name(experiment.space.match_space.names, errors.square().mean(0).sqrt()),
-        "demonstration_spread": _by_name(
-            experiment.space.match_space.names, spread.square().mean(0).sqrt()
-        ),
+        "units": {
+            "objective": experiment.objective.unit,
+            "demonstrations": dict(zip(match_space.names, match_space.units, strict=True)),
+        },
+        "rms_error": _by_name(match_space.names, errors.square().mean(0).sqrt()),
+        "demonstration_spread": _by_name(match_space.names, spread.square().mean(0).sqrt()),
         "saturated": _by_name(trainer.evaluation_env.motor_names, saturated),
     }
 

@@ -12,7 +12,7 @@ from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv, holding_torques
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
-    check_demonstrations,
+    fitting,
     independent_start,
 )
 from torch_pmil.search.policy_search import SearchSettings
@@ -107,7 +107,7 @@ def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
     """
     demonstrations = demonstrations or shipped_demonstrations("biorob")
     env, space = BioRobEnv(), biorob_space()
-    check_demonstrations(demonstrations, space, env)
+    demonstrations = fitting(demonstrations, space, env)
     u_max = env.action_spec.space.high
     return Experiment(
         name="biorob",

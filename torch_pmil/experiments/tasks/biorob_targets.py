@@ -19,7 +19,7 @@ from torch_pmil.experiments.tasks.biorob import (
     holding_torques_at,
     movements_around,
 )
-from torch_pmil.experiments.tasks.experiment import check_demonstrations, independent_start
+from torch_pmil.experiments.tasks.experiment import fitting, independent_start
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 
 # factors of the widths for one ball: strikes at balls to the left and right differ in yaw
@@ -62,7 +62,7 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
     """
     demonstrations = demonstrations or shipped_demonstrations("biorob_targets")
     env, space = BioRobEnv(), biorob_space()
-    check_demonstrations(demonstrations, space, env, TARGET_NAMES)
+    demonstrations = fitting(demonstrations, space, env, TARGET_NAMES)
     u_max = env.action_spec.space.high
     widths, widened = torch.tensor([INPUT_WIDTHS, WIDENED], dtype=torch.float64)
     reach = torch.tensor(REACH, dtype=torch.float64)

@@ -11,7 +11,7 @@ from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
-    check_demonstrations,
+    fitting,
     independent_start,
 )
 
@@ -31,15 +31,9 @@ def double_pendulum_space() -> StateSpace:
         >>> double_pendulum_space().observe(torch.zeros(4, dtype=torch.float64))
         tensor([0.0000, 0.5000, 0.0000, 1.0000], dtype=torch.float64)
     """
-    absolute = torch.tensor([[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 1.0, 0.0]], dtype=torch.float64)
-    # columns: state, sin of the absolute angles, cos of the absolute angles
-    links = torch.zeros(4, 8, dtype=torch.float64)
-    links[0, 4] = links[2, 4] = links[2, 5] = LINK_LENGTH
-    links[1, 6] = links[3, 6] = links[3, 7] = LINK_LENGTH
-    match_space = MatchSpace(("x1", "y1", "x2", "y2"), ("m",) * 4, absolute, links)
-    return StateSpace(
-        ("q1", "dq1", "q2", "dq2"), ("rad", "rad/s", "rad", "rad/s"), (0, 2), match_space
-    )
+    names = ("q1", "dq1", "q2", "dq2")
+    match_space = MatchSpace.of_links(("q1", "q2"), (LINK_LENGTH, LINK_LENGTH), names)
+    return StateSpace(names, ("rad", "rad/s", "rad", "rad/s"), (0, 2), match_space)
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
@@ -108,7 +102,7 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
     """
     demonstrations = demonstrations or shipped_demonstrations("double_pendulum")
     env = DoublePendulumEnv()
-    check_demonstrations(demonstrations, double_pendulum_space(), env)
+    demonstrations = fitting(demonstrations, double_pendulum_space(), env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
     return Experiment(
         name="double_pendulum",

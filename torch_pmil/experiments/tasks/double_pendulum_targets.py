@@ -15,7 +15,7 @@ from torch_pmil.experiments.tasks.double_pendulum import (
     double_pendulum_space,
     states_from_positions,
 )
-from torch_pmil.experiments.tasks.experiment import check_demonstrations, independent_start
+from torch_pmil.experiments.tasks.experiment import fitting, independent_start
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 
 
@@ -38,7 +38,7 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
     """
     demonstrations = demonstrations or shipped_demonstrations("double_pendulum_targets")
     env = DoublePendulumEnv()
-    check_demonstrations(demonstrations, double_pendulum_space(), env, ("x", "y"))
+    demonstrations = fitting(demonstrations, double_pendulum_space(), env, ("x", "y"))
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
     return TargetExperiment(
         name="double_pendulum_targets",

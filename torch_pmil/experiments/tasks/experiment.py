@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
-from typing import ClassVar
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any, ClassVar, Self, TypeVar
 
 import torch
 from tensordict import TensorDictBase
@@ -17,6 +17,7 @@ from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.rollouts import states_of
+from torch_pmil.files import short
 from torch_pmil.gp.checks import check_noise, check_positive, check_tensor, check_whole
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
@@ -27,6 +28,9 @@ from torch_pmil.search.trajectory_loss import TrajectoryLoss
 HELD_STARTS = 200  # at which a new policy is told to hold the robot
 START_REACH = 3.0  # standard deviations of the start that the model's data reach at least
 FEWEST_TRANSITIONS = 2  # of which a model can be made
+MOST_CENTRES = 10_000  # whose pairs a prediction goes through
+
+Held = TypeVar("Held", bound="Experiment | PDMovements | SearchSettings")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +93,7 @@ class Experiment:
         holding_torques: torques (S, F) that hold the robot in states (S, D); a new policy holds it
             at the start. None: it need not.
         search: budget and horizon of the policy search.
+        draws: whether the environment gives pictures, for the video.
 
     ``objective`` is the class of the loss that :meth:`make_loss` gives.
 
@@ -119,16 +124,22 @@ class Experiment:
     least_widths: Tensor | None = None
     holding_torques: Callable[[Tensor], Tensor] | None = None
     search: SearchSettings = field(default_factory=SearchSettings)
+    draws: bool = True
 
     def __post_init__(self) -> None:
+        self._check_settings()
         transitions = self.exploration.rollouts * self.exploration.steps
+        if transitions < FEWEST_TRANSITIONS and self.pd_movements is not None:
+            raise ValueError(
+                f"exploration.rollouts times exploration.steps must be at least "
+                f"{FEWEST_TRANSITIONS}, got {transitions}"
+            )
         if transitions < FEWEST_TRANSITIONS:
             raise DemonstrationError(
                 f"demonstrations must have {FEWEST_TRANSITIONS + 1} samples at least, since the "
                 f"robot explores for as long and its model needs {FEWEST_TRANSITIONS} transitions, "
                 f"got {self.horizon + 1}"
             )
-        self._check_settings()
 
     def _check_settings(self) -> None:
         D = self.space.dim
@@ -139,19 +150,28 @@ class Experiment:
             raise ValueError(
                 f"initial must be over the {D} entries of the state, got {self.initial.dim}"
             )
-        for name in ("num_centres", "confirmations"):
-            check_whole(name, getattr(self, name), 1)
-        check_positive("input_scale", self.input_scale)
+        check_whole("num_centres", self.num_centres, 1, MOST_CENTRES)
+        check_whole("confirmations", self.confirmations, 1)
+        for name in ("input_scale", "random_torque"):
+            check_positive(name, getattr(self, name))
+        if self.random_torque > 1:
+            raise ValueError(f"random_torque must be at most 1, got {self.random_torque!r}")
         for name in ("tolerance", "initial_weight_std"):
             check_positive(name, getattr(self, name), zero=True)
         for name in ("input_widths", "least_widths"):
             widths = getattr(self, name)
             if widths is not None:
-                check_tensor(name, widths, ("D'",))
+                check_tensor(name, widths, (len(self.space.feature_names),))
                 if not (widths > 0).all():
                     raise ValueError(f"{name} must be positive, got {widths.tolist()}")
         if not isinstance(self.search, SearchSettings):
             raise TypeError(f"search must be SearchSettings, got {type(self.search).__name__}")
+        check_positive("search.trust_threshold", self.search.trust_threshold, zero=True)
+        if self.pd_movements is not None and self.pd_movements.pose.shape != (D,):
+            raise ValueError(
+                f"exploration.pose must be a state of {D} entries, got "
+                f"{len(self.pd_movements.pose)}"
+            )
 
     @property
     def horizon(self) -> int:
@@ -199,6 +219,47 @@ class Experiment:
             "confirmations": self.confirmations,
             "search": asdict(self.search),
         }
+
+    @property
+    def adjustable(self) -> dict[str, object]:
+        """What :meth:`with_settings` changes: names and present values, in types that JSON has."""
+        settings: dict[str, Any] = self.settings
+        moved = self.pd_movements is not None
+        groups = ("exploration", "search") if moved else ("search",)
+        unused = {"search", "random_torque"} if moved else {"search"}
+        own = {entry.name for entry in fields(self)} - unused
+        return {name: value for name, value in settings.items() if name in own} | {
+            f"{group}.{name}": value for group in groups for name, value in settings[group].items()
+        }
+
+    def with_settings(self, **changes: object) -> Self:
+        """The experiment with other settings, under the names of the command line.
+
+        Args:
+            changes: any of :attr:`adjustable`: numbers, lists of them, or true and false.
+
+        Raises:
+            ValueError: it has no such setting, or one is of another type, shape or range.
+
+        Example:
+            >>> from torch_pmil import load_experiment
+            >>> changes = {"noise_std": 0.1, "search.final_iterations": 60}
+            >>> experiment = load_experiment("double_pendulum").with_settings(**changes)
+            >>> experiment.noise_std, experiment.search.final_iterations
+            (0.1, 60)
+        """
+        known = self.adjustable
+        for name in changes:
+            if name not in known:
+                raise ValueError(
+                    f"a setting of {self.name} must be one of {', '.join(known)}, got {name}"
+                )
+        grouped = replace(
+            self,
+            search=_with(self.search, "search.", changes),
+            pd_movements=self.pd_movements and _with(self.pd_movements, "exploration.", changes),
+        )
+        return _with(grouped, "", changes)
 
     def robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
         """The robot that learns."""
@@ -283,30 +344,54 @@ class Experiment:
         return self.space.features(starts)
 
 
+def _with(held: Held, prefix: str, changes: Mapping[str, object]) -> Held:
+    """A dataclass with the changes of its own fields, whose names begin with the prefix."""
+    own: dict[str, Any] = {
+        entry.name: _numbers(name, changes[name], str(entry.type))
+        for entry in fields(held)
+        if (name := f"{prefix}{entry.name}") in changes
+    }
+    try:
+        return replace(held, **own)
+    except ValueError as error:  # begins with the name of a field
+        raise ValueError(f"{prefix}{error}") from error
+
+
+def _numbers(name: str, value: object, kind: str) -> object:
+    """A value as a tensor where a field of that kind has no other, or where it is a list."""
+    if "Tensor" not in kind or ("float" in kind and not isinstance(value, list | tuple)):
+        return value
+    try:
+        return torch.as_tensor(value, dtype=torch.float64)
+    except (TypeError, ValueError, OverflowError, RuntimeError) as error:
+        raise ValueError(f"{name} must be numbers, got {short(value)}") from error
+
+
 def independent_start(mean: Tensor, std: Tensor) -> Gaussian:
     """p(x_0) of independent entries with these means and standard deviations, (D,) each."""
     return Gaussian(mean, torch.diag(std**2))
 
 
-def check_demonstrations(
+def fitting(
     demonstrations: Demonstrations,
     space: StateSpace,
     env: MujocoRobotEnv | AdaptedEnv,
     target_names: tuple[str, ...] = (),
-) -> None:
-    """Raise DemonstrationError unless demonstrations fit match space, targets and control rate."""
+) -> Demonstrations:
+    """Demonstrations with their columns in the order of the match space.
+
+    Raises:
+        DemonstrationError: their names, targets or time step are not those of the task.
+    """
     if demonstrations.target_names != target_names:
         wanted = ", ".join(target_names) or "none"
         found = ", ".join(demonstrations.target_names) or "none"
         raise DemonstrationError(f"targets of the demonstrations must be {wanted}, got {found}")
-    if demonstrations.names != space.match_space.names:
-        raise DemonstrationError(
-            f"demonstrations must be of {', '.join(space.match_space.names)}, got "
-            f"{', '.join(demonstrations.names)}"
-        )
+    demonstrations = demonstrations.in_order(space.match_space.names)
     if abs(demonstrations.time_step / env.control_period - 1) > 1e-6:
         raise DemonstrationError(
             f"demonstrations must have a time step of {env.control_period} s, the robot's control "
             f"period, got {demonstrations.time_step} s; pmil align --time-step "
             f"{env.control_period} resamples a recording"
         )
+    return demonstrations

@@ -12,7 +12,7 @@ from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.double_pendulum import unwrapped
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
-    check_demonstrations,
+    fitting,
     independent_start,
 )
 
@@ -30,10 +30,7 @@ def gym_pendulum_space() -> StateSpace:
         >>> gym_pendulum_space().observe(torch.zeros(2, dtype=torch.float64))
         tensor([0., 1.], dtype=torch.float64)
     """
-    angle = torch.tensor([[1.0, 0.0]], dtype=torch.float64)
-    tip = torch.zeros(2, 4, dtype=torch.float64)  # columns: state, sin q, cos q
-    tip[0, 2] = tip[1, 3] = LENGTH
-    match_space = MatchSpace(("x", "y"), ("m", "m"), angle, tip)
+    match_space = MatchSpace.of_links(("q",), (LENGTH,), ("q", "dq"), names=("x", "y"))
     return StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), match_space)
 
 
@@ -70,7 +67,7 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
     """
     demonstrations = demonstrations or shipped_demonstrations("gym_pendulum")
     space, env = gym_pendulum_space(), gym_pendulum_env()
-    check_demonstrations(demonstrations, space, env)
+    demonstrations = fitting(demonstrations, space, env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
     return Experiment(
         name="gym_pendulum",

@@ -164,10 +164,7 @@ def _strokes(
             "handwriting needs a shape or demonstrations, got "
             f"{'neither' if shape is None else 'both'}"
         )
-    if demonstrations.names != NAMES:
-        raise DemonstrationError(
-            f"strokes must be of {', '.join(NAMES)}, got {', '.join(demonstrations.names)}"
-        )
+    demonstrations = demonstrations.in_order(NAMES)
     if abs(demonstrations.time_step / TIME_STEP - 1) > 1e-6:
         raise DemonstrationError(
             f"strokes must have a time step of {TIME_STEP} s, got {demonstrations.time_step} s"

@@ -9,7 +9,7 @@ from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.gym_tasks import CART_START, inverted_pendulum_env
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.experiments.tasks.experiment import Experiment, check_demonstrations
+from torch_pmil.experiments.tasks.experiment import Experiment, fitting
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.policy_search import SearchSettings
 
@@ -63,7 +63,7 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
     """
     demonstrations = demonstrations or shipped_demonstrations("inverted_pendulum")
     space, env = inverted_pendulum_space(), inverted_pendulum_env()
-    check_demonstrations(demonstrations, space, env)
+    demonstrations = fitting(demonstrations, space, env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
     tip = demonstrations.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
     # mean and covariance of the uniform start

@@ -17,6 +17,7 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.tasks.double_pendulum import UPRIGHT, double_pendulum
 from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.gp.checks import check_positive, check_tensor
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.losses import ExpectedSaturatingCost
 from torch_pmil.search.policy_search import SearchSettings
@@ -64,6 +65,12 @@ class PilcoExperiment(Experiment):
     cost_width: float = field(kw_only=True)
     velocity_std: float = field(kw_only=True)
     velocity_limit: float = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_tensor("target", self.target, (self.space.match_space.dim,))
+        for name in ("cost_width", "velocity_std", "velocity_limit"):
+            check_positive(name, getattr(self, name))
 
     @property
     def limits(self) -> Tensor:

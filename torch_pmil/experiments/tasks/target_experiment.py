@@ -15,6 +15,7 @@ from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
+from torch_pmil.gp.checks import check_positive
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
@@ -46,6 +47,7 @@ class TargetExperiment(Experiment):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_positive("target_scale", self.target_scale)
         if len(self.targets) < 2:
             raise DemonstrationError(
                 f"demonstrations must be of two targets at least, got {self.targets.tolist()}"

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import torch_pmil
+from torch_pmil.experiments import EXPERIMENTS, load_experiment
 from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.experiments.runs.report.units import unit_of
 from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.plotting import save_figure
 from torch_pmil.plotting.video import write_video
@@ -69,7 +73,8 @@ def test_page_asks_for_nothing_from_elsewhere(tmp_path: Path) -> None:
     folder = run_of(tmp_path / "run", OLD, "poses")
     write_video(folder / "video.mp4", [np.zeros((16, 16, 3), dtype=np.uint8)] * 5, fps=5)
     page = page_of(folder)
-    sources = re.findall(r"(?:src|href|action|poster)=\"(.{5})", page)
+    loaded = re.sub(r"<a [^>]*>", "", page)  # a link is followed only when it is chosen
+    sources = re.findall(r"(?:src|href|action|poster)=\"(.{5})", loaded)
     assert (
         sources == 3 * ["data:"]
         and "<script" not in page
@@ -151,22 +156,82 @@ def test_run_at_its_limit_can_go_on_and_any_can_be_repeated_or_begin_anew(tmp_pa
     assert "trials=2" not in done and f"{command} overwrite=true</pre>" in done
 
 
-def test_numbers_of_trials_and_settings_are_in_tables(tmp_path: Path) -> None:
+def rows_of(page: str) -> list[list[str]]:
+    rows = re.findall(r"<tr>(.*?)</tr>", page)
+    return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
+
+
+def test_numbers_of_trials_and_settings_are_in_tables_with_their_units(tmp_path: Path) -> None:
     shares = {
         "rms_error": {"x": 0.01},
         "demonstration_spread": {"x": 0.02},
         "saturated": {"tau": 0.25},
+        "units": {"objective": "nats", "demonstrations": {"x": "m"}},
     }
-    summary = OLD | {"settings": {"horizon": 25, "search": {"trust_threshold": 3.0}}} | shares
-    page = page_of(run_of(tmp_path / "run", summary))
-    rows = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", page)]
+    settings = {"horizon": 25, "noise_std": 0.05, "search": {"trust_threshold": 3.0}}
+    trial = TRIAL | {"loss": 2.0, "stop_reason": "iteration limit"}
+    summary = OLD | {"settings": settings, "trials": [trial]} | shares
+    rows = rows_of(page_of(run_of(tmp_path / "run", summary)))
     for row in (
-        ["1", "2.5", "–", "50 %", "failed", "0.3", "iterations"],
-        ["x", "0.01", "0.02"],
-        ["search.trust_threshold", "3"],
+        ["1", "2.5", "2", "50 %", "failed", "0.3", "all its iterations done"],
+        ["x (m)", "0.01", "0.02"],
+        ["horizon", "25", "steps"],
+        ["noise_std", "0.05", "m"],
+        ["search.trust_threshold", "3", "nats a step"],
         ["tau", "25 %"],
     ):
         assert row in rows
+    assert "objective (nats)" in rows[0]
+
+
+def test_own_error_is_told_beside_the_tolerance_and_without_one_as_it_is(tmp_path: Path) -> None:
+    with_tolerance = rows_of(
+        page_of(run_of(tmp_path / "a", OLD | {"settings": {"tolerance": 0.2}}))
+    )
+    assert "own error, of the tolerance" in with_tolerance[0] and "150 %" in with_tolerance[1]
+    without = rows_of(page_of(run_of(tmp_path / "b", OLD)))
+    assert "own error (unit of the task)" in without[0] and "0.3" in without[1]
+
+
+def test_every_setting_that_is_a_number_has_a_unit() -> None:
+    for name in EXPERIMENTS:
+        shape = "Angle" if name == "handwriting" else None
+        experiment = load_experiment(name, shape=shape)
+        match_space = experiment.space.match_space
+        known = dict(zip(match_space.names, match_space.units, strict=True))
+        units = {"objective": experiment.objective.unit, "demonstrations": known}
+        for setting, value in flat(experiment.settings).items():
+            if value is not None and not isinstance(value, bool):
+                assert unit_of(setting, {"units": units}), (name, setting)
+
+
+def flat(settings: dict, prefix: str = "") -> dict[str, object]:
+    inner: dict[str, object] = {}
+    for name, value in settings.items():
+        inner |= (
+            flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+        )
+    return inner
+
+
+def test_pages_of_the_documentation_are_links_where_they_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = run_of(tmp_path / "run", OLD | {"diagnosis": [{"cause": "a", "message": "b"}]})
+    links = re.findall(r"<a href=\"file://([^\"]*)\">([^<]*)</a>", page_of(folder))
+    assert [path for _, path in links] == [
+        f"docs/how_to/{name}.md"
+        for name in ("diagnosis", "reading_the_plots", "diagnosis", "deploy")
+    ]
+    assert all(Path(unquote(address)).exists() for address, _ in links)
+    monkeypatch.setattr(torch_pmil, "__file__", str(tmp_path / "site-packages" / "__init__.py"))
+    page = page_of(folder)
+    assert "<a " not in page and "<code>docs/how_to/deploy.md</code>" in page
+
+
+def test_prediction_that_failed_is_said(tmp_path: Path) -> None:
+    page = page_of(run_of(tmp_path / "run", OLD | {"prediction_error": "it diverged at step 7"}))
+    assert "cannot predict the saved policy (it diverged at step 7)" in page
 
 
 def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Path) -> None:
@@ -178,7 +243,7 @@ def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Pa
     ):
         write_report(folder)
     (folder / "summary.json").unlink()
-    with pytest.raises(RunError, match=r"cannot read summary\.json: No such file"):
+    with pytest.raises(RunError, match=r"holds no finished run: there is no file"):
         write_report(folder)
     assert (folder / "report.html").read_text() == page
     assert {path.name for path in folder.iterdir()} == {"figures", "report.html"}

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from tests.helpers.run_script import run_command
 from tests.helpers.short_run import quick_fits, short_experiment
@@ -89,6 +92,24 @@ def test_page_is_no_wider_than_the_screen_and_tables_scroll(visit: Visit) -> Non
     assert max(boxes) <= width
     trials = page.locator(".table").first
     assert trials.evaluate("e => e.scrollWidth > e.clientWidth") == (width == WIDTHS["phone"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [".picture", ".table"])
+def test_what_scrolls_has_a_shade_where_there_is_more(visit: Visit, kind: str) -> None:
+    box = visit.page.locator(kind).first
+    scrolls = visit.page.viewport_size["width"] == WIDTHS["phone"]
+    assert shades(box) == (False, scrolls)
+    box.evaluate("e => e.scrollTo(e.scrollWidth, 0)")
+    assert shades(box) == (scrolls, False)
+
+
+def shades(box: object) -> tuple[bool, bool]:
+    """Whether there are shades at the left and the right edge of a box."""
+    picture = np.asarray(Image.open(io.BytesIO(box.screenshot())).convert("L"), dtype=float)
+    bottom = picture[-12]  # below what is drawn or written
+    ground = np.median(bottom[30:-30])
+    return tuple(abs(bottom[at] - ground) > 20 for at in (3, -4))
 
 
 @pytest.mark.slow

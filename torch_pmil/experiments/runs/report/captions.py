@@ -21,14 +21,16 @@ class Caption:
 CAPTIONS = {  # in the order of the page
     "trajectories": Caption(
         "Demonstrated, predicted and executed",
-        "When all is right the predicted band lies on the demonstrated one, and the executed "
-        "rollouts run inside both. Rollouts outside the predicted band: the model is wrong "
-        "there. A predicted band beside the demonstrated one: the search did not get further.",
+        "Blue is what was demonstrated, orange the outline of what the model predicts, both from "
+        "the first step that is compared; dashed are the first five rollouts of the robot from "
+        "fresh starts. When all is right the outline lies on the edges of the band, and the "
+        "rollouts run inside both. Rollouts outside the outline: the model is wrong there. An "
+        "outline beside the band: the search did not get further.",
     ),
     "writing": Caption(
         "In the plane",
         "Strokes of people, what was predicted for the robot's tip (an ellipse of two standard "
-        "deviations at each step), and what it wrote.",
+        "deviations at each step), and the first five strokes that it wrote.",
     ),
     "poses": Caption(
         "Poses of one rollout", "The robot from the start (bright) to the end (dark)."
@@ -36,8 +38,11 @@ CAPTIONS = {  # in the order of the page
     "learning_curve": Caption(
         "Learning curve",
         "Above, the success rate from fresh starts after each trial; below, what the search made "
-        "of its objective. The rate comes up once the objective is low over the whole horizon; "
-        "it need not rise evenly.",
+        "of its objective, where a cross stands for a policy that the model could not predict. The "
+        "star at the end is the saved policy, measured anew. The rate comes up once the objective "
+        "is low over the whole horizon. A dip, as from 100 % to 0 % and back, is one trial whose "
+        "search ended in another optimum, or was misled by a model that the next rollout put "
+        "right; the saved policy is the best that ran, so a dip costs it nothing.",
     ),
     "kl_per_step": Caption(
         "Where the KL comes from",
@@ -54,9 +59,9 @@ CAPTIONS = {  # in the order of the page
     ),
     "model": Caption(
         "Slices through the model",
-        "Each output over the inputs on which the model depends most, through where the robot "
-        "was halfway. The band should be narrow where there are data and widen beyond; dots "
-        "outside it are transitions that the model does not explain.",
+        "Each output over the torques and the other inputs on which the model depends most, "
+        "through where the robot was halfway. The band should be narrow where there are data and "
+        "widen beyond; dots outside it are transitions that the model does not explain.",
     ),
     "policy": Caption(
         "The policy",

@@ -9,6 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from torch_pmil.experiments.runs.report.captions import Caption, caption_of, place_of
+from torch_pmil.experiments.runs.report.documentation import page_of
 from torch_pmil.experiments.runs.report.tables import tables
 from torch_pmil.experiments.runs.report.words import headline, next_steps, percent, say
 from torch_pmil.experiments.runs.summaries import RunError, read_summary
@@ -105,7 +106,7 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"say": say, "percent": percent}
+    environment.filters |= {"say": say, "percent": percent, "page": page_of}
     return environment.get_template("page.html")
 
 

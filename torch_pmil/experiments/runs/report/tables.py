@@ -6,22 +6,15 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from torch_pmil.experiments.runs.report.units import unit_of, with_unit
 from torch_pmil.experiments.runs.report.words import percent, say
 
-# columns that can be read at a glance (metrics.csv has all): a field, what its column is called,
-# and how its value is said
-TRIAL: dict[str, tuple[str, Callable[[Any], str]]] = {
-    "trial": ("trial", say),
-    "experience_s": ("experience (s)", "{:.1f}".format),
-    "loss": ("objective", say),
-    "tracking_error": ("tracking error (rad)", say),
-    "success_rate": ("success rate", percent),
-    "own_success": ("own rollout", lambda success: "succeeded" if success else "failed"),
-    "own_error": ("own error", say),
-    "horizon": ("steps searched", say),
-    "gp_seconds": ("model (s)", "{:.1f}".format),
-    "search_seconds": ("search (s)", "{:.1f}".format),
-    "stop_reason": ("search ended by", say),
+# why the last run of L-BFGS ended, in words that do not sound like a failure where there is none
+ENDS = {
+    "iteration limit": "all its iterations done",
+    "gradient is small": "an optimum",
+    "no further progress": "no further progress",
+    "numerical failure": "a numerical failure",
 }
 
 
@@ -44,7 +37,7 @@ class Table:
 
 def tables(summary: Mapping) -> Iterator[Table]:
     """The tables for which a summary has numbers."""
-    yield _trials(summary["trials"])
+    yield _trials(summary)
     if "saved_success_rate_by_target" in summary:
         rates = summary["saved_success_rate_by_target"].items()
         yield Table(
@@ -52,8 +45,10 @@ def tables(summary: Mapping) -> Iterator[Table]:
         )
     if "rms_error" in summary and "demonstration_spread" in summary:
         spread = summary["demonstration_spread"]
+        units = summary.get("units", {}).get("demonstrations", {})
         rows = [
-            [name, say(error), say(spread[name])] for name, error in summary["rms_error"].items()
+            [with_unit(name, units.get(name)), say(error), say(spread[name])]
+            for name, error in summary["rms_error"].items()
         ]
         text = (
             "Root mean square distance of the rollouts from the demonstrated mean, beside the "
@@ -72,7 +67,10 @@ def tables(summary: Mapping) -> Iterator[Table]:
     if "saturated" in summary:
         rows = [[name, percent(share)] for name, share in summary["saturated"].items()]
         yield Table("Motors", ["motor", "steps within 5 % of its limit"], rows)
-    yield Table("Settings", ["setting", "value"], list(_flat(summary.get("settings", {}))))
+    settings = [
+        [name, value, unit_of(name, summary)] for name, value in _flat(summary.get("settings", {}))
+    ]
+    yield Table("Settings", ["setting", "value", "unit"], settings)
     origin = {name: summary[name] for name in ("command", "date", "commit") if name in summary}
     yield Table(
         "Where it comes from",
@@ -81,13 +79,42 @@ def tables(summary: Mapping) -> Iterator[Table]:
     )
 
 
-def _trials(trials: list[Mapping]) -> Table:
-    fields = [field for field in TRIAL if field in trials[0]]
+def _trials(summary: Mapping) -> Table:
+    trials, columns = summary["trials"], _columns(summary)
+    fields = [field for field in columns if field in trials[0]]
     rows = [
-        ["–" if trial.get(field) is None else TRIAL[field][1](trial[field]) for field in fields]
+        ["–" if trial.get(field) is None else columns[field][1](trial[field]) for field in fields]
         for trial in trials
     ]
-    return Table("Trials", [TRIAL[field][0] for field in fields], rows)
+    text = (
+        "The success rate is from fresh starts, which are no experience. A search has a number of "
+        "iterations; that it does them all is usual, and no failure."
+    )
+    return Table("Trials", [columns[field][0] for field in fields], rows, text)
+
+
+def _columns(summary: Mapping) -> dict[str, tuple[str, Callable[[Any], str]]]:
+    """Columns that can be read at a glance (metrics.csv has all).
+
+    Of each field what its column is called, and how its value is said.
+    """
+    tolerance = summary.get("settings", {}).get("tolerance")
+    own_error: tuple[str, Callable[[Any], str]] = ("own error (unit of the task)", say)
+    if tolerance:
+        own_error = "own error, of the tolerance", lambda error: percent(error / tolerance)
+    return {
+        "trial": ("trial", say),
+        "experience_s": ("experience (s)", "{:.1f}".format),
+        "loss": (with_unit("objective", summary.get("units", {}).get("objective")), say),
+        "tracking_error": ("tracking error (rad)", say),
+        "success_rate": ("success rate", percent),
+        "own_success": ("own rollout", lambda success: "succeeded" if success else "failed"),
+        "own_error": own_error,
+        "horizon": ("searched up to (step)", say),
+        "gp_seconds": ("model (s)", "{:.1f}".format),
+        "search_seconds": ("search (s)", "{:.1f}".format),
+        "stop_reason": ("search ended with", lambda reason: ENDS.get(reason, reason)),
+    }
 
 
 def _flat(settings: Mapping, prefix: str = "") -> Iterator[list[str]]:

@@ -1,0 +1,74 @@
+"""The front door: a robot and its recordings in, a policy and a report out."""
+
+from __future__ import annotations
+
+import re
+from functools import partialmethod
+from pathlib import Path
+
+import pytest
+import torch
+
+from torch_pmil import PMIL, GPDynamics, SearchSettings, load_policy, shipped_demonstrations
+from torch_pmil.envs import DoublePendulumEnv
+from torch_pmil.experiments.runs.run_folder import FinishedRunError
+from torch_pmil.experiments.tasks.double_pendulum import double_pendulum_space
+
+SPACE = double_pendulum_space()
+SHORT = SearchSettings(mean_iterations=1, stage_iterations=1, final_iterations=1, first_horizon=25)
+
+
+@pytest.fixture
+def learner(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PMIL:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+    return PMIL(
+        DoublePendulumEnv(),
+        shipped_demonstrations("double_pendulum"),
+        control_period=0.1,
+        state=SPACE.names,
+        angles=("q1", "q2"),
+        match=SPACE.match_space,
+        search=SHORT,
+    )
+
+
+def test_a_run_is_told_and_leaves_all_that_the_command_leaves(
+    learner: PMIL, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    assert learner.learn(trials=1, seed=3) is learner
+    printed, complained = capsys.readouterr()
+    assert re.search(r"^trial  1:   2\.5 s of experience, KL .* nats", printed, re.MULTILINE)
+    assert "success rate" in printed and "likely reason: " in printed
+    assert "see runs/DoublePendulumEnv/seed_3/report.html" in printed
+    assert "INFO" not in printed + complained and not caplog.records
+    assert "incomplete" not in complained
+    out = Path("runs/DoublePendulumEnv/seed_3")
+    left = {path.name for path in out.iterdir()}
+    assert {"report.html", "summary.json", "policy.pt", "dynamics.pt", "run.json"} <= left
+    assert (out / "figures" / "trajectories.png").exists()
+    assert learner.report() == out / "report.html"
+
+
+def test_the_policy_is_a_function_is_saved_and_is_measured(learner: PMIL) -> None:
+    learner.learn(trials=1, out="run")
+    torque = learner.policy([3.14, 0, 0, 0])
+    assert torque.shape == (2,)
+    learner.save("mine.pt")
+    assert (load_policy("mine.pt")([3.14, 0, 0, 0]) == torque).all()
+    rate = learner.evaluate(starts=4, seed=1)
+    assert rate in (0, 0.25, 0.5, 0.75, 1) and learner.evaluate(starts=4, seed=1) == rate
+
+
+def test_a_finished_run_stays_unless_told_and_resumes_to_the_same_end(learner: PMIL) -> None:
+    weights = learner.learn(trials=1, out="run").policy.policy.weights.clone()
+    with pytest.raises(FinishedRunError):
+        learner.learn(trials=1, out="run")
+    learner.learn(trials=1, out="run", resume=True)
+    torch.testing.assert_close(learner.policy.policy.weights, weights, atol=0, rtol=0)
+
+
+def test_before_learning_there_is_no_policy(learner: PMIL) -> None:
+    for ask in (lambda: learner.policy, lambda: learner.save("a.pt"), learner.evaluate):
+        with pytest.raises(RuntimeError, match="there is no policy yet: call learn"):
+            ask()

@@ -1,0 +1,135 @@
+"""What the task of one's own robot takes from robot and recordings."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from torch_pmil import DemonstrationError, Demonstrations, Experiment, MatchSpace
+from torch_pmil.experiments.tasks.own_robot import own_robot
+
+START = 0.05  # largest absolute value of the first angle
+
+
+class Arm(EnvBase):
+    """One joint that follows its action; it shows angle and velocity, or cosine, sine, velocity."""
+
+    def __init__(self, circle: bool = False) -> None:
+        super().__init__()
+        self.circle = circle
+        self.observation_spec = Composite(joint=Unbounded((3 if circle else 2,)))
+        self.action_spec = Bounded(-4.0, 2.0, (1,))
+        self.reward_spec = Unbounded((1,))
+        self.generator = torch.Generator()
+
+    def _set_seed(self, seed: int) -> None:
+        self.generator.manual_seed(seed)
+
+    def _shown(self) -> torch.Tensor:
+        q, dq = self.state
+        return torch.stack([q.cos(), q.sin(), dq]) if self.circle else self.state
+
+    def _reset(self, tensordict: object) -> object:
+        from tensordict import TensorDict
+
+        q = START * (2 * torch.rand((), generator=self.generator) - 1) + math.pi * self.circle
+        self.state = torch.stack([q, torch.zeros(())])
+        return TensorDict({"joint": self._shown()})
+
+    def _step(self, tensordict: object) -> object:
+        from tensordict import TensorDict
+
+        q, _ = self.state
+        dq = tensordict["action"][0]
+        self.state = torch.stack([q + 0.1 * dq, dq])
+        end = {"reward": torch.zeros(1), "done": torch.zeros(1, dtype=torch.bool)}
+        return TensorDict({"joint": self._shown(), **end})
+
+
+def reaches(names: tuple[str, ...] = ("q",), count: int = 5) -> Demonstrations:
+    time = torch.linspace(0, 1, 21, dtype=torch.float64)
+    smooth = time**2 * (3 - 2 * time)
+    shown = torch.stack([(1 + 0.05 * k) * smooth for k in range(count)])[..., None]
+    return Demonstrations(shown.expand(-1, -1, len(names)), 0.1, names)
+
+
+def task(**settings: object) -> Experiment:
+    return own_robot(Arm(), reaches(), 0.1, state=("q", "dq"), **settings)
+
+
+def test_defaults_are_those_that_are_promised() -> None:
+    made = task()
+    assert made.u_max.tolist() == [3.0]  # half of the range, whose middle is -1
+    assert made.noise_std.tolist() == pytest.approx([0.05 * 1.2])
+    # of a uniform start, by 20 resets: a standard error of an eighth
+    assert made.initial.std[0] == pytest.approx(START / math.sqrt(3), rel=0.5)
+    assert made.initial.std[1] > 0  # though all starts are at rest
+    assert made.demonstrated_states.shape == (5 * 21, 2)
+    assert made.horizon == 20 and made.tolerance == 2
+
+
+def test_error_is_one_where_a_rollout_is_a_standard_deviation_away_at_all_times() -> None:
+    made = task()
+    demonstrated = made.demonstrated
+    states = torch.zeros(21, 2, dtype=torch.float64)
+    states[1:, 0] = demonstrated.mean[:, 0] + demonstrated.std[:, 0]
+    assert made.error.error(states).item() == pytest.approx(1)
+
+
+def test_what_is_said_is_kept() -> None:
+    made = task(noise_std=0.03, tolerance=1.0, num_centres=7, name="mine", angles=("q",))
+    assert made.noise_std.item() == 0.03 and made.tolerance == 1.0
+    assert made.num_centres == 7 and made.name == "mine"
+    assert made.space.feature_names == ("dq", "sin q", "cos q")
+
+
+def test_cosine_and_sine_are_one_angle_near_where_the_robot_starts() -> None:
+    made = own_robot(Arm(circle=True), reaches(), 0.1, state=("cos q", "sin q", "dq"))
+    assert made.space.names == ("q", "dq") and made.space.angles == (0,)
+    assert made.initial.mean[0].abs().item() == pytest.approx(math.pi, abs=START)
+    assert made.initial.std[0] < START
+
+
+def test_recordings_of_other_lengths_and_another_rate_are_aligned(tmp_path: Path) -> None:
+    rows = ["demonstration,time,q"]
+    for number, samples in enumerate((180, 200, 220)):
+        for step in range(samples + 1):
+            rows.append(f"{number},{0.01 * step:.2f},{(step / samples) ** 2}")
+    (tmp_path / "recorded.csv").write_text("\n".join(rows) + "\n")
+    made = own_robot(Arm(), tmp_path / "recorded.csv", 0.1, state=("q", "dq"))
+    assert made.demonstrations.positions.shape == (3, 21, 1)
+    assert made.demonstrations.time_step == 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "message"),
+    [
+        ({"state": ("a", "b")}, DemonstrationError, "entries of the state a, b, got q: name"),
+        ({"state": ("q",)}, ValueError, "state must name the 2 entries of the observation, got q"),
+        ({"state": ("cos q", "dq")}, ValueError, "state must name sin q too, got cos q, dq"),
+        ({"angles": ("p",)}, ValueError, "angles must be entries of the state q, dq, got p"),
+        ({"demonstrations": 3}, TypeError, "must be a path, Recordings or Demonstrations, got int"),
+        ({"tolerance": -1.0}, ValueError, "tolerance must"),
+        ({"nose_std": 0.1}, TypeError, "nose_std"),
+        ({"control_period": 0.0}, ValueError, "control_period must be positive"),
+    ],
+)
+def test_misuse_is_one_line(change: dict, kind: type[Exception], message: str) -> None:
+    given = {"demonstrations": reaches(), "control_period": 0.1, "state": ("q", "dq")} | change
+    with pytest.raises(kind, match=message) as raised:
+        own_robot(Arm(), **given)
+    assert "\n" not in str(raised.value)
+
+
+def test_another_match_space_is_taken() -> None:
+    ends = MatchSpace.of_links(("q",), (1.0,), ("q", "dq"), zero=math.pi, names=("x", "y"))
+    q = reaches().positions[..., 0]
+    shown = Demonstrations(torch.stack([-q.sin(), -q.cos()], -1), 0.1, ("x", "y"))
+    made = own_robot(Arm(), shown, 0.1, state=("q", "dq"), match=ends)
+    found = made.demonstrated_states.reshape(5, 21, 2)[..., 0]
+    torch.testing.assert_close(found, q, atol=1e-4, rtol=0)

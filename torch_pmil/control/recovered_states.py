@@ -1,0 +1,95 @@
+"""States of a robot that show what was observed of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from scipy.optimize import least_squares
+from torch import Tensor
+
+from torch_pmil.control.state_space import MatchSpace
+
+STAYING = 1e-3  # weight of an entry's change from the sample before, beside that of the observation
+
+
+def rates_of(names: tuple[str, ...]) -> dict[int, int]:
+    """Entries that are velocities by their names, dNAME beside NAME, with the entries they are of.
+
+    Example:
+        >>> rates_of(("q1", "dq1", "q2", "dq2"))
+        {1: 0, 3: 2}
+    """
+    return {
+        entry: names.index(name[1:])
+        for entry, name in enumerate(names)
+        if name[:1] == "d" and name[1:] in names
+    }
+
+
+def recover_states(
+    match_space: MatchSpace,
+    observed: Tensor,
+    time_step: float,
+    start: Tensor,
+    rates: Mapping[int, int],
+) -> Tensor:
+    """States that show trajectories of the match space.
+
+    Each sample is solved by least squares from the sample before, so that an angle goes on beyond a
+    whole turn. An entry that the match space does not show is the derivative of another entry by
+    central differences, if ``rates`` says of which, and else stays as it starts.
+
+    Args:
+        match_space: what is shown of a state.
+        observed: trajectories (N, T + 1, M).
+        time_step: between samples, s.
+        start: near which the first states are sought, (D,).
+        rates: indices of entries that are velocities, with the indices of their positions.
+
+    Returns:
+        (N, T + 1, D), float64.
+
+    Example:
+        >>> space = MatchSpace.of_links(("q",), (1.0,), state=("q", "dq"))
+        >>> q = torch.linspace(0, 4, 41, dtype=torch.float64)
+        >>> shown = torch.stack([q.sin(), q.cos()], -1)[None]
+        >>> found = recover_states(space, shown, 0.1, torch.zeros(2), rates_of(("q", "dq")))
+        >>> bool((found - torch.stack([q, torch.ones(41)], -1)).abs().max() < 1e-4)
+        True
+    """
+    states = torch.stack([_solved(match_space, each, start.double()) for each in observed])
+    shown = _shown_entries(match_space)
+    for rate, position in rates.items():
+        if rate not in shown:
+            states[..., rate] = torch.gradient(states[..., position], spacing=time_step, dim=-1)[0]
+    return states
+
+
+def _solved(match_space: MatchSpace, observed: Tensor, start: Tensor) -> Tensor:
+    """States (T + 1, D) that show one trajectory (T + 1, M)."""
+    scale = observed.std() if len(observed) > 1 and observed.std() > 0 else torch.ones(())
+    state, states = start.numpy(), []
+    for sample in observed:
+
+        def residual(
+            change: np.ndarray, sample: Tensor = sample, before: np.ndarray = state
+        ) -> np.ndarray:
+            apart = (match_space(torch.from_numpy(before + change)) - sample) / scale
+            return np.concatenate([apart.numpy(), STAYING * change])
+
+        # of the change: a search that begins near zero takes steps as small as that
+        state = state + least_squares(residual, np.zeros_like(state)).x
+        states.append(torch.from_numpy(state))
+    return torch.stack(states)
+
+
+def _shown_entries(match_space: MatchSpace) -> set[int]:
+    """Indices of the state's entries on which the observation depends."""
+    D = match_space.angles.shape[-1]
+    plain, sines, cosines = (
+        match_space.weights.abs().sum(0).split([D, *2 * [match_space.angles.shape[0]]])
+    )
+    through_angles = (sines + cosines) @ match_space.angles.abs()
+    return set((plain + through_angles).nonzero().flatten().tolist())

@@ -1,0 +1,137 @@
+"""A robot of which there is one: any environment that a user has, from one start after another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.envs import EnvBase, FrameSkipTransform, GymWrapper, TransformedEnv
+from torchrl.record import PixelRenderTransform
+
+from torch_pmil.envs.adapter import AdaptedEnv, CosSin
+from torch_pmil.envs.gym_tasks import check_gymnasium, gymnasium
+
+WHOLE = 1e-6  # by which the ratio of two periods may differ from a whole number
+
+
+class OneRobot:
+    """Makes the environments that an experiment asks for, of a single environment.
+
+    All of them move the same robot, so that only one may be in use at a time. Where several robots
+    are asked for, the one robot starts as many times, one rollout after the other.
+
+    Args:
+        env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
+        control_period: seconds between two actions. Where that is longer than a step of a
+            gymnasium environment that says its ``dt``, each action is held for several steps.
+        angles: angles of which the observation holds cosine and sine.
+
+    ``name`` is that of the environment; ``draws`` says whether it gives pictures.
+
+    Raises:
+        TypeError: ``env`` is no environment.
+        ValueError: the control period is no whole number of the environment's steps.
+        ModuleNotFoundError: gymnasium is not installed.
+
+    Example:
+        >>> from torch_pmil.envs import DoublePendulumEnv
+        >>> robot = OneRobot(DoublePendulumEnv(), control_period=0.1)
+        >>> robot(num_envs=3, seed=0).rollout(5)["next", "observation"].shape
+        torch.Size([3, 5, 4])
+    """
+
+    def __init__(self, env: Any, control_period: float, angles: Sequence[CosSin] = ()) -> None:
+        if isinstance(env, str):
+            check_gymnasium()
+            env = gymnasium.make(env, render_mode="rgb_array")
+        self.control_period, self.angles = control_period, tuple(angles)
+        if isinstance(env, EnvBase):
+            self.env, self.name = env, type(env).__name__
+            self.draws = "pixels" in env.observation_spec
+        elif gymnasium is not None and isinstance(env, gymnasium.Env):
+            self.env = _held(GymWrapper(env), _steps_of(env, control_period))
+            self.name = env.spec.id if env.spec else type(env.unwrapped).__name__
+            self.draws = env.render_mode == "rgb_array"
+        else:
+            raise TypeError(
+                "env must be an environment of TorchRL or gymnasium, or the name of one of "
+                f"gymnasium, got {type(env).__name__}"
+            )
+
+    def __call__(
+        self, num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None
+    ) -> AdaptedEnv:
+        """The robot, or for ``num_envs`` the robot from as many starts in turn."""
+        settings: dict[str, Any] = {
+            "observation": self._observation,
+            "angles": self.angles,
+            "from_pixels": from_pixels,
+            "seed": seed,
+        }
+        if num_envs is None:
+            return AdaptedEnv(self._made, self.control_period, **settings)
+        return RobotInTurn(num_envs, self._made, self.control_period, **settings)
+
+    def starts(self, number: int, seed: int) -> Tensor:
+        """States of that many resets, (number, D)."""
+        env = self(seed=seed)
+        return torch.stack([env.reset()["observation"] for _ in range(number)])
+
+    def _made(self, from_pixels: bool = False) -> EnvBase:
+        if not from_pixels or "pixels" in self.env.observation_spec:
+            return self.env
+        return TransformedEnv(self.env, PixelRenderTransform(preproc=np.ascontiguousarray))
+
+    @property
+    def _observation(self) -> NestedKey:
+        """Key of the observation: of the only vector, or else the usual one."""
+        vectors = [
+            key
+            for key, spec in self.env.observation_spec.items(True, True)
+            if spec.dtype.is_floating_point and spec.ndim == 1
+        ]
+        return vectors[0] if len(vectors) == 1 else "observation"
+
+
+class RobotInTurn(AdaptedEnv):
+    """One robot whose rollouts from several starts, one after the other, come as a batch.
+
+    Args:
+        starts: number of rollouts in a batch.
+        given: what :class:`AdaptedEnv` takes.
+    """
+
+    def __init__(self, starts: int, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        self.starts = starts
+
+    def rollout(self, *args: Any, **given: Any) -> TensorDictBase:
+        """Rollouts (starts, T)."""
+        return torch.stack(
+            [super(RobotInTurn, self).rollout(*args, **given) for _ in range(self.starts)]
+        )
+
+
+def _held(env: EnvBase, steps: int) -> EnvBase:
+    """An environment that holds each action for so many steps, whether an episode ends or not."""
+    return env if steps == 1 else TransformedEnv(env, FrameSkipTransform(steps))
+
+
+def _steps_of(env: gymnasium.Env, control_period: float) -> int:
+    """Number of the environment's steps in a control period; 1 where it does not say its step."""
+    step = getattr(env.unwrapped, "dt", None)
+    if not isinstance(step, float):
+        return 1
+    ratio = control_period / step
+    if ratio < 1 - WHOLE or not math.isclose(ratio, round(ratio), rel_tol=WHOLE):
+        raise ValueError(
+            f"control_period must be a whole number of the environment's steps of {step:g} s, got "
+            f"{control_period:g} s"
+        )
+    return round(ratio)

@@ -1,0 +1,120 @@
+"""Imitation learning in a few lines: a robot, its recordings, and the policy learned from them."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any, Self
+
+import torch
+
+from torch_pmil.control.policy_file import save_policy
+from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.experiments.diagnosis.before_a_run import check
+from torch_pmil.experiments.runs.pictures import tell_all
+from torch_pmil.experiments.runs.printing import print_trial, warn_of
+from torch_pmil.experiments.runs.report import write_report
+from torch_pmil.experiments.runs.telling import warn_incomplete
+from torch_pmil.experiments.runs.training import EVALUATION_STARTS, RunResult, train
+from torch_pmil.experiments.tasks.own_robot import Recorded, own_robot
+from torch_pmil.trainer.trials import success_rate
+
+EVALUATION_SEED = 4_000_000
+
+
+class PMIL:
+    """Probabilistic model-based imitation learning of one's own robot (Algorithm 1).
+
+    Args:
+        env: an environment of TorchRL or gymnasium with a vector of real numbers to observe and
+            bounded continuous actions, or the name of one of gymnasium.
+        demonstrations: a file or folder of recordings, or what was read of one.
+        control_period: seconds between two actions.
+        settings: what :func:`~torch_pmil.experiments.tasks.own_robot.own_robot` takes: ``state``,
+            the names of the observation's entries, ``angles``, ``match``, and every field of
+            :class:`~torch_pmil.experiments.Experiment`.
+
+    ``experiment`` holds all settings. After :meth:`learn`, ``result`` is the finished run and
+    ``policy`` a function from the robot's state to its action.
+
+    Raises:
+        DemonstrationError: the demonstrations cannot be read, or do not fit the robot.
+        TypeError, ValueError: the environment or a setting is not as it must be.
+
+    Example: see ``docs/how_to/your_robot.md``.
+    """
+
+    def __init__(
+        self, env: Any, demonstrations: Recorded, control_period: float, **settings: Any
+    ) -> None:
+        self.experiment = own_robot(env, demonstrations, control_period, **settings)
+        self._learned: tuple[RunResult, Path] | None = None
+
+    def learn(
+        self,
+        trials: int = 12,
+        seed: int = 0,
+        out: Path | str | None = None,
+        resume: bool = False,
+        overwrite: bool = False,
+    ) -> Self:
+        """Learn; print the trials and what they came to; leave a report with figures.
+
+        Args:
+            trials: largest number of trials.
+            seed: of the robot's starts, its first motion and the policy; same seed, same run.
+            out: folder of the run; runs/NAME/seed_SEED of the environment's name if None.
+            resume: whether to go on with the run that is there.
+            overwrite: whether to replace the finished run that is there.
+
+        Raises:
+            OSError: the folder cannot be written to.
+            ValueError: a setting is out of range, or the folder holds another run.
+        """
+        out = Path("runs", self.experiment.name, f"seed_{seed}") if out is None else Path(out)
+        warn_of("", check(self.experiment))
+        result = train(
+            self.experiment,
+            seed,
+            trials,
+            out,
+            f"PMIL(...).learn(trials={trials}, seed={seed}, out={str(out)!r})",
+            on_trial=partial(print_trial, "", self.experiment.objective),
+            resume=resume,
+            logger="csv",
+            overwrite=overwrite,
+        )
+        self._learned = result, out
+        warn_incomplete("", tell_all("", self.experiment, result, out), "learn(resume=True)")
+        return self
+
+    @property
+    def result(self) -> RunResult:
+        """The finished run; raises RuntimeError before :meth:`learn`."""
+        return self._done()[0]
+
+    @property
+    def policy(self) -> StatePolicy:
+        """The learned policy; raises RuntimeError before :meth:`learn`."""
+        return self.result.policy
+
+    def save(self, path: Path | str) -> None:
+        """Write the policy into a file that :func:`~torch_pmil.load_policy` reads."""
+        policy = self.policy
+        save_policy(Path(path), policy.policy, policy.space, policy.control_period)
+
+    def evaluate(self, starts: int = EVALUATION_STARTS, seed: int = EVALUATION_SEED) -> float:
+        """Success rate of the policy on the robot, from fresh starts."""
+        env = self.experiment.robots(starts, seed)
+        with torch.no_grad():
+            rollouts = env.rollout(self.experiment.horizon, self.policy.as_tensordict_module())
+        return success_rate(self.experiment.error(rollouts), self.experiment.tolerance)
+
+    def report(self) -> Path:
+        """Path of the report, an HTML page, written anew from the folder of the run."""
+        return write_report(self._done()[1])
+
+    def _done(self) -> tuple[RunResult, Path]:
+        if self._learned is None:
+            raise RuntimeError("there is no policy yet: call learn() first")
+        return self._learned

@@ -1,0 +1,230 @@
+"""The task of one's own robot, with defaults for all that robot and recordings can tell."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.recovered_states import rates_of, recover_states
+from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.demonstrations import (
+    DemonstrationError,
+    Demonstrations,
+    Recordings,
+    load_recordings,
+)
+from torch_pmil.demonstrations.distribution import expert_distribution
+from torch_pmil.demonstrations.preparation.synchronisation import synchronise
+from torch_pmil.envs.adapter import CosSin
+from torch_pmil.envs.one_robot import OneRobot
+from torch_pmil.envs.rollouts import of_states
+from torch_pmil.experiments.tasks.experiment import (
+    Experiment,
+    fitting,
+    independent_start,
+)
+from torch_pmil.gp.gaussian import Gaussian
+
+STARTS = 20  # resets by which p(x_0) is estimated
+START_SEED = 3_000_000  # of these resets
+LEAST_START = 0.01  # standard deviation of a start, in largest demonstrated values of its entry
+NOISE = 0.05  # standard deviation of the observation noise, in demonstrated ranges of an entry
+LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of all ranges
+TOLERANCE = 2.0  # standard deviations of the demonstrations
+CENTRES = 50
+
+Recorded = Demonstrations | Recordings | str | os.PathLike[str]
+
+
+def own_robot(
+    env: Any,
+    demonstrations: Recorded,
+    control_period: float,
+    *,
+    state: Sequence[str] = (),
+    units: Sequence[str] = (),
+    angles: Sequence[str] = (),
+    match: MatchSpace | None = None,
+    **settings: Any,
+) -> Experiment:
+    """An experiment with one's own robot and recordings.
+
+    What is not said is told from them: the start by 20 resets; the limits of the actions by the
+    environment; the observation noise as 5 % of each entry's demonstrated range; the demonstrated
+    states by :func:`~torch_pmil.control.recovered_states.recover_states`; and a success as a
+    rollout that differs from the demonstrations' mean by at most twice their standard deviation
+    (noise included), in root mean square over all entries and times.
+
+    Args:
+        env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
+        demonstrations: a file or folder of recordings, or what was read of one. Those of several
+            lengths or at another rate are aligned and sampled at the control period.
+        control_period: seconds between two actions.
+        state: names of the entries of the observation; those of the demonstrations if empty. The
+            entry ``dNAME`` is the velocity of the entry ``NAME``; the entries ``cos NAME`` and
+            ``sin NAME`` become one entry of the state, the angle ``NAME``.
+        units: of the entries of the state; not said if empty.
+        angles: names of entries that are angles (rad) and turn round.
+        match: what the demonstrations show of the state; its entries of their names if None.
+        settings: fields of :class:`Experiment` in place of the defaults.
+
+    Raises:
+        DemonstrationError: the demonstrations cannot be read, or do not fit the match space.
+        TypeError, ValueError: the environment or a setting is not as it must be.
+
+    Example:
+        >>> from torch_pmil import shipped_demonstrations
+        >>> from torch_pmil.envs import DoublePendulumEnv
+        >>> state = ("q1", "dq1", "q2", "dq2")
+        >>> ends = MatchSpace.of_links(("q1", "q2"), (0.5, 0.5), state)
+        >>> shown = shipped_demonstrations("double_pendulum")
+        >>> robot = DoublePendulumEnv()
+        >>> task = own_robot(robot, shown, 0.1, state=state, angles=("q1", "q2"), match=ends)
+        >>> task.space.feature_names
+        ('dq1', 'dq2', 'sin q1', 'sin q2', 'cos q1', 'cos q2')
+    """
+    recorded = _read(demonstrations)
+    observed = tuple(state) or recorded.names
+    space = _space(observed, units, angles, match, recorded.names)
+    robot, initial = _started(env, control_period, observed, space.names)
+    shown = fitting(_at_control_rate(recorded, control_period, space), space, robot())
+    states = recover_states(
+        space.match_space, shown.positions, control_period, initial.mean, rates_of(space.names)
+    )
+    noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
+    deviation = Deviation(expert_distribution(shown, noise_std), space)
+    defaults = {
+        "name": robot.name,
+        "initial": _wide_enough(initial, states),
+        "u_max": robot().action_spec.space.high,
+        "demonstrated_states": states.flatten(0, 1),
+        "num_centres": CENTRES,
+        "error": of_states(deviation),
+        "tolerance": TOLERANCE,
+        "draws": robot.draws,
+    }
+    return Experiment(
+        make_env=robot,
+        space=space,
+        demonstrations=shown,
+        noise_std=noise_std,
+        **(defaults | settings),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """Root mean square of what states differ from a demonstrated mean, in standard deviations.
+
+    Args:
+        demonstrated: marginals at t = 1..T in the match space, mean (T, M), noise included.
+        space: of the states.
+    """
+
+    demonstrated: Gaussian
+    space: StateSpace
+
+    def __call__(self, states: Tensor) -> Tensor:
+        """Of states x_0..x_T, (*batch, T + 1, D), over entries and t = 1..T: (*batch)."""
+        apart = self.space.observe(states[..., 1:, :]) - self.demonstrated.mean
+        return (apart / self.demonstrated.std).square().mean((-2, -1)).sqrt()
+
+
+def _read(demonstrations: Recorded) -> Demonstrations | Recordings:
+    if isinstance(demonstrations, str | os.PathLike):
+        return load_recordings(demonstrations)
+    if not isinstance(demonstrations, Recordings | Demonstrations):
+        raise TypeError(
+            "demonstrations must be a path, Recordings or Demonstrations, got "
+            f"{type(demonstrations).__name__}"
+        )
+    return demonstrations
+
+
+def _space(
+    observed: Sequence[str],
+    units: Sequence[str],
+    angles: Sequence[str],
+    match: MatchSpace | None,
+    shown: tuple[str, ...],
+) -> StateSpace:
+    """The state space of an observation, in which a pair of cosine and sine is an angle."""
+    names = tuple(name.removeprefix("cos ") for name in observed if name[:4] != "sin ")
+    turning = {*angles, *(name[4:] for name in observed if name[:4] == "cos ")}
+    if unknown := sorted(turning - set(names)):
+        raise ValueError(
+            f"angles must be entries of the state {', '.join(names)}, got {', '.join(unknown)}"
+        )
+    known = tuple(units) or ("",) * len(names)
+    if match is None:
+        if unknown := [name for name in shown if name not in names]:
+            raise DemonstrationError(
+                f"demonstrations must be of entries of the state {', '.join(names)}, got "
+                f"{', '.join(unknown)}: name the entries by state=, or say by match= what the "
+                "demonstrations show of them"
+            )
+        match = MatchSpace.of_entries(shown, names, [known[names.index(name)] for name in shown])
+    return StateSpace(names, known, tuple(i for i, n in enumerate(names) if n in turning), match)
+
+
+def _started(
+    env: Any, control_period: float, observed: Sequence[str], names: tuple[str, ...]
+) -> tuple[OneRobot, Gaussian]:
+    """The robot, and its p(x_0), by resets."""
+    pairs = [
+        CosSin(index, _index_of(f"sin {name[4:]}", observed))
+        for index, name in enumerate(observed)
+        if name[:4] == "cos "
+    ]
+    robot = OneRobot(env, control_period, pairs)
+    states = robot.starts(STARTS, START_SEED)
+    if states.shape[-1] != len(names):
+        raise ValueError(
+            f"state must name the {states.shape[-1] + len(pairs)} entries of the observation, got "
+            f"{', '.join(observed)}"
+        )
+    if pairs:
+        turned = states[:, [names.index(observed[pair.cos][4:]) for pair in pairs]]
+        near = torch.atan2(turned.sin().mean(0), turned.cos().mean(0)).tolist()
+        robot.angles = tuple(replace(pair, near=q) for pair, q in zip(pairs, near, strict=True))
+        states = robot.starts(STARTS, START_SEED)
+    return robot, independent_start(states.mean(0), states.std(0))
+
+
+def _index_of(name: str, observed: Sequence[str]) -> int:
+    if name not in observed:
+        raise ValueError(f"state must name {name} too, got {', '.join(observed)}")
+    return list(observed).index(name)
+
+
+def _at_control_rate(
+    recorded: Demonstrations | Recordings, control_period: float, space: StateSpace
+) -> Demonstrations:
+    """Recordings at the control period; those of several lengths or another rate are aligned."""
+    if isinstance(recorded, Recordings):
+        steps = torch.cat([times.diff() for times in recorded.times])
+        same_length = len({len(times) for times in recorded.times}) == 1
+        if same_length and torch.allclose(steps, torch.tensor(control_period).double(), rtol=1e-6):
+            return recorded.demonstrations()
+        rates = rates_of(space.names)
+        velocities = [name for name in recorded.names if name in {space.names[i] for i in rates}]
+        return synchronise(recorded, control_period, velocities)
+    return recorded
+
+
+def _noise(shown: Demonstrations) -> Tensor:
+    """Standard deviations (M,) of the observation noise."""
+    low, high = shown.positions.flatten(0, 1).aminmax(dim=0)
+    span = high - low
+    return NOISE * span.clamp(min=LEAST_RANGE * span.max())
+
+
+def _wide_enough(initial: Gaussian, states: Tensor) -> Gaussian:
+    """A start whose entries all vary: a Gaussian needs that, and robots never start the same."""
+    least = LEAST_START * states.abs().amax((0, 1))
+    return independent_start(initial.mean, initial.std.clamp(min=1e-6).maximum(least))

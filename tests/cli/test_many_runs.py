@@ -82,6 +82,7 @@ def test_each_run_of_a_sweep_is_whole_and_tells_its_progress_by_name(
     files = {
         "metrics.csv",
         "run.json",
+        "settings.yaml",
         "summary.json",
         "policy.pt",
         "dynamics.pt",

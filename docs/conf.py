@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 DOCS = Path(__file__).parent
@@ -74,4 +75,9 @@ os.environ["IPYTHONDIR"] = str(ipython)
 logging.getLogger("traitlets").setLevel(logging.WARNING)  # a line for each notebook else
 
 html_theme = "furo"
+# MathJax comes along, as one file, so that pages show equations without a network
+mathjax = Path(find_spec("sphinx-mathjax-offline").origin).with_name("static") / "mathjax"
+mathjax_path = "tex-svg.js"
+html_static_path = ["_static", str(mathjax / mathjax_path)]
+html_css_files = ["pages.css"]
 html_title = f"torch_pmil {release}"

@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("sphinx", reason="needs the extra docs")
 pytest.importorskip("myst_nb", reason="needs the extra docs")
+pytest.importorskip("sphinx-mathjax-offline", reason="needs the extra docs")
 
 ROOT = Path(__file__).parents[2]
 WHOLE = "{code}`torch_pmil.gp.gaussian.Gaussian`"
@@ -59,12 +60,15 @@ def build(source: Path, out: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_documentation_builds_without_a_warning_and_equations_and_code_point_to_each_other(
+def test_documentation_builds_without_a_warning_and_needs_no_network_and_links_equations_to_code(
     tmp_path: Path,
 ) -> None:
     built = build(ROOT / "docs", tmp_path)
     assert (built.returncode, built.stderr) == (0, "")
     page = (tmp_path / "start" / "method.html").read_text()
+    assert 'src="../_static/tex-svg.js' in page  # nothing is asked of a network for equations
+    assert (tmp_path / "_static" / "tex-svg.js").stat().st_size > 1_000_000
+    assert 'src="http' not in page
     assert 'href="../_modules/torch_pmil/search/kl.html#gaussian_kl"' in page
     assert 'href="../start/method.html#eq-19"' in (tmp_path / "api" / "search.html").read_text()
 

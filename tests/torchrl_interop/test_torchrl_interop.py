@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -608,15 +607,6 @@ def test_several_actions_and_batches_with_torchrls_pieces(
 # the page and the commands
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.mark.docs
-def test_the_code_of_the_page_runs() -> None:
-    blocks = re.findall(
-        r"```python\n(.*?)```", (ROOT / "docs/how_to/torchrl.md").read_text(), re.DOTALL
-    )
-    assert blocks
-    exec(compile("\n".join(blocks), "docs/how_to/torchrl.md", "exec"), {})
 
 
 def run(*command: str) -> subprocess.CompletedProcess[str]:

@@ -281,6 +281,7 @@ def test_replaced_run_that_is_stopped_leaves_nothing_of_the_old_one(
         run(folder, overwrite=True)
     assert {path.name for path in folder.iterdir()} == {
         "run.json",
+        "settings.yaml",
         "metrics.csv",
         "checkpoints",
         "figures",

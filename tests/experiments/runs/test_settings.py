@@ -19,6 +19,7 @@ from torch_pmil.experiments.runs.setting_words import (
     OF_EXPERIMENT,
     POSITIVE,
     SETTINGS,
+    SHARE,
     SWITCH,
     WHOLE,
 )
@@ -36,6 +37,7 @@ NO_SWITCHES = ("yes", 1, None)
 OTHERS = ([], "x", ["x"], [[1.0, 2.0]], [math.nan] * 4, [-1e400] * 6, 10**400, True)
 NUMBERS = {
     POSITIVE: (0, -1.0, math.nan, math.inf, 10**400, True),
+    SHARE: (0, 1.5, -1.0, math.nan, "much"),
     FROM_ZERO: (-1.0, math.nan, math.inf, 10**400, True),
     WHOLE: (-1, 1.0, math.nan, True),
     COUNT: (0, -1, 1.0, math.nan, True),

@@ -32,7 +32,7 @@ class PMIL:
         control_period: seconds between two actions.
         settings: what :func:`~torch_pmil.experiments.tasks.own_robot.own_robot` takes: ``state``,
             the names of the observation's entries, ``angles``, ``match``, and every field of
-            :class:`~torch_pmil.experiments.Experiment`.
+            :class:`Experiment`.
 
     ``experiment`` holds all settings. After :meth:`learn`, ``result`` is the finished run and
     ``policy`` a function from the robot's state to its action.
@@ -99,7 +99,7 @@ class PMIL:
         return self.result.policy
 
     def save(self, path: Path | str) -> None:
-        """Write the policy into a file that :func:`~torch_pmil.load_policy` reads."""
+        """Write the policy into a file that :func:`load_policy` reads."""
         policy = self.policy
         save_policy(Path(path), policy.policy, policy.space, policy.control_period)
 

@@ -14,7 +14,8 @@ from torch_pmil.experiments.runs.run_folder import LOGGERS, MOST_TRIALS, SEEDS
 from torch_pmil.experiments.tasks.experiment import MOST_CENTRES
 
 WIDTH = 100  # characters of a line of help
-POSITIVE, FROM_ZERO, SWITCH = "above 0", "at least 0", "true or false"
+POSITIVE, FROM_ZERO, SHARE = "above 0", "at least 0", "above 0, at most 1"
+SWITCH = "true or false"
 WHOLE, COUNT = "whole number, at least 0", "whole number, at least 1"
 OF_FEATURES = "numbers above 0, one for each feature of the state"
 OF_STATE = "numbers, one for each entry of the state"
@@ -68,7 +69,7 @@ OF_EXPERIMENT = {
     ),
     "random_torque": Setting(
         "largest torque of the first, random motion",
-        "above 0, at most 1",
+        SHARE,
         "units of the torque limits",
     ),
     "initial_weight_std": Setting(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import runpy
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,6 +15,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 from tests.helpers.run_script import run_command
+from torch_pmil.control.policy_file import load_policy
 from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs import AdaptedEnv
 
@@ -89,3 +92,23 @@ def test_other_kinds_are_one_line(script: Script, capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit):
         script("car")
     assert "invalid choice: 'car'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [100, 101, 102])
+def test_template_learns_its_motion(
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    seed: int,
+) -> None:
+    script("robot")
+    monkeypatch.chdir("my_robot")
+    monkeypatch.syspath_prepend(".")
+    monkeypatch.delitem(sys.modules, "robot", raising=False)
+    lines = Path("train.py").read_text()
+    assert "seed=0" in lines
+    Path("train.py").write_text(lines.replace("seed=0", f"seed={seed}"))
+    runpy.run_path("train.py")
+    assert int(re.search(r"^success rate (\d+)%$", capsys.readouterr().out, re.MULTILINE)[1]) >= 95
+    assert load_policy("policy.pt").space.names == ("q", "dq")

@@ -28,7 +28,7 @@ from torch_pmil.envs.mujoco_model import FULL_PHYSICS
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs import viewer
 from torch_pmil.experiments.runs.playing import SHIPPED, load_player
-from torch_pmil.experiments.runs.run_folder import write_origin
+from torch_pmil.experiments.runs.run_folder import write_settings
 
 Script = Callable[..., None]
 Printed = pytest.CaptureFixture[str]
@@ -73,8 +73,7 @@ def run_of(folder: Path, experiment: str = "double_pendulum", **settings: object
     policy = RBFPolicy(torch.zeros(3, inputs), known.u_max, torch.ones(inputs))
     save_policy(folder / "policy.pt", policy, known.space, 0.1)
     (folder / "summary.json").write_text(json.dumps({"experiment": experiment}))
-    words = " ".join(f"{name}={value}" for name, value in settings.items())
-    write_origin(folder, {"command": f"pmil train {words}"})
+    write_settings(folder, settings)
     return folder
 
 
@@ -127,7 +126,7 @@ def test_run_of_own_demonstrations_is_as_long_as_they_are(
 ) -> None:
     shown = shipped_demonstrations("double_pendulum")
     Demonstrations(shown.positions[:, :11], 0.1, shown.names).save("short one.npz")
-    script(run_of(tmp_path / "run", demonstrations="'short one.npz'"), "--starts", 1)
+    script(run_of(tmp_path / "run", demonstrations="short one.npz"), "--starts", 1)
     assert "1 motion of 1 s from a fresh start" in capsys.readouterr().out
 
 
@@ -162,12 +161,16 @@ def own_robot(run: Path) -> None:
     (run / "summary.json").write_text(json.dumps({"experiment": "my arm"}))
 
 
+def settings_of_nothing(run: Path) -> None:
+    (run / "settings.yaml").write_text("sead: 1")
+
+
 def no_experiment(run: Path) -> None:
     (run / "summary.json").write_text("{}")
 
 
 def own_demonstrations_gone(run: Path) -> None:
-    write_origin(run, {"command": "pmil train demonstrations=gone.npz"})
+    write_settings(run, {"demonstrations": "gone.npz"})
 
 
 @pytest.mark.parametrize(
@@ -181,9 +184,10 @@ def own_demonstrations_gone(run: Path) -> None:
             other_robot,
             "run/policy.pt must be a policy of biorob, from q_yaw, q_shoulder, q_elbow, ",
         ),
+        (settings_of_nothing, "run/settings.yaml: there is no setting sead"),
         (no_experiment, "run: summary.json is damaged: 'experiment'"),
         (own_robot, "play it in Python, env.rollout(steps, load_policy('run/policy.pt')"),
-        (own_demonstrations_gone, "gone.npz"),
+        (own_demonstrations_gone, "error: there is no file gone.npz"),
     ],
 )
 def test_what_is_no_run_that_can_be_played_is_one_line(
@@ -203,7 +207,7 @@ def test_what_is_no_run_that_can_be_played_is_one_line(
         (("--out", "a.avi"), "error: a film must be a .gif or .mp4 file, got a.avi"),
         (("--starts", 0), "error: --starts must be a whole number of at least 1, got 0"),
         (("--seed", -1), "error: seed must be None or a whole number from 0 to"),
-        (("--out", "nowhere/a.gif"), "error: [Errno 2] No such file or directory: 'nowhere"),
+        (("--out", "nowhere/a.gif"), "error: there is no folder nowhere"),
     ],
 )
 def test_bad_arguments_are_one_line(

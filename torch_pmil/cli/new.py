@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 
 from torch_pmil.cli import Parser
-from torch_pmil.files import replacing
+from torch_pmil.files import in_words, replacing
 
 TEMPLATE = resources.files("torch_pmil.cli") / "new_robot"
 NEXT = """\
@@ -39,7 +39,7 @@ def main() -> None:
     try:
         write_template(folder)
     except OSError as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     print(f"wrote {folder}/\n{NEXT.format(folder=shlex.quote(str(folder)))}")
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from torch_pmil.cli import Parser
 from torch_pmil.experiments.runs.playing import SHIPPED, Player, load_player
 from torch_pmil.experiments.runs.viewer import has_screen
+from torch_pmil.files import in_words
 from torch_pmil.gp.checks import check_whole
 from torch_pmil.plotting.video import check_film_name
 
@@ -40,7 +41,7 @@ def main() -> None:
         else:
             film(player, arguments.out or FILM, arguments.starts, arguments.seed)
     except (ImportError, ValueError, OSError, RuntimeError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {in_words(error)}")
     except KeyboardInterrupt:
         sys.exit(130)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tensordict import TensorDictBase
@@ -19,7 +20,7 @@ from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.experiments import EXPERIMENTS, load_experiment
 from torch_pmil.experiments.runs.figures import SKETCHED
-from torch_pmil.experiments.runs.run_folder import read_command
+from torch_pmil.experiments.runs.settings import read_settings
 from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.experiments.runs.viewer import show
 from torch_pmil.experiments.tasks.experiment import Experiment
@@ -147,7 +148,7 @@ def load_player(folder: Path) -> Player:
         RunError: it is no finished run, or one of a robot that is not known by name.
         PolicyFileError: the policy is damaged, or of another robot.
         OSError: a file cannot be read.
-        ValueError: the demonstrations of the run are no longer what they were.
+        ValueError: its settings are damaged, or its demonstrations are no longer what they were.
         ImportError: the task needs another library.
 
     Example:
@@ -171,12 +172,10 @@ def _experiment_of(folder: Path) -> Experiment:
             f"{folder} is of {short(name)}, whose robot pmil cannot make: play it in Python, "
             f"env.rollout(steps, load_policy('{folder}/policy.pt').as_tensordict_module())"
         )
-    given = {}
-    if (folder / "run.json").is_file():
-        words = (word.partition("=") for word in read_command(folder))
-        given = {name: value.strip("'\"") for name, _, value in words}
+    file = folder / "settings.yaml"
+    given: dict[str, Any] = read_settings(file) if file.is_file() else {}
     path = given.get("demonstrations")
-    demonstrations = load_demonstrations(path) if path not in (None, "null") else None
+    demonstrations = None if path is None else load_demonstrations(path)
     return load_experiment(kind, demonstrations, given.get("shape"), given.get("robot"))
 
 

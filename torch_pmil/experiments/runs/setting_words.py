@@ -52,7 +52,9 @@ OF_RUN = {
     "demonstrations": Setting(
         "one's own demonstrations", "a file or folder; null: those that come with the package"
     ),
-    "trials": Setting("largest number of trials", f"whole number from 1 to {MOST_TRIALS}"),
+    "trials": Setting(
+        "largest number of trials", f"whole number from 1 to {MOST_TRIALS}", "trials"
+    ),
     "out": Setting("folder of the run", "a path"),
     "resume": Setting("go on from the newest checkpoint in out", SWITCH),
     "overwrite": Setting("replace the run in out if it has ended", SWITCH),
@@ -60,7 +62,7 @@ OF_RUN = {
 }
 OF_EXPERIMENT = {
     "num_centres": Setting(
-        "basis functions of the policy", f"whole number from 1 to {MOST_CENTRES}"
+        "basis functions of the policy", f"whole number from 1 to {MOST_CENTRES}", "basis functions"
     ),
     "noise_std": Setting(
         "standard deviation of the observation noise: a larger one forgives more",
@@ -73,7 +75,7 @@ OF_EXPERIMENT = {
         "units of the torque limits",
     ),
     "initial_weight_std": Setting(
-        "standard deviation of a new policy's weights", FROM_ZERO, "units of the torque limits"
+        "standard deviation of a new policy's weights", FROM_ZERO, "rad, what the squashing takes"
     ),
     "input_scale": Setting(
         "width of a new policy's basis functions: a larger one reaches further",
@@ -89,7 +91,9 @@ OF_EXPERIMENT = {
     "tolerance": Setting(
         "error up to which a rollout is a success", FROM_ZERO, "the unit of the task's error"
     ),
-    "confirmations": Setting("successes in a row of own rollouts that end a run", COUNT),
+    "confirmations": Setting(
+        "successes in a row of own rollouts that end a run", COUNT, "own rollouts"
+    ),
     "target_scale": Setting(
         "width of a new policy's basis functions in the entries of the target",
         POSITIVE,
@@ -109,7 +113,7 @@ OF_EXPERIMENT = {
         "standard deviation of the velocities near which PILCO's policy begins", POSITIVE, "rad/s"
     ),
     "velocity_limit": Setting("largest velocity in the data of PILCO's model", POSITIVE, "rad/s"),
-    "exploration.rollouts": Setting("movements of the first motion", COUNT),
+    "exploration.rollouts": Setting("movements of the first motion", COUNT, "rollouts"),
     "exploration.steps": Setting("length of each movement", COUNT, "control steps"),
     "exploration.hold": Setting("time for which a target of it stays", COUNT, "control steps"),
     "exploration.pose": Setting("state around which it moves", OF_STATE, "rad, rad/s"),
@@ -121,9 +125,15 @@ OF_EXPERIMENT = {
         "a row of numbers for each torque, one for each entry of the state",
         "N·m/rad, N·m·s/rad",
     ),
-    "search.mean_iterations": Setting("iterations on the mean alone, for each horizon", WHOLE),
-    "search.stage_iterations": Setting("iterations on the loss, for each horizon", WHOLE),
-    "search.final_iterations": Setting("iterations on the loss at the last horizon", WHOLE),
+    "search.mean_iterations": Setting(
+        "iterations on the mean alone, for each horizon", WHOLE, "iterations"
+    ),
+    "search.stage_iterations": Setting(
+        "iterations on the loss, for each horizon", WHOLE, "iterations"
+    ),
+    "search.final_iterations": Setting(
+        "iterations on the loss at the last horizon", WHOLE, "iterations"
+    ),
     "search.first_horizon": Setting("least length of the first horizon", COUNT, "control steps"),
     "search.horizon_step": Setting("how far the horizon grows at once", COUNT, "control steps"),
     "search.trust_threshold": Setting(
@@ -134,7 +144,7 @@ OF_EXPERIMENT = {
     "search.skip_matched_steps": Setting(
         "whether the horizon goes on to the first step above the threshold at once", SWITCH
     ),
-    "search.restarts": Setting("most searches from random policies", WHOLE),
+    "search.restarts": Setting("most searches from random policies", WHOLE, "searches"),
 }
 SETTINGS = OF_RUN | OF_EXPERIMENT
 

@@ -175,7 +175,7 @@ def test_numbers_of_trials_and_settings_are_in_tables_with_their_units(tmp_path:
     for row in (
         ["1", "2.5", "2", "50 %", "failed", "0.3", "all its iterations done"],
         ["x (m)", "0.01", "0.02"],
-        ["horizon", "25", "steps"],
+        ["horizon", "25", "control steps"],
         ["noise_std", "0.05", "m"],
         ["search.trust_threshold", "3", "nats a step"],
         ["tau", "25 %"],

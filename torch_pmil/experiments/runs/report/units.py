@@ -4,37 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-OF_EACH_FEATURE, OF_EACH_ENTRY = "that of each feature", "that of each entry of the state"
-# of each setting by its name, those within another setting too; what is yes or no has none
-SETTINGS = {
-    "trials": "trials",
-    "horizon": "steps",
-    "num_centres": "basis functions",
-    "random_torque": "of the torque limit",
-    "rollouts": "rollouts",
-    "steps": "steps",
-    "hold": "steps",
-    "pose": OF_EACH_ENTRY,
-    "reach": OF_EACH_ENTRY,
-    "gain": "N·m/rad, N·m·s/rad",
-    "initial_weight_std": "rad",
-    "input_scale": "standard deviations",
-    "input_widths": OF_EACH_FEATURE,
-    "least_widths": OF_EACH_FEATURE,
-    "tolerance": "that of the own error",
-    "confirmations": "own rollouts",
-    "mean_iterations": "iterations",
-    "stage_iterations": "iterations",
-    "final_iterations": "iterations",
-    "first_horizon": "steps",
-    "horizon_step": "steps",
-    "restarts": "searches",
-    "target": "that of each demonstrated entry",
-    "targets": "that of the demonstrations",
-    "target_scale": "largest distances of targets",
-    "cost_width": "that of the target",
-    "velocity_std": "rad/s",
-    "velocity_limit": "rad/s",
+from torch_pmil.experiments.runs.setting_words import SETTINGS
+
+# of what a summary's settings hold besides
+DERIVED = {
+    "horizon": "control steps",
+    "exploration.random_torque": SETTINGS["random_torque"].unit,
+    "targets": "the unit of the entry",
 }
 
 
@@ -59,11 +35,11 @@ def unit_of(setting: str, summary: Mapping) -> str:
         >>> units = {"objective": "nats", "demonstrations": {"x": "m", "y": "m"}}
         >>> names = ("search.first_horizon", "search.trust_threshold", "noise_std")
         >>> [unit_of(name, {"units": units}) for name in names]
-        ['steps', 'nats a step', 'm']
+        ['control steps', 'nats a step', 'm']
     """
-    units, name = summary.get("units", {}), setting.rpartition(".")[-1]
-    if name == "trust_threshold":
+    units = summary.get("units", {})
+    if setting == "search.trust_threshold":
         return f"{units.get('objective') or 'objective'} a step"
-    if name == "noise_std":
+    if setting == "noise_std":
         return ", ".join(dict.fromkeys(units.get("demonstrations", {}).values()))
-    return SETTINGS.get(name, "")
+    return SETTINGS[setting].unit if setting in SETTINGS else DERIVED.get(setting, "")

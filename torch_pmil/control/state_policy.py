@@ -16,7 +16,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
 from torch_pmil.control.rbf_policy import Controller, RBFPolicy
-from torch_pmil.control.state_space import StateSpace
+from torch_pmil.control.state_space import StateSpace, with_unit
 from torch_pmil.files import replacing
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 
@@ -79,8 +79,7 @@ class StatePolicy(nn.Module):
 
     def extra_repr(self) -> str:
         """State, torque limits and control period, in their units."""
-        entries = zip(self.space.names, self.space.units, strict=True)
-        state = ", ".join(f"{name} ({unit})" if unit else name for name, unit in entries)
+        state = ", ".join(map(with_unit, self.space.names, self.space.units))
         limits = ", ".join(f"{limit:g}" for limit in self.policy.u_max)
         target = f"; target {', '.join(self.target_names)}" if self.target_names else ""
         return f"state {state}{target}; torques up to {limits} N·m; every {self.control_period:g} s"

@@ -246,6 +246,16 @@ class StateSpace:
         return Augmentation.of(identity[list(self.plain)], identity[list(self.angles)])
 
 
+def with_unit(name: str, unit: str | None) -> str:
+    """A name with its unit, if that is known and not 1.
+
+    Example:
+        >>> with_unit("x", "m"), with_unit("cost", ""), with_unit("x", None)
+        ('x (m)', 'cost', 'x')
+    """
+    return f"{name} ({unit})" if unit else name
+
+
 def _check_names(names: tuple[str, ...]) -> None:
     if not names:
         raise ValueError("names must be those of one entry at least, got none")

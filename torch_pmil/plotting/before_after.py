@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from torch_pmil.control.state_space import with_unit
 from torch_pmil.plotting.style import BLUE, style
 
 Timed = tuple[Tensor, Tensor]  # times (T_n,) and values (T_n, M)
@@ -67,7 +68,7 @@ def plot_before_after(
         for row, panel in enumerate(panels[:, column]):
             _draw(panel, trajectories, row, markers)
     for row, (name, unit) in enumerate(zip(names, units, strict=True)):
-        panels[row, 0].set_ylabel(f"{name} ({unit})" if unit else name)
+        panels[row, 0].set_ylabel(with_unit(name, unit))
     figure.align_ylabels(panels[:, 0])
     return figure
 

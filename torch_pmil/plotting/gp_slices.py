@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from torch_pmil.control.state_space import with_unit
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.plotting.style import BAND, DARK, GREY, VERMILLION, WIDTH, style
 
@@ -67,7 +68,7 @@ def plot_gp_slices(
         for output, panel in enumerate(column):
             _draw_slice(panel, dynamics, point.double(), entry, output)
     for row, name, unit in zip(panels, output_names, output_units, strict=True):
-        row[0].set_ylabel(f"{what}\n{name} ({unit})")
+        row[0].set_ylabel(f"{what}\n{with_unit(name, unit)}")
     figure.align_ylabels(panels[:, 0])
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.control.state_space import with_unit
 from torch_pmil.plotting.style import DARK, WIDTH, check_some
 
 # white at no torque, without the darkest colours, on which arrows fade
@@ -101,7 +102,7 @@ def plot_policy(
 
 
 def _label(policy: StatePolicy, entry: int) -> str:
-    return f"{policy.space.names[entry]} ({policy.space.units[entry]})"
+    return with_unit(policy.space.names[entry], policy.space.units[entry])
 
 
 def _draw_torque(

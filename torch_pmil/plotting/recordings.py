@@ -13,6 +13,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from torch import Tensor
 
+from torch_pmil.control.state_space import with_unit
 from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLION, style
 
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, DARK)
@@ -63,7 +64,7 @@ def plot_recordings(
         raise ValueError(f"units must be those of the {len(names)} names, got {len(units)}")
     texts = list(names)
     if units:
-        texts = [f"{name} ({unit})" for name, unit in zip(names, units, strict=True)]
+        texts = list(map(with_unit, names, units))
     figure, panels, planes = _layout(texts, _pairs(names))
     looks = _looks(len(labels))
     for label, time, value, look in zip(labels, times, values, looks, strict=True):

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from torch_pmil.control.state_space import with_unit
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.plotting.style import (
     BAND,
@@ -85,7 +86,7 @@ def plot_distributions(
         _draw_outline(panel, time[1:], prediction)
         _draw_paths(panel, time, done, EXECUTED, rollouts_of(len(executed)))
         panel.set_ylim(*_limits(np.concatenate([*band, *shown, *done]), np.concatenate(prediction)))
-        panel.set_ylabel(f"{names[entry]} ({units[entry]})")
+        panel.set_ylabel(with_unit(names[entry], units[entry]))
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False
     )
@@ -137,7 +138,7 @@ def plot_demonstrations(
         drawn = demonstrations[..., entry].numpy().T
         lines = panel.plot(time, drawn, color=BLUE, linewidth=1.0, linestyle=(0, (4, 2)))
         lines[0].set_label("demonstrations")
-        panel.set_ylabel(f"{names[entry]} ({units[entry]})")
+        panel.set_ylabel(with_unit(names[entry], units[entry]))
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False
     )
@@ -194,7 +195,7 @@ def plot_prediction(
         line[0].set_label(f"particles: mean ± {BAND} std")
         single = panel.plot(time, drawn[:SHOWN].T, color=GREY, linewidth=0.4, alpha=0.6)
         single[0].set_label("some particles")
-        panel.set_ylabel(f"{names[entry]} ({units[entry]})")
+        panel.set_ylabel(with_unit(names[entry], units[entry]))
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
     )

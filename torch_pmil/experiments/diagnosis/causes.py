@@ -413,7 +413,7 @@ def worst_entry(
     terms = gaussian_kl_terms(demonstrated, predicted)
     worst = int((terms.mean + terms.spread).argmax())
     said = (
-        f"{belief.mean[worst]:.2f} ± {belief.std[worst]:.2f} {units[worst]}"
+        f"{belief.mean[worst]:.2f} ± {belief.std[worst]:.2f} {units[worst]}".rstrip()
         for belief in (predicted, demonstrated)
     )
     return "most in {} (predicted {}, demonstrated {})".format(names[worst], *said)

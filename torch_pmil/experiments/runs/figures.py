@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_pmil import plotting
 from torch_pmil.control.state_policy import StatePolicy
-from torch_pmil.control.state_space import StateSpace
+from torch_pmil.control.state_space import StateSpace, with_unit
 from torch_pmil.experiments.runs.training import RunResult
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.experiments.tasks.handwriting import Handwriting
@@ -215,8 +215,5 @@ def sliced(relevance: Tensor, torques: int) -> list[int]:
 def _input_names(experiment: Experiment) -> list[str]:
     """Features with their units, then torques."""
     units = dict(zip(experiment.space.names, experiment.space.units, strict=True))
-    features = [
-        f"{name} ({units[name]})" if name in units else name
-        for name in experiment.space.feature_names
-    ]
+    features = [with_unit(name, units.get(name)) for name in experiment.space.feature_names]
     return features + [f"torque {number + 1} (N·m)" for number in range(len(experiment.u_max))]

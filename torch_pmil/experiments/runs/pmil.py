@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
@@ -19,7 +21,7 @@ from torch_pmil.experiments.runs.training import EVALUATION_STARTS, RunResult, t
 from torch_pmil.experiments.tasks.own_robot import Recorded, own_robot
 from torch_pmil.trainer.trials import success_rate
 
-EVALUATION_SEED = 4_000_000
+EVALUATION_SEED = 4_000_000  # of the starts of a measurement
 
 
 class PMIL:
@@ -78,7 +80,7 @@ class PMIL:
             seed,
             trials,
             out,
-            f"PMIL(...).learn(trials={trials}, seed={seed}, out={str(out)!r})",
+            _command(),
             on_trial=partial(print_trial, "", self.experiment.objective),
             resume=resume,
             logger="csv",
@@ -118,3 +120,9 @@ class PMIL:
         if self._learned is None:
             raise RuntimeError("there is no policy yet: call learn() first")
         return self._learned
+
+
+def _command() -> str:
+    """The command line of the script that learns; of a notebook or a prompt, Python alone."""
+    script = Path(sys.argv[0])
+    return shlex.join(["python", *sys.argv]) if script.suffix == ".py" else "python"

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from torch_pmil.experiments.runs.report.units import unit_of, with_unit
+from torch_pmil.control.state_space import with_unit
+from torch_pmil.experiments.runs.report.units import unit_of
 from torch_pmil.experiments.runs.report.words import percent, say
 
 # why the last run of L-BFGS ended, in words that do not sound like a failure where there is none

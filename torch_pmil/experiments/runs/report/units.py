@@ -14,16 +14,6 @@ DERIVED = {
 }
 
 
-def with_unit(name: str, unit: str | None) -> str:
-    """A name with its unit, if that is known and not 1.
-
-    Example:
-        >>> with_unit("x", "m"), with_unit("cost", ""), with_unit("x", None)
-        ('x (m)', 'cost', 'x')
-    """
-    return f"{name} ({unit})" if unit else name
-
-
 def unit_of(setting: str, summary: Mapping) -> str:
     """Unit of a setting, "" where it has none or it is not known.
 

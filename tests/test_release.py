@@ -27,7 +27,7 @@ CHANGES = (ROOT / "CHANGELOG.md").read_text()
 RELEASES = re.findall(r"^## \[(.*)\] - (.*)$", CHANGES, re.MULTILINE)
 SETTINGS = ConfigParser()
 SETTINGS.read(ROOT / "setup.cfg")
-NAMING = ("torch_pmil", "docs/start", "docs/how_to", "docs/results", "examples", "tests")
+NAMING = ("torch_pmil", "docs/start", "docs/how_to", "docs/results", "examples")
 PACKAGE = {"torch_pmil/__init__.py", "torch_pmil/py.typed"}
 TRACKED = PACKAGE | {"README.md", "tests/test_a.py"}
 Check = Callable[[], None]

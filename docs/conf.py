@@ -63,6 +63,7 @@ myst_heading_anchors = 4
 nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 1800  # s, for a cell
+nb_merge_streams = True
 
 # kernels of the notebooks: no settings of the user's own, and no warning that they speak TCP on
 # this machine

@@ -43,12 +43,14 @@ LAWS = {  # of the numbers that a page prints, beyond its promise
 def promised(text: str) -> list[tuple[Block, str]]:
     """Each block of a page that is run, with the output that it promises."""
     found = blocks(text)
+    pairs = [
+        (block, below.text if below and below.is_promise else "")
+        for block, below in zip_longest(found, found[1:])
+    ]
     return [
         (block, promise)
-        for block, below in zip_longest(found, found[1:])
-        if (promise := below.text if below and below.is_promise else "")
-        or block.file
-        or block.is_pasted
+        for block, promise in pairs
+        if block.file or block.is_pasted or (promise and block.is_of_pmil)
     ]
 
 
@@ -85,8 +87,9 @@ def test_pasted_page_prints_what_it_promises(
             Path(block.file).write_text(block.text)
         elif block.is_pasted:
             exec(compile("\n" * block.line + block.text, name, "exec"), names)
-        for words in block.commands if block.language == "sh" else ():
-            run_command(monkeypatch, *words[1:])
+        else:
+            for _, *arguments in block.commands:
+                run_command(monkeypatch, *arguments)
         printed = capsys.readouterr().out
         everything += printed
         broken += [(line, printed) for line in not_printed(promise, printed)]
@@ -106,7 +109,8 @@ def test_page_that_learns_says_how_long_it_takes() -> None:
 
 
 def test_commands_of_all_pages_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = [(name, words) for name, text in TEXTS.items() for words in commands(text)]
+    texts = TEXTS | {"README.md": (ROOT / "README.md").read_text()}
+    found = [(name, words) for name, text in texts.items() for words in commands(text)]
     assert len(found) > 50
     troubles = [
         (name, " ".join(words), trouble)

@@ -48,6 +48,11 @@ class Block:
         return self.language == "python" and not self.text.startswith(">>>")
 
     @property
+    def is_of_pmil(self) -> bool:
+        """Whether it is a shell block of commands of pmil alone."""
+        return self.language == "sh" and {program for program, *_ in self.commands} == {"pmil"}
+
+    @property
     def commands(self) -> list[list[str]]:
         """The words of each command of a shell block."""
         return [words(text) for text in COMMAND.findall(self.text)]

@@ -20,7 +20,7 @@ from torch_pmil.experiments.runs.run_folder import write_origin
 
 LONGEST = 700  # characters of a line, in which all shapes of the LASA set fit
 RECORDED = "demonstration,time,x,y\n"
-COMMANDS = "the command must be one of inspect, align, "
+COMMANDS = "the command must be one of play, new, "
 SEED = "seed must be a whole number from 0 to 2147483647, got "
 TRIALS = "trials must be a whole number from 1 to 1000, got "
 OUT = "out must be text that is not empty, got "

@@ -73,7 +73,9 @@ ipython = DOCS / "_build" / "ipython"
     'c.IPKernelApp.log_level = "ERROR"\n'
 )
 os.environ["IPYTHONDIR"] = str(ipython)
-logging.getLogger("traitlets").setLevel(logging.WARNING)  # a line for each notebook else
+# a line for each notebook else, and one where PyOpenGL has no compiled part
+for name in ("traitlets", "OpenGL"):
+    logging.getLogger(name).setLevel(logging.WARNING)
 
 html_theme = "furo"
 # MathJax comes along, as one file, so that pages show equations without a network

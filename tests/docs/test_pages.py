@@ -125,7 +125,8 @@ class ParsedError(Exception):
 
 
 def trouble_with_pmil(patch: pytest.MonkeyPatch, arguments: list[str]) -> str:
-    """What is wrong with a command line of pmil, or nothing."""
+    """What is wrong with a command line of pmil, or nothing; a file of settings is not there."""
+    arguments = [word for word in arguments if not word.startswith("settings=")]
     try:
         parsed = parsed_by_pmil(patch, arguments)
         if arguments[0] == "resume":

@@ -209,9 +209,9 @@ def test_report_is_of_each_variation_over_its_seeds(tmp_path: Path) -> None:
         == np.array(made.details["first_success_s"]).shape
         == (len(LABELS), 2)
     )
-    assert [tick.get_text() for tick in made.figures["ablation"].axes[0].get_yticklabels()] == list(
-        LABELS.values()
-    )[::-1]
+    ours, *variants = LABELS.values()
+    rows = [tick.get_text() for tick in made.figures["ablation"].axes[0].get_yticklabels()]
+    assert rows == [ours, *reversed(variants)]
     assert "never" in [
         tick.get_text() for tick in made.figures["ablation"].axes[1].get_xticklabels()
     ]

@@ -10,8 +10,8 @@ import torch
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from torch_pmil import DemonstrationError, Demonstrations, Experiment, MatchSpace
-from torch_pmil.experiments.tasks.own_robot import own_robot
+from torch_pmil import DemonstrationError, Demonstrations, Experiment, Gaussian, MatchSpace
+from torch_pmil.experiments.tasks.own_robot import STARTS, own_robot
 
 START = 0.05  # largest absolute value of the first angle
 
@@ -86,6 +86,18 @@ def test_what_is_said_is_kept() -> None:
     assert made.noise_std.item() == 0.03 and made.tolerance == 1.0
     assert made.num_centres == 7 and made.name == "mine"
     assert made.space.feature_names == ("dq", "sin q", "cos q")
+
+
+def test_a_start_that_is_said_takes_one_reset(monkeypatch: pytest.MonkeyPatch) -> None:
+    resets = []
+    reset = Arm._reset
+    monkeypatch.setattr(Arm, "_reset", lambda arm, td: (resets.append(1), reset(arm, td))[1])
+    task()
+    assert len(resets) >= STARTS
+    resets.clear()
+    start = Gaussian(torch.zeros(2).double(), torch.eye(2).double())
+    assert task(initial=start).initial is start
+    assert len(resets) < 5  # one, and those of checks of the environment
 
 
 def test_cosine_and_sine_are_one_angle_near_where_the_robot_starts() -> None:

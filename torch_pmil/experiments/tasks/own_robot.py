@@ -56,7 +56,8 @@ def own_robot(
 ) -> Experiment:
     """An experiment with one's own robot and recordings.
 
-    What is not said is told from them: the start by 20 resets; the limits of the actions by the
+    What is not said is told from them: the start by 20 resets, unless
+    ``initial`` is given; the limits of the actions by the
     environment; the observation noise as 5 % of each entry's demonstrated range (of an entry that
     hardly changes, as 1 % of the largest range); the demonstrated
     states by :func:`~torch_pmil.control.recovered_states.recover_states`; and a success as a
@@ -94,16 +95,16 @@ def own_robot(
     recorded = _read(demonstrations)
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
-    robot, initial = _started(env, control_period, observed, space.names)
+    resets = 1 if "initial" in settings else STARTS
+    robot, starts = _started(env, control_period, observed, space.names, resets)
     shown = fitting(_at_control_rate(recorded, control_period, space), space, robot())
     states = recover_states(
-        space.match_space, shown.positions, control_period, initial.mean, rates_of(space.names)
+        space.match_space, shown.positions, control_period, starts.mean(0), rates_of(space.names)
     )
     noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
     deviation = Deviation(expert_distribution(shown, noise_std), space)
     defaults = {
         "name": robot.name,
-        "initial": _wide_enough(initial, states),
         "u_max": robot().action_spec.space.high,
         "demonstrated_states": states.flatten(0, 1),
         "num_centres": CENTRES,
@@ -113,6 +114,8 @@ def own_robot(
         "confirmations": CONFIRMATIONS,
         "draws": robot.draws,
     }
+    if "initial" not in settings:
+        defaults["initial"] = _start(starts, states)
     return Experiment(
         make_env=robot,
         space=space,
@@ -178,16 +181,16 @@ def _space(
 
 
 def _started(
-    env: Any, control_period: float, observed: Sequence[str], names: tuple[str, ...]
-) -> tuple[OneRobot, Gaussian]:
-    """The robot, and its p(x_0), by resets."""
+    env: Any, control_period: float, observed: Sequence[str], names: tuple[str, ...], resets: int
+) -> tuple[OneRobot, Tensor]:
+    """The robot, and its states after resets, (resets, D)."""
     pairs = [
         CosSin(index, _index_of(f"sin {name[4:]}", observed))
         for index, name in enumerate(observed)
         if name[:4] == "cos "
     ]
     robot = OneRobot(env, control_period, pairs)
-    states = robot.starts(STARTS, START_SEED)
+    states = robot.starts(resets, START_SEED)
     if states.shape[-1] != len(names):
         raise ValueError(
             f"state must name the {states.shape[-1] + len(pairs)} entries of the observation, got "
@@ -197,8 +200,8 @@ def _started(
         turned = states[:, [names.index(observed[pair.cos][4:]) for pair in pairs]]
         near = torch.atan2(turned.sin().mean(0), turned.cos().mean(0)).tolist()
         robot.angles = tuple(replace(pair, near=q) for pair, q in zip(pairs, near, strict=True))
-        states = robot.starts(STARTS, START_SEED)
-    return robot, independent_start(states.mean(0), states.std(0))
+        states = robot.starts(resets, START_SEED)
+    return robot, states
 
 
 def _index_of(name: str, observed: Sequence[str]) -> int:
@@ -229,7 +232,10 @@ def _noise(shown: Demonstrations) -> Tensor:
     return NOISE * span.clamp(min=LEAST_RANGE * span.max())
 
 
-def _wide_enough(initial: Gaussian, states: Tensor) -> Gaussian:
-    """A start whose entries all vary: a Gaussian needs that, and robots never start the same."""
-    least = LEAST_START * states.abs().amax((0, 1))
-    return independent_start(initial.mean, initial.std.clamp(min=1e-6).maximum(least))
+def _start(starts: Tensor, states: Tensor) -> Gaussian:
+    """p(x_0) by starts (N, D), of which all entries vary: no robot starts twice the same.
+
+    States that were demonstrated, (*batch, D), tell how little is little.
+    """
+    least = LEAST_START * states.flatten(0, -2).abs().amax(0)
+    return independent_start(starts.mean(0), starts.std(0).clamp(min=1e-6).maximum(least))

@@ -36,7 +36,8 @@ class Setting:
     unit: str = ""
 
     def __str__(self) -> str:
-        unit = f", in {self.unit}" if self.unit else ""
+        link = "of" if self.values.startswith("whole number") else "in"
+        unit = f", {link} {self.unit}" if self.unit else ""
         return f"{self.meaning} ({self.values}{unit})"
 
 

@@ -161,11 +161,13 @@ def test_torchrl_says_nothing_of_its_storage(draws: Draws, monkeypatch: pytest.M
     monkeypatch.setattr(handler, "emit", said.append)
     before = logger.level
     logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
     try:
         Experience(capacity=9).extend(make_transitions(draws, 3))
-        assert not said and logger.level == before
+        assert not said and logger.level == logging.INFO
         monkeypatch.setenv("RL_LOGGING_LEVEL", "INFO")
         Experience(capacity=9).extend(make_transitions(draws, 3))
         assert said
     finally:
         logger.removeHandler(handler)
+        logger.setLevel(before)

@@ -159,6 +159,7 @@ def test_torchrl_says_nothing_of_its_storage(draws: Draws, monkeypatch: pytest.M
     logger, said = logging.getLogger("torchrl"), []
     handler = logging.Handler()
     monkeypatch.setattr(handler, "emit", said.append)
+    monkeypatch.setattr(logger, "disabled", False)  # as Hydra leaves it in a process
     before = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)

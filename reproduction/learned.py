@@ -43,7 +43,7 @@ class Learned:
     @torch.no_grad()
     def rollouts(self, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
         """Rollouts of the robot from fresh starts, (starts, T), as the environment gives them."""
-        return _rollouts(self.policy, experiment, starts, seed)
+        return experiment.executed(self.policy, starts, seed)
 
 
 def load_learned(folder: Path, experiment: Experiment) -> Learned:
@@ -92,7 +92,7 @@ def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, s
     Returns:
         Fraction from 0 to 1.
     """
-    rollouts = without_sensor_noise(_rollouts(policy, experiment, starts, seed))
+    rollouts = without_sensor_noise(experiment.executed(policy, starts, seed))
     return success_rate(experiment.error(rollouts), experiment.tolerance)
 
 
@@ -117,10 +117,3 @@ def remeasured(folder: Path, experiment: Experiment, starts: int, seed: int) -> 
         "trials": len(learned.summary["trials"]),
         "stop_reason": learned.summary["stop_reason"],
     }
-
-
-def _rollouts(
-    policy: StatePolicy, experiment: Experiment, starts: int, seed: int
-) -> TensorDictBase:
-    env = experiment.robots(starts, seed)
-    return env.rollout(experiment.horizon, policy.as_tensordict_module())

@@ -1,10 +1,12 @@
-"""Rollouts as TorchRL gives them, and the states in them."""
+"""Rollouts as TorchRL gives them, and the states and pictures in them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -28,6 +30,19 @@ def rollout_of(states: Tensor) -> TensorDict:
     return TensorDict(
         {"observation": states[..., :-1, :], "next": {"observation": states[..., 1:, :]}}, batch
     )
+
+
+def pictures_of(rollout: TensorDictBase) -> Iterator[np.ndarray]:
+    """The pictures that an environment made of a rollout (T,), from its start on.
+
+    Args:
+        rollout: of an environment made with ``from_pixels=True``.
+
+    Returns:
+        T + 1 pictures (height, width, 3), uint8.
+    """
+    pictures = itertools.chain(rollout["pixels"][:1], rollout["next", "pixels"])
+    return (picture.numpy() for picture in pictures)
 
 
 def without_sensor_noise(rollout: TensorDictBase) -> TensorDictBase:

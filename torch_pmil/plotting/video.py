@@ -16,13 +16,9 @@ from typing import IO
 
 import imageio_ffmpeg
 import numpy as np
-import torch
 from torch import Tensor
 
-from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.control.state_policy import StatePolicy
-from torch_pmil.control.state_space import StateSpace
-from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
+from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.files import replacing
 from torch_pmil.gp.checks import check_positive
 
@@ -62,6 +58,7 @@ def render_rollout(
         RuntimeError: OpenGL is not available, or the simulation diverged.
 
     Example:
+        >>> import torch
         >>> from torch_pmil.envs import DoublePendulumEnv
         >>> env = DoublePendulumEnv()
         >>> actions = torch.zeros(25, 2, dtype=torch.float64)
@@ -89,33 +86,13 @@ def dense_states(
         RuntimeError: the simulation diverged.
 
     Example:
+        >>> import torch
         >>> from torch_pmil.envs import DoublePendulumEnv
         >>> env = DoublePendulumEnv()
         >>> dense_states(env, env.initial_mean, torch.zeros(25, 2, dtype=torch.float64)).shape
         torch.Size([126, 4])
     """
     return env.state_of(env.replay(start, actions, states_per_step))
-
-
-@torch.no_grad()
-def film_rollout(
-    env: AdaptedEnv, policy: RBFPolicy, space: StateSpace, steps: int
-) -> Iterator[np.ndarray]:
-    """Pictures of a policy's rollout from a fresh start, one a step, as the environment shows them.
-
-    Args:
-        env: one robot, made with ``from_pixels=True``.
-        policy: a policy that sees the features of the state.
-        space: the robot's state space, which gives the features.
-        steps: control steps of the rollout.
-
-    Returns:
-        ``steps`` + 1 pictures (height, width, 3), uint8, the first one of the start.
-    """
-    actor = StatePolicy(policy, space, env.control_period).as_tensordict_module()
-    rollout = env.rollout(steps, actor)
-    pictures = itertools.chain(rollout["pixels"][:1], rollout["next", "pixels"])
-    return (picture.numpy() for picture in pictures)
 
 
 def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> None:

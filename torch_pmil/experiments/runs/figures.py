@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_pmil import plotting
+from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, with_unit
 from torch_pmil.experiments.runs.training import RunResult
@@ -120,11 +121,7 @@ def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[plottin
     low, high = executed.flatten(0, 1).aminmax(dim=0)
     margin = (MARGIN * (high - low)).clamp(min=torch.finfo(low.dtype).eps)
     spans = torch.stack([low - margin, high + margin], -1).tolist()
-    pairs = [
-        (space.names.index(name[1:]), entry)
-        for entry, name in enumerate(space.names)
-        if name[:1] == "d" and name[1:] in space.names
-    ]
+    pairs = [(position, rate) for rate, position in rates_of(space.names).items()]
     own = torques == len(pairs)
     return [
         plotting.Plane(x, y, index if own else 0, (tuple(spans[x]), tuple(spans[y])))

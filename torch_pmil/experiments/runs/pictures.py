@@ -7,8 +7,13 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+import torch
+from torch import Tensor
+
 from torch_pmil import plotting
 from torch_pmil.envs import MujocoRobotEnv
+from torch_pmil.envs.rollouts import pictures_of
 from torch_pmil.experiments.runs.figures import SKETCHED, figures_of
 from torch_pmil.experiments.runs.printing import print_left, print_result
 from torch_pmil.experiments.runs.report import write_report
@@ -17,7 +22,6 @@ from torch_pmil.experiments.runs.training import RunResult
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.plotting.video import (
     dense_states,
-    film_rollout,
     render_rollout,
     write_gif,
     write_video,
@@ -77,13 +81,31 @@ def film_outcome(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, 
         if experiment.name not in SKETCHED:
             raise
         print(f"{path} is a sketch, because {error}")
-        positions = experiment.space.observe(dense_states(env, start, actions))
-        frames = plotting.pendulum_frames(positions, 1 / FRAMES_PER_SECOND)
-        write_video(path, frames, FRAMES_PER_SECOND)
+        write_video(path, sketched(env, experiment, start, actions), FRAMES_PER_SECOND)
 
 
+def sketched(
+    env: MujocoRobotEnv,
+    experiment: Experiment,
+    start: Tensor,
+    actions: Tensor,
+    frames_per_step: int = 5,
+) -> Iterator[np.ndarray]:
+    """Pictures of a rollout drawn as lines, without OpenGL.
+
+    Args:
+        env, start, actions, frames_per_step: as for
+            :func:`~torch_pmil.plotting.video.render_rollout`.
+        experiment: one of ``SKETCHED``.
+    """
+    states = dense_states(env, start, actions, frames_per_step)
+    positions = experiment.space.observe(states)
+    return plotting.pendulum_frames(positions, env.control_period / frames_per_step)
+
+
+@torch.no_grad()
 def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None:
     """Film the policy from a fresh start, as the environment shows itself, if it does."""
     env = experiment.make_env(from_pixels=True, seed=0)
-    pictures = film_rollout(env, result.policy.policy, experiment.space, experiment.horizon)
-    write_video(path, pictures, 1 / experiment.demonstrations.time_step)
+    rollout = env.rollout(experiment.horizon, result.policy.as_tensordict_module())
+    write_video(path, pictures_of(rollout), 1 / experiment.demonstrations.time_step)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,14 @@ from typing import Any
 import numpy as np
 from tensordict import TensorDictBase
 
-from torch_pmil import plotting
 from torch_pmil.control.policy_file import PolicyFileError, load_policy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
-from torch_pmil.envs.rollouts import states_of
+from torch_pmil.envs.rollouts import pictures_of, states_of
 from torch_pmil.experiments import EXPERIMENTS, load_experiment
 from torch_pmil.experiments.runs.figures import SKETCHED
+from torch_pmil.experiments.runs.pictures import sketched
 from torch_pmil.experiments.runs.settings import read_settings
 from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.experiments.runs.viewer import show
@@ -27,7 +28,6 @@ from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.files import read_json, short
 from torch_pmil.plotting.video import (
     check_film_name,
-    dense_states,
     render_rollout,
     write_film,
 )
@@ -116,26 +116,18 @@ class Player:
         if isinstance(env, MujocoRobotEnv):
             return env, self._drawn_by(env, frames_per_step), frames_per_step / env.control_period
         shown = self.experiment.make_env(from_pixels=True, seed=seed)
-        return shown, _as_shown, 1 / shown.control_period
+        return shown, pictures_of, 1 / shown.control_period
 
     def _drawn_by(self, env: MujocoRobotEnv, frames_per_step: int) -> Draw:
         """The simulator's pictures, or sketches where there is no OpenGL."""
-
-        def sketched(motion: TensorDictBase) -> Iterator[np.ndarray]:
-            states = dense_states(env, states_of(motion)[0], motion["action"], frames_per_step)
-            positions = self.experiment.space.observe(states)
-            return plotting.pendulum_frames(positions, env.control_period / frames_per_step)
-
-        def rendered(motion: TensorDictBase) -> Iterator[np.ndarray]:
-            return render_rollout(env, states_of(motion)[0], motion["action"], frames_per_step)
-
+        draw = partial(render_rollout, env)
         try:
             env.render(env.initial_mean)
         except RuntimeError:
             if self.experiment.name not in SKETCHED:
                 raise
-            return sketched
-        return rendered
+            draw = partial(sketched, env, self.experiment)
+        return lambda motion: draw(states_of(motion)[0], motion["action"], frames_per_step)
 
 
 def load_player(folder: Path) -> Player:
@@ -200,12 +192,6 @@ def _check_policy(path: Path, policy: StatePolicy, experiment: Experiment) -> No
             f"{path} must be a policy of {experiment.name}, from {', '.join(wanted)} to "
             f"{motors[0]} torques, got one from {', '.join(found)} to {motors[1]}"
         )
-
-
-def _as_shown(motion: TensorDictBase) -> Iterator[np.ndarray]:
-    """The pictures that the environment itself made of a rollout (T,), T + 1."""
-    pictures = itertools.chain(motion["pixels"][:1], motion["next", "pixels"])
-    return (picture.numpy() for picture in pictures)
 
 
 def _then_at_rest(pictures: Iterator[np.ndarray], rest: int) -> Iterator[np.ndarray]:

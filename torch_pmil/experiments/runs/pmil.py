@@ -8,8 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
-import torch
-
 from torch_pmil.control.policy_file import save_policy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.experiments.diagnosis.before_a_run import check
@@ -107,9 +105,7 @@ class PMIL:
 
     def evaluate(self, starts: int = EVALUATION_STARTS, seed: int = EVALUATION_SEED) -> float:
         """Success rate of the policy on the robot, from fresh starts."""
-        env = self.experiment.robots(starts, seed)
-        with torch.no_grad():
-            rollouts = env.rollout(self.experiment.horizon, self.policy.as_tensordict_module())
+        rollouts = self.experiment.executed(self.policy, starts, seed)
         return success_rate(self.experiment.error(rollouts), self.experiment.tolerance)
 
     def report(self) -> Path:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomTorques
 from torch_pmil.control.rbf_policy import RBFPolicy, check_limits
+from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
@@ -268,6 +269,11 @@ class Experiment:
     def robots(self, starts: int, seed: int) -> MujocoRobotEnv | AdaptedEnv:
         """Robots to measure a policy on, one for each of ``starts`` fresh starts."""
         return self.make_env(num_envs=starts, seed=seed)
+
+    @torch.no_grad()
+    def executed(self, policy: StatePolicy, starts: int, seed: int) -> TensorDictBase:
+        """Rollouts of a policy by :meth:`robots`, over the whole horizon."""
+        return self.robots(starts, seed).rollout(self.horizon, policy.as_tensordict_module())
 
     def first_robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
         """One robot for the first task, to be filmed."""

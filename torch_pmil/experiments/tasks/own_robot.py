@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from torch_pmil.demonstrations import (
     Recordings,
     load_recordings,
 )
+from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.envs.adapter import CosSin
@@ -56,13 +57,12 @@ def own_robot(
 ) -> Experiment:
     """An experiment with one's own robot and recordings.
 
-    What is not said is told from them: the start by 20 resets, unless
-    ``initial`` is given; the limits of the actions by the
-    environment; the observation noise as 5 % of each entry's demonstrated range (of an entry that
-    hardly changes, as 1 % of the largest range); the demonstrated
-    states by :func:`~torch_pmil.control.recovered_states.recover_states`; and a success as a
-    rollout that differs from the demonstrations' mean by at most twice their standard deviation
-    (noise included), in root mean square over all entries and times.
+    What is not said is told from them: the start by 20 resets, unless ``initial`` is given; the
+    limits of the actions by the environment; the observation noise as 5 % of each entry's
+    demonstrated range (of an entry that hardly changes, as 1 % of the largest range); the
+    demonstrated states by :func:`~torch_pmil.control.recovered_states.recover_states`; and a
+    success as a rollout that differs from the demonstrations' mean by at most twice their standard
+    deviation (noise included), in root mean square over all entries and times.
 
     Args:
         env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
@@ -97,15 +97,17 @@ def own_robot(
     space = _space(observed, units, angles, match, recorded.names)
     resets = 1 if "initial" in settings else STARTS
     robot, starts = _started(env, control_period, observed, space.names, resets)
-    shown = fitting(_at_control_rate(recorded, control_period, space), space, robot())
+    adapted, rates = robot(), rates_of(space.names)
+    velocities = {space.names[rate] for rate in rates}
+    shown = fitting(_at_control_rate(recorded, control_period, velocities), space, adapted)
     states = recover_states(
-        space.match_space, shown.positions, control_period, starts.mean(0), rates_of(space.names)
+        space.match_space, shown.positions, control_period, starts.mean(0), rates
     )
     noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
     deviation = Deviation(expert_distribution(shown, noise_std), space)
     defaults = {
         "name": robot.name,
-        "u_max": robot().action_spec.space.high,
+        "u_max": adapted.action_spec.space.high,
         "demonstrated_states": states.flatten(0, 1),
         "num_centres": CENTRES,
         "error": of_states(deviation),
@@ -211,18 +213,18 @@ def _index_of(name: str, observed: Sequence[str]) -> int:
 
 
 def _at_control_rate(
-    recorded: Demonstrations | Recordings, control_period: float, space: StateSpace
+    recorded: Demonstrations | Recordings, control_period: float, velocities: Collection[str]
 ) -> Demonstrations:
     """Recordings at the control period; those of several lengths or another rate are aligned."""
-    if isinstance(recorded, Recordings):
-        steps = torch.cat([times.diff() for times in recorded.times])
-        same_length = len({len(times) for times in recorded.times}) == 1
-        if same_length and torch.allclose(steps, torch.tensor(control_period).double(), rtol=1e-6):
-            return recorded.demonstrations()
-        rates = rates_of(space.names)
-        velocities = [name for name in recorded.names if name in {space.names[i] for i in rates}]
-        return synchronise(recorded, control_period, velocities)
-    return recorded
+    if isinstance(recorded, Demonstrations):
+        return recorded
+    steps = torch.cat([times.diff() for times in recorded.times])
+    as_wanted = torch.full_like(steps, control_period)
+    same_length = len({len(times) for times in recorded.times}) == 1
+    if same_length and torch.allclose(steps, as_wanted, rtol=TIME_STEP_TOLERANCE):
+        return recorded.demonstrations()
+    shown = [name for name in recorded.names if name in velocities]
+    return synchronise(recorded, control_period, shown)
 
 
 def _noise(shown: Demonstrations) -> Tensor:

@@ -118,7 +118,8 @@ class AdaptedEnv(RobotEnv):
         self._low, self._high = limits.space.low.double(), limits.space.high.double()
         self._kept = _kept_entries(self.angles, dim)
         more = {"pixels": _entry(shown, "pixels", "pictures").clone()} if self.from_pixels else {}
-        self._set_specs(len(self._kept), (self._high - self._low) / 2, more)
+        half = (self._high - self._low) / 2
+        self._set_specs(len(self._kept), -half, half, more)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -127,6 +128,7 @@ class AdaptedEnv(RobotEnv):
                 f"all robots must be reset together, got a mask with {int(mask.sum())} of "
                 f"{mask.numel()}"
             )
+        self.cut_short = ""
         self.base_env.set_seed(int(torch.randint(LARGEST_SEED, (), generator=self._generator)))
         self._last = self.base_env.reset()
         near = torch.tensor([angle.near for angle in self.angles], dtype=torch.float64)

@@ -205,12 +205,12 @@ class MujocoRobotEnv(RobotEnv):
         return physics[..., self._state_columns]
 
     @property
-    def motor_names(self) -> tuple[str, ...]:
+    def action_names(self) -> tuple[str, ...]:
         """Names of the actuators, as the model has them.
 
         Example:
             >>> from torch_pmil.envs import DoublePendulumEnv
-            >>> DoublePendulumEnv().motor_names
+            >>> DoublePendulumEnv().action_names
             ('tau1', 'tau2')
         """
         motors = range(self.model.nu)
@@ -329,11 +329,12 @@ class MujocoRobotEnv(RobotEnv):
             more["target"] = Unbounded(self.targets.shape, dtype=torch.float64)
         if self.from_pixels:
             more["pixels"] = Bounded(0, 255, (*batch, *self.pixel_size, 3), dtype=torch.uint8)
-        self._set_specs(dim, limit, more)
+        self._set_specs(dim, -limit, limit, more)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         given = None if tensordict is None else tensordict.get("observation", None)
         mask = None if tensordict is None else tensordict.get("_reset", None)
+        self.cut_short = ""
         start = self._draw_starts() if given is None else self._check_starts(given)
         physics = self._physics_from_state(start, self._models)
         if mask is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from numbers import Integral
 
 import numpy as np
@@ -19,9 +19,11 @@ LARGEST_SEED = 2**63 - 1
 
 
 class RobotEnv(EnvBase):
-    """A robot in float64 with starts of its own seed, torques around zero, and no reward.
+    """A robot in float64 with starts of its own seed, bounded actions, and no reward.
 
-    Episodes do not end.
+    An episode does not end by itself, but where ``guard`` says that it must: it is called with the
+    states (*batch, D) after each step, and returns why, or "" where the motion may go on.
+    ``cut_short`` then holds that line until the next reset.
 
     Args:
         batch_size: of the robots.
@@ -46,6 +48,8 @@ class RobotEnv(EnvBase):
             )
         super().__init__(device="cpu", batch_size=batch_size)
         self.control_period, self.from_pixels = control_period, from_pixels
+        self.guard: Callable[[Tensor], str] | None = None
+        self.cut_short = ""
         self._generator = torch.Generator()
         self._set_seed(seed)
 
@@ -58,9 +62,14 @@ class RobotEnv(EnvBase):
         self._generator.set_state(state)
 
     @property
-    def motor_names(self) -> tuple[str, ...]:
-        """Name of the motor of each torque: its number, unless the robot's model names it."""
+    def action_names(self) -> tuple[str, ...]:
+        """Name of the motor of each action: its number, unless the robot's model names it."""
         return tuple(str(number) for number in range(self.action_spec.shape[-1]))
+
+    @property
+    def action_units(self) -> tuple[str, ...]:
+        """Unit of each action, "" where it is not known: N·m of a torque, rad of a joint target."""
+        return ("",) * self.action_spec.shape[-1]
 
     def needed_torques(self, states: Tensor) -> Tensor | None:
         """Torques (T, F) of each control period on the way through states x_0..x_T, (T + 1, D).
@@ -86,19 +95,23 @@ class RobotEnv(EnvBase):
                 f"seed must be None or a whole number from 0 to {LARGEST_SEED}, got {seed!r}"
             )
 
-    def _set_specs(self, dim: int, limit: Tensor, more: Mapping[str, TensorSpec]) -> None:
-        """Set the specs of states (*batch, dim), actions within ±limit (*batch, F), and more."""
+    def _set_specs(
+        self, dim: int, low: Tensor, high: Tensor, more: Mapping[str, TensorSpec]
+    ) -> None:
+        """Set the specs of states (*batch, dim), actions from low to high (*batch, F), and more."""
         batch = self.batch_size
         self.observation_spec = Composite(
             {"observation": Unbounded((*batch, dim), dtype=torch.float64), **more}, shape=batch
         )
-        self.action_spec = Bounded(-limit, limit, limit.shape, dtype=torch.float64)
+        self.action_spec = Bounded(low, high, low.shape, dtype=torch.float64)
         self.reward_spec = Unbounded((*batch, 1), dtype=torch.float64)
 
     def _without_reward(self, measured: TensorDictBase) -> TensorDictBase:
-        """The result of a step: the measurement, no reward, and no end."""
+        """The result of a step: the measurement, no reward, and an end where the guard says so."""
+        if self.guard is not None:
+            self.cut_short = self.guard(measured["observation"])
         measured["reward"] = torch.zeros(*self.batch_size, 1, dtype=torch.float64)
-        measured["done"] = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
+        measured["done"] = torch.full((*self.batch_size, 1), bool(self.cut_short))
         return measured
 
 

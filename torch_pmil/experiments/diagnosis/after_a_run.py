@@ -87,7 +87,7 @@ def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
     """Reasons that lie in the robot's motors."""
     torques = needed_torques(experiment)
     needed = None if torques is None else torques.abs().amax((0, 1))
-    names = experiment.first_robot(seed=0).motor_names
+    names = experiment.first_robot(seed=0).action_names
     noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
     return _found(
         outcome,

@@ -75,7 +75,7 @@ def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Findin
         findings += check_stops(excess, demonstrations.time_step)
     if not findings and (torques := needed_torques(experiment)) is not None:
         findings += check_torques(
-            torques, experiment.u_max, env.motor_names, demonstrations.time_step
+            torques, experiment.u_max, env.action_names, demonstrations.time_step
         )
     return findings
 

@@ -327,7 +327,7 @@ def _measured(
         },
         "rms_error": _by_name(match_space.names, errors.square().mean(0).sqrt()),
         "demonstration_spread": _by_name(match_space.names, spread.square().mean(0).sqrt()),
-        "saturated": _by_name(trainer.evaluation_env.motor_names, saturated),
+        "saturated": _by_name(trainer.evaluation_env.action_names, saturated),
     }
 
 

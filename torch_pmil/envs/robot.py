@@ -23,7 +23,8 @@ class RobotEnv(EnvBase):
 
     An episode does not end by itself, but where ``guard`` says that it must: it is called with the
     states (*batch, D) after each step, and returns why, or "" where the motion may go on.
-    ``cut_short`` then holds that line until the next reset.
+    ``cut_short`` then holds that line until the next reset. ``physical`` says whether it is a real
+    robot, which makes no motion that is not needed.
 
     Args:
         batch_size: of the robots.
@@ -34,6 +35,8 @@ class RobotEnv(EnvBase):
     Raises:
         ValueError: the seed is no whole number from 0 on, or the period is not positive.
     """
+
+    physical = False
 
     def __init__(
         self,

@@ -101,8 +101,9 @@ def diagnose(
     """Messages by cause, in order, of a policy that ran on the robot."""
     loss = experiment.make_loss(policy, dynamics)
     with torch.no_grad():
+        executed = rollouts(experiment, policy, starts, 2)
         outcomes = experiment.outcomes(
-            loss.predict_states(experiment.initial), rollouts(experiment, policy, starts, 2)
+            loss.predict_states(experiment.initial), executed, experiment.error(executed)
         )
     reasons = likely_reasons(experiment, loss, outcomes, horizons)
     assert len({reason.cause for reason in reasons}) == len(reasons)

@@ -168,6 +168,26 @@ def unpredictable(error: str) -> Reason:
     )
 
 
+def check_cut_short(ends: Sequence[str]) -> Reason | None:
+    """A reason if the robot cut rollouts short.
+
+    Args:
+        ends: why the own rollout of each trial was cut short, "" where it was not.
+
+    Example:
+        >>> check_cut_short(["", "dq1 = 12.3 rad/s is beyond 10 rad/s"]).message.partition(";")[0]
+        '1 of 2 own rollouts were cut short, the last one: dq1 = 12.3 rad/s is beyond 10 rad/s'
+    """
+    said = [line for line in ends if line]
+    if not said:
+        return None
+    return Reason(
+        "rollouts cut short",
+        f"{len(said)} of {len(ends)} own rollouts were cut short, the last one: {said[-1]}; each of "
+        "them is a failure, so mend what stops the robot, or give it more room",
+    )
+
+
 def check_saturation(
     actions: Tensor, limits: Tensor, names: Sequence[str], needed: Tensor | None
 ) -> Reason | None:

@@ -12,6 +12,7 @@ from torch_pmil import plotting
 from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, with_unit
+from torch_pmil.experiments.runs.summaries import judged_alone, rate_of
 from torch_pmil.experiments.runs.training import RunResult
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.experiments.tasks.handwriting import Handwriting
@@ -59,13 +60,16 @@ def _learning_curve(experiment: Experiment, result: RunResult) -> plotting.Figur
     label = f"predicted {objective.label}"
     if objective.unit:
         label = f"{label} ({objective.unit})"
-    return plotting.plot_learning_curve(
+    figure = plotting.plot_learning_curve(
         [t.experience_s for t in trials],
-        [t.success_rate for t in trials],
+        [rate_of(vars(t)) for t in trials],
         [t.loss for t in trials],
         label,
         (summary["experience_s"], summary["saved_success_rate"], _saved_loss(summary)),
     )
+    if judged_alone(summary):
+        figure.axes[0].set_ylabel("own rollout succeeded (%)")
+    return figure
 
 
 def _saved_loss(summary: dict) -> float:
@@ -89,7 +93,7 @@ def _of_outcome(
             outcome.demonstrations.positions,
             demonstrated,
             predicted,
-            match_space(outcome.executed),
+            _whole(match_space(outcome.executed), experiment.horizon),
         ),
     )
     if not is_predicted(outcome):
@@ -99,6 +103,11 @@ def _of_outcome(
     planes = planes_of(experiment.space, len(experiment.u_max), outcome.executed)
     if planes:
         yield "policy", _policy(experiment, result, outcome, planes, number)
+
+
+def _whole(path: Tensor, steps: int) -> Tensor:
+    """Paths (N, up to T + 1, M) that go on as NaN where they were cut short, (N, T + 1, M)."""
+    return torch.nn.functional.pad(path, (0, 0, 0, steps + 1 - path.shape[1]), value=nan)
 
 
 def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[plotting.Plane]:
@@ -155,9 +164,9 @@ def _policy(
 
 
 def _calibration(experiment: Experiment, result: RunResult) -> plotting.Figure:
-    """Calibration of the model on rollouts from fresh starts, of all targets together.
+    """Calibration of the model on rollouts of the saved policy, of all targets together.
 
-    The model has not learned from these.
+    The model has not learned from those of fresh starts.
     """
     states = torch.cat([outcome.executed for outcome in result.outcomes])
     actions = torch.cat([outcome.rollouts["action"] for outcome in result.outcomes])
@@ -173,7 +182,7 @@ def _model(experiment: Experiment, result: RunResult) -> plotting.Figure:
     They go over the torques, and the features on which the model depends most.
     """
     space, dynamics, outcome = experiment.space, result.dynamics, result.outcomes[0]
-    halfway = experiment.horizon // 2
+    halfway = outcome.rollouts.shape[-1] // 2
     features = space.features(outcome.executed[0, halfway])
     point = torch.cat([features, outcome.rollouts["action"][0, halfway]])
     relevance = (dynamics.train_inputs.std(0) / dynamics.expansion.lengthscales).amax(0)

@@ -95,6 +95,9 @@ OF_EXPERIMENT = {
     "confirmations": Setting(
         "successes in a row of own rollouts that end a run", COUNT, "own rollouts"
     ),
+    "evaluated": Setting(
+        "whether policies are measured from fresh starts beside their own rollouts", SWITCH
+    ),
     "target_scale": Setting(
         "width of a new policy's basis functions in the entries of the target",
         POSITIVE,

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomTorques
@@ -17,18 +18,19 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
-from torch_pmil.envs.rollouts import states_of
+from torch_pmil.envs.robot import RobotEnv
+from torch_pmil.envs.rollouts import as_executed, states_of
 from torch_pmil.files import short
 from torch_pmil.gp.checks import check_noise, check_positive, check_tensor, check_whole
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.experience import FEWEST_TRANSITIONS
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 HELD_STARTS = 200  # at which a new policy is told to hold the robot
 START_REACH = 3.0  # standard deviations of the start that the model's data reach at least
-FEWEST_TRANSITIONS = 2  # of which a model can be made
 MOST_CENTRES = 10_000  # whose pairs a prediction goes through
 
 Held = TypeVar("Held", bound="Experiment | PDMovements | SearchSettings")
@@ -43,7 +45,9 @@ class Outcome:
         demonstrations: of it.
         demonstrated: their marginals at t = 1..T, mean (T, M).
         predicted: p(x_1..T), mean (T, D).
-        rollouts: from fresh starts, (N, T), as the environment gives them.
+        rollouts: (N, T), as the environment gives them; of a rollout that was cut short, as far as
+            it came.
+        errors: of the rollouts, infinite where one was cut short, (N,).
     """
 
     label: str
@@ -51,6 +55,19 @@ class Outcome:
     demonstrated: Gaussian
     predicted: Gaussian
     rollouts: TensorDictBase
+    errors: Tensor
+
+    @property
+    def compared(self) -> Outcome:
+        """The outcome up to where its rollouts end: all of it, unless one was cut short."""
+        steps = self.rollouts.shape[-1]
+        positions = self.demonstrations.positions[:, : steps + 1]
+        return replace(
+            self,
+            demonstrations=replace(self.demonstrations, positions=positions),
+            demonstrated=self.demonstrated[:steps],
+            predicted=self.predicted[:steps],
+        )
 
     @property
     def executed(self) -> Tensor:
@@ -80,6 +97,8 @@ class Experiment:
         tolerance: error up to which a rollout is a success.
         confirmations: successes of own rollouts in a row that end a run: more where a success is a
             lenient measure.
+        evaluated: whether policies are measured from fresh starts, which are no experience, beside
+            their own rollouts; False for a robot that a person resets.
         random_torque: of exploration by random torques, as a fraction of u_max.
         pd_movements: exploration by a PD controller; random torques for one horizon if None.
         initial_weight_std: of the policy's initial weights.
@@ -117,6 +136,7 @@ class Experiment:
     error: Callable[[TensorDictBase], Tensor]
     tolerance: float
     confirmations: int = 2
+    evaluated: bool = True
     random_torque: float = 0.4
     pd_movements: PDMovements | None = None
     initial_weight_std: float = 0.1
@@ -165,6 +185,8 @@ class Experiment:
                 check_tensor(name, widths, (len(self.space.feature_names),))
                 if not (widths > 0).all():
                     raise ValueError(f"{name} must be positive, got {widths.tolist()}")
+        if not isinstance(self.evaluated, bool):
+            raise ValueError(f"evaluated must be true or false, got {self.evaluated!r}")
         if not isinstance(self.search, SearchSettings):
             raise TypeError(f"search must be SearchSettings, got {type(self.search).__name__}")
         check_positive("search.trust_threshold", self.search.trust_threshold, zero=True)
@@ -218,6 +240,7 @@ class Experiment:
             "holds_start": self.holding_torques is not None,
             "tolerance": self.tolerance,
             "confirmations": self.confirmations,
+            "evaluated": self.evaluated,
             "search": asdict(self.search),
         }
 
@@ -275,16 +298,36 @@ class Experiment:
         """Rollouts of a policy by :meth:`robots`, over the whole horizon."""
         return self.robots(starts, seed).rollout(self.horizon, policy.as_tensordict_module())
 
+    @torch.no_grad()
+    def errors(self, policy: StatePolicy, starts: int, seed: int) -> Tensor:
+        """Errors (starts,) of a policy's rollouts from fresh starts, infinite if cut short.
+
+        Where policies are not measured beside their own rollouts, the one robot does all of them in
+        turn.
+        """
+        if self.evaluated:
+            return self.error(self.executed(policy, starts, seed))
+        robot, module = self.robot(seed), policy.as_tensordict_module()
+        return torch.stack([self._error_of_one(robot, module) for _ in range(starts)])
+
+    def _error_of_one(self, robot: RobotEnv, module: TensorDictModule) -> Tensor:
+        rollout = as_executed(robot.rollout(self.horizon, module))
+        if robot.cut_short or rollout.shape[-1] < self.horizon:
+            return torch.tensor(torch.inf, dtype=torch.float64)
+        return self.error(rollout).max()
+
     def first_robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
         """One robot for the first task, to be filmed."""
         return self.make_env(seed=seed)
 
-    def outcomes(self, predicted: Gaussian, rollouts: TensorDictBase) -> list[Outcome]:
-        """The outcome of each task: its parts of the prediction and of the rollouts.
+    def outcomes(
+        self, predicted: Gaussian, rollouts: TensorDictBase, errors: Tensor
+    ) -> list[Outcome]:
+        """The outcome of each task: its parts of the prediction, the rollouts and their errors.
 
-        The rollouts are those of :meth:`robots`.
+        The rollouts are those of :meth:`robots`, or of :meth:`robot` in a batch.
         """
-        return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts)]
+        return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts, errors)]
 
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""

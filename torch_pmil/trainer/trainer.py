@@ -157,7 +157,7 @@ class PMILTrainer(Trainer):
         self.initial, self.limits = initial, limits
         self.error, self.tolerance = error, tolerance
         self.confirmations, self.on_trial = confirmations, on_trial
-        self.control_period, self.action_names = env.control_period, env.action_names
+        self.control_period = env.control_period
         self.experience = Experience(capacity=frames)
         self.explorations = exploration.rollouts
         self.rollouts, self.explored = 0, 0  # rollouts, and transitions of the exploration, so far

@@ -19,9 +19,17 @@ except (RuntimeError, AttributeError, OSError):
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
+from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.envs.registration import register_robots
 
-__all__ = ["AdaptedEnv", "BioRobEnv", "CosSin", "DoublePendulumEnv", "MujocoRobotEnv"]
+__all__ = [
+    "AdaptedEnv",
+    "BioRobEnv",
+    "CosSin",
+    "DoublePendulumEnv",
+    "DoublePendulumServoEnv",
+    "MujocoRobotEnv",
+]
 
 register_robots()

@@ -67,10 +67,9 @@ def plot_learning_curve(
     figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     (_outcome_axis if of_one_rollout else _success_axis)(upper)
-    line = "" if of_one_rollout else "-"
-    upper.plot(
-        experience_s, percent, line, marker="o", color=BLUE, markersize=4, clip_on=False, zorder=3
-    )
+    points: dict[str, Any] = {"color": BLUE, "marker": "o", "markersize": 4}
+    line = "none" if of_one_rollout else "solid"
+    upper.plot(experience_s, percent, linestyle=line, clip_on=False, zorder=3, **points)
     there = np.isfinite(losses) & (losses > 0)
     lower.plot(
         experience_s,

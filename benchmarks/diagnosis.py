@@ -68,7 +68,8 @@ def measured(folder: Path, experiment: Experiment) -> dict[str, object]:
     learned = load_learned(folder, experiment)
     loss = experiment.make_loss(learned.policy.policy, learned.dynamics)
     rollouts = learned.rollouts(experiment, STARTS, START_SEED)
-    outcomes = experiment.outcomes(loss.predict_states(experiment.initial), rollouts)
+    errors = experiment.error(rollouts)
+    outcomes = experiment.outcomes(loss.predict_states(experiment.initial), rollouts, errors)
     of_each = [of_outcome(experiment, learned.dynamics, outcome) for outcome in outcomes]
     horizons = [trial["horizon"] for trial in learned.summary["trials"]]
     largest_loss = loss.step_loss_for_trust(experiment.initial).amax().item()
@@ -76,7 +77,7 @@ def measured(folder: Path, experiment: Experiment) -> dict[str, object]:
     return {
         "run": str(folder),
         "experiment": experiment.name,
-        "success_rate": success_rate(experiment.error(rollouts), experiment.tolerance),
+        "success_rate": success_rate(errors, experiment.tolerance),
         **{name: worst(name, of_each) for name in of_each[0]},
         "mismatch": largest_loss / experiment.search.trust_threshold,
         "causes": [reason.cause for reason in reasons],
@@ -102,7 +103,7 @@ def of_outcome(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -
         "covered": covered,
         "followed": two_sigma_coverage(outcome.predicted, outcome.executed),
         "unknown": (~known).double().mean().item(),
-        "saturated": saturated_fraction(actions, experiment.u_max).amax().item(),
+        "saturated": saturated_fraction(actions, experiment.actions).amax().item(),
         "moved": moved_fraction(executed, outcome.demonstrations.positions, noise_std),
     }
 

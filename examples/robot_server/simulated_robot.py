@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from torch_pmil.envs import MujocoRobotEnv
+from torch_pmil.envs.actuators import actuator_kinds
 
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
@@ -25,7 +26,7 @@ class SimulatedRobot:
     def __init__(self, env: MujocoRobotEnv) -> None:
         self.env, self._data = env, mujoco.MjData(env.model)
         self._physics = np.empty(mujoco.mj_stateSize(env.model, FULL_PHYSICS))
-        self._holds = env.model.actuator_biasprm[:, 1] != 0  # position servos
+        self._holds = np.array(actuator_kinds(env.model)) == "position"
         self.put_back()
 
     def put_back(self) -> None:

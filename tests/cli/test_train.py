@@ -161,7 +161,7 @@ def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_say
 def finished(short_double_pendulum: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Training is over at once: what it would return and leave is there."""
     experiment = short_experiment(6)
-    outcome = Outcome("", experiment.demonstrations, experiment.demonstrated, None, None)
+    outcome = Outcome("", experiment.demonstrations, experiment.demonstrated, None, None, None)
     result = RunResult(SUMMARY, [], [outcome], None, None)
 
     def saved(experiment: object, seed: int, trials: int, out: Path, *rest: object, **_: object):

@@ -19,6 +19,7 @@ except (RuntimeError, AttributeError, OSError):
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
+from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.envs.physical.physical_robot_env import PhysicalRobotEnv
 from torch_pmil.envs.registration import register_robots
@@ -28,6 +29,7 @@ __all__ = [
     "BioRobEnv",
     "CosSin",
     "DoublePendulumEnv",
+    "DoublePendulumServoEnv",
     "MujocoRobotEnv",
     "PhysicalRobotEnv",
 ]

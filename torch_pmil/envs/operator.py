@@ -8,7 +8,10 @@ QUESTION = (
 
 
 class RobotError(RuntimeError):
-    """A robot cannot be reached or does not do what it must; one line says what went wrong."""
+    """A robot cannot be reached or does not do what it must; one line says what went wrong.
+
+    What was recorded is kept, and ``resume`` goes on.
+    """
 
 
 class RunStopped(Exception):

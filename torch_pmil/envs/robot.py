@@ -23,7 +23,8 @@ class RobotEnv(EnvBase):
 
     An episode does not end by itself, but where ``guard`` says that it must: it is called with the
     states (*batch, D) after each step, and returns why, or "" where the motion may go on.
-    ``cut_short`` then holds that line until the next reset.
+    ``cut_short`` then holds that line until the next reset. ``physical`` says whether it is a real
+    robot, which makes no motion that is not needed.
 
     Args:
         batch_size: of the robots.
@@ -34,6 +35,8 @@ class RobotEnv(EnvBase):
     Raises:
         ValueError: the seed is no whole number from 0 on, or the period is not positive.
     """
+
+    physical = False
 
     def __init__(
         self,
@@ -76,6 +79,11 @@ class RobotEnv(EnvBase):
 
         None where the model is not known.
         """
+        return None
+
+    @property
+    def torque_limits(self) -> Tensor | None:
+        """Largest torques (F,) of the motors; None where they are not known."""
         return None
 
     def beyond_range(self, states: Tensor) -> Tensor | None:

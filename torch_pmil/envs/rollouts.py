@@ -32,6 +32,31 @@ def rollout_of(states: Tensor) -> TensorDict:
     )
 
 
+def as_executed(rollout: TensorDictBase) -> TensorDictBase:
+    """A rollout (*batch, T) without the step that was not measured, with the actions as sent.
+
+    A robot whose reading failed says so in ``("next", "measured")``, and ends the rollout there;
+    one that changed an action says what it sent in ``("next", "sent")``.
+
+    Example:
+        >>> rollout = rollout_of(torch.zeros(6, 4))
+        >>> rollout["action"] = torch.ones(5, 1)
+        >>> rollout["next", "sent"] = torch.zeros(5, 1)
+        >>> rollout["next", "measured"] = (torch.arange(5) < 4)[:, None]
+        >>> executed = as_executed(rollout)
+        >>> executed.shape, executed["action"].sum()
+        (torch.Size([4]), tensor(0.))
+    """
+    shown = rollout["next"].keys()
+    if "measured" in shown:
+        measured = rollout["next", "measured"].squeeze(-1)
+        rollout = rollout[..., measured.flatten(0, -2).all(0) if measured.ndim > 1 else measured]
+    if "sent" in shown:
+        rollout = rollout.copy()
+        rollout["action"] = rollout["next", "sent"]
+    return rollout
+
+
 def pictures_of(rollout: TensorDictBase) -> Iterator[np.ndarray]:
     """The pictures that an environment made of a rollout (T,), from its start on.
 

@@ -17,6 +17,7 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_tensor, check_whole
 from torch_pmil.model.dynamics import Targets
 
+FEWEST_TRANSITIONS = 2  # of which a model can be made
 KEYS = ("observation", "action", ("next", "observation"))
 
 
@@ -70,6 +71,8 @@ class Experience:
                     f"transitions must be finite, got {key} = "
                     f"{flat[key][~flat[key].isfinite()][0].item()}"
                 )
+        if not len(flat):
+            return
         if len(self) + len(flat) > self.capacity:
             raise ValueError(
                 f"experience holds at most {self.capacity} transitions, got {len(self) + len(flat)}"

@@ -56,7 +56,8 @@ def plot_distributions(
         demonstrations: N demonstrations at t = 0..T, (N, T + 1, M).
         demonstrated: demonstrated marginals at t = 1..T, mean (T, M) and cov (T, M, M).
         predicted: predicted marginals of the same shape.
-        executed: rollouts of the robot at t = 0..T, (B, T + 1, M); the first 5 are drawn.
+        executed: rollouts of the robot at t = 0..T, (B, T + 1, M), NaN from where one was cut
+            short; the first 5 are drawn.
 
     Raises:
         ValueError: shapes do not fit each other.
@@ -224,7 +225,7 @@ def _limits(shown: np.ndarray, prediction: np.ndarray) -> tuple[float, float]:
 
     The prediction is seen as far as OVERSHOOT allows.
     """
-    low, high = shown.min(), shown.max()
+    low, high = np.nanmin(shown), np.nanmax(shown)
     overshoot, margin = OVERSHOOT * (high - low), 0.05 * (high - low)
     there = np.isfinite(prediction)
     lowest = max(prediction.min(initial=low, where=there), low - overshoot)

@@ -86,6 +86,35 @@ def newest_undamaged(rotation: CheckpointRotation, before: Path | None = None) -
     return None
 
 
+def discard_newest(rotation: CheckpointRotation) -> SavedRun | None:
+    """Remove the newest checkpoint, as if its rollout had never been; return the one before it.
+
+    None is returned where that was the first rollout, or there was none. Where the one before is
+    no longer there, nothing is removed, with a warning, and the newest is returned.
+
+    Raises:
+        CheckpointError: the ones before are damaged.
+    """
+    paths = saved_checkpoints(rotation)
+    if not paths:
+        return None
+    before = newest_undamaged(rotation, before=paths[0])
+    if before is None and number_of(paths[0]) > 0:
+        warnings.warn(
+            "the rollout stays: of those before it, no checkpoint is left to go back to",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return newest_undamaged(rotation)
+    paths[0].unlink()
+    return before
+
+
+def number_of(path: Path) -> int:
+    """Number of rollouts before the one that a checkpoint holds."""
+    return int(path.stem.rpartition("-")[2])
+
+
 def _read(path: Path) -> tuple[SavedRun | None, str]:
     """What a checkpoint holds, or None and what is wrong with it."""
     try:

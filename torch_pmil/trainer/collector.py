@@ -12,9 +12,10 @@ from torch import Tensor
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 
-from torch_pmil.control.exploration import Exploration, Motion
+from torch_pmil.control.exploration import Motion
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.envs.rollouts import as_executed
 
 
 class RobotActor(torch.nn.Module):
@@ -43,18 +44,20 @@ class RobotActor(torch.nn.Module):
 class RolloutCollector(Collector):
     """TorchRL's collector of one rollout of each robot a batch, without end.
 
-    The first batch holds all rollouts of the exploration in a row.
+    A rollout that the robot ends early is as long as it came, and may be empty.
 
-    The collector's state holds the batch that it handed out last: with a loaded state it begins
-    with that one. A checkpoint that is written as soon as the robot has moved thus holds the
-    motion, and a resumed loop learns from it as the first one did.
+    The collector's state holds the batch that it handed out last, and why that rollout ended early:
+    with a loaded state it begins with that one. A checkpoint that is written as soon as the robot
+    has moved thus holds the motion, and a resumed loop learns from it as the first one did.
 
     Args:
         env: the robot.
         policy: the module that the robot executes.
         actor: the actor inside the policy.
-        exploration: rollouts of the first batch, and their steps.
-        horizon: steps of the other rollouts of each robot.
+        steps: of the next rollouts of each robot, until it is set anew.
+        tries: whether the robot may be reset when the collector is made, to try out the policy.
+
+    ``cut_short`` says why the latest rollout ended early, "" if it did not.
     """
 
     _latest: TensorDictBase | None = None
@@ -65,29 +68,35 @@ class RolloutCollector(Collector):
         env: EnvBase,
         policy: TensorDictModule,
         actor: RobotActor,
-        exploration: Exploration,
-        horizon: int,
+        steps: int,
+        tries: bool,
     ) -> None:
+        self.steps, self.cut_short, self._tries = steps, "", tries
         super().__init__(
             env,
             policy,
-            frames_per_batch=horizon * env.batch_size.numel(),
+            frames_per_batch=steps * env.batch_size.numel(),
             total_frames=-1,
             reset_at_each_iter=True,
             auto_register_policy_transforms=False,
             track_traj_ids=False,  # they would count resumptions too
         )
-        self._executed, self._actor, self._exploration = policy, actor, exploration
+        self._executed, self._actor = policy, actor
 
     def rollout(self) -> TensorDictBase:
-        """Next batch, (*robots, steps)."""
-        if self._frames:
-            return super().rollout()
-        rollouts = []
-        for _ in range(self._exploration.rollouts):
+        """Next batch, (*robots, up to ``steps``)."""
+        if self._actor.exploring:
             self._actor.motion.begin()
-            rollouts.append(self.env.rollout(self._exploration.steps, self._executed))
-        return torch.cat(rollouts, -1)
+        rollout = as_executed(self.env.rollout(self.steps, self._executed))
+        self.cut_short = self.env.cut_short
+        return rollout
+
+    def _make_carrier(self) -> None:
+        """Make the state on which TorchRL tries out the policy, without a motion if so told."""
+        if self._tries:
+            super()._make_carrier()
+        else:
+            self._carrier = self.env.fake_tensordict()
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """Yield the batch of a loaded state, then new ones."""
@@ -104,7 +113,11 @@ class RolloutCollector(Collector):
         """
         latest = None
         if self._latest is not None:
-            latest = {"entries": self._latest.to_dict(), "shape": list(self._latest.shape)}
+            latest = {
+                "entries": self._latest.to_dict(),
+                "shape": list(self._latest.shape),
+                "cut_short": self.cut_short,
+            }
         return {**super().state_dict(), "env_state_dict": self.env.state_dict(), "latest": latest}
 
     def load_state_dict(self, state_dict: Mapping[str, Any], **kwargs: Any) -> None:
@@ -112,5 +125,7 @@ class RolloutCollector(Collector):
         state = dict(state_dict)
         latest = state.pop("latest")
         super().load_state_dict(state, **kwargs)
-        self._repeated = latest is not None
-        self._latest = TensorDict(latest["entries"], latest["shape"]) if self._repeated else None
+        self._repeated, self._latest, self.cut_short = latest is not None, None, ""
+        if latest is not None:
+            self._latest = TensorDict(latest["entries"], latest["shape"])
+            self.cut_short = latest["cut_short"]

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -25,7 +26,12 @@ from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.checks import check_positive, check_whole
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.experience import Experience, check_limits_of_state, widened
+from torch_pmil.model.experience import (
+    FEWEST_TRANSITIONS,
+    Experience,
+    check_limits_of_state,
+    widened,
+)
 from torch_pmil.model.rollout import PredictionError, check_start_belief
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -42,11 +48,14 @@ NUMERALS = {2: "two", 3: "three", 4: "four"}
 class PMILTrainer(Trainer):
     """Probabilistic model-based imitation learning (Algorithm 1).
 
-    The first batch is the robot's exploration. After each batch the model is fitted to all
-    experience, the policy is searched on it and measured from fresh starts (which decides nothing,
-    and is no experience); the next batch is that policy's rollout on the robot. Training ends when
-    the own rollouts of some trials in a row succeeded, or at the limit of trials.
-    :meth:`best_policy` then chooses among the policies that ran.
+    A batch is a rollout. The first ones are the robot's exploration. After the last of them, and
+    after each later one, the model is fitted to all experience, the policy is searched on it and,
+    with an ``evaluation_env``, measured from fresh starts (which decides nothing, and is no
+    experience); the next batch is that policy's rollout on the robot. Training ends when the own
+    rollouts of some trials in a row succeeded, or at the limit of trials. :meth:`best_policy` then
+    chooses among the policies that ran.
+
+    A rollout that the robot cuts short is a failure, and what was recorded of it is experience.
 
     With a ``checkpoint_rotation`` everything is written down as soon as the robot has moved, before
     anything is learned from the motion. :meth:`resume` goes on from there, and ends with the very
@@ -55,7 +64,8 @@ class PMILTrainer(Trainer):
     Args:
         env: a single robot; or, for a policy of targets, one robot for each target, which it gives
             under ``"target"``.
-        evaluation_env: a batch of robots for the measurement.
+        evaluation_env: a batch of robots for the measurement; None for none: then the robot makes
+            no motion but its own rollouts, and these alone say what succeeds.
         loss_module: the objective with policy and model.
         initial: p(x_0).
         limits: limits of the state (D,); transitions beyond are experience, but no data of the
@@ -78,6 +88,9 @@ class PMILTrainer(Trainer):
 
     Raises:
         TypeError: an environment, the generators or the settings of the search are of another kind.
+        RuntimeError: in :meth:`train`, when the exploration is cut short before it gave the
+            transitions of which a model can be made.
+        RunStopped, RolloutDiscarded, RobotError: in :meth:`train`, raised by the robot's reset.
         ValueError: a number is out of range, or start or limits are not over the state.
 
     Example: see ``torch_pmil/experiments/runs/training.py``.
@@ -87,7 +100,7 @@ class PMILTrainer(Trainer):
         self,
         *,
         env: EnvBase,
-        evaluation_env: EnvBase,
+        evaluation_env: EnvBase | None,
         loss_module: TrajectoryLoss,
         initial: Gaussian,
         limits: Tensor,
@@ -110,21 +123,24 @@ class PMILTrainer(Trainer):
         check_whole("confirmations", confirmations, 1)
         check_positive("tolerance", tolerance, zero=True)
         _check_kind("env", env, EnvBase)
-        _check_kind("evaluation_env", evaluation_env, EnvBase)
+        if evaluation_env is not None:
+            _check_kind("evaluation_env", evaluation_env, EnvBase)
         _check_kind("search", search, SearchSettings)
         _check_kind("policy_generator", policy_generator, torch.Generator)
         _check_kind("generator", generator, torch.Generator)
         check_start_belief(initial, "initial", loss_module.dynamics, loss_module.space)
         check_limits_of_state(limits, loss_module.space.dim)
         horizon = loss_module.horizon
-        self.explored = env.batch_size.numel() * exploration.rollouts * exploration.steps
-        frames = self.explored + env.batch_size.numel() * trials * horizon
+        self.num_robots, self.most_trials = env.batch_size.numel(), trials
+        frames = self.num_robots * (exploration.rollouts * exploration.steps + trials * horizon)
         motion = exploration.motion(generator)
         actor = RobotActor(loss_module.actor_network, loss_module.space, motion)
         in_keys = [key for key in ("observation", "target") if key in env.observation_spec]
         self.robot_policy = TensorDictModule(actor, in_keys=in_keys, out_keys=["action"])
         super().__init__(
-            collector=RolloutCollector(env, self.robot_policy, actor, exploration, horizon),
+            collector=RolloutCollector(
+                env, self.robot_policy, actor, exploration.steps, evaluation_env is not None
+            ),
             total_frames=frames,
             frame_skip=1,
             optim_steps_per_batch=1,
@@ -143,6 +159,8 @@ class PMILTrainer(Trainer):
         self.confirmations, self.on_trial = confirmations, on_trial
         self.control_period = env.control_period
         self.experience = Experience(capacity=frames)
+        self.explorations = exploration.rollouts
+        self.rollouts, self.explored = 0, 0  # rollouts, and transitions of the exploration, so far
         self.trials: list[Trial] = []
         self.candidates: list[Candidate] = []
         self.rotation, self.metadata = checkpoint_rotation, checkpoint_metadata
@@ -153,8 +171,8 @@ class PMILTrainer(Trainer):
 
     @property
     def stop_reason(self) -> str:
-        """Reason why training ended."""
-        return self._stop_reason or "limit of trials"
+        """Reason why training ended, "" before its end."""
+        return self._stop_reason or ""
 
     @property
     def seconds(self) -> float:
@@ -200,9 +218,12 @@ class PMILTrainer(Trainer):
         self._pbar.close()
 
     def optim_steps(self, batch: TensorDictBase) -> None:
-        """Fit and search, unless training is over and only the last rollout was missing."""
-        if not (self._stop_training or self.collected_frames >= self.total_frames):
+        """Fit and search, unless the robot explores on, or training is over."""
+        if self._next_is_a_trial():
             super().optim_steps(batch)
+
+    def _next_is_a_trial(self) -> bool:
+        return not (self._stop_training or self.actor.exploring)
 
     def fit_dynamics(self) -> None:
         """Fit the forward model to all experience within the limits."""
@@ -218,8 +239,8 @@ class PMILTrainer(Trainer):
         """Best of the policies that ran: least predicted loss among the best own rollouts.
 
         The loss is predicted under a model of all experience. All successes are best alike; where
-        there is none, the least error is. The policy of the loss then holds the parameters of the
-        best policy.
+        there is none, the least error is, and where all were cut short, the longest rollout. The
+        policy of the loss then holds the parameters of the best policy.
 
         Raises:
             RuntimeError: no policy ran yet.
@@ -227,11 +248,24 @@ class PMILTrainer(Trainer):
         if not self.candidates:
             raise RuntimeError("a policy must have run to be the best, got none: call train first")
         self.fit_dynamics()
-        least = min(candidate.own_error for candidate in self.candidates)
-        best = [c for c in self.candidates if c.own_error <= max(least, self.tolerance)]
-        chosen = min(best, key=self._predicted_loss)
+        chosen = min(self._nearest(), key=self._predicted_loss)
         self.loss_module.actor_network.load_state_dict(chosen.parameters)
         return chosen
+
+    def _nearest(self) -> list[Candidate]:
+        """The policies with the best own rollouts."""
+        least = min(candidate.own_error for candidate in self.candidates)
+        if least < math.inf:
+            return [c for c in self.candidates if c.own_error <= max(least, self.tolerance)]
+        longest = max(trial.steps for trial in self.trials)
+        return [c for c in self.candidates if self.trials[c.trial - 1].steps == longest]
+
+    def own_rollout(self, candidate: Candidate) -> TensorDictBase:
+        """The rollout of a policy that became experience, (robots, steps)."""
+        steps = [trial.steps for trial in self.trials[: candidate.trial]]
+        begin = self.explored + self.num_robots * sum(steps[:-1])
+        transitions = self.experience.transitions[begin : begin + self.num_robots * steps[-1]]
+        return transitions.reshape(self.num_robots, steps[-1])
 
     @torch.no_grad()
     def _predicted_loss(self, candidate: Candidate) -> float:
@@ -245,7 +279,8 @@ class PMILTrainer(Trainer):
         self, policy_generator: torch.Generator, generator: torch.Generator
     ) -> None:
         """Register all that a checkpoint holds besides TorchRL's own parts."""
-        self.register_module("evaluation_env", self.evaluation_env)
+        if self.evaluation_env is not None:
+            self.register_module("evaluation_env", self.evaluation_env)
         self.register_module("policy_generator", GeneratorState(policy_generator))
         self.register_module("generator", GeneratorState(generator))
         self.register_module("experience", self.experience)
@@ -257,20 +292,31 @@ class PMILTrainer(Trainer):
         A checkpoint is written before anything is learned from a batch.
         """
         self.register_op("setup", self._show_progress)
+        self.register_op("batch_process", self._check_exploration)
         self.register_op("batch_process", self._save)
         self.register_op("batch_process", self._learn_from_rollout)
         self.register_op("pre_steps_log", self._log_own_rollout)
         self.register_op("pre_optim_steps", self.fit_dynamics)
         self.register_op("process_optim_batch", self._start_belief)
-        self.register_op("post_steps_log", self._measure)
+        self.register_op("post_steps_log", self._begin_trial)
         self.register_op("post_steps_log", self._log_search)
+
+    def _check_exploration(self, batch: TensorDictBase) -> TensorDictBase:
+        """Raise RuntimeError at the exploration's last rollout if there are too few transitions."""
+        found = len(self.experience) + batch.numel()
+        if self.rollouts + 1 == self.explorations and found < FEWEST_TRANSITIONS:
+            raise RuntimeError(
+                f"the first motion must give {FEWEST_TRANSITIONS} transitions at least, got "
+                f"{found}: {self.collector.cut_short}"
+            )
+        return batch
 
     def _save(self, batch: TensorDictBase) -> TensorDictBase:
         """Write a checkpoint: its collector holds ``batch``, its other parts are from before it."""
         if self.rotation is not None:
             self.rotation.save(
                 self._sync_checkpoint_components(),
-                step=self.collected_frames,
+                step=self.rollouts,
                 metadata=self.metadata,
             )
         return batch
@@ -283,10 +329,25 @@ class PMILTrainer(Trainer):
     def _learn_from_rollout(self, batch: TensorDictBase) -> TensorDictBase:
         """Add the rollout to the experience, and complete the trial whose policy ran."""
         self.experience.extend(batch)
-        if self._pending is None:
-            return batch
-        own_error = self.error(batch).max().item()
-        trial = replace(self._pending, own_error=own_error, own_success=own_error <= self.tolerance)
+        self.rollouts += 1
+        if self.actor.exploring:
+            self.explored += batch.numel()
+            self.actor.exploring = self.rollouts < self.explorations
+        else:
+            self._complete(batch)
+        return batch
+
+    def _complete(self, batch: TensorDictBase) -> None:
+        """Complete the pending trial with its own rollout, and end the training if it is time."""
+        assert self._pending is not None  # the search before the rollout left it
+        own_error = self._own_error(batch)
+        trial = replace(
+            self._pending,
+            own_error=own_error,
+            own_success=own_error <= self.tolerance,
+            steps=batch.shape[-1],
+            cut_short=self.collector.cut_short or self._pending.cut_short,
+        )
         parameters = {k: v.clone() for k, v in self.loss_module.actor_network.state_dict().items()}
         self.trials.append(trial)
         self._pending = None
@@ -296,24 +357,30 @@ class PMILTrainer(Trainer):
         if len(last) == self.confirmations and all(t.own_success for t in last):
             count = NUMERALS.get(len(last), len(last))
             self.request_stop(f"the own rollouts of {count} trials in a row succeeded")
-        return batch
+        elif len(self.trials) >= self.most_trials:
+            self.request_stop("limit of trials")
+
+    def _own_error(self, batch: TensorDictBase) -> float:
+        """The largest error of a rollout of all robots; infinite if it was cut short."""
+        if self.collector.cut_short or batch.shape[-1] < self.loss_module.horizon:
+            return math.inf
+        return self.error(batch).max().item()
 
     def _start_belief(self, batch: TensorDictBase) -> TensorDictBase:
         return TensorDict({"observation": {"mean": self.initial.mean, "var": self.initial.cov}})
 
-    def _measure(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
-        """Measure the new policy's success rate from fresh starts; return the numbers to show."""
-        if self._stop_training or self.collected_frames >= self.total_frames:
+    def _begin_trial(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
+        """Note what the search came to, measure its policy; return the numbers to show."""
+        if not self._next_is_a_trial():
             return None
-        self.actor.exploring = False
-        rollouts = self.evaluation_env.rollout(self.loss_module.horizon, self.robot_policy)
-        errors = self.error(rollouts)
+        self.collector.steps = self.loss_module.horizon
+        rate, count = self._measure()
         search = self.optimization_stepper.result
         self._pending = Trial(
             trial=len(self.trials) + 1,
             experience_s=len(self.experience) * self.control_period,
-            success_rate=success_rate(errors, self.tolerance),
-            n_eval=len(errors),
+            success_rate=rate,
+            n_eval=count,
             own_error=float("nan"),
             own_success=False,
             loss=search.loss,
@@ -323,9 +390,19 @@ class PMILTrainer(Trainer):
             search_seconds=search.seconds,
             evaluations=search.evaluations,
             stop_reason=search.stop_reason,
+            steps=0,
+            cut_short="",
         )
-        keys = ("trial", "experience_s", "loss", "success_rate")
+        keys = ("trial", "experience_s", "loss", *(("success_rate",) if count else ()))
         return {**{key: getattr(self._pending, key) for key in keys}, "log_pbar": True}
+
+    def _measure(self) -> tuple[float | None, int]:
+        """Success rate of the policy from fresh starts and their number, if there are any."""
+        if self.evaluation_env is None:
+            return None, 0
+        rollouts = self.evaluation_env.rollout(self.loss_module.horizon, self.robot_policy)
+        errors = self.error(rollouts)
+        return success_rate(errors, self.tolerance), len(errors)
 
     def _log_search(self, batch: TensorDictBase) -> dict[str, float | bool] | None:
         """Numbers of the search for the logger, besides those that the progress bar shows."""
@@ -365,6 +442,8 @@ class _Progress:
         trainer = self.trainer
         return {
             "exploring": trainer.actor.exploring,
+            "rollouts": trainer.rollouts,
+            "explored": trainer.explored,
             "seconds": trainer.seconds,
             "trials": [asdict(trial) for trial in trainer.trials],
             "pending": None if trainer._pending is None else asdict(trainer._pending),
@@ -374,6 +453,7 @@ class _Progress:
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         trainer, pending = self.trainer, state_dict["pending"]
         trainer.actor.exploring = state_dict["exploring"]
+        trainer.rollouts, trainer.explored = state_dict["rollouts"], state_dict["explored"]
         trainer._begun = time.perf_counter() - state_dict["seconds"]
         trainer.trials = [Trial(**trial) for trial in state_dict["trials"]]
         trainer._pending = None if pending is None else Trial(**pending)

@@ -15,7 +15,8 @@ class Measurement:
     Args:
         trial: 1, 2, ...
         experience_s: seconds of experience from which was learned.
-        success_rate: success rate of ``n_eval`` rollouts from fresh starts; they are no experience.
+        success_rate: success rate of ``n_eval`` rollouts from fresh starts, which are no experience;
+            None where there are none, and the own rollout alone tells.
         n_eval: number of these rollouts.
         own_error: error of the trial's own rollout (m in the double pendulum), which becomes
             experience; the largest of all targets.
@@ -24,7 +25,7 @@ class Measurement:
 
     trial: int
     experience_s: float
-    success_rate: float
+    success_rate: float | None
     n_eval: int
     own_error: float
     own_success: bool
@@ -43,6 +44,9 @@ class Trial(Measurement):
         gp_seconds, search_seconds: wall time of the model's fit and of the search, s.
         evaluations: number of evaluations of the objective.
         stop_reason: why the last run of L-BFGS ended.
+        steps: control steps of the own rollout; fewer than the task has if it was cut short, which
+            is a failure of infinite error.
+        cut_short: why the own rollout was cut short, "" if it was not.
     """
 
     loss: float
@@ -52,6 +56,8 @@ class Trial(Measurement):
     search_seconds: float
     evaluations: int
     stop_reason: str
+    steps: int
+    cut_short: str
 
 
 @dataclass(frozen=True, eq=False)

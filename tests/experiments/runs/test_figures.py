@@ -96,6 +96,6 @@ def test_what_shows_a_prediction_is_left_out_where_there_is_none(
     shape = experiment.demonstrated.mean.shape
     nothing = Gaussian(torch.full(shape, torch.nan), torch.full((*shape, 4), torch.nan))
     rollouts = experiment.robots(2, seed=100).rollout(experiment.horizon)
-    outcomes = experiment.outcomes(nothing, rollouts)
+    outcomes = experiment.outcomes(nothing, rollouts, experiment.error(rollouts))
     result = RunResult({}, [], outcomes, policy=None, dynamics=None)
     assert {"kl_per_step", "policy"}.isdisjoint(dict(figures_of(experiment, result)))

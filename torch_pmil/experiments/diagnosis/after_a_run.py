@@ -58,7 +58,7 @@ def likely_reasons(
     Returns:
         An empty list for a run that learned, at least one reason for any other.
     """
-    failures = [experiment.error(outcome.rollouts) > experiment.tolerance for outcome in outcomes]
+    failures = [outcome.errors > experiment.tolerance for outcome in outcomes]
     failed = torch.cat(failures)
     if (~failed).double().mean() >= LEARNED:
         return []
@@ -85,13 +85,12 @@ def likely_reasons(
 
 def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
     """Reasons that lie in the robot's motors."""
-    torques = needed_torques(experiment)
+    outcome, torques = outcome.compared, needed_torques(experiment)
     needed = None if torques is None else torques.abs().amax((0, 1))
-    names = experiment.first_robot(seed=0).action_names
     noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
     return _found(
         outcome,
-        check_saturation(outcome.rollouts["action"], experiment.u_max, names, needed),
+        check_saturation(outcome.rollouts["action"], experiment.actions, needed),
         check_motion(
             experiment.space.observe(outcome.executed),
             outcome.demonstrations.positions,
@@ -105,6 +104,7 @@ def _of_the_model(
     experiment: Experiment, dynamics: GPDynamics, outcome: Outcome, steps: int
 ) -> list[Reason]:
     """Reasons that lie in the model, by the first steps of rollouts that it was not fitted to."""
+    outcome = outcome.compared
     actions, time_step = outcome.rollouts["action"], outcome.demonstrations.time_step
     residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, actions)
     residuals, known = residuals[:, :steps], known_steps(experiment, dynamics, outcome)[:, :steps]

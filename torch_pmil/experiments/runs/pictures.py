@@ -44,9 +44,12 @@ def tell_all(label: str, experiment: Experiment, result: RunResult, out: Path) -
 
 
 def steps_of(experiment: Experiment, result: RunResult, out: Path) -> Iterator[Step]:
-    """Steps that draw figures and video (as a GIF too), and write the report with them."""
+    """Steps that draw figures and video (as a GIF too), and write the report with them.
+
+    A robot that makes no motion but its own rollouts is not filmed.
+    """
     yield "figures", partial(draw_figures, experiment, result, out / "figures")
-    if experiment.draws:
+    if experiment.draws and experiment.evaluated:
         yield "video", partial(film, experiment, result, out / "video.mp4")
     if (out / "video.mp4").exists():
         yield "GIF", partial(write_gif, out / "video.gif", out / "video.mp4")

@@ -27,7 +27,8 @@ class PMIL:
 
     Args:
         env: an environment of TorchRL or gymnasium with a vector of real numbers to observe and
-            bounded continuous actions, or the name of one of gymnasium.
+            bounded continuous actions, or the name of one of gymnasium. A physical robot makes no
+            motion but those that it learns from, and these alone say what succeeds.
         demonstrations: a file or folder of recordings, or what was read of one.
         control_period: seconds between two actions.
         settings: what :func:`~torch_pmil.experiments.tasks.own_robot.own_robot` takes: ``state``,
@@ -68,6 +69,8 @@ class PMIL:
             overwrite: whether to replace the finished run that is there.
 
         Raises:
+            RunStopped: the operator ended the run; ``learn(resume=True)`` goes on.
+            RobotError: the robot cannot be reached; ``learn(resume=True)`` goes on.
             OSError: the folder cannot be written to.
             ValueError: a setting is out of range, or the folder holds another run.
         """
@@ -101,12 +104,18 @@ class PMIL:
     def save(self, path: Path | str) -> None:
         """Write the policy into a file that :func:`load_policy` reads."""
         policy = self.policy
-        save_policy(Path(path), policy.policy, policy.space, policy.control_period)
+        save_policy(
+            path, policy.policy, policy.space, policy.control_period, actions=policy.actions
+        )
 
     def evaluate(self, starts: int = EVALUATION_STARTS, seed: int = EVALUATION_SEED) -> float:
-        """Success rate of the policy on the robot, from fresh starts."""
-        rollouts = self.experiment.executed(self.policy, starts, seed)
-        return success_rate(self.experiment.error(rollouts), self.experiment.tolerance)
+        """Success rate of the policy on the robot, from fresh starts.
+
+        A physical robot makes so many rollouts, and its operator is asked before each of them; one
+        that is cut short is a failure.
+        """
+        errors = self.experiment.errors(self.policy, starts, seed)
+        return success_rate(errors, self.experiment.tolerance)
 
     def report(self) -> Path:
         """Path of the report, an HTML page, written anew from the folder of the run."""

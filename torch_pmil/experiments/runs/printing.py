@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from torch_pmil.demonstrations import DemonstrationError
 from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
+from torch_pmil.experiments.runs.summaries import judged_alone
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import Trial
 
@@ -47,12 +48,21 @@ def warn_of(label: str, findings: list[Finding]) -> None:
 def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> None:
     """Print one line for a trial."""
     predicted = f"{objective.label} {trial.loss:6.1f} {objective.unit}".rstrip()
+    measured = ""
+    if trial.success_rate is not None:
+        measured = f"success rate {trial.success_rate:4.0%} of {trial.n_eval} starts, "
     say(
         label,
         f"trial {trial.trial:2d}: {trial.experience_s:5.1f} s of experience, {predicted}, own "
-        f"rollout {'succeeded' if trial.own_success else 'failed'}, success rate "
-        f"{trial.success_rate:4.0%} of {trial.n_eval} starts, search {trial.search_seconds:.0f} s",
+        f"rollout {own_end(trial)}, {measured}search {trial.search_seconds:.0f} s",
     )
+
+
+def own_end(trial: Trial) -> str:
+    """What became of a trial's own rollout."""
+    if trial.cut_short:
+        return f"was cut short after {trial.steps} steps ({trial.cut_short})"
+    return "succeeded" if trial.own_success else "failed"
 
 
 def by_entry(summary: dict) -> str:
@@ -73,6 +83,20 @@ def of_predictions(summary: dict) -> str:
     )
 
 
+def of_success(summary: dict) -> str:
+    """How well the saved policy does, and what says so.
+
+    Example:
+        >>> of_success({"saved_success_rate": 1.0, "saved_n_eval": 0})
+        "own rollout succeeded (judged by the robot's own rollouts alone)"
+    """
+    rate, count = summary["saved_success_rate"], summary["saved_n_eval"]
+    if judged_alone(summary):
+        ended = "succeeded" if rate else "failed"
+        return f"own rollout {ended} (judged by the robot's own rollouts alone)"
+    return f"success rate {rate:.0%} of {count} fresh starts"
+
+
 def holds_something(path: Path) -> bool:
     """Whether there is a file, or a folder with one."""
     return any(path.glob("*")) if path.is_dir() else path.exists()
@@ -82,8 +106,7 @@ def print_result(label: str, summary: dict) -> None:
     """Print what the run came to."""
     reasons = [f"{reason['cause']}: {reason['message']}" for reason in summary["diagnosis"]]
     lines = [
-        f"policy of trial {summary['saved_trial']}: success rate "
-        f"{summary['saved_success_rate']:.0%} of {summary['saved_n_eval']} fresh starts after "
+        f"policy of trial {summary['saved_trial']}: {of_success(summary)} after "
         f"{summary['experience_s']:.1f} s of experience and {summary['wall_seconds']:.0f} s of "
         f"computing ({summary['stop_reason']})",
         of_predictions(summary),

@@ -184,6 +184,9 @@ def rewind_logs(logger: Logger | None, step: int) -> None:
     """
     if not isinstance(logger, CSVLogger):
         return
+    for file in logger.experiment.files.values():
+        file.close()
+    logger.experiment.files.clear()  # which are opened again
     for path in Path(logger.experiment.log_dir, "scalars").glob("*.csv"):
         try:
             rows = map(LOGGED.fullmatch, read_text(path).splitlines(keepends=True))

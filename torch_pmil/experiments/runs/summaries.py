@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +56,22 @@ class SuccessCurve:
         """Seconds of experience with which the mean first reached a rate; None if it never did."""
         reached = self.experience_s[self.mean >= rate - ROUNDING]
         return reached[0].item() if len(reached) else None
+
+
+def judged_alone(summary: Mapping) -> bool:
+    """Whether the robot's own rollouts alone say what a run came to, without fresh starts."""
+    return not summary["saved_n_eval"]
+
+
+def rate_of(trial: Mapping) -> float:
+    """Success rate of a trial's policy from fresh starts, or of its own rollout without them.
+
+    Example:
+        >>> rate_of({"success_rate": None, "own_success": True})
+        1.0
+    """
+    rate = trial["success_rate"]
+    return float(trial["own_success"]) if rate is None else rate
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:
@@ -122,8 +138,7 @@ def _check_summary(summary: dict) -> None:
     if not summary["trials"]:
         raise ValueError("it has no trial")
     measured = [summary | {"success_rate": summary["saved_success_rate"]}, *summary["trials"]]
-    rates = [measurement["success_rate"] for measurement in measured]
-    _check_numbers("success_rate", rates, largest=1)
+    _check_numbers("success_rate", [rate_of(measurement) for measurement in measured], largest=1)
     _check_numbers("experience_s", [measurement["experience_s"] for measurement in measured])
     for key in (*NUMBERS, *({COVERAGE} & summary.keys())):
         _check_numbers(key, [summary[key]])
@@ -158,7 +173,8 @@ def success_over_experience(runs: Sequence[dict]) -> SuccessCurve:
 
     Between two measurements a run counts with its last one. A run that ended early is carried
     forward with its saved policy's rate, which was measured anew from starts that no trial saw; so
-    is every run at the end of its experience.
+    is every run at the end of its experience. Where there were no fresh starts, the own rollouts
+    count, as 0 or 1.
 
     Args:
         runs: summaries, see :func:`read_summary`.
@@ -191,7 +207,7 @@ def _measurements(run: dict) -> tuple[np.ndarray, np.ndarray]:
 
     The saved policy's rate is the last one.
     """
-    measured = {round(trial["experience_s"], 6): trial["success_rate"] for trial in run["trials"]}
+    measured = {round(trial["experience_s"], 6): rate_of(trial) for trial in run["trials"]}
     measured[round(run["experience_s"], 6)] = run["saved_success_rate"]
     times = sorted(measured)
     return np.array(times), np.array([measured[time] for time in times])

@@ -20,8 +20,14 @@ from torchrl.record.loggers import Logger
 from torch_pmil.control.policy_file import save_policy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.demonstrations.distribution import demonstration_spread, rms_error
+from torch_pmil.envs.operator import RolloutDiscarded
 from torch_pmil.experiments.diagnosis.after_a_run import likely_reasons
-from torch_pmil.experiments.diagnosis.causes import LEARNED, saturated_fraction, unpredictable
+from torch_pmil.experiments.diagnosis.causes import (
+    LEARNED,
+    check_cut_short,
+    saturated_fraction,
+    unpredictable,
+)
 from torch_pmil.experiments.runs.lock import alone_in
 from torch_pmil.experiments.runs.run_folder import (
     MOST_TRIALS,
@@ -49,7 +55,7 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import torchrl_warnings_alone
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.trainer.archive import SavedRun
-from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in
+from torch_pmil.trainer.checkpoints import discard_newest, newest_undamaged, rotation_in
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Candidate, Trial, success_rate
 
@@ -64,7 +70,7 @@ class RunResult:
         summary: what ``summary.json`` holds.
         trials: all of them.
         outcomes: what the saved policy was predicted to do under the newest model, and did from
-            fresh starts, task by task.
+            fresh starts, or in its own rollout where there are none, task by task.
         policy: the saved policy.
         dynamics: the newest model.
     """
@@ -101,7 +107,7 @@ def train(
 
     Args:
         experiment: what to learn.
-        seed: of the robot's starts, the random torques and the policy; same seed, same run.
+        seed: of the robot's starts, the random actions and the policy; same seed, same run.
         trials: largest number of trials.
         out: folder of the run.
         command: said in the summary, so that the run can be repeated.
@@ -115,7 +121,12 @@ def train(
             a run stays as it is.
         settings: of the command, by which ``settings.yaml`` names the task.
 
+    Where the operator discards the robot's last rollout, the run goes on as one that never had it.
+
     Raises:
+        RunStopped: the operator ended the run; it goes on with ``resume``.
+        RobotError: the robot cannot be reached; the run goes on with ``resume``.
+        RuntimeError: the robot hardly moved: every rollout was cut short at its start.
         OSError: the folder cannot be written to.
         TypeError: the experiment is none, as its name is.
         ValueError: a setting is out of range, or the checkpoint is of a run with other settings.
@@ -155,13 +166,30 @@ def train(
         opened = None if logger is None else open_logger(logger, out, experiment.name, seed)
         if available():
             kernels()  # compiled before the progress bar stands
-        trainer = make_trainer(experiment, seed, trials, progress_bar, record, opened, rotation)
-        if saved is not None:
-            trainer.resume(saved)
-        rewind_logs(opened, trainer.collected_frames)
-        write_metrics(out / "metrics.csv", Trial, trainer.trials)
-        trainer.train()
+        ended = False
+        while not ended:
+            trainer = make_trainer(experiment, seed, trials, progress_bar, record, opened, rotation)
+            if saved is not None:
+                trainer.resume(saved)
+            rewind_logs(opened, trainer.collected_frames)
+            write_metrics(out / "metrics.csv", Trial, trainer.trials)
+            ended = _ended(trainer)
+            if not ended:
+                saved = discard_newest(rotation)
         return _finish(trainer, experiment, out, {"seed": seed, **source}, trials)
+
+
+def _ended(trainer: PMILTrainer) -> bool:
+    """Train, and say whether that came to its end: not if the last rollout was discarded."""
+    try:
+        trainer.train()
+    except RolloutDiscarded:
+        trainer.collector.shutdown(close_env=False)
+        return False
+    except BaseException:
+        trainer.collector.shutdown()
+        raise
+    return True
 
 
 def _finish(
@@ -175,7 +203,7 @@ def _finish(
     best = trainer.best_policy()
     policy, dynamics = _save_learned(trainer, experiment, out)
     predicted, failure = _predict(trainer, experiment)
-    outcomes = experiment.outcomes(predicted, _execute(trainer))
+    outcomes = experiment.outcomes(predicted, *_executed(trainer, best))
     results = {
         **_measured(trainer, best, experiment, outcomes),
         **(_unknown(failure) if failure else _compared(trainer, experiment, outcomes)),
@@ -200,9 +228,10 @@ def _save_learned(
     network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
     space, period = experiment.space, trainer.control_period
     target_names = experiment.demonstrations.target_names
-    save_policy(out / "policy.pt", network, space, period, target_names)
+    actions = experiment.actions
+    save_policy(out / "policy.pt", network, space, period, target_names, actions)
     save_tensors(out / "dynamics.pt", dynamics.state_dict())
-    return StatePolicy(network, space, period, target_names), dynamics
+    return StatePolicy(network, space, period, target_names, actions), dynamics
 
 
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
@@ -245,7 +274,9 @@ def make_trainer(
     policy = experiment.make_policy(generators[0])
     return PMILTrainer(
         env=experiment.robot(seed),
-        evaluation_env=experiment.robots(EVALUATION_STARTS, seed + 2_000_000),
+        evaluation_env=(
+            experiment.robots(EVALUATION_STARTS, seed + 2_000_000) if experiment.evaluated else None
+        ),
         loss_module=experiment.make_loss(policy, experiment.make_dynamics()),
         initial=experiment.initial,
         limits=experiment.limits,
@@ -287,9 +318,16 @@ def _like(experiment: Experiment) -> tuple[Tensor, Tensor]:
 
 
 @torch.no_grad()
-def _execute(trainer: PMILTrainer) -> TensorDictBase:
-    """Rollouts of the saved policy from fresh starts."""
-    return trainer.evaluation_env.rollout(trainer.loss_module.horizon, trainer.robot_policy)
+def _executed(trainer: PMILTrainer, best: Candidate) -> tuple[TensorDictBase, Tensor]:
+    """Rollouts of the saved policy and their errors: from fresh starts, or else its own."""
+    if trainer.evaluation_env is not None:
+        rollouts = trainer.evaluation_env.rollout(trainer.loss_module.horizon, trainer.robot_policy)
+        return rollouts, trainer.error(rollouts)
+    rollouts = trainer.own_rollout(best)
+    if not rollouts.numel():
+        cut_short = trainer.trials[best.trial - 1].cut_short
+        raise RuntimeError(f"no policy made a step on the robot: {cut_short}")
+    return rollouts, torch.full(rollouts.shape[:1], best.own_error, dtype=torch.float64)
 
 
 def _measured(
@@ -297,29 +335,29 @@ def _measured(
 ) -> dict[str, object]:
     """The results of a run, with the saved policy measured anew from starts that no trial saw.
 
-    Of several targets it is the mean.
+    Without such starts its own rollout tells. Of several targets it is the mean.
     """
-    match_space = experiment.space.match_space
+    match_space, measured = experiment.space.match_space, trainer.evaluation_env is not None
     rates = {
-        outcome.label: success_rate(experiment.error(outcome.rollouts), experiment.tolerance)
-        for outcome in outcomes
+        outcome.label: success_rate(outcome.errors, experiment.tolerance) for outcome in outcomes
     }
-    spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in outcomes])
+    compared = [outcome.compared for outcome in outcomes]
+    spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in compared])
     errors = torch.stack(
         [
             rms_error(outcome.demonstrations, experiment.space.observe(outcome.executed))
-            for outcome in outcomes
+            for outcome in compared
         ]
     )
     saturated = torch.stack(
-        [saturated_fraction(outcome.rollouts["action"], experiment.u_max) for outcome in outcomes]
+        [saturated_fraction(outcome.rollouts["action"], experiment.actions) for outcome in outcomes]
     ).mean(0)
     return {
         "stop_reason": trainer.stop_reason,
         "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
         "saved_trial": best.trial,
         "saved_success_rate": fmean(rates.values()),
-        "saved_n_eval": sum(len(outcome.executed) for outcome in outcomes),
+        "saved_n_eval": sum(len(outcome.errors) for outcome in outcomes) if measured else 0,
         **({"saved_success_rate_by_target": rates} if len(outcomes) > 1 else {}),
         "units": {
             "objective": experiment.objective.unit,
@@ -327,7 +365,7 @@ def _measured(
         },
         "rms_error": _by_name(match_space.names, errors.square().mean(0).sqrt()),
         "demonstration_spread": _by_name(match_space.names, spread.square().mean(0).sqrt()),
-        "saturated": _by_name(trainer.evaluation_env.action_names, saturated),
+        "saturated": _by_name(experiment.actions.names, saturated),
     }
 
 
@@ -335,8 +373,9 @@ def _compared(
     trainer: PMILTrainer, experiment: Experiment, outcomes: list[Outcome]
 ) -> dict[str, object]:
     """The results that compare what was predicted with what was executed and demonstrated."""
+    compared = [outcome.compared for outcome in outcomes]
     covered = torch.stack(
-        [two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in outcomes]
+        [two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in compared]
     ).mean(0)
     try:
         per_step = _per_step(trainer, experiment)
@@ -344,7 +383,7 @@ def _compared(
         return _unknown(error)
     return {
         "two_sigma_coverage": fmean(
-            two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in outcomes
+            two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in compared
         ),
         "two_sigma_coverage_by_entry": _by_name(experiment.space.names, covered),
         "loss_per_step": per_step,
@@ -362,12 +401,15 @@ def _diagnosis(
     outcomes: list[Outcome],
     results: Mapping[str, Any],
 ) -> list[dict[str, object]]:
+    """Likely reasons why the run did not learn; an empty list if it did."""
     if "prediction_error" in results:
         learned = results["saved_success_rate"] >= LEARNED
-        return [] if learned else [asdict(unpredictable(results["prediction_error"]))]
-    horizons = [trial.horizon for trial in trainer.trials]
-    reasons = likely_reasons(experiment, trainer.loss_module, outcomes, horizons)
-    return [asdict(reason) for reason in reasons]
+        reasons = [] if learned else [unpredictable(results["prediction_error"])]
+    else:
+        horizons = [trial.horizon for trial in trainer.trials]
+        reasons = likely_reasons(experiment, trainer.loss_module, outcomes, horizons)
+    stopped = check_cut_short([trial.cut_short for trial in trainer.trials]) if reasons else None
+    return [asdict(reason) for reason in (stopped, *reasons) if reason is not None]
 
 
 @torch.no_grad()

@@ -8,27 +8,30 @@ from typing import Any, ClassVar, Self, TypeVar
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from torch_pmil.control.exploration import Exploration, PDMovements, RandomTorques
-from torch_pmil.control.rbf_policy import RBFPolicy, check_limits
+from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
+from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
-from torch_pmil.envs.rollouts import states_of
+from torch_pmil.envs.robot import RobotEnv
+from torch_pmil.envs.rollouts import as_executed, states_of
 from torch_pmil.files import short
 from torch_pmil.gp.checks import check_noise, check_positive, check_tensor, check_whole
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.experience import FEWEST_TRANSITIONS
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 HELD_STARTS = 200  # at which a new policy is told to hold the robot
 START_REACH = 3.0  # standard deviations of the start that the model's data reach at least
-FEWEST_TRANSITIONS = 2  # of which a model can be made
 MOST_CENTRES = 10_000  # whose pairs a prediction goes through
 
 Held = TypeVar("Held", bound="Experiment | PDMovements | SearchSettings")
@@ -43,7 +46,9 @@ class Outcome:
         demonstrations: of it.
         demonstrated: their marginals at t = 1..T, mean (T, M).
         predicted: p(x_1..T), mean (T, D).
-        rollouts: from fresh starts, (N, T), as the environment gives them.
+        rollouts: (N, T), as the environment gives them; of a rollout that was cut short, as far as
+            it came.
+        errors: of the rollouts, infinite where one was cut short, (N,).
     """
 
     label: str
@@ -51,6 +56,19 @@ class Outcome:
     demonstrated: Gaussian
     predicted: Gaussian
     rollouts: TensorDictBase
+    errors: Tensor
+
+    @property
+    def compared(self) -> Outcome:
+        """The outcome up to where its rollouts end: all of it, unless one was cut short."""
+        steps = self.rollouts.shape[-1]
+        positions = self.demonstrations.positions[:, : steps + 1]
+        return replace(
+            self,
+            demonstrations=replace(self.demonstrations, positions=positions),
+            demonstrated=self.demonstrated[:steps],
+            predicted=self.predicted[:steps],
+        )
 
     @property
     def executed(self) -> Tensor:
@@ -70,7 +88,7 @@ class Experiment:
         noise_std: observation noise, in the units of the match space: one number, or one for each
             entry, (M,).
         initial: p(x_0).
-        u_max: torque limits (F,), N·m.
+        actions: names, units and range of the robot's actions.
         demonstrated_states: states recovered from the demonstrations, (S, D), where the policy's
             centres are drawn.
         num_centres: m.
@@ -80,8 +98,11 @@ class Experiment:
         tolerance: error up to which a rollout is a success.
         confirmations: successes of own rollouts in a row that end a run: more where a success is a
             lenient measure.
-        random_torque: of exploration by random torques, as a fraction of u_max.
-        pd_movements: exploration by a PD controller; random torques for one horizon if None.
+        evaluated: whether policies are measured from fresh starts, which are no experience, beside
+            their own rollouts; False for a robot that a person resets.
+        random_action: of exploration by random actions around those that hold the start, if they
+            are known, or else the middle of the range; as a fraction of half the range.
+        pd_movements: exploration by a PD controller; random actions for one horizon if None.
         initial_weight_std: of the policy's initial weights.
         input_scale: width of the policy's initial basis functions, in standard deviations of the
             demonstrated features; a policy is nothing beyond the reach of its functions, so starts
@@ -91,7 +112,7 @@ class Experiment:
         least_widths: widths (D',) below which none by ``input_scale`` falls, in the units of the
             features: how far a robot strays that moves slowly, or with a part of it alone. None for
             the standard deviations of the start, of which sine and cosine have that of their angle.
-        holding_torques: torques (S, F) that hold the robot in states (S, D); a new policy holds it
+        holding_actions: actions (S, F) that hold the robot in states (S, D); a new policy holds it
             at the start. None: it need not.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.
@@ -111,19 +132,20 @@ class Experiment:
     demonstrations: Demonstrations
     noise_std: float | Tensor
     initial: Gaussian
-    u_max: Tensor
+    actions: ActionSpace
     demonstrated_states: Tensor
     num_centres: int
     error: Callable[[TensorDictBase], Tensor]
     tolerance: float
     confirmations: int = 2
-    random_torque: float = 0.4
+    evaluated: bool = True
+    random_action: float = 0.4
     pd_movements: PDMovements | None = None
     initial_weight_std: float = 0.1
     input_scale: float = 1.0
     input_widths: Tensor | None = None
     least_widths: Tensor | None = None
-    holding_torques: Callable[[Tensor], Tensor] | None = None
+    holding_actions: Callable[[Tensor], Tensor] | None = None
     search: SearchSettings = field(default_factory=SearchSettings)
     draws: bool = True
 
@@ -145,7 +167,6 @@ class Experiment:
     def _check_settings(self) -> None:
         D = self.space.dim
         check_noise(self.noise_std, self.space.match_space.names)
-        check_limits(self.u_max)
         check_tensor("demonstrated_states", self.demonstrated_states, ("S", D))
         if self.initial.dim != D:
             raise ValueError(
@@ -153,10 +174,10 @@ class Experiment:
             )
         check_whole("num_centres", self.num_centres, 1, MOST_CENTRES)
         check_whole("confirmations", self.confirmations, 1)
-        for name in ("input_scale", "random_torque"):
+        for name in ("input_scale", "random_action"):
             check_positive(name, getattr(self, name))
-        if self.random_torque > 1:
-            raise ValueError(f"random_torque must be at most 1, got {self.random_torque!r}")
+        if self.random_action > 1:
+            raise ValueError(f"random_action must be at most 1, got {self.random_action!r}")
         for name in ("tolerance", "initial_weight_std"):
             check_positive(name, getattr(self, name), zero=True)
         for name in ("input_widths", "least_widths"):
@@ -165,6 +186,8 @@ class Experiment:
                 check_tensor(name, widths, (len(self.space.feature_names),))
                 if not (widths > 0).all():
                     raise ValueError(f"{name} must be positive, got {widths.tolist()}")
+        if not isinstance(self.evaluated, bool):
+            raise ValueError(f"evaluated must be true or false, got {self.evaluated!r}")
         if not isinstance(self.search, SearchSettings):
             raise TypeError(f"search must be SearchSettings, got {type(self.search).__name__}")
         check_positive("search.trust_threshold", self.search.trust_threshold, zero=True)
@@ -187,7 +210,12 @@ class Experiment:
     @property
     def exploration(self) -> Exploration:
         """The robot's motion before anything is learned."""
-        return self.pd_movements or RandomTorques(self.u_max, self.random_torque, self.horizon)
+        if self.pd_movements is not None:
+            return self.pd_movements
+        around = None
+        if self.holding_actions is not None:
+            around = self.holding_actions(self.initial.mean[None])[0]
+        return RandomActions(self.actions, self.random_action, self.horizon, around=around)
 
     @property
     def limits(self) -> Tensor:
@@ -209,15 +237,16 @@ class Experiment:
             "horizon": self.horizon,
             "num_centres": self.num_centres,
             "noise_std": torch.as_tensor(self.noise_std, dtype=torch.float64).tolist(),
-            "random_torque": self.random_torque,
+            "random_action": self.random_action,
             "exploration": self.exploration.settings,
             "initial_weight_std": self.initial_weight_std,
             "input_scale": self.input_scale,
             "input_widths": None if self.input_widths is None else self.input_widths.tolist(),
             "least_widths": self._least_widths.tolist(),
-            "holds_start": self.holding_torques is not None,
+            "holds_start": self.holding_actions is not None,
             "tolerance": self.tolerance,
             "confirmations": self.confirmations,
+            "evaluated": self.evaluated,
             "search": asdict(self.search),
         }
 
@@ -227,7 +256,7 @@ class Experiment:
         settings: dict[str, Any] = self.settings
         moved = self.pd_movements is not None
         groups = ("exploration", "search") if moved else ("search",)
-        unused = {"search", "random_torque"} if moved else {"search"}
+        unused = {"search", "random_action"} if moved else {"search"}
         own = {entry.name for entry in fields(self)} - unused
         return {name: value for name, value in settings.items() if name in own} | {
             f"{group}.{name}": value for group in groups for name, value in settings[group].items()
@@ -275,20 +304,40 @@ class Experiment:
         """Rollouts of a policy by :meth:`robots`, over the whole horizon."""
         return self.robots(starts, seed).rollout(self.horizon, policy.as_tensordict_module())
 
+    @torch.no_grad()
+    def errors(self, policy: StatePolicy, starts: int, seed: int) -> Tensor:
+        """Errors (starts,) of a policy's rollouts from fresh starts, infinite if cut short.
+
+        Where policies are not measured beside their own rollouts, the one robot does all of them in
+        turn.
+        """
+        if self.evaluated:
+            return self.error(self.executed(policy, starts, seed))
+        robot, module = self.robot(seed), policy.as_tensordict_module()
+        return torch.stack([self._error_of_one(robot, module) for _ in range(starts)])
+
+    def _error_of_one(self, robot: RobotEnv, module: TensorDictModule) -> Tensor:
+        rollout = as_executed(robot.rollout(self.horizon, module))
+        if robot.cut_short or rollout.shape[-1] < self.horizon:
+            return torch.tensor(torch.inf, dtype=torch.float64)
+        return self.error(rollout).max()
+
     def first_robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
         """One robot for the first task, to be filmed."""
         return self.make_env(seed=seed)
 
-    def outcomes(self, predicted: Gaussian, rollouts: TensorDictBase) -> list[Outcome]:
-        """The outcome of each task: its parts of the prediction and of the rollouts.
+    def outcomes(
+        self, predicted: Gaussian, rollouts: TensorDictBase, errors: Tensor
+    ) -> list[Outcome]:
+        """The outcome of each task: its parts of the prediction, the rollouts and their errors.
 
-        The rollouts are those of :meth:`robots`.
+        The rollouts are those of :meth:`robots`, or of :meth:`robot` in a batch.
         """
-        return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts)]
+        return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts, errors)]
 
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""
-        return GPDynamics(len(self.space.feature_names) + len(self.u_max), self.space.dim)
+        return GPDynamics(len(self.space.feature_names) + len(self.actions.names), self.space.dim)
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:
         """The loss of the policy search: the KL between demonstrated and predicted trajectories."""
@@ -297,7 +346,7 @@ class Experiment:
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy with centres near demonstrated states, see :meth:`policy_near`.
 
-        It holds the robot at the start if the experiment knows the torques for it.
+        It holds the robot at the start if the experiment knows the actions for it.
         """
         return self.policy_near(self.demonstrated_inputs, generator)
 
@@ -305,18 +354,19 @@ class Experiment:
         """A new policy with centres near some of the inputs (S, D') and small random weights.
 
         Its widths are the standard deviations of all inputs, or ``least_widths``, unless the
-        experiment gives them. It holds the robot at the start if the experiment knows the torques
+        experiment gives them. It holds the robot at the start if the experiment knows the actions
         for it.
         """
         std = self._spread(inputs)
         chosen = torch.randint(len(inputs), (self.num_centres,), generator=generator)
         jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)
-        policy = RBFPolicy(inputs[chosen] + 0.1 * std * jitter, self.u_max, self.widths(std))
+        centres, actions = inputs[chosen] + 0.1 * std * jitter, self.actions
+        policy = RBFPolicy(centres, actions.half_range, self.widths(std), actions.middle)
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
         policy.weights.data.copy_(self.initial_weight_std * white)
-        if self.holding_torques is not None:
+        if self.holding_actions is not None:
             starts = self.initial.sample(HELD_STARTS, generator)
-            policy.fit_weights(self.start_inputs(starts), self.holding_torques(starts))
+            policy.fit_weights(self.start_inputs(starts), self.holding_actions(starts))
         return policy
 
     def widths(self, std: Tensor) -> Tensor:
@@ -376,6 +426,18 @@ def _numbers(name: str, value: object, kind: str) -> object:
 def independent_start(mean: Tensor, std: Tensor) -> Gaussian:
     """p(x_0) of independent entries with these means and standard deviations, (D,) each."""
     return Gaussian(mean, torch.diag(std**2))
+
+
+def actions_of(env: MujocoRobotEnv | AdaptedEnv) -> ActionSpace:
+    """Names, units and range of the actions of one robot.
+
+    Example:
+        >>> from torch_pmil.envs import DoublePendulumEnv
+        >>> print(actions_of(DoublePendulumEnv()))
+        tau1 (N·m) from -3.5 to 3.5, tau2 (N·m) from -3.5 to 3.5
+    """
+    bounds = env.action_spec.space
+    return ActionSpace(env.action_names, env.action_units, bounds.low, bounds.high)
 
 
 def fitting(

@@ -26,6 +26,7 @@ from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
+    actions_of,
     fitting,
     independent_start,
 )
@@ -58,7 +59,7 @@ def own_robot(
     """An experiment with one's own robot and recordings.
 
     What is not said is told from them: the start by 20 resets, unless ``initial`` is given; the
-    limits of the actions by the environment; the observation noise as 5 % of each entry's
+    range of the actions by the environment; the observation noise as 5 % of each entry's
     demonstrated range (of an entry that hardly changes, as 1 % of the largest range); the
     demonstrated states by :func:`~torch_pmil.control.recovered_states.recover_states`; and a
     success as a rollout that differs from the demonstrations' mean by at most twice their standard
@@ -105,9 +106,9 @@ def own_robot(
     )
     noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
     deviation = Deviation(expert_distribution(shown, noise_std), space)
-    defaults = {
+    defaults: dict[str, Any] = {
         "name": robot.name,
-        "u_max": adapted.action_spec.space.high,
+        "actions": actions_of(adapted),
         "demonstrated_states": states.flatten(0, 1),
         "num_centres": CENTRES,
         "error": of_states(deviation),

@@ -111,17 +111,24 @@ class TargetExperiment(Experiment):
         """One robot for the first target."""
         return self.make_env(targets=self.targets[0], seed=seed)
 
-    def outcomes(self, predicted: Gaussian, rollouts: TensorDictBase) -> list[Outcome]:
-        """The outcome of each target: its parts of the prediction (S, T) and of the rollouts.
+    def outcomes(
+        self, predicted: Gaussian, rollouts: TensorDictBase, errors: Tensor
+    ) -> list[Outcome]:
+        """The outcome of each target: its parts of the prediction (S, T), rollouts and errors.
 
-        The rollouts are those of :meth:`robots`.
-
-        The rollouts are of :meth:`robots`.
+        The rollouts are those of :meth:`robots` or of :meth:`robot`.
         """
         demonstrated, (targets, sets) = self.demonstrated, self._by_target
-        parts = rollouts.chunk(len(targets))
+        parts, measured = rollouts.chunk(len(targets)), errors.chunk(len(targets))
         return [
-            Outcome(self._label(targets[i]), sets[i], demonstrated[i], predicted[i], parts[i])
+            Outcome(
+                self._label(targets[i]),
+                sets[i],
+                demonstrated[i],
+                predicted[i],
+                parts[i],
+                measured[i],
+            )
             for i in range(len(targets))
         ]
 

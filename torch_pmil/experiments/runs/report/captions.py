@@ -59,27 +59,54 @@ CAPTIONS = {  # in the order of the page
     ),
     "model": Caption(
         "Slices through the model",
-        "Each output over the torques and the other inputs on which the model depends most, "
+        "Each output over the actions and the other inputs on which the model depends most, "
         "through where the robot was halfway. The band should be narrow where there are data and "
         "widen beyond; dots outside it are transitions that the model does not explain.",
     ),
     "policy": Caption(
         "The policy",
-        "Torque (colour) over position and velocity of a joint, the other joints held where the "
+        "Action (colour) over position and velocity of a joint, the other joints held where the "
         "prediction is at that time (the white dot is the state itself), and where the model "
         "says the robot goes from there (arrows). Around the dot the arrows should lead along "
-        "the motion or, at its end, towards the dot; full red or blue around it is a torque at "
-        "its limit.",
+        "the motion or, at its end, towards the dot; full red or blue around it is an action "
+        "at the end of its range.",
     ),
 }
 
 
-def caption_of(name: str, targets: list[str]) -> Caption:
+# of runs that are judged by the robot's own rollouts alone
+ALONE = {
+    "trajectories": Caption(
+        CAPTIONS["trajectories"].title,
+        "Blue is what was demonstrated, orange the outline of what the model predicts, both from "
+        "the first step that is compared; dashed is the saved policy's own rollout, up to where "
+        "it was cut short, if it was. When all is right the outline lies on the edges of the "
+        "band, and the rollout runs inside both.",
+    ),
+    "learning_curve": Caption(
+        "Learning curve",
+        "Above, whether the own rollout of each trial succeeded (100 %) or failed (0 %), each of "
+        "them with a new policy; below, what the search made of its objective, where a cross "
+        "stands for a policy that the model could not predict. The star at the end is the saved "
+        "policy by its own rollout.",
+    ),
+    "calibration": Caption(
+        "Calibration of the model",
+        "One-step predictions along the saved policy's own rollout. The model has learned from "
+        "it, so this says less than it would of new rollouts. Left, lines below the diagonal: the "
+        "model is surer than it is right. Right, above 1: errors are larger than it says, at that "
+        "time.",
+    ),
+}
+
+
+def caption_of(name: str, targets: list[str], alone: bool = False) -> Caption:
     """The caption of a figure by its name; ``..._target_0`` names a figure of one target.
 
     Args:
         name: as the figure's file is called.
         targets: what the targets are called, in their order.
+        alone: whether the robot's own rollouts alone say what the run came to.
 
     Example:
         >>> caption_of("policy_target_1", ["y = 0", "y = 1"]).title
@@ -88,7 +115,8 @@ def caption_of(name: str, targets: list[str]) -> Caption:
         'my own'
     """
     kind, _, number = name.partition("_target_")
-    caption = CAPTIONS.get(kind, Caption(kind.replace("_", " "), ""))
+    known = CAPTIONS | ALONE if alone else CAPTIONS
+    caption = known.get(kind, Caption(kind.replace("_", " "), ""))
     if not number:
         return caption
     target = f"target {number}"

@@ -12,7 +12,7 @@ from torch_pmil.experiments.runs.report.captions import Caption, caption_of, pla
 from torch_pmil.experiments.runs.report.documentation import page_of
 from torch_pmil.experiments.runs.report.tables import tables
 from torch_pmil.experiments.runs.report.words import headline, next_steps, percent, say
-from torch_pmil.experiments.runs.summaries import RunError, read_summary
+from torch_pmil.experiments.runs.summaries import RunError, judged_alone, read_summary
 from torch_pmil.experiments.runs.telling import making_the_rest
 from torch_pmil.files import MIB, FileError, read_bytes, replacing
 
@@ -90,6 +90,7 @@ def _page(folder: Path, summary: dict, drawn: bool) -> str:
     return _template().render(
         summary=summary,
         headline=headline(summary),
+        judged_alone=judged_alone(summary),
         following=None if drawn else making_the_rest(folder),
         pictures=_pictures(folder, summary) if drawn else [],
         video=_video(folder) if drawn else None,
@@ -114,7 +115,10 @@ def _pictures(folder: Path, summary: dict) -> list[Picture]:
     """All figures, in the order of the page."""
     targets = list(summary.get("saved_success_rate_by_target", {}))
     paths = sorted((folder / "figures").glob("*.png"), key=lambda path: place_of(path.stem))
-    return [Picture(caption_of(path.stem, targets), *_pixels_and_text(path)) for path in paths]
+    alone = judged_alone(summary)
+    return [
+        Picture(caption_of(path.stem, targets, alone), *_pixels_and_text(path)) for path in paths
+    ]
 
 
 def _video(folder: Path) -> str | None:

@@ -9,6 +9,7 @@ from typing import Any
 from torch_pmil.control.state_space import with_unit
 from torch_pmil.experiments.runs.report.units import unit_of
 from torch_pmil.experiments.runs.report.words import percent, say
+from torch_pmil.experiments.runs.summaries import judged_alone
 
 # why the last run of L-BFGS ended, in words that do not sound like a failure where there is none
 ENDS = {
@@ -82,14 +83,19 @@ def tables(summary: Mapping) -> Iterator[Table]:
 
 def _trials(summary: Mapping) -> Table:
     trials, columns = summary["trials"], _columns(summary)
-    fields = [field for field in columns if field in trials[0]]
+    fields = [
+        field for field in columns if any(trial.get(field) not in (None, "") for trial in trials)
+    ]
     rows = [
         ["–" if trial.get(field) is None else columns[field][1](trial[field]) for field in fields]
         for trial in trials
     ]
+    measured = "The success rate is from fresh starts, which are no experience."
+    if judged_alone(summary):
+        measured = "Success is judged by the robot's own rollouts alone."
     text = (
-        "The success rate is from fresh starts, which are no experience. A search has a number of "
-        "iterations; that it does them all is usual, and no failure."
+        f"{measured} A search has a number of iterations; that it does them all is usual, and no "
+        "failure."
     )
     return Table("Trials", [columns[field][0] for field in fields], rows, text)
 
@@ -111,6 +117,7 @@ def _columns(summary: Mapping) -> dict[str, tuple[str, Callable[[Any], str]]]:
         "success_rate": ("success rate", percent),
         "own_success": ("own rollout", lambda success: "succeeded" if success else "failed"),
         "own_error": own_error,
+        "cut_short": ("cut short", str),
         "horizon": ("searched up to (step)", say),
         "gp_seconds": ("model (s)", "{:.1f}".format),
         "search_seconds": ("search (s)", "{:.1f}".format),

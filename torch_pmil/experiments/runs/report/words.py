@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from torch_pmil.experiments.diagnosis.causes import LEARNED
-from torch_pmil.experiments.runs.summaries import words_of
+from torch_pmil.experiments.runs.summaries import judged_alone, words_of
 
 
 def headline(summary: dict) -> tuple[str, str]:
@@ -18,10 +18,10 @@ def headline(summary: dict) -> tuple[str, str]:
         ('good', 'It learned: 20 of 20 fresh starts succeed, after 17.5 s of experience.')
     """
     rate, count = summary["saved_success_rate"], summary["saved_n_eval"]
-    succeeded = (
-        f"{round(rate * count) or 'none'} of {count} fresh starts succeed, after "
-        f"{summary['experience_s']:g} s of experience."
-    )
+    succeeded = f"{round(rate * count) or 'none'} of {count} fresh starts succeed"
+    if judged_alone(summary):
+        succeeded = f"the saved policy's own rollout {'succeeded' if rate else 'failed'}"
+    succeeded = f"{succeeded}, after {summary['experience_s']:g} s of experience."
     if rate >= LEARNED:
         return "good", f"It learned: {succeeded}"
     if rate > 0:
@@ -80,7 +80,7 @@ def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
         lines = (
             "from torch_pmil import load_policy",
             f"policy = load_policy({str(folder / 'policy.pt')!r})",
-            "torque = policy(state)",
+            "action = policy(state)",
         )
         yield "Use the policy:", "\n".join(lines)
 

@@ -287,6 +287,7 @@ def make_trainer(
         search=experiment.search,
         make_policy=experiment.make_policy,
         exploration=experiment.exploration,
+        box=experiment.state_box,
         policy_generator=generators[0],
         generator=generators[1],
         on_trial=on_trial,

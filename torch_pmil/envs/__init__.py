@@ -1,4 +1,4 @@
-"""Simulated robots as TorchRL environments."""
+"""Robots as TorchRL environments, simulated and physical."""
 
 import ctypes.util
 import importlib
@@ -21,6 +21,7 @@ from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.physical.physical_robot_env import PhysicalRobotEnv
 from torch_pmil.envs.registration import register_robots
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "DoublePendulumEnv",
     "DoublePendulumServoEnv",
     "MujocoRobotEnv",
+    "PhysicalRobotEnv",
 ]
 
 register_robots()

@@ -313,7 +313,7 @@ class PMILTrainer(Trainer):
 
     def _check_exploration(self, batch: TensorDictBase) -> TensorDictBase:
         """Raise RuntimeError at the exploration's last rollout if there are too few transitions."""
-        found = len(self.experience) + batch.numel()
+        found = len(self.experience) + batch.batch_size.numel()
         if self.rollouts + 1 == self.explorations and found < FEWEST_TRANSITIONS:
             raise RuntimeError(
                 f"the first motion must give {FEWEST_TRANSITIONS} transitions at least, got "
@@ -341,7 +341,7 @@ class PMILTrainer(Trainer):
         self.experience.extend(batch)
         self.rollouts += 1
         if self.actor.exploring:
-            self.explored += batch.numel()
+            self.explored += batch.batch_size.numel()
             self.actor.exploring = self.rollouts < self.explorations
         else:
             self._complete(batch)

@@ -15,8 +15,8 @@ class Measurement:
     Args:
         trial: 1, 2, ...
         experience_s: seconds of experience from which was learned.
-        success_rate: success rate of ``n_eval`` rollouts from fresh starts, which are no experience;
-            None where there are none, and the own rollout alone tells.
+        success_rate: success rate of ``n_eval`` rollouts from fresh starts, which are no
+            experience; None where there are none, and the own rollout alone tells.
         n_eval: number of these rollouts.
         own_error: error of the trial's own rollout (m in the double pendulum), which becomes
             experience; the largest of all targets.

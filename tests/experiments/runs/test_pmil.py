@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import partialmethod
 from pathlib import Path
 
 import pytest
 import torch
 
+from tests.helpers.attended import AttendedPendulum, Operator
 from torch_pmil import PMIL, GPDynamics, SearchSettings, load_policy, shipped_demonstrations
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.experiments.runs.run_folder import FinishedRunError
@@ -66,6 +68,22 @@ def test_a_finished_run_stays_unless_told_and_resumes_to_the_same_end(learner: P
         learner.learn(trials=1, out="run")
     learner.learn(trials=1, out="run", resume=True)
     torch.testing.assert_close(learner.policy.policy.weights, weights, atol=0, rtol=0)
+
+
+def test_a_physical_robot_moves_no_more_than_it_is_asked_to(
+    learner: PMIL, capsys: pytest.CaptureFixture[str]
+) -> None:
+    operator = Operator()
+    robot = AttendedPendulum(operator, failing={5: 2}, seed=0)
+    settings = {"state": SPACE.names, "angles": ("q1", "q2"), "match": SPACE.match_space}
+    shown = shipped_demonstrations("double_pendulum")
+    alone = PMIL(robot, shown, 0.1, **settings, search=SHORT).learn(trials=2, seed=3)
+    assert operator.asked == robot.rollouts == 1 + 2
+    printed = capsys.readouterr().out
+    assert "judged by the robot's own rollouts alone" in printed and "success rate" not in printed
+    alone.experiment = replace(alone.experiment, tolerance=1e9)
+    assert alone.evaluate(starts=3) == pytest.approx(2 / 3)  # the fifth rollout is cut short
+    assert operator.asked == 3 + 3
 
 
 def test_before_learning_there_is_no_policy(learner: PMIL) -> None:

@@ -325,7 +325,7 @@ def _executed(trainer: PMILTrainer, best: Candidate) -> tuple[TensorDictBase, Te
         rollouts = trainer.evaluation_env.rollout(trainer.loss_module.horizon, trainer.robot_policy)
         return rollouts, trainer.error(rollouts)
     rollouts = trainer.own_rollout(best)
-    if not rollouts.numel():
+    if not rollouts.batch_size.numel():
         cut_short = trainer.trials[best.trial - 1].cut_short
         raise RuntimeError(f"no policy made a step on the robot: {cut_short}")
     return rollouts, torch.full(rollouts.shape[:1], best.own_error, dtype=torch.float64)

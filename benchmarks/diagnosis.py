@@ -103,7 +103,7 @@ def of_outcome(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -
         "covered": covered,
         "followed": two_sigma_coverage(outcome.predicted, outcome.executed),
         "unknown": (~known).double().mean().item(),
-        "saturated": saturated_fraction(actions, experiment.u_max).amax().item(),
+        "saturated": saturated_fraction(actions, experiment.actions).amax().item(),
         "moved": moved_fraction(executed, outcome.demonstrations.positions, noise_std),
     }
 

@@ -108,9 +108,9 @@ def random_transitions(
     env = experiment.make_env(num_envs=robots, seed=SEED)
     states, torques = [experiment.initial.sample(robots, generator)], []
     for _ in range(ROLLOUT_STEPS):
-        shape = (robots, len(experiment.u_max))
+        shape = (robots, len(experiment.actions.names))
         uniform = torch.rand(shape, dtype=torch.float64, generator=generator)
-        torques.append(RANDOM_TORQUE * experiment.u_max * (2 * uniform - 1))
+        torques.append(RANDOM_TORQUE * experiment.actions.half_range * (2 * uniform - 1))
         states.append(env.simulate(states[-1], torques[-1]))
     before, actions, after = (torch.cat(parts)[:n] for parts in (states[:-1], torques, states[1:]))
     return before, actions, after

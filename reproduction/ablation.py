@@ -73,7 +73,7 @@ class Variation(Experiment):
 
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""
-        inputs = len(self.space.feature_names) + len(self.u_max)
+        inputs = len(self.space.feature_names) + len(self.actions.names)
         return GPDynamics(inputs, self.space.dim, self.targets)
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryKLLoss:

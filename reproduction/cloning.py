@@ -37,7 +37,7 @@ def clone_double_pendulum(states: Tensor, torques: Tensor) -> StatePolicy:
         states[:, :-1].flatten(0, 1),
         torques.flatten(0, 1),
         experiment.space,
-        experiment.u_max,
+        experiment.actions.half_range,
         experiment.demonstrations.time_step,
     )
 

@@ -89,7 +89,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     ]
     cloning = np.array(cloned)
     peaks = peak_tracking_torques(*pairs[0], SECOND_LINKS).numpy()
-    limit = robots[0].u_max.max().item()
+    limit = robots[0].actions.high.max().item()
     difference = link_positions(pairs[0][0]) - shipped_demonstrations("double_pendulum").positions
     headline = {
         **_by_mass("ours_success", ours.mean(0)),

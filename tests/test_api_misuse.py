@@ -60,7 +60,8 @@ from torch_pmil import (
     shipped_demonstrations,
     trajectory_kl,
 )
-from torch_pmil.control.exploration import PDMovements, RandomTorques
+from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.exploration import PDMovements, RandomActions
 from torch_pmil.control.trigonometric_polynomial import cosine, match_of
 from torch_pmil.demonstrations import Recordings
 from torch_pmil.demonstrations.distribution import demonstration_spread, rms_error
@@ -86,6 +87,7 @@ INDEFINITE = [[1.0, 2.0], [2.0, 1.0]]
 NAMED = ("q", "dq"), ("rad", "rad/s")
 DRAWS = Draws(0)
 ONE = torch.ones(1, dtype=torch.float64)
+ACTIONS = ActionSpace(("u",), ("N·m",), -ONE, ONE)
 GP_MODEL = DRAWS.gp(6, 2, 2)
 POLICY, DYNAMICS = make_parts(DRAWS)
 OTHER_DYNAMICS = GPDynamics(4, 3)
@@ -417,11 +419,11 @@ CONTROL = {
     ),
     "RBFPolicy, negative limits": misuse(
         lambda: network(u_max=-torch.ones(1)),
-        "u_max must be a vector of positive torque limits, got",
+        "u_max must be a vector of positive numbers, got",
     ),
     "RBFPolicy, limits of NaN": misuse(
         lambda: network(u_max=numbers(NAN)),
-        "u_max must be a vector of positive torque limits, got [nan]",
+        "u_max must be a vector of positive numbers, got [nan]",
     ),
     "RBFPolicy, a number for limits": misuse(
         lambda: network(u_max=3.5), "u_max must be a tensor, got float", TypeError
@@ -550,20 +552,34 @@ CONTROL = {
         lambda: match_of([cosine((1, 1))], ("x",), ("m",), 2, (0,)),
         "angles must be entries below 2, as",
     ),
-    "RandomTorques, a fraction of NaN": misuse(
-        lambda: RandomTorques(torch.ones(1), NAN, 5), "fraction must be above 0 and at most 1, got"
+    "RandomActions, a fraction of NaN": misuse(
+        lambda: RandomActions(ACTIONS, NAN, 5), "fraction must be above 0 and at most 1, got"
     ),
-    "RandomTorques, a negative fraction": misuse(
-        lambda: RandomTorques(torch.ones(1), -0.5, 5), "fraction must be above 0 and at most 1, got"
+    "RandomActions, a negative fraction": misuse(
+        lambda: RandomActions(ACTIONS, -0.5, 5), "fraction must be above 0 and at most 1, got"
     ),
-    "RandomTorques without steps": misuse(
-        lambda: RandomTorques(torch.ones(1), 0.5, 0), "steps must be a whole number of at least 1,"
+    "RandomActions without steps": misuse(
+        lambda: RandomActions(ACTIONS, 0.5, 0), "steps must be a whole number of at least 1,"
     ),
-    "RandomTorques without rollouts": misuse(
-        lambda: RandomTorques(torch.ones(1), 0.5, 5, 0), "rollouts must be a whole number of at"
+    "RandomActions without rollouts": misuse(
+        lambda: RandomActions(ACTIONS, 0.5, 5, 0), "rollouts must be a whole number of at"
     ),
-    "RandomTorques, negative limits": misuse(
-        lambda: RandomTorques(-torch.ones(1), 0.5, 5), "u_max must be a vector of positive torque"
+    "RandomActions around two of one action": misuse(
+        lambda: RandomActions(ACTIONS, 0.5, 5, around=torch.zeros(2)),
+        "around must have shape (1,), got (2,)",
+    ),
+    "ActionSpace without room": misuse(
+        lambda: replace(ACTIONS, low=ONE), "low must be below high, got [1.0] and [1.0]"
+    ),
+    "ActionSpace, an endless action": misuse(
+        lambda: replace(ACTIONS, high=INF * ONE), "high must be finite, got inf in entry (0,)"
+    ),
+    "ActionSpace without units": misuse(
+        lambda: replace(ACTIONS, units=()), "actions must have a name and a unit each, got ('u',)"
+    ),
+    "StatePolicy, actions of another robot": misuse(
+        lambda: StatePolicy(POLICY, SPACE, 0.1, actions=replace(ACTIONS, low=-9 * ONE)),
+        "actions must be those of the policy, 0 from ",
     ),
     "PDMovements without rollouts": misuse(
         lambda: movements(rollouts=0),
@@ -1009,7 +1025,7 @@ TRAINER = {
         lambda: trainer(evaluation_env=None), "evaluation_env must be an instance of", TypeError
     ),
     "PMILTrainer, exploration without rollouts": misuse(
-        lambda: trainer(exploration=RandomTorques(torch.ones(2), 0.4, 5, 0)),
+        lambda: trainer(exploration=RandomActions(ACTIONS, 0.4, 5, 0)),
         "rollouts must be a whole",
     ),
     "PMILTrainer, a dictionary of settings": misuse(
@@ -1224,9 +1240,6 @@ EXPERIMENTS = {
         lambda: replace(experiment(), demonstrated_states=torch.zeros(3, 2)),
         "demonstrated_states must have",
     ),
-    "Experiment without torques": misuse(
-        lambda: replace(experiment(), u_max=torch.ones(0)), "u_max must be a vector of positive"
-    ),
     "Experiment, a space of other entries": misuse(
         lambda: replace(experiment(), space=SPACE),
         "demonstrated_states must have shape (S, 2), got",
@@ -1250,8 +1263,8 @@ EXPERIMENTS = {
         lambda: replace(experiment(), search=SearchSettings(trust_threshold=math.inf)),
         "search.trust_threshold must be a finite number that is not negative, got inf",
     ),
-    "Experiment, more torque than there is": misuse(
-        lambda: replace(experiment(), random_torque=1.5), "random_torque must be at most 1, got 1.5"
+    "Experiment, larger actions than there are": misuse(
+        lambda: replace(experiment(), random_action=1.5), "random_action must be at most 1, got 1.5"
     ),
     "Experiment, two and a half centres": misuse(
         lambda: replace(experiment(), num_centres=2.5), "num_centres must be a whole number from"

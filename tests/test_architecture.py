@@ -50,7 +50,8 @@ PURE = {  # of rooms at the edge of TorchRL, the files that compute
     "search/policy_search.py",
 }
 MOST_FILES, MOST_FOLDERS = 4, 11  # of the package's top level
-SAME_NAME = {"__init__.py", "biorob.py", "double_pendulum.py"}  # a robot, and the task on it
+# a robot, and the task on it
+SAME_NAME = {"__init__.py", "biorob.py", "double_pendulum.py", "double_pendulum_servo.py"}
 
 
 def name_of(path: Path) -> str:

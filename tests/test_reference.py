@@ -134,7 +134,9 @@ def controller_of(
     )
     weights = torch.linalg.solve(gram, targets.mT[..., None])[..., 0]
     return ReferenceController(
-        KernelExpansion(centres, weights, log_lengthscales.exp(), torch.ones_like(u_max)), u_max
+        KernelExpansion(centres, weights, log_lengthscales.exp(), torch.ones_like(u_max)),
+        u_max,
+        torch.zeros_like(u_max),
     )
 
 

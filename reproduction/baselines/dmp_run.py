@@ -146,14 +146,16 @@ def make_learner(experiment: Experiment, hold: int) -> InverseDynamicsLearner:
     dmp = DMP.from_demonstrations(joint_trajectories(experiment), time_step, NUM_BASIS)
     reference = dmp_reference(dmp, experiment.horizon, time_step, hold)
     return InverseDynamicsLearner(
-        experiment.space, reference, experiment.u_max, experiment.limits, time_step
+        experiment.space, reference, experiment.actions.half_range, experiment.limits, time_step
     )
 
 
 def random_rollout(experiment: Experiment, env: MujocoRobotEnv, hold: int, seed: int) -> Motion:
     """The first experience: the random rollout that our learner gets with that seed."""
     generator = torch.Generator().manual_seed(seed + 1_000_000)
-    torques = random_torques(experiment.u_max, experiment.random_torque, hold, generator)
+    torques = random_torques(
+        experiment.actions.half_range, experiment.random_action, hold, generator
+    )
     # our learner's collector, too, tries out robot and torques when it is made
     torques(0, env.reset()["observation"])
     return execute(env, torques, experiment.horizon, hold)
@@ -192,7 +194,7 @@ def settings(experiment: Experiment, trials: int, feedback_period: float) -> dic
         "feedback_period": feedback_period,
         "position_gain": POSITION_GAIN,
         "velocity_gain": VELOCITY_GAIN,
-        "random_torque": experiment.random_torque,
+        "random_action": experiment.random_action,
         "tolerance": experiment.tolerance,
     }
 

@@ -70,7 +70,7 @@ def run_of(folder: Path, experiment: str = "double_pendulum", **settings: object
     known = load_experiment(experiment)
     folder.mkdir()
     inputs = len(known.space.feature_names)
-    policy = RBFPolicy(torch.zeros(3, inputs), known.u_max, torch.ones(inputs))
+    policy = RBFPolicy(torch.zeros(3, inputs), known.actions.half_range, torch.ones(inputs))
     save_policy(folder / "policy.pt", policy, known.space, 0.1)
     (folder / "summary.json").write_text(json.dumps({"experiment": experiment}))
     write_settings(folder, settings)

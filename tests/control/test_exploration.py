@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from torch_pmil.control.exploration import Motion, PDMovements, RandomTorques
+from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.exploration import Motion, PDMovements, RandomActions
 
 POSE = torch.tensor([0.3, -0.2, 0.0, 0.0], dtype=torch.float64)
 REACH = torch.tensor([0.4, 0.2, 0.0, 0.0], dtype=torch.float64)
@@ -20,6 +21,8 @@ STIFFNESS, DAMPING = (
 GAIN = torch.cat([STIFFNESS.diag(), DAMPING.diag()], 1)
 U_MAX = torch.tensor([100.0, 100.0], dtype=torch.float64)
 HOLD = 5
+LOW, HIGH = torch.tensor([[-4.0, 0.0], [4.0, 2.0]], dtype=torch.float64)
+TARGETS = ActionSpace(("q1", "q2"), ("rad", "rad"), LOW, HIGH)
 
 
 def gravity(state: Tensor) -> Tensor:
@@ -81,13 +84,32 @@ def test_torques_end_at_the_limits() -> None:
     assert limited.tolist() == [0.5, free[1].item()]
 
 
+def test_random_actions_are_uniform_around_the_given_one_and_clipped_to_the_range() -> None:
+    """A quarter of half the range: (-1, 1) around 0, and (1.75, 2.25) around 2 of (0, 2)."""
+    around = torch.tensor([0.0, 2.0], dtype=torch.float64)
+    motion = RandomActions(TARGETS, 0.25, 20, around=around).motion(generator())
+    first, second = motion(torch.zeros(4000, 4)).unbind(-1)
+    assert first.abs().max() <= 1 and first.abs().max() > 0.99
+    assert first.mean().abs() < 4 * (1 / 3 / 4000) ** 0.5
+    assert second.min() >= 1.75 and second.min() < 1.76 and second.max() == 2
+    assert ((second == 2).double().mean() - 0.5).abs() < 4 * (0.25 / 4000) ** 0.5
+
+
+def test_random_actions_are_around_the_middle_unless_it_is_said() -> None:
+    motion = RandomActions(TARGETS, 1.0, 20).motion(generator())
+    drawn = motion(torch.zeros(4000, 4))
+    assert (drawn >= LOW).all() and (drawn <= HIGH).all()
+    torch.testing.assert_close(drawn.amin(0), LOW, rtol=0, atol=0.01)
+    torch.testing.assert_close(drawn.amax(0), HIGH, rtol=0, atol=0.01)
+
+
 @pytest.mark.parametrize(
     "make",
-    [lambda: MOVEMENTS, lambda: RandomTorques(U_MAX, 0.4, 20)],
-    ids=["pd movements", "random torques"],
+    [lambda: MOVEMENTS, lambda: RandomActions(TARGETS, 0.4, 20)],
+    ids=["pd movements", "random actions"],
 )
-def test_same_generator_gives_the_same_torques(
-    make: Callable[[], PDMovements | RandomTorques],
+def test_same_generator_gives_the_same_actions(
+    make: Callable[[], PDMovements | RandomActions],
 ) -> None:
     motions = [make().motion(generator()) for _ in range(2)]
     first, second = ([motion(POSE) for _ in range(2 * HOLD)] for motion in motions)

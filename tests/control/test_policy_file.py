@@ -16,17 +16,25 @@ import torch
 
 from tests.helpers.draws import Draws
 from tests.helpers.hostile import Trap, damaged, members_of, write_members
+from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.policy_file import PolicyFileError, load_policy, save_policy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
 
 NAMES, UNITS = ("x", "q", "dx", "dq"), ("m", "rad", "m/s", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (1,), joint_match(NAMES, UNITS))
+LOW, HIGH = torch.tensor([-3.5, -1.0]), torch.tensor([3.5, 3.0])
+ACTIONS = ActionSpace(("force", "angle"), ("N", "rad"), LOW, HIGH)
 
 
 @pytest.fixture
 def policy(draws: Draws) -> RBFPolicy:
-    policy = RBFPolicy(draws.normal(7, 5), torch.tensor([3.5, 2.0]), draws.uniform(0.5, 2.0, 5))
+    policy = RBFPolicy(
+        draws.normal(7, 5),
+        torch.tensor([3.5, 2.0]),
+        draws.uniform(0.5, 2.0, 5),
+        u_middle=torch.tensor([0.0, 1.0]),
+    )
     with torch.no_grad():
         policy.weights.copy_(draws.normal(7, 2))
         policy.log_widths.copy_(0.3 * draws.normal(2, 5))
@@ -35,7 +43,7 @@ def policy(draws: Draws) -> RBFPolicy:
 
 @pytest.fixture
 def path(policy: RBFPolicy, tmp_path: Path) -> Path:
-    save_policy(tmp_path / "policy.pt", policy, SPACE, control_period=0.1)
+    save_policy(tmp_path / "policy.pt", policy, SPACE, control_period=0.1, actions=ACTIONS)
     return tmp_path / "policy.pt"
 
 
@@ -84,9 +92,34 @@ def test_loaded_policy_knows_its_state_and_its_period_and_has_no_gradient(path: 
     assert not any(parameter.requires_grad for parameter in loaded.parameters())
 
 
+def test_loaded_policy_knows_its_actions(path: Path) -> None:
+    actions = load_policy(path).actions
+    assert str(actions) == str(ACTIONS) == "force (N) from -3.5 to 3.5, angle (rad) from -1 to 3"
+
+
+def as_version_1(path: Path, **parameters: object) -> Path:
+    """The file as it was before actions had names, units and a middle."""
+    with_parameters(path, u_middle=None, **parameters)
+    return edited(path, version=1, action_names=None, action_units=None)
+
+
+def test_file_of_version_1_holds_torques_around_zero(
+    path: Path, policy: RBFPolicy, draws: Draws
+) -> None:
+    loaded, states = load_policy(as_version_1(path)), draws.normal(20, 4)
+    assert str(loaded.actions) == "0 (N·m) from -3.5 to 3.5, 1 (N·m) from -2 to 2"
+    middle = torch.tensor([0.0, 1.0], dtype=torch.float64)
+    torch.testing.assert_close(loaded(states), policy(SPACE.features(states)).detach() - middle)
+
+
+@pytest.mark.parametrize("u_max", [None, [3.5], torch.ones(1).double().expand(10**8)])
+def test_file_of_version_1_without_limits_is_refused(path: Path, u_max: object) -> None:
+    assert error_of(as_version_1(path, u_max=u_max)).startswith("format version must be 2, got 1")
+
+
 def test_file_is_read_without_executing_anything_and_says_what_it_is(path: Path) -> None:
     content = torch.load(path, weights_only=True)
-    assert (content["format"], content["version"]) == ("torch_pmil policy", 1)
+    assert (content["format"], content["version"]) == ("torch_pmil policy", 2)
     assert content["torch_pmil"]
     assert torch.equal(
         content["parameters"]["u_max"], torch.tensor([3.5, 2.0], dtype=torch.float64)
@@ -134,7 +167,7 @@ def test_bare_parameters_of_an_older_run_are_refused(policy: RBFPolicy, tmp_path
     found = error_of(tmp_path / "policy.pt").removeprefix(
         "must be a file of save_policy, with the entry format = 'torch_pmil policy', "
     )
-    assert found == "got entries centres, weights, log_widths, u_max, scale"
+    assert found == "got entries centres, weights, log_widths, u_max, u_middle"
 
 
 @pytest.mark.parametrize(
@@ -152,8 +185,8 @@ def test_other_files_of_torch_are_refused(tmp_path: Path, content: object, found
 
 
 def test_other_version_is_refused_with_its_writer(path: Path) -> None:
-    edited(path, version=2, torch_pmil="9.1.0", names=None)
-    assert error_of(path) == "format version must be 1, got 2, written by torch_pmil 9.1.0"
+    edited(path, version=3, torch_pmil="9.1.0", names=None)
+    assert error_of(path) == "format version must be 2, got 3, written by torch_pmil 9.1.0"
 
 
 @pytest.mark.parametrize(
@@ -214,7 +247,7 @@ def test_dictionary_that_lies_about_its_methods_is_read_by_its_entries(path: Pat
 
 
 def test_version_that_is_no_number_is_named(path: Path) -> None:
-    assert "format version must be 1, got tensor([1, 1])" in error_of(
+    assert "format version must be 2, got tensor([1, 1])" in error_of(
         edited(path, version=torch.tensor([1, 1]))
     )
 
@@ -329,6 +362,13 @@ def test_damage_anywhere_is_refused_or_changes_nothing(
             {"units": ["m"]},
             "entry units must hold one for each of names ['x', 'q', 'dx', 'dq'], got ['m']",
         ),
+        (
+            {"action_units": ["m"]},
+            "entry action_units must hold one for each of action_names ['force', 'angle'], got "
+            "['m']",
+        ),
+        ({"action_names": ["u", "u"]}, "names of actions must be different, got ('u', 'u')"),
+        ({"action_names": ["u"], "action_units": ["m"]}, "low must have shape (1,), got (2,)"),
         ({"angles": [True]}, "entry angles must be a list of int, got [True]"),
         ({"angles": [4]}, "angles must be indices below 4, got (4,)"),
         ({"angles": []}, "parameter centres must have shape (7, 4), got (7, 5)"),
@@ -344,7 +384,7 @@ def test_damage_anywhere_is_refused_or_changes_nothing(
         ({"parameters": None}, "entry parameters must be a dict of tensors, got NoneType"),
         (
             {"parameters": {}},
-            "parameters must be centres, weights, log_widths, u_max, scale, got none",
+            "parameters must be centres, weights, log_widths, u_max, u_middle, scale, got none",
         ),
     ],
 )
@@ -361,7 +401,7 @@ WRONG_PARAMETERS = [
     ),
     (
         {"weights": torch.zeros(0, 2).double(), "centres": torch.zeros(0, 5).double()},
-        "a policy must have centres, inputs and torques, got 0, 5 and 2",
+        "a policy must have centres, inputs and actions, got 0, 5 and 2",
     ),
     (
         {"log_widths": torch.full((2, 5), 1e4).double()},
@@ -389,7 +429,7 @@ WRONG_PARAMETERS = [
     ),
     ({"scale": torch.ones(5)}, "parameter scale must be a float64 tensor, got torch.float32"),
     ({"scale": -torch.ones(5).double()}, "scale must hold 5 positive numbers"),
-    ({"u_max": torch.zeros(2).double()}, "u_max must be a vector of positive torque limits"),
+    ({"u_max": torch.zeros(2).double()}, "u_max must be a vector of positive numbers"),
     ({"u_max": [3.5, 2.0]}, "parameter u_max must be a float64 tensor, got list"),
     (
         {"centres": torch.full((7, 5), torch.nan).double()},
@@ -397,11 +437,13 @@ WRONG_PARAMETERS = [
     ),
     (
         {"weights": None},
-        "parameters must be centres, weights, log_widths, u_max, scale, got centres, log_widths",
+        "parameters must be centres, weights, log_widths, u_max, u_middle, scale, got centres, "
+        "log_widths",
     ),
     (
         {"other": torch.zeros(1)},
-        "parameters must be centres, weights, log_widths, u_max, scale, got centres, weights",
+        "parameters must be centres, weights, log_widths, u_max, u_middle, scale, got centres, "
+        "weights",
     ),
 ]
 

@@ -11,13 +11,13 @@ from torch_pmil.control.rbf_policy import Controller, RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 
-U_MAX = torch.tensor([3.5, 2.0], dtype=torch.float64)
+U_MAX, U_MIDDLE = torch.tensor([[3.5, 2.0], [0.5, -1.0]], dtype=torch.float64)
 
 
 @pytest.fixture
 def policy(draws: Draws) -> RBFPolicy:
     """Ten centres, three inputs, two actions."""
-    policy = RBFPolicy(draws.normal(10, 3), U_MAX, scale=draws.uniform(0.5, 2.0, 3))
+    policy = RBFPolicy(draws.normal(10, 3), U_MAX, draws.uniform(0.5, 2.0, 3), U_MIDDLE)
     with torch.no_grad():
         policy.weights.copy_(draws.normal(10, 2))
         policy.log_widths.copy_(0.3 * draws.normal(2, 3))
@@ -36,7 +36,7 @@ def test_number_of_parameters_is_that_of_the_paper(
 
 
 def test_action_is_the_formula_of_the_paper(policy: RBFPolicy, draws: Draws) -> None:
-    """Eqs. 25-27, in the units of the inputs."""
+    """Eqs. 25-27, in the units of the inputs, around the middle of the range."""
     x, centres, widths = (
         draws.normal(3),
         policy.centres * policy.scale,
@@ -47,7 +47,7 @@ def test_action_is_the_formula_of_the_paper(policy: RBFPolicy, draws: Draws) -> 
             policy.weights[i, a] * torch.exp(-(((x - centres[i]) / widths[a]) ** 2).sum() / 2)
             for i in range(10)
         )
-        torch.testing.assert_close(policy(x)[a], U_MAX[a] * torch.sin(raw))
+        torch.testing.assert_close(policy(x)[a], U_MIDDLE[a] + U_MAX[a] * torch.sin(raw))
 
 
 def test_belief_without_covariance_is_a_state(policy: RBFPolicy, draws: Draws) -> None:
@@ -76,9 +76,9 @@ def test_narrow_belief_has_the_moments_of_the_linearised_policy(
 def test_action_stays_within_the_limits(policy: RBFPolicy, draws: Draws) -> None:
     with torch.no_grad():
         policy.weights.mul_(5)
-    assert (policy(2 * draws.normal(1000, 3)).abs() <= U_MAX).all()
+    assert ((policy(2 * draws.normal(1000, 3)) - U_MIDDLE).abs() <= U_MAX).all()
     action, _ = policy.controller.on_belief(draws.belief(100, 3))
-    assert (action.mean.abs() <= U_MAX).all()
+    assert ((action.mean - U_MIDDLE).abs() <= U_MAX).all()
     assert (action.std <= U_MAX).all()
 
 
@@ -116,7 +116,7 @@ def test_gradient_of_the_belief_over_the_action(draws: Draws) -> None:
 
     def moments(centres, weights, widths, mean):
         network = KernelExpansion(centres, weights, widths, torch.ones(2, dtype=torch.float64))
-        action, slope = Controller(network, U_MAX).on_belief(Gaussian(mean, belief.cov))
+        action, slope = Controller(network, U_MAX, U_MIDDLE).on_belief(Gaussian(mean, belief.cov))
         return action.mean, action.cov, slope
 
     variables = draws.normal(4, 2), draws.normal(2, 4), draws.uniform(0.5, 2.0, 2, 2), belief.mean
@@ -139,7 +139,7 @@ def test_scale_that_does_not_fit_is_an_error(scale: torch.Tensor) -> None:
 
 @pytest.mark.parametrize("u_max", [torch.tensor(1.0), torch.zeros(1)])
 def test_limits_that_are_none_are_an_error(u_max: torch.Tensor) -> None:
-    with pytest.raises(ValueError, match="u_max must be a vector of positive torque limits"):
+    with pytest.raises(ValueError, match="u_max must be a vector of positive numbers"):
         RBFPolicy(torch.zeros(4, 2), u_max, torch.ones(2))
 
 

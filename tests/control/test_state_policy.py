@@ -46,7 +46,9 @@ def policy() -> StatePolicy:
     network = experiment.make_policy(torch.Generator().manual_seed(0))
     with torch.no_grad():
         network.weights.mul_(10)
-    return StatePolicy(network.requires_grad_(False), experiment.space, control_period=0.1)
+    return StatePolicy(
+        network.requires_grad_(False), experiment.space, 0.1, actions=experiment.actions
+    )
 
 
 @pytest.fixture(scope="module")
@@ -229,8 +231,8 @@ def test_policy_on_a_gpu_acts_as_on_the_cpu_and_is_exported_for_the_cpu(
 
 def test_policy_says_what_it_is_for(policy: StatePolicy) -> None:
     expected = (
-        "state q1 (rad), dq1 (rad/s), q2 (rad), dq2 (rad/s); torques up to 3.5, 3.5 N·m; every "
-        "0.1 s"
+        "state q1 (rad), dq1 (rad/s), q2 (rad), dq2 (rad/s); actions tau1 (N·m) from -3.5 to 3.5, "
+        "tau2 (N·m) from -3.5 to 3.5; every 0.1 s"
     )
     assert policy.extra_repr() == expected
     assert expected in repr(policy)

@@ -118,11 +118,11 @@ def test_rollout_goes_on_when_the_task_says_that_it_is_over() -> None:
     )
 
 
-def test_action_counts_from_the_middle_of_the_range_and_is_clipped_to_it() -> None:
+def test_action_is_the_environments_own_and_is_clipped_to_its_range() -> None:
     wheel = Wheel()
     env = adapted_wheel(lambda: wheel)
-    assert (env.action_spec.space.low, env.action_spec.space.high) == (-2, 2)
-    drive(env, torch.tensor([[0.0], [1.5], [-2.0], [50.0], [-50.0]], dtype=torch.float64))
+    assert (env.action_spec.space.low, env.action_spec.space.high) == (-1, 3)
+    drive(env, torch.tensor([[1.0], [2.5], [-1.0], [50.0], [-50.0]], dtype=torch.float64))
     assert torch.equal(torch.cat(wheel.heard), torch.tensor([1.0, 2.5, -1.0, 3.0, -1.0]))
 
 

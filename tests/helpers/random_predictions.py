@@ -147,7 +147,10 @@ class ProblemDraws(Draws):
         """Some of its weights are exactly zero."""
         m = self.number(1, 100)
         policy = RBFPolicy(
-            self.normal(m, inputs), self.uniform(0.5, 2.0, F), self.uniform(0.5, 2.0, inputs)
+            self.normal(m, inputs),
+            self.uniform(0.5, 2.0, F),
+            self.uniform(0.5, 2.0, inputs),
+            u_middle=torch.linspace(-0.5, 0.7, F, dtype=torch.float64),
         )
         policy.log_widths.data = self.uniform(-0.7, 1.0, F, inputs)
         kept = self.uniform(0.0, 1.0, m, F) < 0.8

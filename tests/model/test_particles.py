@@ -206,7 +206,11 @@ def test_gradient_in_the_policy(draws: Draws, targets: Targets) -> None:
             centres, weights, log_widths.exp(), torch.ones(1, dtype=torch.float64)
         )
         predicted = predict(
-            state, SimpleNamespace(controller=Controller(network, policy.u_max)), dynamics, SPACE, 3
+            state,
+            SimpleNamespace(controller=Controller(network, policy.u_max, policy.u_middle)),
+            dynamics,
+            SPACE,
+            3,
         )
         return predicted.mean[-1], predicted.cov[-1]
 

@@ -30,7 +30,7 @@ from torch_pmil.model.rollout import (
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))
-U_MAX = torch.tensor([2.0], dtype=torch.float64)
+U_MAX, U_MIDDLE = torch.tensor([[2.0], [0.5]], dtype=torch.float64)
 
 
 def pendulum(inputs: Tensor) -> Tensor:
@@ -70,7 +70,7 @@ def dynamics(draws: Draws) -> GPDynamics:
 
 @pytest.fixture
 def policy(draws: Draws) -> RBFPolicy:
-    policy = RBFPolicy(draws.normal(6, 3), U_MAX, torch.ones(3))
+    policy = RBFPolicy(draws.normal(6, 3), U_MAX, torch.ones(3), U_MIDDLE)
     with torch.no_grad():
         policy.weights.copy_(0.5 * draws.normal(6, 1))
     return policy
@@ -278,7 +278,7 @@ def test_gradient_in_the_policy(draws: Draws, initial: Gaussian, targets: Target
         )
         state = initial
         for _ in range(3):
-            state = predict_step(state, Controller(network, U_MAX), dynamics, SPACE)
+            state = predict_step(state, Controller(network, U_MAX, U_MIDDLE), dynamics, SPACE)
         return state.mean, state.cov
 
     variables = draws.normal(4, 3), draws.normal(1, 4), 0.3 * draws.normal(1, 3)
@@ -530,7 +530,7 @@ def test_no_array_of_pairs_of_data_is_saved_for_the_gradient(
     n, horizon, saved = 200, 3, []
     dynamics, policy = (
         make_dynamics(draws, n=n, noise=0.1, targets=targets),
-        RBFPolicy(draws.normal(n, 3), U_MAX, torch.ones(3)),
+        RBFPolicy(draws.normal(n, 3), U_MAX, torch.ones(3), U_MIDDLE),
     )
     predict_trajectory(
         initial, policy, dynamics, SPACE, 1

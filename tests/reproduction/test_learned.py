@@ -33,7 +33,7 @@ def hanging_still(**settings: object) -> Experiment:
 
 def motionless_policy() -> StatePolicy:
     experiment = load_experiment("double_pendulum")
-    policy = RBFPolicy(torch.zeros(1, 6), experiment.u_max, torch.ones(6))
+    policy = RBFPolicy(torch.zeros(1, 6), experiment.actions.half_range, torch.ones(6))
     return StatePolicy(policy, experiment.space, 0.1)
 
 

@@ -22,7 +22,7 @@ from torch_pmil.search.policy_search import (
     WORTHWHILE,
     SearchResult,
     SearchSettings,
-    _evaluate,
+    evaluate_steps,
     refit_policy,
     search_policy,
 )
@@ -263,7 +263,7 @@ def test_steps_beyond_a_failed_prediction_cost_infinitely_much(
     loss: TrajectoryKLLoss, monkeypatch: pytest.MonkeyPatch, step: int
 ) -> None:
     known = fail_beyond(loss, step, monkeypatch)
-    evaluated = _evaluate(loss.per_step, INITIAL, HORIZON)
+    evaluated = evaluate_steps(loss.per_step, INITIAL, HORIZON)
     assert torch.equal(evaluated[:step], known)
     assert evaluated[step:].tolist() == [math.inf] * (HORIZON - step)
 

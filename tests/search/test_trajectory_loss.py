@@ -19,7 +19,9 @@ from torchrl.trainers import Trainer
 from tests.helpers.draws import Draws
 from tests.helpers.losses import HORIZON, SPACE, make_cost, make_kl, start
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model import rollout as rollout_module
 from torch_pmil.model.rollout import PredictionError, predict_trajectory
+from torch_pmil.search import trajectory_loss as loss_module
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 MAKERS = {"loss_kl": make_kl, "loss_cost": make_cost}
@@ -406,6 +408,38 @@ def test_degenerate_belief_of_a_rollout_is_an_error_that_names_its_step(
 
 
 # Parameters and state
+
+
+def test_penalty_is_added_to_each_step_within_its_context_alone(
+    key: str, initial: Gaussian
+) -> None:
+    loss = MAKERS[key](seed=0)
+    plain, predicted = loss.per_step(initial), loss.predict_states(initial)
+    with loss.penalised(lambda states: states.mean[..., 0] ** 2):
+        penalised = loss.per_step(initial)
+    torch.testing.assert_close(penalised - plain, predicted.mean[:, 0] ** 2)
+    assert torch.equal(loss.per_step(initial), plain)
+    assert (penalised - plain).detach().min() > 0
+
+
+def test_predictions_under_a_penalty_stay_compiled(
+    key: str, initial: Gaussian, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its gradient is that of the formulas in PyTorch, and those are not used."""
+
+    def gradients() -> tuple[Tensor, ...]:
+        loss = MAKERS[key](seed=0)
+        with loss.penalised(lambda states: states.mean[..., 0] ** 2 + states.cov[..., 1, 1]):
+            return policy_gradients(loss, loss.per_step(initial).sum())
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rollout_module, "_trajectory", None)
+        compiled = gradients()
+    with monkeypatch.context() as patch:
+        patch.setattr(rollout_module, "serves", lambda *tensors: False)
+        patch.setattr(loss_module, "serves", lambda *tensors: False)
+        reference = gradients()
+    torch.testing.assert_close(compiled, reference)
 
 
 @pytest.mark.parametrize("objective", ["per_step", "mean_per_step"])

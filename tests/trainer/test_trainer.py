@@ -18,7 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from tests.helpers.short_run import PD_MOVEMENTS, quick_fits as shorten_fits, short_experiment
-from torch_pmil.control.exploration import RandomTorques
+from torch_pmil.control.exploration import RandomActions
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.envs.rollouts import rollout_of, states_of, without_sensor_noise
 from torch_pmil.experiments.runs.training import make_trainer
@@ -87,7 +87,7 @@ def test_each_rollout_is_one_motion_from_a_start_of_its_own(trained: PMILTrainer
 
 
 def test_first_rollout_is_random_within_a_fraction_of_the_limit() -> None:
-    trainer, _ = make(trials=1, random_torque=0.1)
+    trainer, _ = make(trials=1, random_action=0.1)
     trainer.train()
     actions, u_max = rollouts_of(trainer)[0]["action"], trainer.actor.policy.u_max
     assert (actions.abs() <= 0.1 * u_max).all()
@@ -543,7 +543,7 @@ def actor() -> RobotActor:
     return RobotActor(
         experiment.make_policy(generator),
         experiment.space,
-        RandomTorques(experiment.u_max, 0.4, HORIZON).motion(generator),
+        RandomActions(experiment.actions, 0.4, HORIZON).motion(generator),
     )
 
 

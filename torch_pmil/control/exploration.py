@@ -9,20 +9,25 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from torch_pmil.control.rbf_policy import check_limits
+from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.gp.checks import check_finite_entries, check_tensor, check_whole
 
 Feedforward = Callable[[Tensor], Tensor]
 
 
 class Motion(Protocol):
-    """Torques (*batch, F), N·m, at states (*batch, D), called once for each control step."""
+    """Actions (*batch, F) at states (*batch, D), called once for each control step.
+
+    ``amplitude``, from 0 to 1, scales the motion around the action or the pose where it stays.
+    """
+
+    amplitude: float
 
     def begin(self) -> None:
         """Start a new rollout."""
 
     def __call__(self, state: Tensor) -> Tensor:
-        """Torques of the next step, (*batch, F), N·m, at states (*batch, D)."""
+        """Actions of the next step, (*batch, F), at states (*batch, D)."""
 
 
 class Exploration(Protocol):
@@ -45,58 +50,77 @@ class Exploration(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class RandomTorques:
-    """Rollouts of independent torques, uniform within a fraction of the limits.
+class RandomActions:
+    """Rollouts of independent actions, uniform around one of them, within the robot's range.
 
     Args:
-        u_max: torque limits (F,), N·m.
-        fraction: fraction of the limits up to which torques are drawn.
+        actions: the robot's actions.
+        fraction: how far they go from the action around which they are drawn, as a fraction of
+            half the range; what would leave the range is clipped.
         steps: control steps of each rollout.
         rollouts: number of rollouts.
+        around: the action around which they are drawn, (F,); None for the middle of the range.
 
     Raises:
-        ValueError: a limit is not positive, the fraction is not in (0, 1], or there is no step or
-            no rollout.
+        ValueError: the fraction is not in (0, 1], there is no step or no rollout, or the action is
+            not finite or has another shape.
 
     Example:
-        >>> torques = RandomTorques(torch.tensor([3.5, 3.5]), fraction=0.4, steps=25)
-        >>> torques.motion(torch.Generator().manual_seed(0))(torch.zeros(7, 4)).shape
-        torch.Size([7, 2])
+        >>> low, high = torch.tensor([-4.0, -3.0]), torch.tensor([4.0, 3.0])
+        >>> targets = ActionSpace(("q1", "q2"), ("rad", "rad"), low, high)
+        >>> motion = RandomActions(targets, 0.1, steps=25, around=torch.tensor([3.9, 0.0]))
+        >>> drawn = motion.motion(torch.Generator().manual_seed(0))(torch.zeros(1000, 4))
+        >>> [(round(least, 1), round(most, 1)) for least, most in zip(drawn.amin(0).tolist(),
+        ...                                                         drawn.amax(0).tolist())]
+        [(3.5, 4.0), (-0.3, 0.3)]
     """
 
-    u_max: Tensor
+    actions: ActionSpace
     fraction: float
     steps: int
     rollouts: int = 1
+    around: Tensor | None = None
 
     def __post_init__(self) -> None:
-        check_limits(self.u_max)
         if not 0 < self.fraction <= 1:
             raise ValueError(f"fraction must be above 0 and at most 1, got {self.fraction}")
         check_whole("steps", self.steps, 1)
         check_whole("rollouts", self.rollouts, 1)
+        if self.around is not None:
+            check_tensor("around", self.around, (len(self.actions.names),))
 
     @property
     def settings(self) -> dict[str, object]:
-        """Number and length of the rollouts, and the fraction."""
-        return {"rollouts": self.rollouts, "steps": self.steps, "random_torque": self.fraction}
+        """Number and length of the rollouts, the fraction, and the action if one is given."""
+        numbers: dict[str, object] = {
+            "rollouts": self.rollouts,
+            "steps": self.steps,
+            "random_action": self.fraction,
+        }
+        return numbers if self.around is None else numbers | {"around": self.around.tolist()}
 
     def motion(self, generator: torch.Generator) -> Motion:
-        """Motion of independent torques, drawn from a generator."""
-        return _Uniform(self.fraction * self.u_max.double(), generator)
+        """Motion of independent actions, drawn from a generator."""
+        return _Uniform(self, generator)
 
 
 class _Uniform:
-    def __init__(self, limit: Tensor, generator: torch.Generator) -> None:
-        self.limit, self.generator = limit, generator
+    amplitude = 1.0
+
+    def __init__(self, random: RandomActions, generator: torch.Generator) -> None:
+        actions = random.actions
+        self.low, self.high = actions.low.double(), actions.high.double()
+        self.around = (actions.middle if random.around is None else random.around).double()
+        self.reach, self.generator = random.fraction * actions.half_range.double(), generator
 
     def begin(self) -> None:
         """Nothing to do: each step is independent of the others."""
 
     def __call__(self, state: Tensor) -> Tensor:
-        shape = (*state.shape[:-1], len(self.limit))
+        shape = (*state.shape[:-1], len(self.reach))
         uniform = torch.rand(shape, dtype=torch.float64, generator=self.generator)
-        return self.limit * (2 * uniform - 1)
+        offset = self.amplitude * self.reach * (2 * uniform - 1)
+        return (self.around + offset).clamp(self.low, self.high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +193,8 @@ class PDMovements:
 
 
 class _PDControl:
+    amplitude = 1.0
+
     def __init__(self, movements: PDMovements, generator: torch.Generator) -> None:
         self.movements, self.generator = movements, generator
         self.begin()
@@ -181,7 +207,7 @@ class _PDControl:
         movements, state = self.movements, state.double()
         if self.step % movements.hold == 0:
             offset = 2 * torch.rand(state.shape, dtype=torch.float64, generator=self.generator) - 1
-            self.target = movements.pose + movements.reach * offset
+            self.target = movements.pose + self.amplitude * movements.reach * offset
         self.step += 1
         torque = movements.feedforward(state) + (self.target - state) @ movements.gain.double().mT
         return torque.clamp(-movements.u_max, movements.u_max)

@@ -4,19 +4,25 @@
 entry               holds
 ==================  ==============================================================================
 ``format``          ``"torch_pmil policy"``
-``version``         version of the format, 1
+``version``         version of the format, 2
 ``torch_pmil``      version of the package that wrote the file
 ``names``           names of the D entries of the state
 ``units``           units of the D entries of the state
 ``angles``          indices of the entries that are angles (rad), of which the policy sees sin and
                     cos
-``control_period``  time for which the robot holds a torque, s
+``action_names``    names of the F actions
+``action_units``    units of the F actions, "" where one is not known
+``control_period``  time for which the robot holds an action, s
 ``target_names``    names of the K entries of a target, which the policy sees after the features;
                     absent if it has none
 ``parameters``      ``RBFPolicy.state_dict()``: float64 tensors ``centres`` (m, D' + K) and
                     ``log_widths`` (F, D' + K) in multiples of ``scale`` (D' + K,), ``weights``
-                    (m, F), torque limits ``u_max`` (F,) in N·m
+                    (m, F), middles ``u_middle`` (F,) of the actions' ranges and their half widths
+                    ``u_max`` (F,) in the units of the actions
 ==================  ==============================================================================
+
+A file of version 1 has no names and units of actions and no ``u_middle``: they are torques in N·m
+around zero.
 """
 
 from __future__ import annotations
@@ -28,14 +34,24 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.control.tensor_file import is_whole, load_tensors
 from torch_pmil.files import FileError, LineError, replacing, short
 
-FORMAT, FORMAT_VERSION = "torch_pmil policy", 1
-LISTS = {"names": str, "units": str, "angles": int, "target_names": str}
+FORMAT, FORMAT_VERSION = "torch_pmil policy", 2
+OF_TORQUES = 1  # version that knows torques alone
+LISTS = {
+    "names": str,
+    "units": str,
+    "angles": int,
+    "action_names": str,
+    "action_units": str,
+    "target_names": str,
+}
+OPTIONAL = ("target_names",)
 
 
 class PolicyFileError(LineError):
@@ -51,6 +67,7 @@ def save_policy(
     space: StateSpace,
     control_period: float,
     target_names: Sequence[str] = (),
+    actions: ActionSpace | None = None,
 ) -> None:
     """Write a policy and the data that it needs to act, wholly or not at all.
 
@@ -58,17 +75,18 @@ def save_policy(
         path: the file to write; an existing file is replaced.
         policy: a policy that sees the features of the state, then the target if there is one.
         space: names, units and angles of the state. The match space is not saved.
-        control_period: time for which the robot holds a torque, s.
+        control_period: time for which the robot holds an action, s.
         target_names: names of the K entries of a target.
+        actions: names, units and range of the actions; of None, numbers without units.
 
     Raises:
-        ValueError: the policy sees another number of features, or the control period is not
-            positive.
+        ValueError: the policy sees another number of features, has other actions, or the control
+            period is not positive.
         OSError: the file cannot be written.
 
     Example: see :func:`load_policy`.
     """
-    StatePolicy(policy, space, control_period, target_names)
+    actions = StatePolicy(policy, space, control_period, target_names, actions).actions
     content = {
         "format": FORMAT,
         "version": FORMAT_VERSION,
@@ -76,6 +94,8 @@ def save_policy(
         "names": list(space.names),
         "units": list(space.units),
         "angles": list(space.angles),
+        "action_names": list(actions.names),
+        "action_units": list(actions.units),
         "control_period": float(control_period),
         **({"target_names": list(target_names)} if target_names else {}),
         "parameters": {name: tensor.detach().cpu() for name, tensor in policy.state_dict().items()},
@@ -112,14 +132,16 @@ def load_policy(path: Path | str) -> StatePolicy:
         tensor([0.], dtype=torch.float64)
     """
     try:
-        content = _loaded(path)
+        content = _as_present(_loaded(path))
         _check_entries(content)
         names, units = tuple(content["names"]), tuple(content["units"])
         space = StateSpace(names, units, tuple(content["angles"]), joint_match(names, units))
         targets = content.get("target_names", [])
         inputs = len(space.feature_names) + len(targets)
         network = policy_of(_entries(content["parameters"]), inputs)
-        return StatePolicy(network, space, content["control_period"], targets)
+        limits = network.u_middle, network.u_max
+        actions = ActionSpace.around(*limits, content["action_names"], content["action_units"])
+        return StatePolicy(network, space, content["control_period"], targets, actions)
     except ValueError as error:
         raise PolicyFileError(f"{path}: {error}") from error
 
@@ -128,8 +150,8 @@ def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
     """The policy with the given parameters, which sees ``inputs`` features, without gradient.
 
     Raises:
-        PolicyFileError: a parameter is missing, or has another shape or type, or is none of which a
-            torque can be computed.
+        PolicyFileError: a parameter is missing, or has another shape or type, or is none of which
+            an action can be computed.
     """
     m, outputs = (*getattr(parameters.get("weights"), "shape", ()), 0, 0)[:2]
     shapes = {
@@ -137,6 +159,7 @@ def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
         "weights": (m, outputs),
         "log_widths": (outputs, inputs),
         "u_max": (outputs,),
+        "u_middle": (outputs,),
         "scale": (inputs,),
     }
     if parameters.keys() != shapes.keys():
@@ -147,7 +170,7 @@ def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
         _check_parameter(name, parameters[name], shape)
     if not (m and inputs and outputs):
         raise PolicyFileError(
-            f"a policy must have centres, inputs and torques, got {m}, {inputs} and {outputs}"
+            f"a policy must have centres, inputs and actions, got {m}, {inputs} and {outputs}"
         )
     policy = RBFPolicy(parameters["centres"], parameters["u_max"], parameters["scale"])
     policy.load_state_dict(parameters)
@@ -169,6 +192,23 @@ def _loaded(path: Path | str) -> dict:
             f"must be a file of save_policy, with the entry format = {FORMAT!r}, got {found}"
         )
     return entries
+
+
+def _as_present(content: dict) -> dict:
+    """The entries of a file of version 1 as those of the present version."""
+    if type(content.get("version")) is not int or content["version"] != OF_TORQUES:
+        return content
+    parameters = _entries(content.get("parameters"))
+    u_max = parameters.get("u_max")
+    if not isinstance(u_max, Tensor) or not is_whole(u_max):
+        return content
+    torques = list(map(str, range(u_max.numel())))
+    return content | {
+        "version": FORMAT_VERSION,
+        "action_names": torques,
+        "action_units": ["N·m"] * len(torques),
+        "parameters": parameters | {"u_middle": torch.zeros_like(u_max)},
+    }
 
 
 def _entries(content: object) -> dict:
@@ -193,16 +233,17 @@ def _check_entries(content: dict) -> None:
             f"{_listed([writer])}"
         )
     for name, kind in LISTS.items():
-        value = content.get(name, [] if name == "target_names" else None)
+        value = content.get(name, [] if name in OPTIONAL else None)
         if not isinstance(value, list) or {type(item) for item in value} - {kind}:
             raise PolicyFileError(
                 f"entry {name} must be a list of {kind.__name__}, got {short(value)}"
             )
-    if len(content["units"]) != len(content["names"]):
-        raise PolicyFileError(
-            f"entry units must hold one for each of names {short(content['names'])}, got "
-            f"{short(content['units'])}"
-        )
+    for names, units in (("names", "units"), ("action_names", "action_units")):
+        if len(content[units]) != len(content[names]):
+            raise PolicyFileError(
+                f"entry {units} must hold one for each of {names} {short(content[names])}, got "
+                f"{short(content[units])}"
+            )
     if not isinstance(content.get("control_period"), float):
         raise PolicyFileError(
             f"entry control_period must be a float, got {short(content.get('control_period'))}"

@@ -1,4 +1,4 @@
-r"""The policy: an RBF network squashed to the torque limits (Eqs. 25-27), of states and of beliefs.
+r"""The policy: an RBF network squashed to the actions' range (Eqs. 25-27), of states and beliefs.
 
 ====================  ===========================================
 paper                 here
@@ -6,13 +6,13 @@ paper                 here
 c_i (Eq. 26)          ``centres`` (m, D'), shared by the outputs
 w_i (Eq. 25)          ``weights`` (m, F)
 gamma (Eq. 26)        ``exp(log_widths)`` (F, D'), a row for each output
-u_max (Eq. 27)        ``u_max`` (F,)
+u_max (Eq. 27)        ``u_max`` (F,), around ``u_middle`` (F,)
 ====================  ===========================================
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import torch
@@ -25,7 +25,7 @@ from torch_pmil.gp.moment_matching import moment_match
 from torch_pmil.gp.moments import Moments
 from torch_pmil.gp.trigonometry import squash
 
-# bound of torque over limit when Eq. 27 is inverted: at the limit itself its slope is zero
+# bound of the sine when Eq. 27 is inverted: at the limit itself its slope is zero
 MAX_SINE = 0.999
 
 
@@ -38,23 +38,26 @@ class Policy(Protocol):
 
 
 def check_limits(u_max: Tensor) -> None:
-    """Raise ValueError unless torque limits are a vector (F,) of positive finite numbers."""
+    """Raise ValueError unless limits of actions are a vector (F,) of positive finite numbers."""
     if u_max.ndim != 1 or not len(u_max) or not ((u_max > 0) & u_max.isfinite()).all():
-        raise ValueError(f"u_max must be a vector of positive torque limits, got {u_max.tolist()}")
+        raise ValueError(f"u_max must be a vector of positive numbers, got {u_max.tolist()}")
 
 
 class RBFPolicy(nn.Module):
-    r"""RBF network whose output is squashed to the torque limits (Eqs. 25-27).
+    r"""RBF network whose output is squashed to the range of the actions (Eqs. 25-27).
 
-    :math:`\pi(x) = u_{\max} \sin(\sum_i w_i \exp(-\tfrac12 (x - c_i)^\top \Gamma^{-1} (x - c_i)))`
+    .. math:: \pi(x) = \bar u + u_{\max} \sin\left(
+        \sum_i w_i \exp(-\tfrac12 (x - c_i)^\top \Gamma^{-1} (x - c_i)) \right)
 
+    The paper's actions are torques within :math:`\pm u_{\max}`, so that :math:`\bar u = 0`.
     Inputs are divided by ``scale`` first, so that parameters of all inputs are of order one; the
     policy has m (D' + F) + F D' parameters.
 
     Args:
         centres: (m, D'), in the units of the inputs.
-        u_max: torque limits (F,), N·m.
+        u_max: largest distances (F,) of an action from the middle of its range, in its unit.
         scale: typical size of each input (D',), in its unit.
+        u_middle: middles of the actions' ranges (F,); None for zero.
 
     Raises:
         TypeError: one of them is no tensor.
@@ -70,9 +73,12 @@ class RBFPolicy(nn.Module):
     """
 
     u_max: Tensor
+    u_middle: Tensor
     scale: Tensor
 
-    def __init__(self, centres: Tensor, u_max: Tensor, scale: Tensor) -> None:
+    def __init__(
+        self, centres: Tensor, u_max: Tensor, scale: Tensor, u_middle: Tensor | None = None
+    ) -> None:
         super().__init__()
         for name, values in (("centres", centres), ("u_max", u_max), ("scale", scale)):
             check_real(name, values)
@@ -85,7 +91,10 @@ class RBFPolicy(nn.Module):
         if scale.shape != (inputs,) or not ((scale > 0) & scale.isfinite()).all():
             raise ValueError(f"scale must hold {inputs} positive numbers, got {scale.tolist()}")
         check_limits(u_max)
+        u_middle = torch.zeros_like(u_max) if u_middle is None else u_middle
+        check_tensor("u_middle", u_middle, (len(u_max),))
         self.register_buffer("u_max", u_max.double())
+        self.register_buffer("u_middle", u_middle.double())
         self.register_buffer("scale", scale.double())
         self.centres = nn.Parameter(centres.double() / self.scale)
         self.weights = nn.Parameter(torch.zeros(m, len(u_max), dtype=torch.float64))
@@ -103,10 +112,10 @@ class RBFPolicy(nn.Module):
             lengthscales=self.log_widths.exp() * self.scale,
             signal_variance=torch.ones_like(self.u_max),
         )
-        return Controller(network, self.u_max)
+        return Controller(network, self.u_max, self.u_middle)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Action (*batch, F), N·m, at features of the state (*batch, D').
+        """Action (*batch, F) at features of the state (*batch, D').
 
         Raises ValueError where features have another shape or are not finite.
         """
@@ -119,7 +128,7 @@ class RBFPolicy(nn.Module):
 
         Args:
             features: (S, D').
-            actions: (S, F), N·m, within the limits.
+            actions: (S, F), in their units, within their range.
             ridge: penalty of a change of the weights; actions before squashing count in rad.
 
         Raises:
@@ -135,7 +144,7 @@ class RBFPolicy(nn.Module):
         check_tensor("actions", actions, (len(features), len(self.u_max)))
         check_positive("ridge", ridge)
         basis = self.controller.network.kernel(features.double()).transpose(0, 1)  # (F, S, m)
-        sines = (actions / self.u_max).clamp(-MAX_SINE, MAX_SINE)
+        sines = ((actions - self.u_middle) / self.u_max).clamp(-MAX_SINE, MAX_SINE)
         raw = torch.asin(sines).mT[..., None]  # (F, S, 1)
         weights = self.weights.mT[..., None]
         gram = basis.mT @ basis + ridge * torch.eye(len(self.centres)).to(basis)
@@ -164,7 +173,7 @@ class RBFPolicy(nn.Module):
                 f"target must leave some of the {len(self.scale)} inputs, got {len(target)} entries"
             )
         network = self.controller.network.at_known(target.double()[None])
-        policy = RBFPolicy(network.inputs, self.u_max, self.scale[:D])
+        policy = RBFPolicy(network.inputs, self.u_max, self.scale[:D], self.u_middle)
         policy.weights.copy_(network.weights[0].mT)
         policy.log_widths.copy_(self.log_widths[:, :D])
         return policy
@@ -189,19 +198,20 @@ class PolicyAtTargets:
     def controller(self) -> Controller:
         """Controller at the features of N states, one for each target."""
         controller = self.policy.controller
-        return Controller(controller.network.at_known(self.targets), controller.u_max)
+        return replace(controller, network=controller.network.at_known(self.targets))
 
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """An RBF network and the torque limits to which its output is squashed (Eq. 27)."""
+    """An RBF network, and the range to which its output is squashed (Eq. 27): middle and half."""
 
     network: KernelExpansion
     u_max: Tensor
+    u_middle: Tensor
 
     def __call__(self, features: Tensor) -> Tensor:
-        """Action (*batch, F), N·m, at features of the state (*batch, D')."""
-        return self.u_max * self.network.mean(features).sin()
+        """Action (*batch, F) at features of the state (*batch, D')."""
+        return self.u_middle + self.u_max * self.network.mean(features).sin()
 
     @property
     def parameters(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -218,11 +228,12 @@ class Controller:
             features: belief over the policy's inputs.
 
         Returns:
-            The belief over the action (N·m), and Sigma^-1 cov(features, action), (*batch, D', F).
+            The belief over the action, and Sigma^-1 cov(features, action), (*batch, D', F).
         """
         return self.squashed(moment_match(self.network, features))
 
     def squashed(self, raw: Moments) -> tuple[Gaussian, Tensor]:
         """Results of :meth:`on_belief`, from the moments of the network."""
         action, slope = squash(raw.gaussian, self.u_max)
+        action = Gaussian(self.u_middle + action.mean, action.cov)
         return action, raw.inv_cov_cross_cov * slope[..., None, :]

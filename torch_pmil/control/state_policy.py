@@ -1,4 +1,4 @@
-"""A learned policy as the robot needs it: from the measured state to the torque.
+"""A learned policy as the robot needs it: from the measured state to the action.
 
 It is a function of NumPy arrays, PyTorch tensors or TensorDicts, and can be exported.
 """
@@ -15,6 +15,7 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
+from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.rbf_policy import Controller, RBFPolicy
 from torch_pmil.control.state_space import StateSpace, with_unit
 from torch_pmil.files import replacing
@@ -24,7 +25,7 @@ State = TypeVar("State", np.ndarray, Tensor)
 
 
 class StatePolicy(nn.Module):
-    """Policy that maps states (*batch, D) to torques (*batch, F), N·m.
+    """Policy that maps states (*batch, D) to actions (*batch, F), in the units of the robot.
 
     It returns tensors for tensors, and NumPy arrays for NumPy arrays and lists, always float64.
     Integers and floats of any precision are taken; a tensor must be on the device of the policy,
@@ -34,11 +35,13 @@ class StatePolicy(nn.Module):
     Args:
         policy: a policy that sees the features of the state, then the target if there is one.
         space: names, units and angles of the state.
-        control_period: time for which the robot holds a torque, s.
+        control_period: time for which the robot holds an action, s.
         target_names: names of the K entries of a target.
+        actions: names, units and range of the actions; of None, numbers without units.
 
     Raises:
-        ValueError: the policy sees another number of inputs, or the control period is not positive.
+        ValueError: the policy sees another number of inputs, has other actions, or the control
+            period is not positive.
             When called: the state or the target has another shape, is not finite, or is on another
             device.
         TypeError: when called: the state or the target is no array or tensor, does not hold real
@@ -62,6 +65,7 @@ class StatePolicy(nn.Module):
         space: StateSpace,
         control_period: float,
         target_names: Sequence[str] = (),
+        actions: ActionSpace | None = None,
     ) -> None:
         super().__init__()
         inputs = (*space.feature_names, *target_names)
@@ -74,18 +78,21 @@ class StatePolicy(nn.Module):
             raise ValueError(
                 f"control_period must be positive and finite, in seconds, got {control_period!r}"
             )
+        own = ActionSpace.around(policy.u_middle, policy.u_max, (), ())
+        if actions is not None and not _same_range(actions, own):
+            raise ValueError(f"actions must be those of the policy, {own}, got {actions}")
         self.policy, self.space = policy, space
+        self.actions = own if actions is None else actions
         self.control_period, self.target_names = control_period, tuple(target_names)
 
     def extra_repr(self) -> str:
-        """State, torque limits and control period, in their units."""
+        """State, actions and control period, in their units."""
         state = ", ".join(map(with_unit, self.space.names, self.space.units))
-        limits = ", ".join(f"{limit:g}" for limit in self.policy.u_max)
         target = f"; target {', '.join(self.target_names)}" if self.target_names else ""
-        return f"state {state}{target}; torques up to {limits} N·m; every {self.control_period:g} s"
+        return f"state {state}{target}; actions {self.actions}; every {self.control_period:g} s"
 
     def forward(self, state: State, target: State | None = None) -> State:
-        """Torques (*batch, F), N·m, at states (*batch, D) and, if any, for targets (*batch, K)."""
+        """Actions (*batch, F) at states (*batch, D) and, if any, for targets (*batch, K)."""
         state, target = _as_array("state", state), _as_array("target", target)
         if (target is None) == bool(self.target_names):
             wanted, got = ("a state alone", "a target too")
@@ -96,8 +103,8 @@ class StatePolicy(nn.Module):
         if target is not None:
             known = self._checked("target", target, self.target_names)
             inputs = torch.cat([inputs, known.expand(*inputs.shape[:-1], -1)], -1)
-        torque = self.policy(inputs)
-        return torque.detach().cpu().numpy() if isinstance(state, np.ndarray) else torque
+        action = self.policy(inputs)
+        return action.detach().cpu().numpy() if isinstance(state, np.ndarray) else action
 
     def as_tensordict_module(self) -> TensorDictModule:
         """The policy as a module for TorchRL's environments and collectors.
@@ -201,11 +208,17 @@ def _constant(controller: Controller) -> Controller:
         network.lengthscales,
         network.signal_variance,
         controller.u_max,
+        controller.u_middle,
     )
-    *of_network, u_max = (
+    *of_network, u_max, u_middle = (
         tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for tensor in tensors
     )
-    return Controller(KernelExpansion(*of_network), u_max)
+    return Controller(KernelExpansion(*of_network), u_max, u_middle)
+
+
+def _same_range(actions: ActionSpace, others: ActionSpace) -> bool:
+    one, other = (torch.stack([each.low, each.high]).cpu().double() for each in (actions, others))
+    return one.shape == other.shape and torch.allclose(one, other)
 
 
 class _Program(nn.Module):

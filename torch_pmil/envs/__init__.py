@@ -1,4 +1,4 @@
-"""Simulated robots as TorchRL environments."""
+"""Robots as TorchRL environments, simulated and physical."""
 
 import ctypes.util
 import importlib
@@ -19,9 +19,19 @@ except (RuntimeError, AttributeError, OSError):
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
+from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.physical.physical_robot_env import PhysicalRobotEnv
 from torch_pmil.envs.registration import register_robots
 
-__all__ = ["AdaptedEnv", "BioRobEnv", "CosSin", "DoublePendulumEnv", "MujocoRobotEnv"]
+__all__ = [
+    "AdaptedEnv",
+    "BioRobEnv",
+    "CosSin",
+    "DoublePendulumEnv",
+    "DoublePendulumServoEnv",
+    "MujocoRobotEnv",
+    "PhysicalRobotEnv",
+]
 
 register_robots()

@@ -38,13 +38,11 @@ class CosSin:
 class AdaptedEnv(RobotEnv):
     """A robot made of a TorchRL environment, in float64 and with starts of its own seed.
 
-    Torques are centred around zero, and episodes do not end.
-
     Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all
-    float64, and with ``from_pixels`` also ``"pixels"``. The action is the difference to the middle
-    of the environment's range, clipped to that range. The reward is zero and ``"done"`` is never
-    set, whatever the environment says of them: an imitation runs for all its steps, and failing is
-    something to learn from. An environment that resets itself is not such a robot.
+    float64, and with ``from_pixels`` also ``"pixels"``. Actions are the environment's own, clipped
+    to its range. The reward is zero and ``"done"`` is never set, whatever the environment says of
+    them: an imitation runs for all its steps, and failing is something to learn from. An
+    environment that resets itself is not such a robot.
 
     Each ``reset`` seeds the environment with the next number of this class's own generator. So
     ``state_dict``, which holds that generator, resumes at the start of an episode bit for bit with
@@ -106,6 +104,18 @@ class AdaptedEnv(RobotEnv):
         self.angles, self._observation, self._action = tuple(angles), observation, action
         self._make_specs()
 
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the actions, as far as a robot of this package says them."""
+        robot = self.base_env
+        return robot.action_names if isinstance(robot, RobotEnv) else super().action_names
+
+    @property
+    def action_units(self) -> tuple[str, ...]:
+        """Units of the actions, as far as a robot of this package says them."""
+        robot = self.base_env
+        return robot.action_units if isinstance(robot, RobotEnv) else super().action_units
+
     def close(self, **kwargs: Any) -> None:
         """Close the environment."""
         self.base_env.close(**kwargs)
@@ -118,8 +128,7 @@ class AdaptedEnv(RobotEnv):
         self._low, self._high = limits.space.low.double(), limits.space.high.double()
         self._kept = _kept_entries(self.angles, dim)
         more = {"pixels": _entry(shown, "pixels", "pictures").clone()} if self.from_pixels else {}
-        half = (self._high - self._low) / 2
-        self._set_specs(len(self._kept), -half, half, more)
+        self._set_specs(len(self._kept), self._low, self._high, more)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -136,10 +145,10 @@ class AdaptedEnv(RobotEnv):
         return self._measure()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        torque = tensordict["action"]
-        if not torque.isfinite().all():
-            raise ValueError(f"action must be finite, got {torque.tolist()}")
-        action = (torque + (self._high + self._low) / 2).clamp(self._low, self._high)
+        action = tensordict["action"]
+        if not action.isfinite().all():
+            raise ValueError(f"action must be finite, got {action.tolist()}")
+        action = action.clamp(self._low, self._high)
         dtype = self.base_env.full_action_spec[self._action].dtype
         self._last = step_mdp(self.base_env.step(self._last.set(self._action, action.to(dtype))))
         return self._without_reward(self._measure())

@@ -122,6 +122,11 @@ def double_pendulum_model(link_masses: Sequence[float] = (0.5, 0.5)) -> mujoco.M
         >>> double_pendulum_model((0.5, 0.15)).body("link2").mass
         array([0.15])
     """
+    return double_pendulum_spec(link_masses).compile()
+
+
+def double_pendulum_spec(link_masses: Sequence[float]) -> mujoco.MjSpec:
+    """The MuJoCo model of :func:`double_pendulum_model` before it is compiled."""
     masses = np.asarray(link_masses, dtype=np.float64)
     if masses.shape != (2,) or not (np.isfinite(masses) & (masses > 0)).all():
         raise ValueError(
@@ -134,4 +139,4 @@ def double_pendulum_model(link_masses: Sequence[float] = (0.5, 0.5)) -> mujoco.M
         spec.body(name).mass = mass
         # the third is about the rod's own axis, around which it never turns: any number
         spec.body(name).inertia = [inertia, inertia, inertia / 100]
-    return spec.compile()
+    return spec

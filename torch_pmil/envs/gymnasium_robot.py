@@ -56,9 +56,9 @@ class GymnasiumRobot(gymnasium.Env):
         return self._state.numpy().copy(), {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict]:
-        """Hold the torques for a control period. Raises ValueError where they are not finite."""
-        torque = torch.as_tensor(np.asarray(action), dtype=torch.float64)
-        self._state = self._robot.step(TensorDict({"action": torque}))["next", "observation"]
+        """Hold the actions for a control period. Raises ValueError where they are not finite."""
+        held = torch.as_tensor(np.asarray(action), dtype=torch.float64)
+        self._state = self._robot.step(TensorDict({"action": held}))["next", "observation"]
         return self._state.numpy().copy(), 0.0, False, False, {}
 
     def render(self) -> np.ndarray | None:

@@ -17,6 +17,12 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 
+from torch_pmil.envs.actuators import (
+    actions_for,
+    actuator_names,
+    actuator_units,
+    force_limits,
+)
 from torch_pmil.envs.inverse_dynamics import inverse_dynamics
 from torch_pmil.envs.mujoco_model import (
     FULL_PHYSICS,
@@ -32,11 +38,13 @@ MOMENTS = 5  # of a control period, at which inverse dynamics are averaged
 
 
 class MujocoRobotEnv(RobotEnv):
-    """A torque-controlled MuJoCo robot, simulated in float64 by ``mujoco.rollout``.
+    """A MuJoCo robot, simulated in float64 by ``mujoco.rollout``.
 
+    Its actions are what the actuators of its model take, within their ctrlrange: torques of motors
+    (N·m), targets of position servos (rad) or velocity servos (rad/s); of what pulls, N, m and m/s.
     One step holds the action for ``control_period`` seconds. The state vector interleaves position
     and velocity of the observed joints, ``[q1, dq1, q2, dq2, ...]``, or has the positions first,
-    ``[q1, q2, ..., dq1, dq2, ...]`` (rad, rad/s). Torques beyond the limit are clipped by the
+    ``[q1, q2, ..., dq1, dq2, ...]`` (rad, rad/s). Actions beyond their range are clipped by the
     physics. The reward is zero and an episode never ends by itself: imitation has neither.
 
     What the state vector does not say is hidden: at a reset it follows from the state
@@ -53,15 +61,16 @@ class MujocoRobotEnv(RobotEnv):
     the physics and the generator, so that a checkpoint resumes bit for bit.
 
     Args:
-        model: the robot, with one motor per torque, or as many models as there are robots, all of
-            one structure; they are copied. Pictures are taken by the camera ``"front"``.
+        model: the robot, with one actuator per action, or as many models as there are robots, all
+            of one structure; they are copied. Pictures are taken by the camera ``"front"``.
         joints: names of the D/2 observed hinge or slide joints, in the order of the state vector.
         initial_mean: mean of the start state, length D.
         initial_std: standard deviations of the start state, length D.
         positions_first: whether the state vector has all positions before all velocities.
         observation_std: standard deviations of the sensors' noise, length D; None for exact
             sensors.
-        torque_limit: largest absolute torque in N·m, one for all motors or one each.
+        torque_limit: largest absolute torque of its motors in N·m, one for all or one each; None
+            for the ctrlrange of the model.
         control_period: seconds between two actions; a whole number of simulation time steps.
         targets: what each robot is to do, as where its ball hangs, (num_envs, K) or (K,) for one
             robot; None for nothing.
@@ -89,7 +98,7 @@ class MujocoRobotEnv(RobotEnv):
         initial_std: Sequence[float] | Tensor,
         positions_first: bool = False,
         observation_std: Sequence[float] | Tensor | None = None,
-        torque_limit: float | Sequence[float],
+        torque_limit: float | Sequence[float] | None = None,
         control_period: float = 0.1,
         targets: Tensor | None = None,
         num_envs: int | None = None,
@@ -125,7 +134,7 @@ class MujocoRobotEnv(RobotEnv):
 
         Args:
             state: state vectors (N, D); what they do not say is as after a reset.
-            action: torques (N, F) in N·m, held for the period and clipped to the limit.
+            action: actions (N, F), held for the period and clipped to their range.
             robot: whose model it is.
 
         Returns:
@@ -153,7 +162,7 @@ class MujocoRobotEnv(RobotEnv):
 
         Args:
             state: state vector (D,); what it does not say is as after a reset.
-            action: torques (F,) in N·m, held for the period and clipped to the limit.
+            action: actions (F,), held for the period and clipped to their range.
             count: a divisor of ``substeps``, the number of simulation time steps in a period.
             robot: whose model it is.
 
@@ -176,7 +185,7 @@ class MujocoRobotEnv(RobotEnv):
 
         Args:
             start: state vector (D,) of the reset.
-            actions: torques (T, F) in N·m, each held for a control period and clipped to the limit.
+            actions: actions (T, F), each held for a control period and clipped to their range.
             count: states in each control period, a divisor of ``substeps``, the number of its
                 simulation time steps.
             robot: whose model it is.
@@ -213,8 +222,49 @@ class MujocoRobotEnv(RobotEnv):
             >>> DoublePendulumEnv().action_names
             ('tau1', 'tau2')
         """
-        motors = range(self.model.nu)
-        return tuple(self.model.actuator(number).name or str(number) for number in motors)
+        return actuator_names(self.model)
+
+    @property
+    def action_units(self) -> tuple[str, ...]:
+        """Units of what the actuators take, "" of one that is no motor and no servo.
+
+        Example:
+            >>> from torch_pmil.envs import DoublePendulumEnv
+            >>> DoublePendulumEnv().action_units
+            ('N·m', 'N·m')
+        """
+        return actuator_units(self.model)
+
+    @property
+    def torque_limits(self) -> Tensor:
+        """Largest torques (F,) of the motors and servos; infinite where there is no limit."""
+        return torch.from_numpy(force_limits(self.model))
+
+    def holding_actions(self, states: Tensor) -> Tensor:
+        """Actions (S, F) that hold the joints where they are in states (S, D), against gravity.
+
+        That of a position servo is a little beyond the joint, which is what pulls it. It may lie
+        beyond the range.
+
+        Raises:
+            ValueError: not every joint has its actuator and is in the state.
+
+        Example:
+            >>> from torch_pmil.envs import DoublePendulumServoEnv
+            >>> env = DoublePendulumServoEnv()
+            >>> env.holding_actions(torch.tensor([[3.0, 0.0, 0.0, 0.0]]).double()).round(decimals=2)
+            tensor([[2.9300, 0.0200]], dtype=torch.float64)
+        """
+        positions = states[:, self._position_entries].numpy()
+        still = np.zeros_like(positions)
+        moved, torques = self._moved_joints, self._inverse_dynamics(positions, still, still)
+        if moved is None or torques is None:
+            raise ValueError(
+                "a robot that is to be held must have an actuator at each joint, and all joints in "
+                f"its state, got the joints {', '.join(self._joints)} and the actuators "
+                f"{', '.join(self.action_names)}"
+            )
+        return torch.from_numpy(actions_for(self.model, torques, positions[:, moved]))
 
     def needed_torques(self, states: Tensor) -> Tensor | None:
         """Torques that lead along a motion, limits or not, by inverse dynamics.
@@ -229,8 +279,8 @@ class MujocoRobotEnv(RobotEnv):
             states: x_0..x_T at the control rate, (T + 1, D), T >= 2.
 
         Returns:
-            Mean over each control period, (T, F), N·m. None where not every joint has its motor and
-            is in the state: then it is not the joints alone that say what the motors do.
+            Mean over each control period, (T, F), N·m. None where not every joint has its actuator
+            and is in the state: then it is not the joints alone that say what these do.
         """
         times = self.control_period * np.arange(len(states))
         motion = CubicSpline(times, states[:, self._position_entries].numpy())
@@ -258,19 +308,30 @@ class MujocoRobotEnv(RobotEnv):
         """Entries of the state vector that are positions, in the order of the joints, (J,)."""
         return (self._state_columns <= self.model.nq).nonzero().flatten()
 
+    @property
+    def _moved_joints(self) -> list[int] | None:
+        """The joint of the state that each actuator moves, if each of all joints has its own."""
+        model, ids = self.model, [self.model.joint(name).id for name in self._joints]
+        by_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT).all()
+        moved = model.actuator_trnid[:, 0].tolist()
+        if not by_joint or sorted(moved) != sorted(ids) or model.nv != len(ids):
+            return None
+        return [ids.index(joint) for joint in moved]
+
     def _inverse_dynamics(
         self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray
     ) -> np.ndarray | None:
         """Torques (S, F) of a motion of the joints (S, J).
 
-        None where the motors do not move the joints directly.
+        None where the actuators do not move the joints directly.
         """
-        if not self.model.nu == self.model.nv == len(self._joints):
+        moved = self._moved_joints
+        if moved is None:
             return None
         dofs = [self.model.joint(name).dofadr[0] for name in self._joints]
         order = np.argsort(dofs)  # that of the model
         motion = positions[:, order], velocities[:, order], accelerations[:, order]
-        return inverse_dynamics(self.model, *motion)[:, dofs]
+        return inverse_dynamics(self.model, *motion)[:, dofs][:, moved]
 
     def render(self, state: Tensor, robot: int = 0) -> np.ndarray:
         """Draw the robot in one state, seen by the fixed camera, without shadows.
@@ -321,7 +382,8 @@ class MujocoRobotEnv(RobotEnv):
 
     def _make_specs(self) -> None:
         batch = self.batch_size
-        limit = torch.from_numpy(self.model.actuator_ctrlrange[:, 1].copy()).expand(*batch, -1)
+        ranges = torch.from_numpy(self.model.actuator_ctrlrange.copy())
+        low, high = ranges.expand(*batch, -1, -1).unbind(-1)
         dim, more = self._state_columns.numel(), dict[str, TensorSpec]()
         if self.observation_std is not None:
             more["state"] = Unbounded((*batch, dim), dtype=torch.float64)
@@ -329,7 +391,7 @@ class MujocoRobotEnv(RobotEnv):
             more["target"] = Unbounded(self.targets.shape, dtype=torch.float64)
         if self.from_pixels:
             more["pixels"] = Bounded(0, 255, (*batch, *self.pixel_size, 3), dtype=torch.uint8)
-        self._set_specs(dim, -limit, limit, more)
+        self._set_specs(dim, low, high, more)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         given = None if tensordict is None else tensordict.get("observation", None)
@@ -344,8 +406,8 @@ class MujocoRobotEnv(RobotEnv):
         return self._measure(sensors)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        torque = self._check_torque(tensordict["action"])
-        physics, sensors = self._integrate(self._physics, torque, self._models)
+        action = self._check_action(tensordict["action"])
+        physics, sensors = self._integrate(self._physics, action, self._models)
         self._physics = physics[:, -1].clone()
         return self._without_reward(self._measure(sensors))
 
@@ -383,7 +445,7 @@ class MujocoRobotEnv(RobotEnv):
             raise ValueError(f"start observation must be finite, got {state.tolist()}")
         return state.reshape(self._physics.shape[0], -1).to(torch.float64)
 
-    def _check_torque(self, action: Tensor) -> Tensor:
+    def _check_action(self, action: Tensor) -> Tensor:
         if action.is_complex():
             raise ValueError(f"action must hold real numbers, got {action.dtype}")
         if action.shape != (*self.batch_size, self.model.nu):
@@ -397,28 +459,28 @@ class MujocoRobotEnv(RobotEnv):
         return action.reshape(self._physics.shape[0], -1)
 
     def _integrate(
-        self, physics: Tensor, torque: Tensor, models: Sequence[mujoco.MjModel]
+        self, physics: Tensor, action: Tensor, models: Sequence[mujoco.MjModel]
     ) -> tuple[Tensor, Tensor]:
-        """Simulate a control period of robots, of N models or one, under the torques (N, F).
+        """Simulate a control period of robots, of N models or one, under the actions (N, F).
 
         Returns:
             Full simulation states (N, substeps, P) after each time step, and sensor values (N,
             substeps + 1, S) at both ends of each.
         """
         # MuJoCo senses before a step, so that it takes one more to sense at the end
-        after, sensors = self._simulate(physics, torque, self.substeps + 1, models)
+        after, sensors = self._simulate(physics, action, self.substeps + 1, models)
         self._check_physics(physics, after[:, -2])
         return after[:, :-1], sensors
 
     def _simulate(
-        self, physics: Tensor, torque: Tensor, steps: int, models: Sequence[mujoco.MjModel]
+        self, physics: Tensor, action: Tensor, steps: int, models: Sequence[mujoco.MjModel]
     ) -> tuple[Tensor, Tensor]:
-        """Full simulation states (N, steps, P) after each time step, under held torques.
+        """Full simulation states (N, steps, P) after each time step, under held actions.
 
         The sensor values (N, steps, S) are those before each time step.
         """
         states, sensors = rollout.rollout(
-            models, self._data, physics.numpy(), torque[:, None].numpy(), nstep=steps
+            models, self._data, physics.numpy(), action[:, None].numpy(), nstep=steps
         )
         return torch.from_numpy(states), torch.from_numpy(sensors)
 

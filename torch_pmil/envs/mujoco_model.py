@@ -1,4 +1,4 @@
-"""A MuJoCo model as a robot needs it: limited torques, its state's columns, its pictures."""
+"""A MuJoCo model as a robot needs it: limited actions, its state's columns, its pictures."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import mujoco
 import numpy as np
 import torch
 from torch import Tensor
+
+from torch_pmil.envs.actuators import actuator_kinds, actuator_names
 
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
@@ -40,10 +42,13 @@ def whole_substeps(control_period: float, timestep: float) -> int:
 
 def limited_models(
     models: mujoco.MjModel | Sequence[mujoco.MjModel],
-    torque_limit: float | Sequence[float],
+    torque_limit: float | Sequence[float] | None,
     count: int,
 ) -> tuple[mujoco.MjModel, ...]:
-    """Copies with limited torques, one for each of ``count`` robots; equal models share one."""
+    """Copies with limited actions, one for each of ``count`` robots; equal models share one.
+
+    The torque limit, if any, is that of the motors.
+    """
     models = [models] * count if isinstance(models, mujoco.MjModel) else list(models)
     if len(models) != count:
         raise ValueError(
@@ -53,20 +58,34 @@ def limited_models(
     return tuple(limited[model] for model in models)
 
 
-def _limited_model(model: mujoco.MjModel, torque_limit: float | Sequence[float]) -> mujoco.MjModel:
-    limit = np.asarray(torque_limit, dtype=np.float64)
-    if limit.shape not in ((), (model.nu,)) or not (np.isfinite(limit) & (limit > 0)).all():
-        raise ValueError(
-            f"torque_limit must be one or {model.nu} positive finite numbers in N·m, got "
-            f"{torque_limit}"
-        )
+def _limited_model(
+    model: mujoco.MjModel, torque_limit: float | Sequence[float] | None
+) -> mujoco.MjModel:
     model = copy.copy(model)
-    model.actuator_ctrllimited[:] = 1
-    model.actuator_ctrlrange[:] = np.broadcast_to(limit, model.nu)[:, None] * [-1, 1]
+    if torque_limit is not None:
+        _limit_motors(model, torque_limit)
+    unlimited = np.flatnonzero(model.actuator_ctrllimited == 0)
+    if len(unlimited):
+        raise ValueError(
+            f"actuator {actuator_names(model)[unlimited[0]]} must have a ctrlrange, or inheritrange"
+            ", that bounds its actions, got none"
+        )
     # Without this flag MuJoCo silently restarts a diverged simulation at its default pose.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     model.vis.quality.shadowsize = 0
     return model
+
+
+def _limit_motors(model: mujoco.MjModel, torque_limit: float | Sequence[float]) -> None:
+    motors = [kind == "motor" for kind in actuator_kinds(model)]
+    limit = np.asarray(torque_limit, dtype=np.float64)
+    if limit.shape not in ((), (sum(motors),)) or not (np.isfinite(limit) & (limit > 0)).all():
+        raise ValueError(
+            f"torque_limit must be one or {sum(motors)} positive finite numbers in N·m, got "
+            f"{torque_limit}"
+        )
+    model.actuator_ctrllimited[motors] = 1
+    model.actuator_ctrlrange[motors] = np.broadcast_to(limit, sum(motors))[:, None] * [-1, 1]
 
 
 def at_rest(model: mujoco.MjModel) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
+from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 
 try:
     import gymnasium
@@ -11,7 +12,11 @@ except ModuleNotFoundError:  # an optional extra
     gymnasium = None
 
 # the environment, and the steps of an episode
-ROBOTS = {"DoublePendulum-v0": (DoublePendulumEnv, 25), "BioRob-v0": (BioRobEnv, 18)}
+ROBOTS = {
+    "DoublePendulum-v0": (DoublePendulumEnv, 25),
+    "DoublePendulumServo-v0": (DoublePendulumServoEnv, 25),
+    "BioRob-v0": (BioRobEnv, 18),
+}
 
 
 def register_robots() -> None:

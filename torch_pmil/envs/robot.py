@@ -81,6 +81,11 @@ class RobotEnv(EnvBase):
         """
         return None
 
+    @property
+    def torque_limits(self) -> Tensor | None:
+        """Largest torques (F,) of the motors; None where they are not known."""
+        return None
+
     def beyond_range(self, states: Tensor) -> Tensor | None:
         """Distance of the joints beyond their stops, 0 within, in states (*batch, D): (*batch, J).
 

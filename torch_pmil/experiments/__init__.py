@@ -6,6 +6,7 @@ from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.tasks.biorob import biorob
 from torch_pmil.experiments.tasks.biorob_targets import biorob_targets
 from torch_pmil.experiments.tasks.double_pendulum import double_pendulum
+from torch_pmil.experiments.tasks.double_pendulum_servo import double_pendulum_servo
 from torch_pmil.experiments.tasks.double_pendulum_targets import double_pendulum_targets
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.experiments.tasks.gym_pendulum import gym_pendulum
@@ -18,6 +19,7 @@ EXPERIMENTS = {
     "biorob_targets": biorob_targets,
     "double_pendulum": double_pendulum,
     "double_pendulum_pilco": double_pendulum_pilco,
+    "double_pendulum_servo": double_pendulum_servo,
     "double_pendulum_targets": double_pendulum_targets,
     "gym_pendulum": gym_pendulum,
     "handwriting": handwriting,

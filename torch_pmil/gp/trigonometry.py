@@ -91,7 +91,7 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
 
     Args:
         belief: belief over the F entries of the unsquashed action v.
-        u_max: torque limits (F,), in the unit of the action.
+        u_max: largest absolute actions (F,), in their units.
 
     Returns:
         The belief over the action, and the diagonal of :math:`\Sigma_v^{-1} \operatorname{cov}(v,

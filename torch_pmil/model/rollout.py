@@ -258,7 +258,7 @@ def _compiled(
         and network.weights.shape[:-2] in ((), mean.shape[:1])
         and (f.gram_inverse is not None and network.gram_inverse is None)
     )
-    constant = *f.tensors, controller.u_max, network.signal_variance, offset
+    constant = *f.tensors, controller.u_max, controller.u_middle, network.signal_variance, offset
     return fit and serves(constant, (mean, cov, *controller.parameters))
 
 

@@ -1,4 +1,4 @@
-"""Figure of a policy's torques in planes of the state space."""
+"""Figure of a policy's actions in planes of the state space."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import with_unit
 from torch_pmil.plotting.style import DARK, WIDTH, check_some
 
-# white at no torque, without the darkest colours, on which arrows fade
+# white at the middle of the range, without the darkest colours, on which arrows fade
 COLOURS = ListedColormap(mpl.colormaps["RdBu_r"](np.linspace(0.1, 0.9, 21)))
 CELLS, ARROWS = 61, 13  # numbers on each axis
 Successor = Callable[[Tensor], Tensor]
@@ -27,17 +27,17 @@ Successor = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane of the state space, and the torque that is shown in it.
+    """A plane of the state space, and the action that is shown in it.
 
     Args:
         x, y: entries of the state that vary, such as a joint's position and velocity.
-        torque: index of the action's entry.
+        action: index of its entry.
         span: ranges of x and y, ((low, high), (low, high)), in their units.
     """
 
     x: int
     y: int
-    torque: int
+    action: int
     span: tuple[tuple[float, float], tuple[float, float]]
 
 
@@ -49,7 +49,7 @@ def plot_policy(
     titles: Sequence[str],
     successor: Successor | None = None,
 ) -> Figure:
-    """A policy's torque in planes of the state space as colour, and the robot's motion as arrows.
+    """A policy's action in planes of the state space as colour, and the robot's motion as arrows.
 
     There is a row for each plane and a column for each state at which the entries that do not vary
     are held; this state is marked.
@@ -83,10 +83,10 @@ def plot_policy(
     figure = Figure(figsize=(WIDTH, 0.6 + 1.9 * len(planes)), layout="constrained")
     rows = figure.subplots(len(planes), len(states), sharex="row", sharey="row", squeeze=False)
     for row, plane in zip(rows, planes, strict=True):
-        limit = policy.policy.u_max[plane.torque].item()
-        scale = Normalize(-limit, limit)
+        actions = policy.actions
+        scale = Normalize(actions.low[plane.action].item(), actions.high[plane.action].item())
         for panel, state in zip(row, states.double(), strict=True):
-            _draw_torque(panel, policy, plane, state, scale)
+            _draw_action(panel, policy, plane, state, scale)
             if successor is not None:
                 _draw_flow(panel, successor, plane, state)
             at = state[plane.x], state[plane.y]
@@ -94,7 +94,7 @@ def plot_policy(
             panel.set_xlabel(_label(policy, plane.x))
         row[0].set_ylabel(_label(policy, plane.y))
         figure.colorbar(
-            ScalarMappable(scale, COLOURS), ax=list(row), label=f"torque {plane.torque + 1} (N·m)"
+            ScalarMappable(scale, COLOURS), ax=list(row), label=actions.labels[plane.action]
         )
     for panel, title in zip(rows[0], titles, strict=True):
         panel.set_title(title, fontsize="medium")
@@ -105,12 +105,12 @@ def _label(policy: StatePolicy, entry: int) -> str:
     return with_unit(policy.space.names[entry], policy.space.units[entry])
 
 
-def _draw_torque(
+def _draw_action(
     panel: Axes, policy: StatePolicy, plane: Plane, state: Tensor, scale: Normalize
 ) -> None:
     x, y, states = _grid(plane, state, CELLS)
-    torque = policy(states)[..., plane.torque].numpy()
-    panel.pcolormesh(x, y, torque, cmap=COLOURS, norm=scale, shading="nearest", rasterized=True)
+    action = policy(states)[..., plane.action].numpy()
+    panel.pcolormesh(x, y, action, cmap=COLOURS, norm=scale, shading="nearest", rasterized=True)
     panel.set(xlim=plane.span[0], ylim=plane.span[1])
 
 
@@ -150,7 +150,7 @@ def _grid(plane: Plane, state: Tensor, count: int) -> tuple[np.ndarray, np.ndarr
 def _check(
     policy: StatePolicy, planes: Sequence[Plane], states: Tensor, titles: Sequence[str]
 ) -> None:
-    D, F = policy.space.dim, len(policy.policy.u_max)
+    D, F = policy.space.dim, len(policy.actions.names)
     if states.ndim != 2 or states.shape[1] != D or len(states) != len(titles) or not len(states):
         raise ValueError(
             f"states must be (K, {D}) with K titles, got {tuple(states.shape)} and {len(titles)} "
@@ -158,7 +158,7 @@ def _check(
         )
     check_some("planes", planes)
     for plane in planes:
-        if not (plane.x in range(D) and plane.y in range(D) and plane.torque in range(F)):
+        if not (plane.x in range(D) and plane.y in range(D) and plane.action in range(F)):
             raise ValueError(
-                f"planes must be of entries below {D} and torques below {F}, got {plane}"
+                f"planes must be of entries below {D} and actions below {F}, got {plane}"
             )

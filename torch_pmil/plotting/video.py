@@ -47,7 +47,7 @@ def render_rollout(
     Args:
         env: the robot; its ``pixel_size`` is the size of the pictures.
         start: state vector (D,).
-        actions: torques (T, F) in N·m, each held for a control period.
+        actions: (T, F), each held for a control period.
         frames_per_step: a divisor of ``env.substeps``.
 
     Returns:
@@ -78,7 +78,7 @@ def dense_states(
     Args:
         env: the robot; it stays where it is.
         start: state vector (D,).
-        actions: torques (T, F) in N·m, each held for a control period.
+        actions: (T, F), each held for a control period.
         states_per_step: a divisor of ``env.substeps``.
 
     Raises:

@@ -136,7 +136,7 @@ def search_policy(
     if initial.batch_shape:
         raise ValueError(f"initial must be one belief, mean (D,), got {tuple(initial.mean.shape)}")
     search = _Search(loss, initial, settings, report)
-    step_loss = _evaluate(loss.step_loss_for_trust, initial, loss.horizon)
+    step_loss = evaluate_steps(loss.step_loss_for_trust, initial, loss.horizon)
     from_first = random and not settings.skip_matched_steps
     horizon = min(settings.first_horizon, loss.horizon)
     if not from_first:
@@ -144,7 +144,7 @@ def search_policy(
     growing = from_first or bool((step_loss > settings.trust_threshold).any())
     while growing:
         begun = search.stage(horizon)
-        step_loss = _evaluate(loss.step_loss_for_trust, initial, loss.horizon)
+        step_loss = evaluate_steps(loss.step_loss_for_trust, initial, loss.horizon)
         growing = begun and horizon < loss.horizon and _trusted(step_loss, horizon, settings)
         if growing:
             horizon = min(horizon + settings.horizon_step, loss.horizon)
@@ -208,13 +208,13 @@ class _Search:
         last = self.runs[-1]
         if last.stop_reason != "iteration limit" or last.loss >= WORTHWHILE * last.initial_loss:
             return False
-        step_loss = _evaluate(self.loss.step_loss_for_trust, self.initial, horizon)
+        step_loss = evaluate_steps(self.loss.step_loss_for_trust, self.initial, horizon)
         return not _trusted(step_loss, horizon, self.settings)
 
     def result(self, horizon: int) -> SearchResult:
         """Outcome of the search with the policy as it is now, after a last run at ``horizon``."""
-        per_step = _evaluate(self.loss.per_step, self.initial, self.loss.horizon)
-        step_loss = _evaluate(self.loss.step_loss_for_trust, self.initial, self.loss.horizon)
+        per_step = evaluate_steps(self.loss.per_step, self.initial, self.loss.horizon)
+        step_loss = evaluate_steps(self.loss.step_loss_for_trust, self.initial, self.loss.horizon)
         return SearchResult(
             loss=per_step.sum().item(),
             per_step=per_step,
@@ -249,7 +249,7 @@ def refit_policy(
         settings: settings that say up to which step the prediction is trusted.
         generator: source of the states, drawn from the prediction, at which actions are compared.
     """
-    step_loss = _evaluate(loss.step_loss_for_trust, initial, loss.horizon)
+    step_loss = evaluate_steps(loss.step_loss_for_trust, initial, loss.horizon)
     trusted = min(_first_untrusted(step_loss, settings) - 1, int(step_loss.isfinite().sum()))
     states = loss.begin(initial)[0].sample(REFIT_SAMPLES, generator)[..., None, :]
     if trusted > 0:
@@ -261,7 +261,7 @@ def refit_policy(
 
 
 @torch.no_grad()
-def _evaluate(
+def evaluate_steps(
     of_steps: Callable[[Gaussian, int], Tensor], initial: Gaussian, horizon: int
 ) -> Tensor:
     """Loss of each step, (horizon,), infinite from the first step on whose prediction fails."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -28,6 +29,7 @@ from torch_pmil.model.rollout import PredictionError, predict_mean_trajectory
 
 Reduction = Literal["none", "mean", "sum"]
 Prediction = Callable[[Gaussian, Policy, GPDynamics, StateSpace, int], Gaussian]
+Penalty = Callable[[Gaussian], Tensor]
 MeanPrediction = Callable[[Tensor, Policy, GPDynamics, StateSpace, int], Tensor]
 
 
@@ -61,6 +63,7 @@ class TrajectoryLoss(LossModule):
         ValueError: the reduction is none of these.
     """
 
+    _penalty: Penalty | None = None
     label: str  # name of the loss in progress reports and figures
     unit: str  # unit of the loss there, "" for none
 
@@ -155,7 +158,9 @@ class TrajectoryLoss(LossModule):
         states = self.predict_states(initial, horizon)
         comparison = self._served(states.mean)
         costs = None if comparison is None else kernels().costs_of_beliefs(states, comparison)
-        return self._score(self._observe(states)) if costs is None else costs
+        if costs is None:
+            costs = self._score(self._observe(states))
+        return costs if self._penalty is None else costs + self._penalty(states)
 
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Cost of each step for the model's mean alone, (*batch, horizon).
@@ -177,6 +182,20 @@ class TrajectoryLoss(LossModule):
         Raises PredictionError.
         """
         return self.per_step(initial, horizon)
+
+    @contextmanager
+    def penalised(self, penalty: Penalty) -> Iterator[None]:
+        """Within, :meth:`per_step` adds a penalty to the cost of each step.
+
+        Args:
+            penalty: maps the predicted states, mean (*batch, T, D), to numbers (*batch, T) in the
+                unit of the loss.
+        """
+        self._penalty = penalty
+        try:
+            yield
+        finally:
+            self._penalty = None
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

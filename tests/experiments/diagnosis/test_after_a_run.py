@@ -25,6 +25,7 @@ from torch_pmil.experiments.diagnosis.after_a_run import likely_reasons
 from torch_pmil.experiments.diagnosis.before_a_run import needed_torques
 from torch_pmil.experiments.diagnosis.causes import LEARNED
 from torch_pmil.experiments.runs.training import train
+from torch_pmil.experiments.tasks.experiment import actions_of
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.policy_search import SearchSettings
 
@@ -44,9 +45,7 @@ def weak_swing_up(limit: float, samples: int) -> Experiment:
         "double_pendulum", replace(shipped, positions=shipped.positions[:, :samples])
     )
     weak = partial(DoublePendulumEnv, torque_limit=limit)
-    return replace(
-        beginning, make_env=weak, u_max=torch.full((2,), limit, dtype=torch.float64), num_centres=30
-    )
+    return replace(beginning, make_env=weak, actions=actions_of(weak()), num_centres=30)
 
 
 def shown(positions: Tensor) -> Experiment:
@@ -309,11 +308,12 @@ def test_run_with_weak_motors_names_the_motor_its_limit_and_the_need(
 ) -> None:
     summary = summary_of(replace(weak_swing_up(0.7, 9), search=SearchSettings(40, 20, 20)), 2)
     found = {reason["cause"]: reason["message"] for reason in summary["diagnosis"]}
-    assert list(found)[:2] == ["demonstrations out of reach", "torque at its limit"]
+    assert list(found)[:2] == ["demonstrations out of reach", "action at its limit"]
     share, need = re.match(
-        r"motor tau1 is within 5 % of its limit of 0\.7 N·m in (\d+) % of the steps, and the "
+        r"action tau1 \(N·m\) is near the end of its range from -0\.7 to 0\.7 in (\d+) % of the "
+        r"steps, and the "
         r"demonstrations need up to (\d\.\d) N·m;",
-        found["torque at its limit"],
+        found["action at its limit"],
     ).groups()
     assert (
         float(share) == pytest.approx(100 * summary["saturated"]["tau1"], abs=0.5)

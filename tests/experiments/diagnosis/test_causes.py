@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from tests.helpers.draws import Draws
+from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.diagnosis.causes import (
     FEWEST_STEPS,
@@ -32,7 +33,7 @@ from torch_pmil.gp.gaussian import Gaussian
 NAMES = ("q", "dq")
 SETTINGS = {
     "noise_std": 0.05,
-    "random_torque": 0.4,
+    "random_action": 0.4,
     "confirmations": 2,
     "search.stage_iterations": 30,
     "search.trust_threshold": 3.0,
@@ -102,14 +103,18 @@ def test_task_of_standing_still_says_nothing_of_a_robot_that_does() -> None:
 
 
 def test_motor_that_is_strong_enough_swings_from_limit_to_limit() -> None:
-    full = torch.ones(1, 10, 2)
+    full, limits = torch.ones(1, 10, 2), (torch.zeros(2), torch.ones(2))
+    torques = ActionSpace.around(*limits, ("a", "b"), ("N·m", "N·m"))
+    angles = ActionSpace.around(*limits, ("a", "b"), ("rad", "rad"))
+    needed = torch.tensor([0.4, 0.9])
     assert (
         "though the demonstrations need no more than 0.4 N·m"
-        in check_saturation(full, torch.ones(2), ("a", "b"), torch.tensor([0.4, 0.9])).message
+        in check_saturation(full, torques, needed).message
     )
-    assert "a stronger motor" in check_saturation(full, torch.ones(2), ("a", "b"), None).message
+    for space, known in ((torques, None), (angles, needed)):
+        assert "; a wider range, or " in check_saturation(full, space, known).message
     half = torch.cat([torch.ones(1, 10, 2), torch.zeros(1, 10, 2)])
-    assert SATURATED == 0.5 and check_saturation(half, torch.ones(2), ("a", "b"), None) is None
+    assert SATURATED == 0.5 and check_saturation(half, torques, None) is None
 
 
 def test_single_rollout_that_strays_is_no_lack_of_experience() -> None:
@@ -167,5 +172,5 @@ def test_settings_that_an_advice_names_can_be_given_so(name: str) -> None:
     for setting, value in given:
         changed = experiment.with_settings(**{setting: json.loads(value)})
         assert changed.adjustable[setting] != experiment.adjustable[setting]
-    named = re.findall(r"random_torque|exploration\.\w+|search\.\w+", unpredictable("").message)
+    named = re.findall(r"random_action|exploration\.\w+|search\.\w+", unpredictable("").message)
     assert {*named} <= OF_EXPERIMENT.keys()

@@ -88,7 +88,7 @@ def test_each_setting_can_be_set_and_is_told_and_no_other_changes(name: str) -> 
     own = task_with(name)
     present = own.adjustable[name]
     value = other([1.0] * len(own.space.feature_names) if present is None else present)
-    if name == "random_torque":
+    if name == "random_action":
         value = 1
     changed = own.with_settings(**{name: value})
     assert told(changed, name) == value
@@ -114,7 +114,7 @@ def test_value_that_is_not_as_it_must_be_is_a_line_that_names_the_setting(name: 
 
 def test_setting_of_another_experiment_is_refused_with_those_there_are() -> None:
     with pytest.raises(ValueError, match=r"^a setting of biorob must be one of num_.*, got random"):
-        task("biorob").with_settings(random_torque=0.5)
+        task("biorob").with_settings(random_action=0.5)
 
 
 def test_settings_of_a_run_are_read_as_they_were_written(tmp_path: Path) -> None:

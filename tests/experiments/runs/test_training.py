@@ -130,7 +130,7 @@ def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> Non
     )
     assert settings["search"] == asdict(experiment.search)
     assert {
-        "random_torque",
+        "random_action",
         "initial_weight_std",
         "tolerance",
         "input_widths",
@@ -140,7 +140,7 @@ def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> Non
     assert settings["exploration"] == {
         "rollouts": 1,
         "steps": HORIZON,
-        "random_torque": experiment.random_torque,
+        "random_action": experiment.random_action,
     }
 
 

@@ -93,7 +93,7 @@ def test_first_motion_is_six_seconds_around_the_start_within_the_limits(
     assert trainer.trials[0].experience_s == pytest.approx(6.0)
     assert len(trainer.experience) == 60 + STEPS
     first = trainer.experience.transitions[:60]
-    assert (first["action"].abs() <= experiment.u_max).all()
+    assert (first["action"].abs() <= experiment.actions.high).all()
     starts = first["observation"][::20]
     assert ((starts - experiment.initial.mean).abs() < 5 * experiment.initial.std).all()
     travelled = first["observation"][:, :3].amax(0) - first["observation"][:, :3].amin(0)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tests.helpers.short_run import PD_MOVEMENTS, quick_fits
-from torch_pmil.control.exploration import RandomTorques
+from torch_pmil.control.exploration import RandomActions
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
 from torch_pmil.experiments.runs.training import make_trainer, train
@@ -35,15 +35,15 @@ def lifting(states: Tensor) -> Tensor:
 
 def test_exploration_is_one_random_rollout_unless_it_is_said(experiment: Experiment) -> None:
     exploration = experiment.exploration
-    assert isinstance(exploration, RandomTorques) and exploration.u_max is experiment.u_max
-    assert exploration.settings == {"rollouts": 1, "steps": 25, "random_torque": 0.4}
+    assert isinstance(exploration, RandomActions) and exploration.actions is experiment.actions
+    assert exploration.settings == {"rollouts": 1, "steps": 25, "random_action": 0.4}
     assert replace(experiment, pd_movements=PD_MOVEMENTS).exploration is PD_MOVEMENTS
 
 
 def test_new_policy_holds_the_robot_at_its_starts(experiment: Experiment) -> None:
     """To 5 % rms of the torques, at starts that the fit did not see."""
     starts = experiment.initial.sample(500, torch.Generator().manual_seed(1))
-    policy = replace(experiment, holding_torques=lifting).make_policy(generator())
+    policy = replace(experiment, holding_actions=lifting).make_policy(generator())
     error = (policy(experiment.space.features(starts)) - lifting(starts)).detach()
     assert (error.square().mean(0).sqrt() < 0.05 * lifting(starts).abs().amax(0)).all()
 
@@ -52,7 +52,7 @@ def test_policy_that_holds_is_random_elsewhere_as_any_other(experiment: Experime
     """Far from the start, where no basis function that acts at the start reaches."""
     plain, holding = (
         each.make_policy(generator())
-        for each in (experiment, replace(experiment, holding_torques=lifting))
+        for each in (experiment, replace(experiment, holding_actions=lifting))
     )
     far = experiment.space.features(torch.tensor([0.0, 6.0, 2.0, -6.0], dtype=torch.float64))
     torch.testing.assert_close(holding(far), plain(far), rtol=0, atol=0.02)
@@ -74,7 +74,7 @@ def test_settings_say_what_the_first_policy_and_motion_are(experiment: Experimen
         experiment,
         noise_std=noise_std,
         input_widths=WIDTHS,
-        holding_torques=lifting,
+        holding_actions=lifting,
         pd_movements=PD_MOVEMENTS,
     )
     assert (changed.settings["noise_std"], changed.settings["input_widths"]) == (

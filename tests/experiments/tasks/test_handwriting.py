@@ -306,4 +306,4 @@ def test_torques_stay_within_the_limits(robot: str) -> None:
     experiment: Experiment = handwriting(wave(), robot=robot)
     policy = experiment.make_policy(torch.Generator().manual_seed(0))
     features: Tensor = experiment.space.features(experiment.demonstrated_states)
-    assert (policy(features).abs() <= experiment.u_max).all()
+    assert (policy(features).abs() <= experiment.actions.high).all()

@@ -65,7 +65,7 @@ def task(**settings: object) -> Experiment:
 
 def test_defaults_are_those_that_are_promised() -> None:
     made = task()
-    assert made.u_max.tolist() == [3.0]  # half of the range, whose middle is -1
+    assert (made.actions.low.tolist(), made.actions.high.tolist()) == ([-4.0], [2.0])
     assert made.noise_std.tolist() == pytest.approx([0.05 * 1.2])
     # of a uniform start, by 20 resets: a standard error of an eighth
     assert made.initial.std[0] == pytest.approx(START / math.sqrt(3), rel=0.5)

@@ -61,14 +61,14 @@ def test_robot_model_and_policy_class_are_those_of_imitation(pilco: PilcoExperim
     for same in (
         "make_env",
         "num_centres",
-        "random_torque",
+        "random_action",
         "initial_weight_std",
         "tolerance",
         "error",
         "horizon",
     ):
         assert getattr(pilco, same) == getattr(imitation, same)
-    assert torch.equal(pilco.u_max, imitation.u_max) and torch.equal(
+    assert torch.equal(pilco.actions.high, imitation.actions.high) and torch.equal(
         pilco.initial.cov, imitation.initial.cov
     )
     assert sum(p.numel() for p in pilco.make_policy(generator()).parameters()) == 812

@@ -95,7 +95,7 @@ def fitted_problem(n: int) -> Problem:
     """A model that was fitted to n exact transitions of the double pendulum, and its loss."""
     draws, experiment = ProblemDraws(0), load_experiment("double_pendulum")
     states = experiment.initial.sample(n, draws.generator) + draws.uniform(-0.5, 0.5, n, 4)
-    torques = 0.1 * experiment.u_max * draws.uniform(-1.0, 1.0, n, 2)
+    torques = 0.1 * experiment.actions.half_range * draws.uniform(-1.0, 1.0, n, 2)
     successors = experiment.make_env(num_envs=n, seed=0).simulate(states, torques)
     inputs = torch.cat([experiment.space.features(states), torques], -1)
     dynamics = GPDynamics(inputs.shape[-1], 4)

@@ -22,7 +22,7 @@ from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 NAMES = ("a", "b", "c")
 SPACE = StateSpace(NAMES, ("",) * 3, (1,), joint_match(NAMES, ("",) * 3))
 R, F, M, N, STEPS = len(SPACE.feature_names), 2, 4, 2, 3
-U_MAX = torch.tensor([1.5, 0.7], dtype=torch.float64)
+U_MAX, U_MIDDLE = torch.tensor([[1.5, 0.7], [0.4, -0.6]], dtype=torch.float64)
 
 kinds_of_targets = pytest.mark.parametrize("targets", ["difference", "successor"])
 # of one policy, of one for each belief, and with one that is exactly zero
@@ -45,7 +45,7 @@ class Network:
     def controller(self) -> Controller:
         centres, weights, log_widths = self.parameters
         one = torch.ones(F, dtype=torch.float64)
-        return Controller(KernelExpansion(centres, weights, log_widths.exp(), one), U_MAX)
+        return Controller(KernelExpansion(centres, weights, log_widths.exp(), one), U_MAX, U_MIDDLE)
 
 
 def make_dynamics(draws: Draws, targets: Targets) -> GPDynamics:

@@ -83,7 +83,7 @@ def test_first_experience_and_later_starts_are_those_of_our_learner(
     motion = random_rollout(experiment, env, hold, SEED)
     torch.testing.assert_close(motion.torques, first["action"])
     torch.testing.assert_close(motion.states, states_of(first))
-    still = random_torques(experiment.u_max, 0.0, hold, torch.Generator())
+    still = random_torques(experiment.actions.half_range, 0.0, hold, torch.Generator())
     torch.testing.assert_close(execute(env, still, 1, hold).states[0], second["observation"][0])
 
 

@@ -87,11 +87,10 @@ def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
     """Reasons that lie in the robot's motors."""
     outcome, torques = outcome.compared, needed_torques(experiment)
     needed = None if torques is None else torques.abs().amax((0, 1))
-    names = experiment.first_robot(seed=0).action_names
     noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
     return _found(
         outcome,
-        check_saturation(outcome.rollouts["action"], experiment.u_max, names, needed),
+        check_saturation(outcome.rollouts["action"], experiment.actions, needed),
         check_motion(
             experiment.space.observe(outcome.executed),
             outcome.demonstrations.positions,

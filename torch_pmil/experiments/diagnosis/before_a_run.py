@@ -73,9 +73,10 @@ def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Findin
     findings = check_reach(demonstrations, experiment.space.observe(states), noise_std)
     if (excess := env.beyond_range(states)) is not None:
         findings += check_stops(excess, demonstrations.time_step)
-    if not findings and (torques := needed_torques(experiment)) is not None:
+    torques = None if findings else needed_torques(experiment)
+    if torques is not None and env.torque_limits is not None:
         findings += check_torques(
-            torques, experiment.u_max, env.action_names, demonstrations.time_step
+            torques, env.torque_limits, env.action_names, demonstrations.time_step
         )
     return findings
 
@@ -101,7 +102,7 @@ def needed_torques(experiment: Experiment) -> torch.Tensor | None:
         return None
     env = experiment.first_robot(seed=0)
     motions = experiment.demonstrated_states.reshape(N, samples, -1)
-    torques = torch.zeros(N, samples - 1, len(experiment.u_max), dtype=torch.float64)
+    torques = torch.zeros(N, samples - 1, len(experiment.actions.names), dtype=torch.float64)
     for number, first, last in _stretches(experiment):
         begin = max(first - MARGIN, 0)
         found = env.needed_torques(motions[number, begin : last + MARGIN + 1])

@@ -14,6 +14,7 @@ from typing import Any
 
 from torch import Tensor
 
+from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import two_sigma_coverage, within_two_sigma
@@ -26,7 +27,7 @@ FOLLOWED = 0.7
 UNKNOWN = 0.2  # share of the executed steps at which the model knows little; learned: up to 0.04
 LITTLE = 0.5  # posterior over prior standard deviation, from which on it knows little
 MISMATCH = 1.5  # largest loss of a step over the search's trust threshold; learned: up to 1.31
-NEAR_LIMIT = 0.95  # of a torque's limit
+NEAR_LIMIT = 0.95  # of half the range of an action, from its middle
 SATURATED = 0.5  # share of the steps near the limit; learned: up to 0.38
 MOVED = 0.25  # farthest from the start, over the demonstrated; learned: 0.77 and more
 FEWEST_STEPS = 20  # from which a share is told
@@ -46,22 +47,25 @@ class Reason:
     message: str
 
 
-def saturated_fraction(actions: Tensor, limits: Tensor) -> Tensor:
-    """Fraction of steps at which each torque is within 5 % of its limit.
+def saturated_fraction(actions: Tensor, space: ActionSpace) -> Tensor:
+    """Fraction of steps at which each action is within 5 % of the end of its range.
 
     Args:
-        actions: of rollouts, (N, T, F), N·m.
-        limits: (F,), N·m.
+        actions: of rollouts, (N, T, F).
+        space: of the robot's actions.
 
     Returns:
         (F,), from 0 to 1.
 
     Example:
         >>> import torch
-        >>> saturated_fraction(torch.tensor([[[3.5, 0.0], [-3.4, 1.0]]]), torch.tensor([3.5, 3.5]))
+        >>> limits = torch.zeros(2), torch.tensor([3.5, 3.5])
+        >>> space = ActionSpace.around(*limits, ("tau1", "tau2"), ("N·m", "N·m"))
+        >>> saturated_fraction(torch.tensor([[[3.5, 0.0], [-3.4, 1.0]]]), space)
         tensor([1., 0.], dtype=torch.float64)
     """
-    return (actions.abs() >= NEAR_LIMIT * limits).double().mean((0, 1))
+    away = (actions - space.middle).abs()
+    return (away >= NEAR_LIMIT * space.half_range).double().mean((0, 1))
 
 
 def covered_fraction(residuals: Tensor) -> Tensor:
@@ -145,12 +149,12 @@ def larger_motion(settings: Mapping[str, Any]) -> str:
     """What makes a first motion larger, as NAME=VALUE.
 
     Example:
-        >>> larger_motion({"random_torque": 0.4}), larger_motion({"random_torque": 0.8})
-        ('random_torque=0.8', 'random_torque=1')
+        >>> larger_motion({"random_action": 0.4}), larger_motion({"random_action": 0.8})
+        ('random_action=0.8', 'random_action=1')
     """
     if "exploration.reach" in settings:
         return scaled(settings, "exploration.reach", 1.5)
-    return scaled(settings, "random_torque", min(2, 1 / settings["random_torque"]))
+    return scaled(settings, "random_action", min(2, 1 / settings["random_action"]))
 
 
 def unpredictable(error: str) -> Reason:
@@ -163,7 +167,7 @@ def unpredictable(error: str) -> Reason:
     return Reason(
         "model not right",
         f"the model cannot predict the saved policy ({error}), so what was predicted is compared "
-        "with nothing; give it more data: more trials, or a larger first motion (random_torque or "
+        "with nothing; give it more data: more trials, or a larger first motion (random_action or "
         "exploration.reach)",
     )
 
@@ -188,42 +192,44 @@ def check_cut_short(ends: Sequence[str]) -> Reason | None:
     )
 
 
-def check_saturation(
-    actions: Tensor, limits: Tensor, names: Sequence[str], needed: Tensor | None
-) -> Reason | None:
-    """A reason if a torque is at its limit most of the time.
+def check_saturation(actions: Tensor, space: ActionSpace, needed: Tensor | None) -> Reason | None:
+    """A reason if an action is at the end of its range most of the time.
 
     Args:
-        actions: of rollouts, (N, T, F), N·m.
-        limits: (F,), N·m.
-        names: of the F motors.
-        needed: largest torques along the demonstrations, (F,), N·m; None where nobody knows.
+        actions: of rollouts, (N, T, F).
+        space: of the robot's actions.
+        needed: largest torques along the demonstrations, (F,), N·m; None where nobody knows. Only
+            actions that are torques are compared with them.
 
     Example:
         >>> import torch
-        >>> actions, limits, needed = torch.ones(20, 25, 1), torch.ones(1), torch.tensor([3.0])
-        >>> reason = check_saturation(actions, limits, ["tau"], needed)
+        >>> space = ActionSpace.around(torch.zeros(1), torch.ones(1), ["tau"], ["N·m"])
+        >>> reason = check_saturation(torch.ones(20, 25, 1), space, torch.tensor([3.0]))
         >>> for part in reason.message.split(", ")[:2]:
         ...     print(part.partition(";")[0])
-        motor tau is within 5 % of its limit of 1 N·m in 100 % of the steps
+        action tau (N·m) is near the end of its range from -1 to 1 in 100 % of the steps
         and the demonstrations need up to 3.0 N·m
     """
-    fraction = saturated_fraction(actions, limits)
-    motor = int(fraction.argmax())
-    if fraction[motor] <= SATURATED:
+    fraction = saturated_fraction(actions, space)
+    worst = int(fraction.argmax())
+    if fraction[worst] <= SATURATED:
         return None
-    need = _need(limits[motor].item(), None if needed is None else needed[motor].item())
+    low, high = space.low[worst].item(), space.high[worst].item()
+    if needed is None or space.units[worst] != "N·m":
+        need = _need(high, None)
+    else:
+        need = _need(max(-low, high), needed[worst].item())
     return Reason(
-        "torque at its limit",
-        f"motor {names[motor]} is within 5 % of its limit of {limits[motor]:g} N·m in "
-        f"{_percent(fraction[motor])} of the steps{need}",
+        "action at its limit",
+        f"{space.labels[worst]} is near the end of its range from {low:g} to {high:g} in "
+        f"{_percent(fraction[worst])} of the steps{need}",
     )
 
 
 def _need(limit: float, needed: float | None) -> str:
-    """The end of a sentence: what the demonstrations need of a motor, and what to do."""
+    """The end of a sentence: what the demonstrations need, and what to do."""
     if needed is None:
-        return "; a stronger motor, or a slower or smaller demonstration, leaves it room to correct"
+        return "; a wider range, or a slower or smaller demonstration, leaves it room to correct"
     if needed > limit:
         return (
             f", and the demonstrations need up to {needed:.1f} N·m; give it more torque, or show "
@@ -249,7 +255,7 @@ def check_motion(
     Example:
         >>> import torch
         >>> way = torch.linspace(0, 1, 5)[None, :, None]
-        >>> reason = check_motion(0.1 * way, way, torch.tensor(0.05), {"random_torque": 0.4})
+        >>> reason = check_motion(0.1 * way, way, torch.tensor(0.05), {"random_action": 0.4})
         >>> reason.message.partition(":")[0]
         'the robot went 10 % as far from its start as the demonstrations'
     """
@@ -260,7 +266,7 @@ def check_motion(
         "robot did not move",
         f"the robot went {_percent(moved)} as far from its start as the demonstrations: torques "
         "below its weight or static friction move and teach nothing; let its first motion be "
-        f"larger ({larger_motion(settings)}), and begin at torques that hold it (holding_torques "
+        f"larger ({larger_motion(settings)}), and begin at actions that hold it (holding_actions "
         "of an Experiment)",
     )
 
@@ -301,7 +307,7 @@ def check_model(
         >>> import torch
         >>> still = Gaussian(torch.zeros(3, 1), torch.ones(3, 1, 1))
         >>> residuals, executed = torch.full((30, 1), 4.0), torch.full((10, 4, 1), 4.0)
-        >>> reason = check_model(residuals, still, executed, ("q",), 0.1, {"random_torque": 0.4})
+        >>> reason = check_model(residuals, still, executed, ("q",), 0.1, {"random_action": 0.4})
         >>> reason.message.partition(", lie within")[0]
         '0 % of the one-step errors in q, and 0 % of the executed states'
     """
@@ -339,7 +345,7 @@ def check_experience(
     Example:
         >>> import torch
         >>> away = torch.arange(10) >= 4
-        >>> reason = check_experience(away.expand(20, -1), 50, 0.1, {"random_torque": 0.4})
+        >>> reason = check_experience(away.expand(20, -1), 50, 0.1, {"random_action": 0.4})
         >>> reason.message.partition(", the robot")[0]
         'in 60 % of the executed steps, first at 0.40 s'
     """

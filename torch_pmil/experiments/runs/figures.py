@@ -22,7 +22,12 @@ from torch_pmil.model.rollout import predict_mean_trajectory
 from torch_pmil.search.losses import TrajectoryKLLoss
 
 # these have poses, and pictures without OpenGL, drawn from positions in the match space
-SKETCHED = ("double_pendulum", "double_pendulum_pilco", "double_pendulum_targets")
+SKETCHED = (
+    "double_pendulum",
+    "double_pendulum_pilco",
+    "double_pendulum_servo",
+    "double_pendulum_targets",
+)
 SLICED = 4  # inputs of the model that slices go over
 SHARES = (0.2, 0.4, 0.6, 1.0)  # of the horizon: times at which the policy is shown
 MARGIN = 0.3  # around the executed motion, in its range
@@ -98,7 +103,7 @@ def _of_outcome(
         return
     if issubclass(experiment.objective, TrajectoryKLLoss):
         yield "kl_per_step", plotting.plot_kl_per_step(names, time_step, demonstrated, predicted)
-    planes = planes_of(experiment.space, len(experiment.u_max), outcome.executed)
+    planes = planes_of(experiment.space, len(experiment.actions.names), outcome.executed)
     if planes:
         yield "policy", _policy(experiment, result, outcome, planes, number)
 
@@ -108,28 +113,28 @@ def _whole(path: Tensor, steps: int) -> Tensor:
     return torch.nn.functional.pad(path, (0, 0, 0, steps + 1 - path.shape[1]), value=nan)
 
 
-def planes_of(space: StateSpace, torques: int, executed: Tensor) -> list[plotting.Plane]:
+def planes_of(space: StateSpace, actions: int, executed: Tensor) -> list[plotting.Plane]:
     """The planes of each position q and its velocity dq, a little larger than the executed motion.
 
-    Each plane shows its own joint's torque if every joint has one, else the first torque.
+    Each plane shows its own joint's action if every joint has one, else the first action.
 
     Args:
         space: of the robot.
-        torques: F.
+        actions: F.
         executed: states of rollouts, (N, T + 1, D).
 
     Example:
         >>> from torch_pmil.experiments import load_experiment
         >>> space = load_experiment("double_pendulum").space
         >>> planes = planes_of(space, 2, torch.eye(4)[None])
-        >>> [(plane.x, plane.y, plane.torque) for plane in planes]
+        >>> [(plane.x, plane.y, plane.action) for plane in planes]
         [(0, 1, 0), (2, 3, 1)]
     """
     low, high = executed.flatten(0, 1).aminmax(dim=0)
     margin = (MARGIN * (high - low)).clamp(min=torch.finfo(low.dtype).eps)
     spans = torch.stack([low - margin, high + margin], -1).tolist()
     pairs = [(position, rate) for rate, position in rates_of(space.names).items()]
-    own = torques == len(pairs)
+    own = actions == len(pairs)
     return [
         plotting.Plane(x, y, index if own else 0, (tuple(spans[x]), tuple(spans[y])))
         for index, (x, y) in enumerate(pairs)
@@ -150,7 +155,7 @@ def _policy(
     policy, space, dynamics = result.policy, experiment.space, result.dynamics
     if isinstance(experiment, TargetExperiment):
         network = policy.policy.for_target(experiment.targets[number])
-        policy = StatePolicy(network, space, policy.control_period)
+        policy = StatePolicy(network, space, policy.control_period, actions=policy.actions)
     steps = [max(round(share * experiment.horizon), 1) for share in SHARES]
     titles = [f"t = {step * policy.control_period:g} s" for step in steps]
     states = outcome.predicted.mean[[step - 1 for step in steps]]
@@ -177,7 +182,7 @@ def _calibration(experiment: Experiment, result: RunResult) -> plotting.Figure:
 def _model(experiment: Experiment, result: RunResult) -> plotting.Figure:
     """Slices through the model where the robot was halfway.
 
-    They go over the torques, and the features on which the model depends most.
+    They go over the actions, and the features on which the model depends most.
     """
     space, dynamics, outcome = experiment.space, result.dynamics, result.outcomes[0]
     halfway = outcome.rollouts.shape[-1] // 2
@@ -190,34 +195,33 @@ def _model(experiment: Experiment, result: RunResult) -> plotting.Figure:
         _input_names(experiment),
         space.names,
         space.units,
-        sliced(relevance, len(experiment.u_max)),
+        sliced(relevance, len(experiment.actions.names)),
     )
 
 
-def sliced(relevance: Tensor, torques: int) -> list[int]:
-    """The inputs that slices go over: the most relevant features, and the most relevant torques.
+def sliced(relevance: Tensor, actions: int) -> list[int]:
+    """The inputs that slices go over: the most relevant features, and the most relevant actions.
 
     There is one feature at least.
 
     Args:
-        relevance: of each input, the features before the torques, (D' + F,).
-        torques: F.
+        relevance: of each input, the features before the actions, (D' + F,).
+        actions: F.
 
     Example:
-        >>> sliced(torch.tensor([3.0, 1.0, 5.0, 4.0, 0.1, 0.2]), torques=2)
+        >>> sliced(torch.tensor([3.0, 1.0, 5.0, 4.0, 0.1, 0.2]), actions=2)
         [2, 3, 4, 5]
     """
-    features = len(relevance) - torques
-    actions = min(torques, SLICED - 1)
+    features, shown = len(relevance) - actions, min(actions, SLICED - 1)
     chosen = [
-        relevance[:features].topk(min(SLICED - actions, features)).indices,
-        features + relevance[features:].topk(actions).indices,
+        relevance[:features].topk(min(SLICED - shown, features)).indices,
+        features + relevance[features:].topk(shown).indices,
     ]
     return torch.cat(chosen).sort().values.tolist()
 
 
 def _input_names(experiment: Experiment) -> list[str]:
-    """Features with their units, then torques."""
+    """Features with their units, then actions."""
     units = dict(zip(experiment.space.names, experiment.space.units, strict=True))
     features = [with_unit(name, units.get(name)) for name in experiment.space.feature_names]
-    return features + [f"torque {number + 1} (N·m)" for number in range(len(experiment.u_max))]
+    return [*features, *experiment.actions.labels]

@@ -186,11 +186,11 @@ def _check_policy(path: Path, policy: StatePolicy, experiment: Experiment) -> No
     """Raise PolicyFileError unless a policy reads what the robot shows and moves its motors."""
     wanted = (*experiment.space.names, *experiment.demonstrations.target_names)
     found = (*policy.space.names, *policy.target_names)
-    motors = len(experiment.u_max), len(policy.policy.u_max)
-    if found != wanted or motors[0] != motors[1]:
+    actions = experiment.actions, policy.actions
+    if found != wanted or len(actions[0].names) != len(actions[1].names):
         raise PolicyFileError(
             f"{path} must be a policy of {experiment.name}, from {', '.join(wanted)} to "
-            f"{motors[0]} torques, got one from {', '.join(found)} to {motors[1]}"
+            f"{actions[0]}, got one from {', '.join(found)} to {actions[1]}"
         )
 
 

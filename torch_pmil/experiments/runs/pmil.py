@@ -104,7 +104,9 @@ class PMIL:
     def save(self, path: Path | str) -> None:
         """Write the policy into a file that :func:`load_policy` reads."""
         policy = self.policy
-        save_policy(Path(path), policy.policy, policy.space, policy.control_period)
+        save_policy(
+            path, policy.policy, policy.space, policy.control_period, actions=policy.actions
+        )
 
     def evaluate(self, starts: int = EVALUATION_STARTS, seed: int = EVALUATION_SEED) -> float:
         """Success rate of the policy on the robot, from fresh starts.

@@ -70,10 +70,10 @@ OF_EXPERIMENT = {
         "above 0, one number or one for each entry of the match space",
         "the unit of the entry",
     ),
-    "random_torque": Setting(
-        "largest torque of the first, random motion",
+    "random_action": Setting(
+        "how far the actions of the first, random motion go",
         SHARE,
-        "units of the torque limits",
+        "half the range of the actions",
     ),
     "initial_weight_std": Setting(
         "standard deviation of a new policy's weights", FROM_ZERO, "rad, what the squashing takes"

@@ -107,7 +107,7 @@ def train(
 
     Args:
         experiment: what to learn.
-        seed: of the robot's starts, the random torques and the policy; same seed, same run.
+        seed: of the robot's starts, the random actions and the policy; same seed, same run.
         trials: largest number of trials.
         out: folder of the run.
         command: said in the summary, so that the run can be repeated.
@@ -228,9 +228,10 @@ def _save_learned(
     network, dynamics = trainer.loss_module.actor_network, trainer.loss_module.dynamics
     space, period = experiment.space, trainer.control_period
     target_names = experiment.demonstrations.target_names
-    save_policy(out / "policy.pt", network, space, period, target_names)
+    actions = experiment.actions
+    save_policy(out / "policy.pt", network, space, period, target_names, actions)
     save_tensors(out / "dynamics.pt", dynamics.state_dict())
-    return StatePolicy(network, space, period, target_names), dynamics
+    return StatePolicy(network, space, period, target_names, actions), dynamics
 
 
 def _identity(experiment: Experiment, seed: int) -> dict[str, object]:
@@ -286,6 +287,7 @@ def make_trainer(
         search=experiment.search,
         make_policy=experiment.make_policy,
         exploration=experiment.exploration,
+        box=experiment.state_box,
         policy_generator=generators[0],
         generator=generators[1],
         on_trial=on_trial,
@@ -349,7 +351,7 @@ def _measured(
         ]
     )
     saturated = torch.stack(
-        [saturated_fraction(outcome.rollouts["action"], experiment.u_max) for outcome in outcomes]
+        [saturated_fraction(outcome.rollouts["action"], experiment.actions) for outcome in outcomes]
     ).mean(0)
     return {
         "stop_reason": trainer.stop_reason,
@@ -364,7 +366,7 @@ def _measured(
         },
         "rms_error": _by_name(match_space.names, errors.square().mean(0).sqrt()),
         "demonstration_spread": _by_name(match_space.names, spread.square().mean(0).sqrt()),
-        "saturated": _by_name(trainer.action_names, saturated),
+        "saturated": _by_name(experiment.actions.names, saturated),
     }
 
 

@@ -12,6 +12,7 @@ from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv, holding_torques
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
+    actions_of,
     fitting,
     independent_start,
 )
@@ -108,7 +109,7 @@ def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
     demonstrations = demonstrations or shipped_demonstrations("biorob")
     env, space = BioRobEnv(), biorob_space()
     demonstrations = fitting(demonstrations, space, env)
-    u_max = env.action_spec.space.high
+    actions = actions_of(env)
     return Experiment(
         name="biorob",
         make_env=BioRobEnv,
@@ -116,7 +117,7 @@ def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
         demonstrations=demonstrations,
         noise_std=torch.tensor(NOISE_STD, dtype=torch.float64),
         initial=independent_start(env.initial_mean, env.initial_std),
-        u_max=u_max,
+        actions=actions,
         demonstrated_states=demonstrations.positions.reshape(-1, space.dim),
         num_centres=80,
         error=distance_from_ball,
@@ -127,9 +128,9 @@ def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
             demonstrated_reach(
                 demonstrations.positions[..., : len(JOINTS)], env.initial_mean[: len(JOINTS)]
             ),
-            u_max,
+            actions.half_range,
         ),
         input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64),
-        holding_torques=holding_torques_at,
+        holding_actions=holding_torques_at,
         search=SEARCH,
     )

@@ -19,7 +19,7 @@ from torch_pmil.experiments.tasks.biorob import (
     holding_torques_at,
     movements_around,
 )
-from torch_pmil.experiments.tasks.experiment import fitting, independent_start
+from torch_pmil.experiments.tasks.experiment import actions_of, fitting, independent_start
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 
 # factors of the widths for one ball: strikes at balls to the left and right differ in yaw
@@ -63,7 +63,7 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
     demonstrations = demonstrations or shipped_demonstrations("biorob_targets")
     env, space = BioRobEnv(), biorob_space()
     demonstrations = fitting(demonstrations, space, env, TARGET_NAMES)
-    u_max = env.action_spec.space.high
+    actions = actions_of(env)
     widths, widened = torch.tensor([INPUT_WIDTHS, WIDENED], dtype=torch.float64)
     reach = torch.tensor(REACH, dtype=torch.float64)
     return TargetExperiment(
@@ -73,14 +73,16 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
         demonstrations=demonstrations,
         noise_std=torch.tensor(NOISE_STD, dtype=torch.float64),
         initial=independent_start(env.initial_mean, env.initial_std),
-        u_max=u_max,
+        actions=actions,
         demonstrated_states=demonstrations.positions.reshape(-1, space.dim),
         num_centres=250,
         error=distance_from_ball,
         tolerance=0.0,
         confirmations=4,
-        pd_movements=replace(movements_around(env.initial_mean, reach, u_max), rollouts=1),
+        pd_movements=replace(
+            movements_around(env.initial_mean, reach, actions.half_range), rollouts=1
+        ),
         input_widths=widths * widened,
-        holding_torques=holding_torques_at,
+        holding_actions=holding_torques_at,
         search=replace(SEARCH, final_iterations=60),
     )

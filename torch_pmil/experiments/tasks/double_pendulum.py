@@ -11,6 +11,7 @@ from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
+    actions_of,
     fitting,
     independent_start,
 )
@@ -111,7 +112,7 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         demonstrations=demonstrations,
         noise_std=NOISE_STD,
         initial=independent_start(env.initial_mean, env.initial_std),
-        u_max=env.action_spec.space.high,
+        actions=actions_of(env),
         demonstrated_states=states.reshape(-1, 4),
         num_centres=100,
         least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),

@@ -15,7 +15,7 @@ from torch_pmil.experiments.tasks.double_pendulum import (
     double_pendulum_space,
     states_from_positions,
 )
-from torch_pmil.experiments.tasks.experiment import fitting, independent_start
+from torch_pmil.experiments.tasks.experiment import actions_of, fitting, independent_start
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 
 
@@ -47,7 +47,7 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
         demonstrations=demonstrations,
         noise_std=NOISE_STD,
         initial=independent_start(env.initial_mean, env.initial_std),
-        u_max=env.action_spec.space.high,
+        actions=actions_of(env),
         demonstrated_states=states.reshape(-1, 4),
         num_centres=100,
         error=distance_of_tip,

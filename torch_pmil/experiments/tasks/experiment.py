@@ -11,8 +11,10 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from torch_pmil.control.exploration import Exploration, PDMovements, RandomTorques
-from torch_pmil.control.rbf_policy import RBFPolicy, check_limits
+from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
@@ -87,7 +89,7 @@ class Experiment:
         noise_std: observation noise, in the units of the match space: one number, or one for each
             entry, (M,).
         initial: p(x_0).
-        u_max: torque limits (F,), N·m.
+        actions: names, units and range of the robot's actions.
         demonstrated_states: states recovered from the demonstrations, (S, D), where the policy's
             centres are drawn.
         num_centres: m.
@@ -99,8 +101,9 @@ class Experiment:
             lenient measure.
         evaluated: whether policies are measured from fresh starts, which are no experience, beside
             their own rollouts; False for a robot that a person resets.
-        random_torque: of exploration by random torques, as a fraction of u_max.
-        pd_movements: exploration by a PD controller; random torques for one horizon if None.
+        random_action: of exploration by random actions around those that hold the start, if they
+            are known, or else the middle of the range; as a fraction of half the range.
+        pd_movements: exploration by a PD controller; random actions for one horizon if None.
         initial_weight_std: of the policy's initial weights.
         input_scale: width of the policy's initial basis functions, in standard deviations of the
             demonstrated features; a policy is nothing beyond the reach of its functions, so starts
@@ -110,8 +113,11 @@ class Experiment:
         least_widths: widths (D',) below which none by ``input_scale`` falls, in the units of the
             features: how far a robot strays that moves slowly, or with a part of it alone. None for
             the standard deviations of the start, of which sine and cosine have that of their angle.
-        holding_torques: torques (S, F) that hold the robot in states (S, D); a new policy holds it
+        holding_actions: actions (S, F) that hold the robot in states (S, D); a new policy holds it
             at the start. None: it need not.
+        box: lowest and highest value of entries of the state or of the match space in which the
+            robot shall stay while it learns, by name; see :class:`StateBox`. None for no limits.
+        leaving_threshold: predicted probability of leaving them up to which a policy may run.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.
 
@@ -130,20 +136,22 @@ class Experiment:
     demonstrations: Demonstrations
     noise_std: float | Tensor
     initial: Gaussian
-    u_max: Tensor
+    actions: ActionSpace
     demonstrated_states: Tensor
     num_centres: int
     error: Callable[[TensorDictBase], Tensor]
     tolerance: float
     confirmations: int = 2
     evaluated: bool = True
-    random_torque: float = 0.4
+    random_action: float = 0.4
     pd_movements: PDMovements | None = None
     initial_weight_std: float = 0.1
     input_scale: float = 1.0
     input_widths: Tensor | None = None
     least_widths: Tensor | None = None
-    holding_torques: Callable[[Tensor], Tensor] | None = None
+    holding_actions: Callable[[Tensor], Tensor] | None = None
+    box: Mapping[str, tuple[float, float]] | None = None
+    leaving_threshold: float = 0.05
     search: SearchSettings = field(default_factory=SearchSettings)
     draws: bool = True
 
@@ -164,8 +172,9 @@ class Experiment:
 
     def _check_settings(self) -> None:
         D = self.space.dim
+        if outside := self.state_box and self.state_box.guard(self.initial.mean):
+            raise ValueError(f"box must hold the mean of initial, but {outside}")
         check_noise(self.noise_std, self.space.match_space.names)
-        check_limits(self.u_max)
         check_tensor("demonstrated_states", self.demonstrated_states, ("S", D))
         if self.initial.dim != D:
             raise ValueError(
@@ -173,10 +182,10 @@ class Experiment:
             )
         check_whole("num_centres", self.num_centres, 1, MOST_CENTRES)
         check_whole("confirmations", self.confirmations, 1)
-        for name in ("input_scale", "random_torque"):
+        for name in ("input_scale", "random_action"):
             check_positive(name, getattr(self, name))
-        if self.random_torque > 1:
-            raise ValueError(f"random_torque must be at most 1, got {self.random_torque!r}")
+        if self.random_action > 1:
+            raise ValueError(f"random_action must be at most 1, got {self.random_action!r}")
         for name in ("tolerance", "initial_weight_std"):
             check_positive(name, getattr(self, name), zero=True)
         for name in ("input_widths", "least_widths"):
@@ -197,6 +206,13 @@ class Experiment:
             )
 
     @property
+    def state_box(self) -> StateBox | None:
+        """Limits of the robot's motion while it learns; None if there are none."""
+        if self.box is None:
+            return None
+        return StateBox(self.space, self.box, self.leaving_threshold)
+
+    @property
     def horizon(self) -> int:
         """T, number of control steps."""
         return self.demonstrations.positions.shape[1] - 1
@@ -209,7 +225,12 @@ class Experiment:
     @property
     def exploration(self) -> Exploration:
         """The robot's motion before anything is learned."""
-        return self.pd_movements or RandomTorques(self.u_max, self.random_torque, self.horizon)
+        if self.pd_movements is not None:
+            return self.pd_movements
+        around = None
+        if self.holding_actions is not None:
+            around = self.holding_actions(self.initial.mean[None])[0]
+        return RandomActions(self.actions, self.random_action, self.horizon, around=around)
 
     @property
     def limits(self) -> Tensor:
@@ -231,16 +252,17 @@ class Experiment:
             "horizon": self.horizon,
             "num_centres": self.num_centres,
             "noise_std": torch.as_tensor(self.noise_std, dtype=torch.float64).tolist(),
-            "random_torque": self.random_torque,
+            "random_action": self.random_action,
             "exploration": self.exploration.settings,
             "initial_weight_std": self.initial_weight_std,
             "input_scale": self.input_scale,
             "input_widths": None if self.input_widths is None else self.input_widths.tolist(),
             "least_widths": self._least_widths.tolist(),
-            "holds_start": self.holding_torques is not None,
+            "holds_start": self.holding_actions is not None,
             "tolerance": self.tolerance,
             "confirmations": self.confirmations,
             "evaluated": self.evaluated,
+            "state_box": self.state_box and self.state_box.settings,
             "search": asdict(self.search),
         }
 
@@ -250,7 +272,7 @@ class Experiment:
         settings: dict[str, Any] = self.settings
         moved = self.pd_movements is not None
         groups = ("exploration", "search") if moved else ("search",)
-        unused = {"search", "random_torque"} if moved else {"search"}
+        unused = {"search", "random_action"} if moved else {"search"}
         own = {entry.name for entry in fields(self)} - unused
         return {name: value for name, value in settings.items() if name in own} | {
             f"{group}.{name}": value for group in groups for name, value in settings[group].items()
@@ -308,6 +330,8 @@ class Experiment:
         if self.evaluated:
             return self.error(self.executed(policy, starts, seed))
         robot, module = self.robot(seed), policy.as_tensordict_module()
+        if self.state_box is not None:
+            robot.guard = self.state_box.guard
         return torch.stack([self._error_of_one(robot, module) for _ in range(starts)])
 
     def _error_of_one(self, robot: RobotEnv, module: TensorDictModule) -> Tensor:
@@ -331,7 +355,7 @@ class Experiment:
 
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""
-        return GPDynamics(len(self.space.feature_names) + len(self.u_max), self.space.dim)
+        return GPDynamics(len(self.space.feature_names) + len(self.actions.names), self.space.dim)
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:
         """The loss of the policy search: the KL between demonstrated and predicted trajectories."""
@@ -340,7 +364,7 @@ class Experiment:
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy with centres near demonstrated states, see :meth:`policy_near`.
 
-        It holds the robot at the start if the experiment knows the torques for it.
+        It holds the robot at the start if the experiment knows the actions for it.
         """
         return self.policy_near(self.demonstrated_inputs, generator)
 
@@ -348,18 +372,19 @@ class Experiment:
         """A new policy with centres near some of the inputs (S, D') and small random weights.
 
         Its widths are the standard deviations of all inputs, or ``least_widths``, unless the
-        experiment gives them. It holds the robot at the start if the experiment knows the torques
+        experiment gives them. It holds the robot at the start if the experiment knows the actions
         for it.
         """
         std = self._spread(inputs)
         chosen = torch.randint(len(inputs), (self.num_centres,), generator=generator)
         jitter = torch.randn(self.num_centres, len(std), dtype=torch.float64, generator=generator)
-        policy = RBFPolicy(inputs[chosen] + 0.1 * std * jitter, self.u_max, self.widths(std))
+        centres, actions = inputs[chosen] + 0.1 * std * jitter, self.actions
+        policy = RBFPolicy(centres, actions.half_range, self.widths(std), actions.middle)
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
         policy.weights.data.copy_(self.initial_weight_std * white)
-        if self.holding_torques is not None:
+        if self.holding_actions is not None:
             starts = self.initial.sample(HELD_STARTS, generator)
-            policy.fit_weights(self.start_inputs(starts), self.holding_torques(starts))
+            policy.fit_weights(self.start_inputs(starts), self.holding_actions(starts))
         return policy
 
     def widths(self, std: Tensor) -> Tensor:
@@ -419,6 +444,18 @@ def _numbers(name: str, value: object, kind: str) -> object:
 def independent_start(mean: Tensor, std: Tensor) -> Gaussian:
     """p(x_0) of independent entries with these means and standard deviations, (D,) each."""
     return Gaussian(mean, torch.diag(std**2))
+
+
+def actions_of(env: MujocoRobotEnv | AdaptedEnv) -> ActionSpace:
+    """Names, units and range of the actions of one robot.
+
+    Example:
+        >>> from torch_pmil.envs import DoublePendulumEnv
+        >>> print(actions_of(DoublePendulumEnv()))
+        tau1 (N·m) from -3.5 to 3.5, tau2 (N·m) from -3.5 to 3.5
+    """
+    bounds = env.action_spec.space
+    return ActionSpace(env.action_names, env.action_units, bounds.low, bounds.high)
 
 
 def fitting(

@@ -12,6 +12,7 @@ from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.double_pendulum import unwrapped
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
+    actions_of,
     fitting,
     independent_start,
 )
@@ -78,7 +79,7 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         initial=independent_start(
             torch.tensor(HANGING_MEAN).double(), torch.tensor(HANGING_STD).double()
         ),
-        u_max=env.action_spec.space.high,
+        actions=actions_of(env),
         demonstrated_states=states.reshape(-1, 2),
         num_centres=50,
         least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.envs.rollouts import of_states, states_of
-from torch_pmil.experiments.tasks.experiment import Experiment, independent_start
+from torch_pmil.experiments.tasks.experiment import Experiment, actions_of, independent_start
 from torch_pmil.experiments.tasks.strokes import (
     NAMES,
     TIME_STEP,
@@ -100,7 +100,7 @@ def handwriting(
     states = states_of_strokes(writer, strokes)
     start, start_std = _start(states, writer)
     make_env = partial(writer.make_env, initial_mean=start.tolist(), initial_std=start_std.tolist())
-    u_max, demonstrated = make_env().action_spec.space.high, states.flatten(0, 1)
+    actions, demonstrated = actions_of(make_env()), states.flatten(0, 1)
     return Handwriting(
         name=handwriting_name(shape, robot),
         make_env=make_env,
@@ -108,15 +108,17 @@ def handwriting(
         demonstrations=strokes,
         noise_std=NOISE_SHARE * writer.extent,
         initial=independent_start(start, start_std),
-        u_max=u_max,
+        actions=actions,
         demonstrated_states=demonstrated,
         num_centres=NUM_CENTRES,
         error=of_states(partial(distance_of_tip, space=writer.space, strokes=strokes)),
         tolerance=SUCCESS_RATIO * distance_spread(strokes),
         confirmations=CONFIRMATIONS,
-        pd_movements=writer.movements(demonstrated, u_max, strokes.positions.shape[1] - 1),
+        pd_movements=writer.movements(
+            demonstrated, actions.half_range, strokes.positions.shape[1] - 1
+        ),
         input_widths=input_widths(demonstrated, writer.space),
-        holding_torques=writer.holding_torques,
+        holding_actions=writer.holding_torques,
         search=writer.search,
         plane=writer.plane,
     )

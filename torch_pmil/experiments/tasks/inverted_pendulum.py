@@ -9,7 +9,7 @@ from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.gym_tasks import CART_START, inverted_pendulum_env
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.experiments.tasks.experiment import Experiment, fitting
+from torch_pmil.experiments.tasks.experiment import Experiment, actions_of, fitting
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.policy_search import SearchSettings
 
@@ -79,12 +79,12 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
         demonstrations=demonstrations,
         noise_std=NOISE_STD,
         initial=initial,
-        u_max=env.action_spec.space.high,
+        actions=actions_of(env),
         demonstrated_states=states.reshape(-1, 4),
         num_centres=50,
         error=of_states(distance_from_demonstrated),
         tolerance=SUCCESS_DISTANCE,
-        random_torque=0.1,
+        random_action=0.1,
         input_scale=3.0,
         # nats of two dimensions in effect: the height of the tip hardly changes
         search=SearchSettings(trust_threshold=1.0),

@@ -26,6 +26,7 @@ from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
+    actions_of,
     fitting,
     independent_start,
 )
@@ -59,8 +60,8 @@ def own_robot(
 
     What is not said is told from them: the start by 20 resets, unless ``initial`` is given, or by
     the demonstrations' starts for a robot that makes no motion but its own rollouts (``evaluated``
-    is False, as it is for a physical robot, which is not reset here); the
-    limits of the actions by the environment; the observation noise as 5 % of each entry's
+    is False, as it is for a physical robot, which is not reset here); the range of the actions by
+    the environment; the observation noise as 5 % of each entry's
     demonstrated range (of an entry that hardly changes, as 1 % of the largest range); the
     demonstrated states by :func:`~torch_pmil.control.recovered_states.recover_states`; and a
     success as a rollout that differs from the demonstrations' mean by at most twice their standard
@@ -111,9 +112,9 @@ def own_robot(
     )
     noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
     deviation = Deviation(expert_distribution(shown, noise_std), space)
-    defaults = {
+    defaults: dict[str, Any] = {
         "name": robot.name,
-        "u_max": adapted.action_spec.space.high,
+        "actions": actions_of(adapted),
         "demonstrated_states": states.flatten(0, 1),
         "num_centres": CENTRES,
         "error": of_states(deviation),

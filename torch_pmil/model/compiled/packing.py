@@ -29,7 +29,11 @@ def robots_of(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
     centres, weights, widths = (parameter.detach() for parameter in parameters)
     f, controller = plan.model, plan.controller
     variance = f.observed_prior_cov if plan.observation_noise else f.prior_cov
-    model = functions_of(f)._replace(variance=array(variance.diagonal()))
+    model = functions_of(f)
+    model = model._replace(
+        inputs=_from_middle(model.inputs, array(controller.u_middle)),
+        variance=array(variance.diagonal()),
+    )
     rows, turns, kept = _combinations(plan.space.augmentation)
     packed = [
         _packed(replace(controller.network, inputs=centres, weights=own, lengthscales=widths))
@@ -40,6 +44,17 @@ def robots_of(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
         Robot(model, network, limits, rows, turns, kept, plan.differences, steps)
         for network in (packed if len(packed) > 1 else packed * beliefs)
     ]
+
+
+def _from_middle(inputs: Array2, middle: Array1) -> Array2:
+    """A model's inputs (D' + F, n), the actions told from the middle of their range (F,).
+
+    The kernels' actions are around zero, and the model is stationary.
+    """
+    told = zeros(*inputs.shape)
+    told[:] = inputs
+    told[-len(middle) :] -= middle[:, None]
+    return told
 
 
 def observation_of(comparison: Comparison, batch: tuple[int, ...]) -> Observation:

@@ -59,17 +59,17 @@ CAPTIONS = {  # in the order of the page
     ),
     "model": Caption(
         "Slices through the model",
-        "Each output over the torques and the other inputs on which the model depends most, "
+        "Each output over the actions and the other inputs on which the model depends most, "
         "through where the robot was halfway. The band should be narrow where there are data and "
         "widen beyond; dots outside it are transitions that the model does not explain.",
     ),
     "policy": Caption(
         "The policy",
-        "Torque (colour) over position and velocity of a joint, the other joints held where the "
+        "Action (colour) over position and velocity of a joint, the other joints held where the "
         "prediction is at that time (the white dot is the state itself), and where the model "
         "says the robot goes from there (arrows). Around the dot the arrows should lead along "
-        "the motion or, at its end, towards the dot; full red or blue around it is a torque at "
-        "its limit.",
+        "the motion or, at its end, towards the dot; full red or blue around it is an action "
+        "at the end of its range.",
     ),
 }
 

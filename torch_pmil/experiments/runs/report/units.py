@@ -9,7 +9,7 @@ from torch_pmil.experiments.runs.setting_words import SETTINGS
 # of what a summary's settings hold besides
 DERIVED = {
     "horizon": "control steps",
-    "exploration.random_torque": SETTINGS["random_torque"].unit,
+    "exploration.random_action": SETTINGS["random_action"].unit,
     "targets": "the unit of the entry",
 }
 

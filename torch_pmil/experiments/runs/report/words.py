@@ -80,7 +80,7 @@ def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
         lines = (
             "from torch_pmil import load_policy",
             f"policy = load_policy({str(folder / 'policy.pt')!r})",
-            "torque = policy(state)",
+            "action = policy(state)",
         )
         yield "Use the policy:", "\n".join(lines)
 

@@ -1,0 +1,133 @@
+"""Admission to the robot: refusals, searches with a penalty, and the steps that are left."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+
+from tests.helpers.draws import Draws
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_box import StateBox
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.rollout import PredictionError
+from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.admission import admit
+
+HORIZON, SETTINGS = 4, SearchSettings(10, 20, 40, first_horizon=4)
+SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
+INITIAL = Gaussian(
+    torch.ones(1, dtype=torch.float64), torch.full((1, 1), 1e-4, dtype=torch.float64)
+)
+
+
+@pytest.fixture(scope="module")
+def dynamics() -> GPDynamics:
+    """A damped integrator, learned from 30 random transitions."""
+    draws = Draws(seed=0)
+    x, u = draws.uniform(-1.5, 1.5, 30, 1), draws.uniform(-2, 2, 30, 1)
+    dynamics = GPDynamics(2, 1)
+    dynamics.fit(torch.cat([x, u], -1), 0.2 * (u - 0.5 * x) + 0.01 * draws.normal(30, 1))
+    return dynamics
+
+
+@pytest.fixture
+def searched(dynamics: GPDynamics) -> tuple[TrajectoryLoss, SearchResult]:
+    """A policy that comes down from 1 m to 0.4 m, as was demonstrated."""
+    draws = Draws(seed=1)
+    policy = RBFPolicy(draws.uniform(-1.5, 1.5, 8, 1), torch.tensor([2.0]), torch.ones(1))
+    mean = torch.tensor([[0.85], [0.7], [0.55], [0.4]], dtype=torch.float64)
+    demonstrated = Gaussian(mean, torch.full((4, 1, 1), 0.01, dtype=torch.float64))
+    loss = TrajectoryKLLoss(policy, dynamics, SPACE, demonstrated, 0.05)
+    return loss, search_policy(loss, INITIAL, SETTINGS)
+
+
+def box(low: float, threshold: float = 0.05) -> StateBox:
+    return StateBox(SPACE, {"x": (low, 50.0)}, threshold)
+
+
+def test_policy_that_stays_is_admitted_as_it_is(
+    searched: tuple[TrajectoryLoss, SearchResult],
+) -> None:
+    loss, result = searched
+    before = copy.deepcopy(loss.actor_network.state_dict())
+    admission = admit(loss, INITIAL, box(-50.0), SETTINGS, result)
+    assert admission.result is result
+    assert (admission.refused, admission.steps) == (0, HORIZON)
+    assert 0 <= admission.leaving_probability < 1e-12
+    for name, value in loss.actor_network.state_dict().items():
+        assert torch.equal(value, before[name])
+
+
+def test_refused_policy_is_searched_on_until_it_stays(
+    searched: tuple[TrajectoryLoss, SearchResult],
+) -> None:
+    """At the price of the loss, which is told without the penalty."""
+    loss, result = searched
+    tight = box(0.5)
+    admission = admit(loss, INITIAL, tight, SETTINGS, result)
+    assert 1 <= admission.refused <= 3
+    assert admission.steps == HORIZON
+    assert admission.leaving_probability <= tight.threshold
+    with torch.no_grad():
+        states = loss.predict_states(INITIAL)
+        assert tight.leaving_probability(states).item() == admission.leaving_probability
+        assert loss.per_step(INITIAL).sum().item() == pytest.approx(admission.result.loss)
+    assert admission.result.loss > result.loss
+    assert admission.result.evaluations > result.evaluations
+
+
+def test_first_steps_are_left_of_a_policy_that_leaves_whatever_the_penalty(
+    searched: tuple[TrajectoryLoss, SearchResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As many as keep the accumulated probability below the threshold."""
+    loss, result = searched
+    states = loss.predict_states(INITIAL)
+    monkeypatch.setattr("torch_pmil.trainer.admission.search_policy", lambda *args: result)
+    by_step = box(0.5).leaving_by_step(states)
+    threshold = by_step.cumsum(0)[1].item() + 1e-9
+    assert threshold < by_step.cumsum(0)[2]
+    admission = admit(loss, INITIAL, box(0.5, threshold), SETTINGS, result)
+    assert (admission.refused, admission.steps) == (3, 2)
+
+
+def test_no_step_is_left_where_even_the_first_one_leaves(
+    searched: tuple[TrajectoryLoss, SearchResult],
+) -> None:
+    loss, result = searched
+    admission = admit(loss, INITIAL, box(5.0), SETTINGS, result)
+    assert (admission.refused, admission.steps) == (3, 0)
+    assert admission.leaving_probability == 1.0
+
+
+def test_policy_stays_what_it_is_where_no_penalty_is_finite(
+    searched: tuple[TrajectoryLoss, SearchResult],
+) -> None:
+    loss, result = searched
+    before = copy.deepcopy(loss.actor_network.state_dict())
+    admission = admit(loss, INITIAL, StateBox(SPACE, {"x": (1e9, 2e9)}), SETTINGS, result)
+    assert (admission.refused, admission.steps) == (1, 0)
+    for name, value in loss.actor_network.state_dict().items():
+        assert torch.equal(value, before[name])
+
+
+def test_steps_that_cannot_be_predicted_leave(
+    searched: tuple[TrajectoryLoss, SearchResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loss, result = searched
+    monkeypatch.setattr("torch_pmil.trainer.admission.search_policy", lambda *args: result)
+    predict = loss.predict_states
+
+    def failing(initial: Gaussian, horizon: int | None = None) -> Gaussian:
+        if horizon is None or horizon > 2:
+            raise PredictionError("prediction of step 3 failed", 3)
+        return predict(initial, horizon)
+
+    monkeypatch.setattr(loss, "predict_states", failing)
+    admission = admit(loss, INITIAL, box(-50.0), SETTINGS, result)
+    assert (admission.steps, admission.leaving_probability) == (2, 1.0)

@@ -1,0 +1,297 @@
+"""A physical robot in real time, as a TorchRL environment."""
+
+from __future__ import annotations
+
+import time
+import weakref
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Unbounded
+
+from torch_pmil.envs.operator import RobotError, prompt
+from torch_pmil.envs.physical.control_clock import ControlClock
+from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
+from torch_pmil.envs.physical.watched_robot import WatchedRobot
+from torch_pmil.envs.robot import RobotEnv
+from torch_pmil.files import bounded_line
+
+PATIENCE = 2  # control periods without an action after which the robot is stopped
+
+
+class PhysicalRobotEnv(RobotEnv):
+    """A robot that moves by itself while the program computes.
+
+    A reset asks the operator, who puts the robot at its start, and reads the state. A step sends
+    the action at once, waits until the deadline, one control period after the one before, and reads
+    the state again.
+
+    A step is late where, by more than ``tolerance`` of a period, its action was sent after the
+    reading that it answers, its reading came after the deadline, or its reading is older than the
+    rollout's first one was; or where the robot repeats a time stamp. The model learns from late
+    steps as from others, though their action was held for another time than a period, so a rollout
+    ends after ``most_late`` of them in a row. A reading that fails or is not finite ends it too.
+    ``cut_short`` then says why.
+
+    The robot stops when a rollout ends early, at an exception, Ctrl-C, SIGTERM, ``close`` and the
+    end of the program, and when no action came within two periods, as after the last step of a
+    rollout. Against ``kill -9`` it needs a watchdog of its own.
+
+    Keys, besides those of every robot, float64 where no type is said: ``"time"`` (1,), the time
+    stamp of the reading in s; ``"delay"`` (1,), the seconds from the reading before to the sending
+    of the action; ``"overrun"`` (1,), the seconds from the deadline to the reading; ``"late"``
+    (1,), bool; ``"measured"`` (1,), bool, False where the reading failed: the observation is then
+    the last one; ``"sent"`` (F,), the action that the robot took.
+
+    Args:
+        robot: what is moved.
+        dim: entries D of its state.
+        low, high: smallest and largest actions, length F; what is beyond them is not sent.
+        control_period: seconds between two actions.
+        action_names: of the F actions; None for their numbers.
+        action_units: of the F actions; None where they are not known.
+        operator: called before each rollout, as :func:`torch_pmil.envs.operator.prompt`; it may
+            raise what that one raises.
+        largest_change: largest change of each action from the one before, length F; None for any.
+        holding_action: action (F,) with which the robot rests in a state (D,), from which the first
+            action of a rollout changes; needed with ``largest_change``.
+        tolerance: share of the period by which a step may be off before it is late.
+        most_late: late steps in a row that end a rollout.
+
+    Raises:
+        ValueError: a setting has the wrong shape or range.
+        RobotError: at a reset, when the robot cannot be read.
+
+    Example:
+        >>> class Cart:
+        ...     def read_state(self):
+        ...         return [0.0, 0.0], time.monotonic()
+        ...
+        ...     def send(self, action):
+        ...         pass
+        ...
+        ...     def stop(self):
+        ...         pass
+        >>> env = PhysicalRobotEnv(
+        ...     Cart(), dim=2, low=[-1.0], high=[1.0], control_period=0.02, operator=lambda: None
+        ... )
+        >>> env.rollout(5)["next", "measured"].all()
+        tensor(True)
+        >>> env.close()
+    """
+
+    def __init__(
+        self,
+        robot: PhysicalRobot,
+        *,
+        dim: int,
+        low: Numbers,
+        high: Numbers,
+        control_period: float,
+        action_names: Sequence[str] | None = None,
+        action_units: Sequence[str] | None = None,
+        operator: Callable[[], None] = prompt,
+        largest_change: Numbers | None = None,
+        holding_action: Callable[[Tensor], Tensor] | None = None,
+        tolerance: float = 0.25,
+        most_late: int = 3,
+    ) -> None:
+        super().__init__((), control_period, from_pixels=False, seed=None)
+        self.operator, self.holding_action = operator, holding_action
+        self.tolerance, self.most_late = tolerance, most_late
+        low, high = _vector("low", low), _vector("high", high)
+        if low.shape != high.shape or not (low < high).all():
+            raise ValueError(f"low must be below high, got {low.tolist()} and {high.tolist()}")
+        self._names = _named("action_names", action_names, len(low))
+        self._units = _named("action_units", action_units, len(low))
+        self._largest_change = _changes(largest_change, holding_action, len(low))
+        self._make_specs(dim, low, high)
+        self._clock = ControlClock(control_period)
+        self._robot = WatchedRobot(robot, PATIENCE * control_period)
+        self._finalizer = weakref.finalize(self, self._robot.close)
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the actions; their numbers where they have none."""
+        return self._names or super().action_names
+
+    @property
+    def action_units(self) -> tuple[str, ...]:
+        """Units of the actions, "" where they are not known."""
+        return self._units or super().action_units
+
+    def close(self, **kwargs: Any) -> None:
+        """Stop the robot, and watch it no longer."""
+        self._finalizer()
+        super().close(**kwargs)
+
+    def _make_specs(self, dim: int, low: Tensor, high: Tensor) -> None:
+        seconds = dict.fromkeys(("time", "delay", "overrun"), Unbounded((1,), dtype=torch.float64))
+        flags = dict.fromkeys(("late", "measured"), Binary(1, dtype=torch.bool))
+        sent = Unbounded(low.shape, dtype=torch.float64)
+        self._set_specs(dim, low, high, {**seconds, **flags, "sent": sent})
+
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
+        self._robot.stop()
+        self.operator()
+        self.cut_short, self._late_in_a_row = "", 0
+        self._first = self._latest = self._fresh_reading()
+        self._sent = torch.zeros_like(self.action_spec.space.low)
+        if self.holding_action is not None:
+            self._sent = _vector("holding_action", self.holding_action(self._latest.state))
+        self._clock.start()
+        self._robot.start()
+        return self._shown(_Timing())
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        try:
+            timing, trouble = self._moved(self._limited(tensordict["action"]))
+            result = self._without_reward(self._shown(timing))
+            if trouble:
+                self.cut_short = trouble
+                result["done"] = torch.ones(1, dtype=torch.bool)
+        except BaseException:
+            self._robot.stop()
+            raise
+        if result["done"]:
+            self._robot.stop()
+        return result
+
+    def _limited(self, action: Tensor) -> Tensor:
+        """The action that the limits let through."""
+        limits = self.action_spec.space
+        if action.shape != limits.low.shape or not action.isfinite().all():
+            raise ValueError(f"action must be {len(limits.low)} finite numbers, got {action}")
+        action = action.detach().to(torch.float64).clamp(limits.low, limits.high)
+        if self._largest_change is None:
+            return action
+        change = self._largest_change
+        return action.clamp(self._sent - change, self._sent + change)
+
+    def _moved(self, action: Tensor) -> tuple[_Timing, str]:
+        """Send, wait and read; return how that went in time, and why the rollout must end."""
+        before, delay = self._latest, time.monotonic() - self._latest.taken
+        if self._clock.lag() > self._slack:
+            self._clock.start()  # the period of an action that comes late counts from its sending
+        try:
+            sent = self._robot.send(action)
+            self._sent = action if sent is None else _vector("what send returns", sent)
+            self._clock.wait()
+            self._latest = self._read()
+        except Exception as error:  # each robot fails with errors of its own
+            return _Timing(delay, measured=False), _failure(error)
+        overrun = self._clock.lag()
+        reason = self._lateness(before, delay, overrun)
+        self._late_in_a_row = self._late_in_a_row + 1 if reason else 0
+        trouble = ""
+        if self._late_in_a_row >= self.most_late:
+            trouble = f"{self._late_in_a_row} steps in a row were late; the last one: {reason}"
+        return _Timing(delay, overrun, bool(reason)), trouble
+
+    @property
+    def _slack(self) -> float:
+        return self.tolerance * self.control_period
+
+    def _lateness(self, before: _Reading, delay: float, overrun: float) -> str:
+        """Why a step is late, or "" where it is not."""
+        now, first = self._latest, self._first
+        age = (now.taken - first.taken) - (now.stamp - first.stamp)
+        if now.stamp <= before.stamp:
+            return f"the robot repeats the reading of {now.stamp:.3f} s"
+        if age > self._slack:
+            return f"its reading was {age:.3f} s old"
+        if overrun > self._slack:
+            return f"its reading came {overrun:.3f} s after the deadline"
+        if delay > self._slack:
+            return f"its action was sent {delay:.3f} s after the reading"
+        return ""
+
+    def _fresh_reading(self) -> _Reading:
+        """A reading with a time stamp of its own. Raises RobotError where there is none."""
+        try:
+            stale = self._read()
+            time.sleep(self.control_period)
+            fresh = self._read()
+        except Exception as error:
+            raise RobotError(_failure(error)) from error
+        if fresh.stamp <= stale.stamp:
+            raise RobotError(
+                f"the robot's time stamps must advance, got {stale.stamp} s and "
+                f"{self.control_period} s later {fresh.stamp} s"
+            )
+        return fresh
+
+    def _read(self) -> _Reading:
+        state, stamp = self._robot.read_state()
+        taken = time.monotonic()
+        state = torch.as_tensor(state, dtype=torch.float64)
+        shape = self.observation_spec["observation"].shape
+        if state.shape != shape or not state.isfinite().all():
+            raise RobotError(f"a reading must be {shape[0]} finite numbers, got {state.tolist()}")
+        return _Reading(state.clone(), float(stamp), taken)
+
+    def _shown(self, timing: _Timing) -> TensorDict:
+        shown = {
+            "time": self._latest.stamp,
+            "delay": timing.delay,
+            "overrun": timing.overrun,
+            "late": timing.late,
+            "measured": timing.measured,
+        }
+        entries = {
+            key: torch.tensor([value], dtype=self.observation_spec[key].dtype)
+            for key, value in shown.items()
+        }
+        return TensorDict({"observation": self._latest.state, "sent": self._sent, **entries})
+
+
+@dataclass(frozen=True, eq=False)
+class _Reading:
+    state: Tensor  # (D,)
+    stamp: float  # s, of the robot's clock
+    taken: float  # s, of the monotonic clock
+
+
+@dataclass(frozen=True)
+class _Timing:
+    delay: float = 0.0  # s
+    overrun: float = 0.0  # s
+    late: bool = False
+    measured: bool = True
+
+
+def _failure(error: Exception) -> str:
+    """What the robot's own error says, in one line."""
+    if isinstance(error, RobotError):
+        return bounded_line(error)
+    return bounded_line(f"the robot failed with {type(error).__name__}: {error}")
+
+
+def _vector(name: str, values: Numbers) -> Tensor:
+    vector = torch.as_tensor(values, dtype=torch.float64).clone()
+    if vector.dim() != 1 or not vector.isfinite().all():
+        raise ValueError(f"{name} must be a list of finite numbers, got {vector.tolist()}")
+    return vector
+
+
+def _named(name: str, words: Sequence[str] | None, count: int) -> tuple[str, ...]:
+    if words is not None and len(words) != count:
+        raise ValueError(f"{name} must be {count} words, got {', '.join(words) or 'none'}")
+    return tuple(words or ())
+
+
+def _changes(
+    values: Numbers | None, holding_action: Callable[[Tensor], Tensor] | None, count: int
+) -> Tensor | None:
+    if values is None:
+        return None
+    changes = _vector("largest_change", values)
+    if changes.shape != (count,) or not (changes > 0).all():
+        raise ValueError(f"largest_change must be {count} positive numbers, got {changes.tolist()}")
+    if holding_action is None:
+        raise ValueError("largest_change needs holding_action, from which the first one changes")
+    return changes

@@ -1,0 +1,135 @@
+r"""Velocities of a robot that measures positions alone.
+
+The filter is the critically damped g-h filter (E. Brookner, Tracking and Kalman Filtering Made
+Easy, Wiley 1998, Sec. 1.2.6), also called fading-memory filter: of all motions with constant
+velocity it takes the one that fits the positions best, where a reading that is k readings old
+counts by :math:`\theta^k`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
+
+
+class VelocityFilter:
+    r"""Velocities from positions, by a fading memory of ``time_constant`` seconds.
+
+    With dt seconds since the last reading z and :math:`\theta = e^{-dt / \tau}`,
+
+    .. math:: r = z - (q + \dot q\, dt), \qquad
+        q \leftarrow z - \theta^2 r, \qquad
+        \dot q \leftarrow \dot q + \frac{(1 - \theta)^2}{dt}\, r .
+
+    A constant velocity is told exactly. At a constant acceleration, and with readings dt apart, the
+    velocity comes :math:`\frac{dt}{2} \frac{1 + 3 \theta}{1 - \theta}` seconds late
+    (:meth:`delay`), and noise of standard deviation 1 in the positions is one of
+    :math:`\frac{\sqrt 2}{dt} \left(\frac{1 - \theta}{1 + \theta}\right)^{3/2}` in the
+    velocities (:meth:`noise_gain`).
+    Without memory they are finite differences: half a period late, with a gain of
+    :math:`\sqrt 2 / dt`.
+
+    Args:
+        time_constant: τ in s; 0 for no memory.
+
+    Raises:
+        ValueError: the time constant is negative or not finite.
+
+    Example:
+        >>> smooth = VelocityFilter(0.1)
+        >>> for step in range(100):
+        ...     velocity = smooth.update(torch.tensor([2.0 * 0.02 * step]), stamp=0.02 * step)
+        >>> velocity
+        tensor([2.0000], dtype=torch.float64)
+    """
+
+    def __init__(self, time_constant: float) -> None:
+        if not (math.isfinite(time_constant) and time_constant >= 0):
+            raise ValueError(
+                f"time_constant must be a finite number of seconds from 0 on, got {time_constant}"
+            )
+        self.time_constant = time_constant
+        self._stamp: float | None = None
+
+    def update(self, positions: Numbers, stamp: float) -> Tensor:
+        """Take a reading.
+
+        Args:
+            positions: z, (J,).
+            stamp: time of the reading in s. A repeated or earlier one changes nothing.
+
+        Returns:
+            Velocities (J,), per second; zero at the first reading.
+        """
+        z = torch.as_tensor(positions, dtype=torch.float64)
+        if self._stamp is None:
+            self._stamp, self._q, self._dq = stamp, z.clone(), torch.zeros_like(z)
+        dt = stamp - self._stamp
+        if dt > 0:
+            theta = self._theta(dt)
+            r = z - (self._q + self._dq * dt)
+            self._q = z - theta**2 * r
+            self._dq = self._dq + (1 - theta) ** 2 / dt * r
+            self._stamp = stamp
+        return self._dq.clone()
+
+    def delay(self, period: float) -> float:
+        """Seconds by which velocities come late at a constant acceleration.
+
+        Example:
+            >>> VelocityFilter(0.0).delay(0.1)
+            0.05
+        """
+        theta = self._theta(period)
+        return period / 2 * (1 + 3 * theta) / (1 - theta)
+
+    def noise_gain(self, period: float) -> float:
+        """Standard deviation of the velocities over that of the positions, in 1/s.
+
+        Example:
+            >>> round(VelocityFilter(0.0).noise_gain(0.1), 3)
+            14.142
+        """
+        theta = self._theta(period)
+        return math.sqrt(2) / period * ((1 - theta) / (1 + theta)) ** 1.5
+
+    def _theta(self, dt: float) -> float:
+        return math.exp(-dt / self.time_constant) if self.time_constant else 0.0
+
+
+class WithVelocities:
+    """A robot that reads positions (J,), made one that reads positions and velocities (2J,).
+
+    The filter sees a reading a control period, and over the operator's pause between two rollouts
+    it forgets.
+
+    Args:
+        robot: whose ``read_state`` gives positions.
+        velocity_filter: gives the velocities.
+        positions_first: whether the state is ``[q1, q2, ..., dq1, dq2, ...]`` instead of ``[q1,
+            dq1, q2, dq2, ...]``.
+    """
+
+    def __init__(
+        self, robot: PhysicalRobot, velocity_filter: VelocityFilter, positions_first: bool = False
+    ) -> None:
+        self._robot, self._filter, self._positions_first = robot, velocity_filter, positions_first
+
+    def read_state(self) -> tuple[Tensor, float]:
+        """State (2J,) and its time stamp."""
+        positions, stamp = self._robot.read_state()
+        q = torch.as_tensor(positions, dtype=torch.float64)
+        pairs = torch.stack([q, self._filter.update(q, stamp)], dim=-1)
+        return (pairs.T if self._positions_first else pairs).flatten(), stamp
+
+    def send(self, action: Numbers) -> Numbers | None:
+        """Send an action."""
+        return self._robot.send(action)
+
+    def stop(self) -> None:
+        """Stop the robot."""
+        self._robot.stop()

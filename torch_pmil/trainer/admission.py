@@ -1,0 +1,114 @@
+"""Admission of a policy to the robot: no rollout that is predicted to leave the box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+from torch import Tensor
+
+from torch_pmil.control.state_box import StateBox
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.lbfgs import NotFiniteError
+from torch_pmil.search.policy_search import (
+    SearchResult,
+    SearchSettings,
+    evaluate_steps,
+    search_policy,
+)
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+
+PENALTY_WEIGHTS = (1.0, 10.0, 100.0)  # of the searches that follow a refusal, one after the other
+
+
+@dataclass(frozen=True, eq=False)
+class Admission:
+    """What the robot may do with a policy.
+
+    Args:
+        result: the search that found the policy, with the numbers of all searches.
+        leaving_probability: bound on the predicted probability that its rollout leaves the box;
+            None without a box.
+        refused: number of policies that were refused before it.
+        steps: first steps that the robot may do, of which the accumulated probability is below the
+            threshold: all, if the policy is admitted.
+    """
+
+    result: SearchResult
+    leaving_probability: float | None
+    refused: int
+    steps: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether the robot may do all steps."""
+        return self.steps == len(self.result.per_step)
+
+
+def admit(
+    loss: TrajectoryLoss,
+    initial: Gaussian,
+    box: StateBox | None,
+    settings: SearchSettings,
+    result: SearchResult,
+    report: Callable[[str, float], None] = lambda stage, loss: None,
+) -> Admission:
+    """Predict whether the policy of ``loss`` leaves a box; search on with a penalty where it may.
+
+    The penalty of a refused policy is :meth:`StateBox.penalty` with the weights 1, 10 and 100, one
+    after the other, in the unit of the loss.
+
+    Args:
+        loss: objective with the policy (changed in place) and the model.
+        initial: p(x_0).
+        box: the limits of the motion; without, every policy is admitted.
+        settings: budget and horizon of the searches.
+        result: of the search that found the policy.
+        report: as in :func:`search_policy`.
+    """
+    if box is None:
+        return Admission(result, None, 0, loss.horizon)
+    leaving, refused = _leaving(loss, initial, box), 0
+    for weight in PENALTY_WEIGHTS:
+        if leaving.sum() <= box.threshold:
+            break
+        refused += 1
+        try:
+            with loss.penalised(partial(box.penalty, weight=weight)):
+                again = search_policy(loss, initial, settings, report)
+        except NotFiniteError:  # so far outside that no search can begin
+            break
+        result = _with_loss(loss, initial, _together(result, again))
+        leaving = _leaving(loss, initial, box)
+    steps = int((leaving.cumsum(-1) <= box.threshold).sum())
+    return Admission(result, min(leaving.sum().item(), 1.0), refused, steps)
+
+
+def _leaving(loss: TrajectoryLoss, initial: Gaussian, box: StateBox) -> Tensor:
+    """Bound on the probability to be outside at each step, (T,); of several rollouts the largest.
+
+    It is 1 where nothing can be predicted.
+    """
+
+    def largest(initial: Gaussian, horizon: int) -> Tensor:
+        leaving = box.leaving_by_step(loss.predict_states(initial, horizon))
+        return leaving.reshape(-1, horizon).amax(0)
+
+    return evaluate_steps(largest, initial, loss.horizon).clamp(max=1)
+
+
+def _together(result: SearchResult, again: SearchResult) -> SearchResult:
+    """The newer result with the numbers of both searches."""
+    return replace(
+        again,
+        seconds=result.seconds + again.seconds,
+        evaluations=result.evaluations + again.evaluations,
+        failures=result.failures + again.failures,
+    )
+
+
+def _with_loss(loss: TrajectoryLoss, initial: Gaussian, result: SearchResult) -> SearchResult:
+    """The result with the loss alone, without a penalty."""
+    per_step = evaluate_steps(loss.per_step, initial, loss.horizon)
+    return replace(result, loss=per_step.sum().item(), per_step=per_step)

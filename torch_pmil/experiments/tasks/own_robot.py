@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -61,11 +61,13 @@ def own_robot(
     What is not said is told from them: the start by 20 resets, unless ``initial`` is given, or by
     the demonstrations' starts for a robot that makes no motion but its own rollouts (``evaluated``
     is False, as it is for a physical robot, which is not reset here); the range of the actions by
-    the environment; the observation noise as 5 % of each entry's
-    demonstrated range (of an entry that hardly changes, as 1 % of the largest range); the
-    demonstrated states by :func:`~torch_pmil.control.recovered_states.recover_states`; and a
-    success as a rollout that differs from the demonstrations' mean by at most twice their standard
-    deviation (noise included), in root mean square over all entries and times.
+    the environment; the observation noise as 5 % of each entry's demonstrated range (of an entry
+    that hardly changes, as 1 % of the largest range); the demonstrated states by
+    :func:`~torch_pmil.control.recovered_states.recover_states`; and a success as a rollout that
+    differs from the demonstrations' mean by at most twice their standard deviation (noise
+    included), in root mean square over all entries and times. Actions that have the names of
+    entries of the state are targets of these entries, so that the first policy holds the robot
+    where it starts.
 
     Args:
         env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
@@ -115,6 +117,7 @@ def own_robot(
     defaults: dict[str, Any] = {
         "name": robot.name,
         "actions": actions_of(adapted),
+        "holding_actions": _held(adapted.action_names, space.names),
         "demonstrated_states": states.flatten(0, 1),
         "num_centres": CENTRES,
         "error": of_states(deviation),
@@ -250,6 +253,14 @@ def _at_control_rate(
         return recorded.demonstrations()
     shown = [name for name in recorded.names if name in velocities]
     return synchronise(recorded, control_period, shown)
+
+
+def _held(actions: Sequence[str], state: Sequence[str]) -> Callable[[Tensor], Tensor] | None:
+    """Actions that hold a robot whose servos take targets of entries of the state."""
+    if not set(actions) <= set(state):
+        return None
+    entries = [state.index(name) for name in actions]
+    return lambda states: states[..., entries]
 
 
 def _noise(shown: Demonstrations) -> Tensor:

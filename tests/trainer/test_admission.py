@@ -87,13 +87,12 @@ def test_first_steps_are_left_of_a_policy_that_leaves_whatever_the_penalty(
 ) -> None:
     """As many as keep the accumulated probability below the threshold."""
     loss, result = searched
-    states = loss.predict_states(INITIAL)
+    leaving = torch.tensor([0.01, 0.02, 0.03, 0.5], dtype=torch.float64)
+    monkeypatch.setattr(StateBox, "leaving_by_step", lambda box, states: leaving)
     monkeypatch.setattr("torch_pmil.trainer.admission.search_policy", lambda *args: result)
-    by_step = box(0.5).leaving_by_step(states)
-    threshold = by_step.cumsum(0)[1].item() + 1e-9
-    assert threshold < by_step.cumsum(0)[2]
-    admission = admit(loss, INITIAL, box(0.5, threshold), SETTINGS, result)
+    admission = admit(loss, INITIAL, box(0.5), SETTINGS, result)
     assert (admission.refused, admission.steps) == (3, 2)
+    assert admission.leaving_probability == pytest.approx(0.56)
 
 
 def test_no_step_is_left_where_even_the_first_one_leaves(

@@ -26,7 +26,8 @@ from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil.cli import train
 from torch_pmil.cli.resume import overrides
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
-from torch_pmil.envs import MujocoRobotEnv
+from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
+from torch_pmil.envs.operator import RobotError, RunStopped
 from torch_pmil.experiments import EXPERIMENTS, Experiment
 from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
 from torch_pmil.experiments.runs import pictures, settings
@@ -295,6 +296,33 @@ def test_interrupted_run_ends_with_how_to_go_on(
     assert capsys.readouterr().err.endswith(
         "stopped; go on with: pmil train trials=1 seed=2 out=run resume=true\n"
     )
+
+
+@pytest.mark.usefixtures("short_double_pendulum")
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (RunStopped("q"), 130, "\nstopped; go on with: "),
+        (RobotError("no answer"), "error: no answer; go on with: ", ""),
+    ],
+)
+def test_run_that_operator_or_robot_ended_says_how_to_go_on(
+    error: Exception,
+    code: int | str,
+    said: str,
+    script: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def ended(*args: object, **kwargs: object) -> None:
+        raise error
+
+    monkeypatch.setattr(DoublePendulumEnv, "_draw_starts", ended)
+    with pytest.raises(SystemExit) as stop:
+        script("trials=1", "seed=2", "out=run")
+    further = "pmil train trials=1 seed=2 out=run resume=true"
+    assert stop.value.code == (f"{code}{further}" if isinstance(code, str) else code)
+    assert capsys.readouterr().err == (f"{said}{further}\n" if said else "")
 
 
 @pytest.mark.usefixtures("short_double_pendulum")

@@ -181,6 +181,13 @@ def test_learning_curve_is_in_percent_seconds_and_nats() -> None:
     assert [line.get_ydata() for line in rates.lines if line.get_linestyle() == ":"] == [[95, 95]]
 
 
+def test_learning_curve_of_single_rollouts_has_points_that_failed_or_succeeded() -> None:
+    upper = plot_learning_curve([2.5, 5.0], [0.0, 1.0], [9.0, 2.0], of_one_rollout=True).axes[0]
+    (points,) = upper.lines
+    assert points.get_linestyle() == "None"
+    assert [label.get_text() for label in upper.get_yticklabels()] == ["failed", "succeeded"]
+
+
 def test_learning_curve_of_another_loss_is_labelled_so() -> None:
     assert (
         plot_learning_curve([2.5], [0.0], [5.0], "predicted cost").axes[1].get_ylabel()

@@ -32,6 +32,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from torch_pmil.cli import Parser, lasting_output, lost_output
 from torch_pmil.demonstrations import load_demonstrations
+from torch_pmil.envs.operator import RobotError, RunStopped
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.before_a_run import check
 from torch_pmil.experiments.runs.lock import alone_in
@@ -142,9 +143,12 @@ def run(config: DictConfig) -> None:
         with alone_in(settings.folder):
             result = learned(label, alone, experiment, settings, command)
             show(label, experiment, result, settings.folder)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, RunStopped):
         print(f"\n{label}stopped; go on with: {again(command, 'resume=true')}", file=sys.stderr)
         sys.exit(130)
+    except RobotError as error:
+        further = again(command, "resume=true")
+        fail(f"{label}error: {in_words(error)}; go on with: {further}", label)
     except FinishedRunError as error:
         anew = again(command, "overwrite=true")
         fail(f"{label}error: {error}, as {anew}", label)

@@ -16,7 +16,12 @@ Feedforward = Callable[[Tensor], Tensor]
 
 
 class Motion(Protocol):
-    """Actions (*batch, F) at states (*batch, D), called once for each control step."""
+    """Actions (*batch, F) at states (*batch, D), called once for each control step.
+
+    ``amplitude``, from 0 to 1, scales the motion around the action or the pose where it stays.
+    """
+
+    amplitude: float
 
     def begin(self) -> None:
         """Start a new rollout."""
@@ -100,6 +105,8 @@ class RandomActions:
 
 
 class _Uniform:
+    amplitude = 1.0
+
     def __init__(self, random: RandomActions, generator: torch.Generator) -> None:
         actions = random.actions
         self.low, self.high = actions.low.double(), actions.high.double()
@@ -112,7 +119,8 @@ class _Uniform:
     def __call__(self, state: Tensor) -> Tensor:
         shape = (*state.shape[:-1], len(self.reach))
         uniform = torch.rand(shape, dtype=torch.float64, generator=self.generator)
-        return (self.around + self.reach * (2 * uniform - 1)).clamp(self.low, self.high)
+        offset = self.amplitude * self.reach * (2 * uniform - 1)
+        return (self.around + offset).clamp(self.low, self.high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +193,8 @@ class PDMovements:
 
 
 class _PDControl:
+    amplitude = 1.0
+
     def __init__(self, movements: PDMovements, generator: torch.Generator) -> None:
         self.movements, self.generator = movements, generator
         self.begin()
@@ -197,7 +207,7 @@ class _PDControl:
         movements, state = self.movements, state.double()
         if self.step % movements.hold == 0:
             offset = 2 * torch.rand(state.shape, dtype=torch.float64, generator=self.generator) - 1
-            self.target = movements.pose + movements.reach * offset
+            self.target = movements.pose + self.amplitude * movements.reach * offset
         self.step += 1
         torque = movements.feedforward(state) + (self.target - state) @ movements.gain.double().mT
         return torque.clamp(-movements.u_max, movements.u_max)

@@ -16,6 +16,7 @@ from torchrl.record import PixelRenderTransform
 
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.gym_tasks import check_gymnasium, gymnasium
+from torch_pmil.envs.robot import RobotEnv
 
 WHOLE = 1e-6  # by which the ratio of two periods may differ from a whole number
 
@@ -24,7 +25,8 @@ class OneRobot:
     """Makes the environments that an experiment asks for, of a single environment.
 
     All of them move the same robot, so that only one may be in use at a time. Where several robots
-    are asked for, the one robot starts as many times, one rollout after the other.
+    are asked for, the one robot starts as many times, one rollout after the other. A physical robot
+    is taken as it is, and is no several.
 
     Args:
         env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
@@ -32,11 +34,13 @@ class OneRobot:
             gymnasium environment that says its ``dt``, each action is held for several steps.
         angles: angles of which the observation holds cosine and sine.
 
-    ``name`` is that of the environment; ``draws`` says whether it gives pictures.
+    ``name`` is that of the environment; ``draws`` says whether it gives pictures, ``physical``
+    whether it is a physical robot.
 
     Raises:
         TypeError: ``env`` is no environment.
-        ValueError: the control period is no whole number of the environment's steps.
+        ValueError: the control period is no whole number of the environment's steps, or not that
+            of the physical robot, or it shows cosine and sine; or several of it are asked for.
         ModuleNotFoundError: gymnasium is not installed.
 
     Example:
@@ -51,6 +55,9 @@ class OneRobot:
             check_gymnasium()
             env = gymnasium.make(env, render_mode="rgb_array")
         self.control_period, self.angles = control_period, tuple(angles)
+        self.physical = isinstance(env, RobotEnv) and env.physical
+        if self.physical:
+            _check_physical(env, self.control_period, self.angles)
         if isinstance(env, EnvBase):
             self.env, self.name = env, type(env).__name__
             self.draws = "pixels" in env.observation_spec
@@ -66,8 +73,10 @@ class OneRobot:
 
     def __call__(
         self, num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None
-    ) -> AdaptedEnv:
+    ) -> RobotEnv:
         """The robot, or for ``num_envs`` the robot from as many starts in turn."""
+        if self.physical:
+            return self._alone(num_envs)
         settings: dict[str, Any] = {
             "observation": self._observation,
             "angles": self.angles,
@@ -77,6 +86,16 @@ class OneRobot:
         if num_envs is None:
             return AdaptedEnv(self._made, self.control_period, **settings)
         return RobotInTurn(num_envs, self._made, self.control_period, **settings)
+
+    def _alone(self, num_envs: int | None) -> RobotEnv:
+        if num_envs is not None:
+            raise ValueError(f"a physical robot is one, got num_envs = {num_envs}")
+        return self.env
+
+    @property
+    def dim(self) -> int:
+        """Number of entries of its state."""
+        return self(seed=0).observation_spec["observation"].shape[-1]
 
     def starts(self, number: int, seed: int) -> Tensor:
         """States of that many resets, (number, D)."""
@@ -116,6 +135,17 @@ class RobotInTurn(AdaptedEnv):
         return torch.stack(
             [super(RobotInTurn, self).rollout(*args, **given) for _ in range(self.starts)]
         )
+
+
+def _check_physical(env: RobotEnv, control_period: float, angles: Sequence[CosSin]) -> None:
+    """Raise ValueError unless a physical robot can be taken as it is."""
+    if env.control_period != control_period:
+        raise ValueError(
+            f"control_period must be that of the robot, {env.control_period:g} s, got "
+            f"{control_period:g} s"
+        )
+    if angles:
+        raise ValueError("a physical robot must show its angles, got cosine and sine of them")
 
 
 def _held(env: EnvBase, steps: int) -> EnvBase:

@@ -63,6 +63,8 @@ class Experience:
                     f"transitions must have {', '.join(map(str, KEYS))}, got "
                     f"{sorted(present, key=str)}"
                 )
+        if not transitions.batch_size.numel():  # which TensorDict does not reshape
+            return
         flat = transitions.select(*KEYS).detach().reshape(-1)
         self._check_shapes(flat)
         for key in KEYS:
@@ -71,8 +73,6 @@ class Experience:
                     f"transitions must be finite, got {key} = "
                     f"{flat[key][~flat[key].isfinite()][0].item()}"
                 )
-        if not len(flat):
-            return
         if len(self) + len(flat) > self.capacity:
             raise ValueError(
                 f"experience holds at most {self.capacity} transitions, got {len(self) + len(flat)}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -13,9 +13,23 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torch_pmil.model.calibration import observed_coverage
-from torch_pmil.plotting.style import DARK, GREY, SERIES, WIDTH, style
+from torch_pmil.plotting.style import (
+    DARK,
+    GREY,
+    SERIES,
+    WIDTH,
+    check_some,
+    draw_range,
+    style,
+)
 
 INTERVALS = 50  # number of intervals of the reliability diagram
+# label of the axis of each quantity of a calibration, its factor there, and its value of Gaussians
+QUANTITIES = {
+    "coverage": ("within two predicted std (%)", 100, 95.45),
+    "standardised_error": ("rms error (predicted std)", 1, 1.0),
+    "nll": ("-log likelihood (nats a state)", 1, None),
+}
 
 
 def plot_calibration(names: Sequence[str], time_step: float, residuals: Tensor) -> Figure:
@@ -66,6 +80,50 @@ def plot_calibration(names: Sequence[str], time_step: float, residuals: Tensor) 
         style(panel)
     figure.legend(
         *coverage.get_legend_handles_labels(), loc="outside upper center", ncols=8, frameon=False
+    )
+    return figure
+
+
+def plot_calibration_ahead(
+    ahead: Sequence[int], models: Mapping[str, Mapping[str, np.ndarray]]
+) -> Figure:
+    """Calibration of several models over the number of steps that they predict ahead.
+
+    Dashed is what a model has that is as right as it says.
+
+    Args:
+        ahead: K numbers of steps.
+        models: by label, "coverage" (fraction of entries within two predicted standard deviations),
+            "standardised_error" and "nll", (runs, K) each. The mean is drawn with the range over
+            the runs.
+
+    Raises:
+        ValueError: there is no model, or its numbers do not fit the number of steps.
+
+    Example:
+        >>> values = dict.fromkeys(("coverage", "standardised_error", "nll"), np.ones((3, 2)))
+        >>> len(plot_calibration_ahead([1, 5], {"in time": values}).axes)
+        3
+    """
+    check_some("models", models)
+    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+    panels = figure.subplots(1, len(QUANTITIES))
+    for panel, (quantity, (label, factor, ideal)) in zip(panels, QUANTITIES.items(), strict=True):
+        if ideal is not None:
+            panel.axhline(ideal, color=GREY, linewidth=1.0, linestyle="--")
+        for (name, values), (colour, marker) in zip(models.items(), cycle(SERIES), strict=False):
+            if values[quantity].shape[1:] != (len(ahead),):
+                raise ValueError(
+                    f"{quantity} of {name} must be (runs, {len(ahead)}), got "
+                    f"{values[quantity].shape}"
+                )
+            draw_range(panel, ahead, factor * values[quantity], colour, marker, name)
+        panel.set(xscale="log", xlabel="steps ahead", ylabel=label)
+        panel.set_xticks(ahead, [f"{steps}" for steps in ahead])
+        panel.minorticks_off()
+        style(panel)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False
     )
     return figure
 

@@ -93,9 +93,11 @@ def rollouts_of(count: int) -> str:
     """Label of the rollouts that are drawn.
 
     Example:
-        >>> rollouts_of(20), rollouts_of(3)
-        ('the first 5 of 20 rollouts', 'all 3 rollouts')
+        >>> rollouts_of(20), rollouts_of(3), rollouts_of(1)
+        ('the first 5 of 20 rollouts', 'all 3 rollouts', 'the rollout')
     """
+    if count == 1:
+        return "the rollout"
     return f"the first {FEW} of {count} rollouts" if count > FEW else f"all {count} rollouts"
 
 

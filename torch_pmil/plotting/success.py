@@ -31,6 +31,7 @@ def plot_learning_curve(
     loss: Sequence[float],
     label: str = "predicted KL (nats)",
     saved: tuple[float, float, float] | None = None,
+    of_one_rollout: bool = False,
 ) -> Figure:
     """Success rate (Figure 7) and loss after each trial, over the robot's experience.
 
@@ -43,6 +44,7 @@ def plot_learning_curve(
         label: name of the loss, with its unit.
         saved: experience (s), success rate and loss of the policy that was saved in the end, drawn
             as a star; None for none.
+        of_one_rollout: whether each rate is of the own rollout of a trial alone: 0 or 1.
 
     Raises:
         ValueError: the lengths differ, or a success rate is outside 0 to 1.
@@ -64,8 +66,10 @@ def plot_learning_curve(
     check_some("experience_s", experience_s)
     figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
-    _success_axis(upper)
-    upper.plot(experience_s, percent, color=BLUE, marker="o", markersize=4, clip_on=False, zorder=3)
+    (_outcome_axis if of_one_rollout else _success_axis)(upper)
+    points: dict[str, Any] = {"color": BLUE, "marker": "o", "markersize": 4}
+    line = "none" if of_one_rollout else "solid"
+    upper.plot(experience_s, percent, linestyle=line, clip_on=False, zorder=3, **points)
     there = np.isfinite(losses) & (losses > 0)
     lower.plot(
         experience_s,
@@ -337,6 +341,12 @@ def plot_success_over_settings(
         *axes[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False
     )
     return figure
+
+
+def _outcome_axis(panel: Axes) -> None:
+    """Set up an axis of rollouts, each of which failed or succeeded."""
+    panel.set(ylim=(-25, 125), ylabel="own rollout")
+    panel.set_yticks([0, 100], ["failed", "succeeded"])
 
 
 def _success_axis(panel: Axes) -> None:

@@ -28,22 +28,28 @@ class Admission:
 
     Args:
         result: the search that found the policy, with the numbers of all searches.
-        leaving_probability: bound on the predicted probability that its rollout leaves the box.
+        leaving_probability: bound on the predicted probability that its rollout leaves the box;
+            None without a box.
         refused: number of policies that were refused before it.
         steps: first steps that the robot may do, of which the accumulated probability is below the
             threshold: all, if the policy is admitted.
     """
 
     result: SearchResult
-    leaving_probability: float
+    leaving_probability: float | None
     refused: int
     steps: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether the robot may do all steps."""
+        return self.steps == len(self.result.per_step)
 
 
 def admit(
     loss: TrajectoryLoss,
     initial: Gaussian,
-    box: StateBox,
+    box: StateBox | None,
     settings: SearchSettings,
     result: SearchResult,
     report: Callable[[str, float], None] = lambda stage, loss: None,
@@ -56,11 +62,13 @@ def admit(
     Args:
         loss: objective with the policy (changed in place) and the model.
         initial: p(x_0).
-        box: the limits of the motion.
+        box: the limits of the motion; without, every policy is admitted.
         settings: budget and horizon of the searches.
         result: of the search that found the policy.
         report: as in :func:`search_policy`.
     """
+    if box is None:
+        return Admission(result, None, 0, loss.horizon)
     leaving, refused = _leaving(loss, initial, box), 0
     for weight in PENALTY_WEIGHTS:
         if leaving.sum() <= box.threshold:

@@ -71,7 +71,8 @@ class RolloutCollector(Collector):
         steps: int,
         tries: bool,
     ) -> None:
-        self.steps, self.cut_short, self._tries = steps, "", tries
+        self.steps, self.cut_short = steps, ""
+        self._tries, self._physical = tries, env.physical
         super().__init__(
             env,
             policy,
@@ -90,6 +91,12 @@ class RolloutCollector(Collector):
         rollout = as_executed(self.env.rollout(self.steps, self._executed))
         self.cut_short = self.env.cut_short
         return rollout
+
+    def shutdown(
+        self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True
+    ) -> None:
+        """End the collection; a physical robot stays open for whoever opened it."""
+        super().shutdown(timeout, close_env and not self._physical, raise_on_error)
 
     def _make_carrier(self) -> None:
         """Make the state on which TorchRL tries out the policy, without a motion if so told."""

@@ -22,8 +22,10 @@ from torchrl.envs import EnvBase
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
 
+from torch_pmil.control.cautious_motion import CautiousMotion
 from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_box import StateBox
 from torch_pmil.gp.checks import check_positive, check_whole
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.experience import (
@@ -35,6 +37,7 @@ from torch_pmil.model.experience import (
 from torch_pmil.model.rollout import PredictionError, check_start_belief
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.admission import Admission, admit
 from torch_pmil.trainer.archive import SavedRun
 from torch_pmil.trainer.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
@@ -80,6 +83,9 @@ class PMILTrainer(Trainer):
         exploration: how the robot moves before anything is learned.
         policy_generator: generator of new policies.
         generator: generator of the exploration, and of the states at which policies are refitted.
+        box: limits of the motion. ``env`` stops where it leaves them, the exploration begins small
+            (:class:`CautiousMotion`), and a policy that is likely to leave them is refused, or runs
+            for its first steps alone (:func:`admit`). None for no limits.
         on_trial: called with each trial when its own rollout is done.
         progress_bar: whether to show progress where standard error is a terminal.
         logger: TorchRL's logger for the numbers of every trial; None for none.
@@ -113,6 +119,7 @@ class PMILTrainer(Trainer):
         exploration: Exploration,
         policy_generator: torch.Generator,
         generator: torch.Generator,
+        box: StateBox | None = None,
         on_trial: Callable[[Trial], None] = lambda trial: None,
         progress_bar: bool = True,
         logger: Logger | None = None,
@@ -134,6 +141,8 @@ class PMILTrainer(Trainer):
         self.num_robots, self.most_trials = env.batch_size.numel(), trials
         frames = self.num_robots * (exploration.rollouts * exploration.steps + trials * horizon)
         motion = exploration.motion(generator)
+        if box is not None:
+            motion, env.guard = CautiousMotion(motion, box), box.guard
         actor = RobotActor(loss_module.actor_network, loss_module.space, motion)
         in_keys = [key for key in ("observation", "target") if key in env.observation_spec]
         self.robot_policy = TensorDictModule(actor, in_keys=in_keys, out_keys=["action"])
@@ -154,7 +163,7 @@ class PMILTrainer(Trainer):
             checkpoint=new_checkpoint(),
         )
         self.actor, self.evaluation_env = actor, evaluation_env
-        self.initial, self.limits = initial, limits
+        self.initial, self.limits, self.box = initial, limits, box
         self.error, self.tolerance = error, tolerance
         self.confirmations, self.on_trial = confirmations, on_trial
         self.control_period = env.control_period
@@ -246,7 +255,8 @@ class PMILTrainer(Trainer):
             RuntimeError: no policy ran yet.
         """
         if not self.candidates:
-            raise RuntimeError("a policy must have run to be the best, got none: call train first")
+            why = self.stop_reason or "call train first"
+            raise RuntimeError(f"a policy must have run to be the best, got none: {why}")
         self.fit_dynamics()
         chosen = min(self._nearest(), key=self._predicted_loss)
         self.loss_module.actor_network.load_state_dict(chosen.parameters)
@@ -303,7 +313,7 @@ class PMILTrainer(Trainer):
 
     def _check_exploration(self, batch: TensorDictBase) -> TensorDictBase:
         """Raise RuntimeError at the exploration's last rollout if there are too few transitions."""
-        found = len(self.experience) + batch.numel()
+        found = len(self.experience) + batch.batch_size.numel()
         if self.rollouts + 1 == self.explorations and found < FEWEST_TRANSITIONS:
             raise RuntimeError(
                 f"the first motion must give {FEWEST_TRANSITIONS} transitions at least, got "
@@ -331,7 +341,7 @@ class PMILTrainer(Trainer):
         self.experience.extend(batch)
         self.rollouts += 1
         if self.actor.exploring:
-            self.explored += batch.numel()
+            self.explored += batch.batch_size.numel()
             self.actor.exploring = self.rollouts < self.explorations
         else:
             self._complete(batch)
@@ -373,9 +383,13 @@ class PMILTrainer(Trainer):
         """Note what the search came to, measure its policy; return the numbers to show."""
         if not self._next_is_a_trial():
             return None
-        self.collector.steps = self.loss_module.horizon
+        admission = self._admit()
+        self.collector.steps = admission.steps
+        if not admission.steps:
+            self.request_stop("no policy was admitted: its first step may already leave the box")
+            return None
         rate, count = self._measure()
-        search = self.optimization_stepper.result
+        search = admission.result
         self._pending = Trial(
             trial=len(self.trials) + 1,
             experience_s=len(self.experience) * self.control_period,
@@ -391,10 +405,19 @@ class PMILTrainer(Trainer):
             evaluations=search.evaluations,
             stop_reason=search.stop_reason,
             steps=0,
-            cut_short="",
+            cut_short="" if admission.complete else "it was likely to leave the box",
+            leaving_probability=admission.leaving_probability,
+            refused=admission.refused,
         )
         keys = ("trial", "experience_s", "loss", *(("success_rate",) if count else ()))
         return {**{key: getattr(self._pending, key) for key in keys}, "log_pbar": True}
+
+    def _admit(self) -> Admission:
+        """What the robot may do with the policy that was found."""
+        stepper = self.optimization_stepper
+        return admit(
+            self.loss_module, self.initial, self.box, stepper.settings, stepper.result, self._report
+        )
 
     def _measure(self) -> tuple[float | None, int]:
         """Success rate of the policy from fresh starts and their number, if there are any."""

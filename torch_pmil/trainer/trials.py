@@ -15,8 +15,8 @@ class Measurement:
     Args:
         trial: 1, 2, ...
         experience_s: seconds of experience from which was learned.
-        success_rate: success rate of ``n_eval`` rollouts from fresh starts, which are no experience;
-            None where there are none, and the own rollout alone tells.
+        success_rate: success rate of ``n_eval`` rollouts from fresh starts, which are no
+            experience; None where there are none, and the own rollout alone tells.
         n_eval: number of these rollouts.
         own_error: error of the trial's own rollout (m in the double pendulum), which becomes
             experience; the largest of all targets.
@@ -47,6 +47,9 @@ class Trial(Measurement):
         steps: control steps of the own rollout; fewer than the task has if it was cut short, which
             is a failure of infinite error.
         cut_short: why the own rollout was cut short, "" if it was not.
+        leaving_probability: bound on the predicted probability that the own rollout leaves the box
+            of the motion; None where there is none.
+        refused: number of policies that were refused before, since they were likely to leave it.
     """
 
     loss: float
@@ -58,6 +61,8 @@ class Trial(Measurement):
     stop_reason: str
     steps: int
     cut_short: str
+    leaving_probability: float | None
+    refused: int
 
 
 @dataclass(frozen=True, eq=False)

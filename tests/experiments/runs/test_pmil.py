@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import re
+import time
+from dataclasses import replace
 from functools import partialmethod
 from pathlib import Path
 
 import pytest
 import torch
 
-from torch_pmil import PMIL, GPDynamics, SearchSettings, load_policy, shipped_demonstrations
-from torch_pmil.envs import DoublePendulumEnv
+from tests.helpers.attended import AttendedPendulum, Operator
+from torch_pmil import (
+    PMIL,
+    Demonstrations,
+    GPDynamics,
+    SearchSettings,
+    load_policy,
+    shipped_demonstrations,
+)
+from torch_pmil.envs import DoublePendulumEnv, PhysicalRobotEnv
+from torch_pmil.envs.operator import RunStopped
 from torch_pmil.experiments.runs.run_folder import FinishedRunError
 from torch_pmil.experiments.tasks.double_pendulum import double_pendulum_space
 
@@ -66,6 +77,68 @@ def test_a_finished_run_stays_unless_told_and_resumes_to_the_same_end(learner: P
         learner.learn(trials=1, out="run")
     learner.learn(trials=1, out="run", resume=True)
     torch.testing.assert_close(learner.policy.policy.weights, weights, atol=0, rtol=0)
+
+
+def test_a_physical_robot_moves_no_more_than_it_is_asked_to(
+    learner: PMIL, capsys: pytest.CaptureFixture[str]
+) -> None:
+    operator = Operator()
+    robot = AttendedPendulum(operator, failing={5: 2}, seed=0)
+    settings = {"state": SPACE.names, "angles": ("q1", "q2"), "match": SPACE.match_space}
+    shown = shipped_demonstrations("double_pendulum")
+    alone = PMIL(robot, shown, 0.1, **settings, search=SHORT).learn(trials=2, seed=3)
+    assert operator.asked == robot.rollouts == 1 + 2
+    printed = capsys.readouterr().out
+    assert "judged by the robot's own rollouts alone" in printed and "success rate" not in printed
+    alone.experiment = replace(alone.experiment, tolerance=1e9)
+    assert alone.evaluate(starts=3) == pytest.approx(2 / 3)  # the fifth rollout is cut short
+    assert operator.asked == 3 + 3
+
+
+class Cart:
+    """A cart that moves as fast as it is told, at once."""
+
+    def __init__(self) -> None:
+        self.x, self.sent = 0.0, []
+
+    def read_state(self) -> tuple[list[float], float]:
+        return [self.x], time.monotonic()
+
+    def send(self, action: torch.Tensor) -> None:
+        self.x += 0.02 * action.item()
+        self.sent.append(action.item())
+
+    def stop(self) -> None:
+        pass
+
+
+def test_a_robot_in_real_time_learns_stops_goes_on_and_is_measured(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+    cart, asked = Cart(), Operator(("", "", "q", "d"))
+
+    def operator() -> None:
+        cart.x = 0.0
+        asked()
+
+    env = PhysicalRobotEnv(
+        cart, dim=1, low=[-1.0], high=[2.0], control_period=0.02, operator=operator, most_late=9
+    )
+    ways = torch.stack([torch.linspace(0, end, 11).double() for end in (0.1, 0.11)])[..., None]
+    shown = Demonstrations(ways, 0.02, ("x",))
+    settings = {"search": replace(SHORT, first_horizon=10), "num_centres": 5, "confirmations": 9}
+    learner = PMIL(env, shown, 0.02, **settings)
+    assert cart.sent == [] and asked.asked == 0
+    with pytest.raises(RunStopped):
+        learner.learn(trials=2, out="run")
+    learner.learn(trials=2, out="run", resume=True)
+    assert [trial.steps for trial in learner.result.trials] == [10, 10]
+    assert learner.result.summary["experience_s"] == pytest.approx(3 * 10 * 0.02)
+    assert learner.evaluate(starts=2) in (0, 0.5, 1)
+    assert len(cart.sent) == 10 * asked.asked - 10 * 2  # all but those of q and d
+    env.close()
 
 
 def test_before_learning_there_is_no_policy(learner: PMIL) -> None:

@@ -50,6 +50,15 @@ def write_run(folder: Path, summary: object | None) -> Path:
     return folder
 
 
+def test_own_rollouts_count_where_there_were_no_fresh_starts(tmp_path: Path) -> None:
+    ends = [{"success_rate": None, "own_success": success} for success in (False, True)]
+    trials = [{"experience_s": 2.5 * number, **end} for number, end in enumerate(ends, start=1)]
+    alone = make_run(7.5) | {"trials": trials}
+    write_run(tmp_path / "seed_0", alone)
+    curve = success_over_experience([read_summary(tmp_path / "seed_0"), make_run(5.0, 0.5, 0.5)])
+    assert curve.rates[0].tolist() == [0, 1, 1]
+
+
 def test_runs_are_found_in_a_folder_of_runs_or_by_themselves_and_once(tmp_path: Path) -> None:
     runs = [write_run(tmp_path / "runs" / f"seed_{seed}", make_run(5.0, 1.0)) for seed in (0, 1)]
     (tmp_path / "runs" / "slurm").mkdir()

@@ -11,6 +11,7 @@ from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from torch_pmil import DemonstrationError, Demonstrations, Experiment, Gaussian, MatchSpace
+from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.experiments.tasks.own_robot import STARTS, own_robot
 
 START = 0.05  # largest absolute value of the first angle
@@ -98,6 +99,55 @@ def test_a_start_that_is_said_takes_one_reset(monkeypatch: pytest.MonkeyPatch) -
     start = Gaussian(torch.zeros(2).double(), torch.eye(2).double())
     assert task(initial=start).initial is start
     assert len(resets) < 5  # one, and those of checks of the environment
+
+
+class Physical(Arm, RobotEnv):
+    """The same joint as a physical robot."""
+
+    physical = True
+
+    def __init__(self) -> None:
+        RobotEnv.__init__(self, (), 0.1, False, 0)
+        self._set_specs(2, torch.tensor([-4.0]).double(), torch.tensor([2.0]).double(), {})
+        self.resets = 0
+
+    def _reset(self, tensordict: object) -> object:
+        self.resets += 1
+        raise AssertionError("a physical robot must not move")
+
+
+def test_physical_robot_is_not_reset_and_starts_where_it_was_shown() -> None:
+    robot = Physical()
+    made = own_robot(robot, reaches(), 0.1, state=("q", "dq"))
+    assert not made.evaluated and made.robot(0) is robot and robot.resets == 0
+    starts = made.demonstrated_states.reshape(5, 21, 2)[:, 0]
+    assert torch.equal(made.initial.mean, starts.mean(0))
+    assert (made.initial.std > 0).all()
+    start = Gaussian(torch.ones(2).double(), torch.eye(2).double())
+    assert own_robot(robot, reaches(), 0.1, state=("q", "dq"), initial=start).initial is start
+
+
+def test_robot_of_ones_own_that_shall_make_no_more_motions_is_not_reset() -> None:
+    class Still(Arm):
+        def _reset(self, tensordict: object) -> object:
+            raise AssertionError("it must not move")
+
+    made = own_robot(Still(), reaches(), 0.1, state=("q", "dq"), evaluated=False)
+    assert made.initial.mean.abs().max() < 1
+
+
+@pytest.mark.parametrize(
+    ("state", "period", "message"),
+    [
+        (("q", "dq"), 0.2, "control_period must be that of the robot, 0.1 s, got 0.2 s"),
+        (("cos q", "sin q", "dq"), 0.1, "a physical robot must show its angles"),
+    ],
+)
+def test_physical_robot_that_does_not_fit_is_refused(
+    state: tuple[str, ...], period: float, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        own_robot(Physical(), reaches(), period, state=state)
 
 
 def test_cosine_and_sine_are_one_angle_near_where_the_robot_starts() -> None:

@@ -84,6 +84,8 @@ class PhysicalRobotEnv(RobotEnv):
         >>> env.close()
     """
 
+    physical = True
+
     def __init__(
         self,
         robot: PhysicalRobot,

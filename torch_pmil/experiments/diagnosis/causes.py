@@ -187,8 +187,8 @@ def check_cut_short(ends: Sequence[str]) -> Reason | None:
         return None
     return Reason(
         "rollouts cut short",
-        f"{len(said)} of {len(ends)} own rollouts were cut short, the last one: {said[-1]}; each of "
-        "them is a failure, so mend what stops the robot, or give it more room",
+        f"{len(said)} of {len(ends)} own rollouts were cut short, the last one: {said[-1]}; each "
+        "of them is a failure, so mend what stops the robot, or give it more room",
     )
 
 

@@ -65,16 +65,14 @@ def _learning_curve(experiment: Experiment, result: RunResult) -> plotting.Figur
     label = f"predicted {objective.label}"
     if objective.unit:
         label = f"{label} ({objective.unit})"
-    figure = plotting.plot_learning_curve(
+    return plotting.plot_learning_curve(
         [t.experience_s for t in trials],
         [rate_of(vars(t)) for t in trials],
         [t.loss for t in trials],
         label,
         (summary["experience_s"], summary["saved_success_rate"], _saved_loss(summary)),
+        of_one_rollout=judged_alone(summary),
     )
-    if judged_alone(summary):
-        figure.axes[0].set_ylabel("own rollout succeeded (%)")
-    return figure
 
 
 def _saved_loss(summary: dict) -> float:

@@ -70,8 +70,8 @@ def rate_of(trial: Mapping) -> float:
         >>> rate_of({"success_rate": None, "own_success": True})
         1.0
     """
-    rate = trial["success_rate"]
-    return float(trial["own_success"]) if rate is None else rate
+    rate, own = trial["success_rate"], trial.get("own_success")
+    return float(own) if rate is None and own is not None else rate
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:

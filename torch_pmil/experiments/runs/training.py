@@ -287,6 +287,7 @@ def make_trainer(
         search=experiment.search,
         make_policy=experiment.make_policy,
         exploration=experiment.exploration,
+        box=experiment.state_box,
         policy_generator=generators[0],
         generator=generators[1],
         on_trial=on_trial,
@@ -324,7 +325,7 @@ def _executed(trainer: PMILTrainer, best: Candidate) -> tuple[TensorDictBase, Te
         rollouts = trainer.evaluation_env.rollout(trainer.loss_module.horizon, trainer.robot_policy)
         return rollouts, trainer.error(rollouts)
     rollouts = trainer.own_rollout(best)
-    if not rollouts.numel():
+    if not rollouts.batch_size.numel():
         cut_short = trainer.trials[best.trial - 1].cut_short
         raise RuntimeError(f"no policy made a step on the robot: {cut_short}")
     return rollouts, torch.full(rollouts.shape[:1], best.own_error, dtype=torch.float64)

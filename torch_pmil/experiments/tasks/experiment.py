@@ -14,6 +14,7 @@ from torch import Tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
 from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
@@ -114,6 +115,9 @@ class Experiment:
             the standard deviations of the start, of which sine and cosine have that of their angle.
         holding_actions: actions (S, F) that hold the robot in states (S, D); a new policy holds it
             at the start. None: it need not.
+        box: lowest and highest value of entries of the state or of the match space in which the
+            robot shall stay while it learns, by name; see :class:`StateBox`. None for no limits.
+        leaving_threshold: predicted probability of leaving them up to which a policy may run.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.
 
@@ -146,6 +150,8 @@ class Experiment:
     input_widths: Tensor | None = None
     least_widths: Tensor | None = None
     holding_actions: Callable[[Tensor], Tensor] | None = None
+    box: Mapping[str, tuple[float, float]] | None = None
+    leaving_threshold: float = 0.05
     search: SearchSettings = field(default_factory=SearchSettings)
     draws: bool = True
 
@@ -166,6 +172,8 @@ class Experiment:
 
     def _check_settings(self) -> None:
         D = self.space.dim
+        if outside := self.state_box and self.state_box.guard(self.initial.mean):
+            raise ValueError(f"box must hold the mean of initial, but {outside}")
         check_noise(self.noise_std, self.space.match_space.names)
         check_tensor("demonstrated_states", self.demonstrated_states, ("S", D))
         if self.initial.dim != D:
@@ -196,6 +204,13 @@ class Experiment:
                 f"exploration.pose must be a state of {D} entries, got "
                 f"{len(self.pd_movements.pose)}"
             )
+
+    @property
+    def state_box(self) -> StateBox | None:
+        """Limits of the robot's motion while it learns; None if there are none."""
+        if self.box is None:
+            return None
+        return StateBox(self.space, self.box, self.leaving_threshold)
 
     @property
     def horizon(self) -> int:
@@ -247,6 +262,7 @@ class Experiment:
             "tolerance": self.tolerance,
             "confirmations": self.confirmations,
             "evaluated": self.evaluated,
+            "state_box": self.state_box and self.state_box.settings,
             "search": asdict(self.search),
         }
 
@@ -314,6 +330,8 @@ class Experiment:
         if self.evaluated:
             return self.error(self.executed(policy, starts, seed))
         robot, module = self.robot(seed), policy.as_tensordict_module()
+        if self.state_box is not None:
+            robot.guard = self.state_box.guard
         return torch.stack([self._error_of_one(robot, module) for _ in range(starts)])
 
     def _error_of_one(self, robot: RobotEnv, module: TensorDictModule) -> Tensor:

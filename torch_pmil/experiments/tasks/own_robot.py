@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -58,12 +58,16 @@ def own_robot(
 ) -> Experiment:
     """An experiment with one's own robot and recordings.
 
-    What is not said is told from them: the start by 20 resets, unless ``initial`` is given; the
-    range of the actions by the environment; the observation noise as 5 % of each entry's
-    demonstrated range (of an entry that hardly changes, as 1 % of the largest range); the
-    demonstrated states by :func:`~torch_pmil.control.recovered_states.recover_states`; and a
-    success as a rollout that differs from the demonstrations' mean by at most twice their standard
-    deviation (noise included), in root mean square over all entries and times.
+    What is not said is told from them: the start by 20 resets, unless ``initial`` is given, or by
+    the demonstrations' starts for a robot that makes no motion but its own rollouts (``evaluated``
+    is False, as it is for a physical robot, which is not reset here); the range of the actions by
+    the environment; the observation noise as 5 % of each entry's demonstrated range (of an entry
+    that hardly changes, as 1 % of the largest range); the demonstrated states by
+    :func:`~torch_pmil.control.recovered_states.recover_states`; and a success as a rollout that
+    differs from the demonstrations' mean by at most twice their standard deviation (noise
+    included), in root mean square over all entries and times. Actions that have the names of
+    entries of the state are targets of these entries, so that the first policy holds the robot
+    where it starts.
 
     Args:
         env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
@@ -96,19 +100,24 @@ def own_robot(
     recorded = _read(demonstrations)
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
-    resets = 1 if "initial" in settings else STARTS
-    robot, starts = _started(env, control_period, observed, space.names, resets)
+    robot = OneRobot(env, control_period, _pairs(observed))
+    evaluated = settings.setdefault("evaluated", not robot.physical)
+    _check_entries(robot, observed, space.names)
+    starts = None
+    if evaluated:
+        starts = _starts(robot, observed, space.names, 1 if "initial" in settings else STARTS)
     adapted, rates = robot(), rates_of(space.names)
     velocities = {space.names[rate] for rate in rates}
     shown = fitting(_at_control_rate(recorded, control_period, velocities), space, adapted)
     states = recover_states(
-        space.match_space, shown.positions, control_period, starts.mean(0), rates
+        space.match_space, shown.positions, control_period, _near(starts, settings, space), rates
     )
     noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
     deviation = Deviation(expert_distribution(shown, noise_std), space)
     defaults: dict[str, Any] = {
         "name": robot.name,
         "actions": actions_of(adapted),
+        "holding_actions": _held(adapted.action_names, space.names),
         "demonstrated_states": states.flatten(0, 1),
         "num_centres": CENTRES,
         "error": of_states(deviation),
@@ -118,7 +127,7 @@ def own_robot(
         "draws": robot.draws,
     }
     if "initial" not in settings:
-        defaults["initial"] = _start(starts, states)
+        defaults["initial"] = _start(states[:, 0] if starts is None else starts, states)
     return Experiment(
         make_env=robot,
         space=space,
@@ -183,28 +192,46 @@ def _space(
     return StateSpace(names, known, tuple(i for i, n in enumerate(names) if n in turning), match)
 
 
-def _started(
-    env: Any, control_period: float, observed: Sequence[str], names: tuple[str, ...], resets: int
-) -> tuple[OneRobot, Tensor]:
-    """The robot, and its states after resets, (resets, D)."""
-    pairs = [
+def _pairs(observed: Sequence[str]) -> list[CosSin]:
+    """The angles of which an observation holds cosine and sine."""
+    return [
         CosSin(index, _index_of(f"sin {name[4:]}", observed))
         for index, name in enumerate(observed)
         if name[:4] == "cos "
     ]
-    robot = OneRobot(env, control_period, pairs)
-    states = robot.starts(resets, START_SEED)
-    if states.shape[-1] != len(names):
+
+
+def _check_entries(robot: OneRobot, observed: Sequence[str], names: tuple[str, ...]) -> None:
+    """Raise ValueError unless each entry of the observation has a name."""
+    if robot.dim != len(names):
         raise ValueError(
-            f"state must name the {states.shape[-1] + len(pairs)} entries of the observation, got "
+            f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
             f"{', '.join(observed)}"
         )
-    if pairs:
-        turned = states[:, [names.index(observed[pair.cos][4:]) for pair in pairs]]
+
+
+def _starts(
+    robot: OneRobot, observed: Sequence[str], names: tuple[str, ...], resets: int
+) -> Tensor:
+    """States of the robot after resets, (resets, D); its angles are near them from now on."""
+    states = robot.starts(resets, START_SEED)
+    if robot.angles:
+        turned = states[:, [names.index(observed[pair.cos][4:]) for pair in robot.angles]]
         near = torch.atan2(turned.sin().mean(0), turned.cos().mean(0)).tolist()
-        robot.angles = tuple(replace(pair, near=q) for pair, q in zip(pairs, near, strict=True))
+        robot.angles = tuple(
+            replace(pair, near=q) for pair, q in zip(robot.angles, near, strict=True)
+        )
         states = robot.starts(resets, START_SEED)
-    return robot, states
+    return states
+
+
+def _near(starts: Tensor | None, settings: Mapping[str, Any], space: StateSpace) -> Tensor:
+    """A state (D,) near which demonstrations start: by resets, as it is said, or zero."""
+    if starts is not None:
+        return starts.mean(0)
+    if "initial" in settings:
+        return settings["initial"].mean
+    return torch.zeros(space.dim, dtype=torch.float64)
 
 
 def _index_of(name: str, observed: Sequence[str]) -> int:
@@ -226,6 +253,14 @@ def _at_control_rate(
         return recorded.demonstrations()
     shown = [name for name in recorded.names if name in velocities]
     return synchronise(recorded, control_period, shown)
+
+
+def _held(actions: Sequence[str], state: Sequence[str]) -> Callable[[Tensor], Tensor] | None:
+    """Actions that hold a robot whose servos take targets of entries of the state."""
+    if not set(actions) <= set(state):
+        return None
+    entries = [state.index(name) for name in actions]
+    return lambda states: states[..., entries]
 
 
 def _noise(shown: Demonstrations) -> Tensor:

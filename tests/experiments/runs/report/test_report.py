@@ -126,6 +126,24 @@ def test_headline_says_in_words_whether_it_learned(tmp_path: Path, rate: float, 
     assert f">{said} 20 fresh starts succeed, after 5 s of experience.</h1>" in page
 
 
+ALONE = MEASURED | {"success_rate": None, "n_eval": 0, "cut_short": "", "own_success": True}
+
+
+@pytest.mark.parametrize(
+    ("rate", "said"), [(1.0, "It learned: the saved"), (0.0, "It did not learn: the saved")]
+)
+def test_page_says_where_own_rollouts_alone_judge(tmp_path: Path, rate: float, said: str) -> None:
+    stopped = ALONE | {"trial": 2, "own_success": False, "own_error": None, "cut_short": "too fast"}
+    trials = [ALONE | {"loss": 1.0}, stopped | {"loss": 1.0}]
+    summary = OLD | {"saved_success_rate": rate, "saved_n_eval": 0, "trials": trials}
+    page = page_of(run_of(tmp_path / "run", summary, "calibration", "learning_curve"))
+    assert f">{said} policy&#39;s own rollout " in page
+    assert page.count("judged by the robot's own rollouts alone") == 1
+    assert "<dd>1 of 2</dd>" in page and "<td>too fast</td>" in page
+    assert "judged by the robot&#39;s own rollouts alone" in page  # below the trials
+    assert "from fresh starts" not in page and "success rate" not in page
+
+
 def test_diagnosis_is_said_if_there_is_one(tmp_path: Path) -> None:
     reason = {"cause": "search stuck", "message": "at step 7"}
     page = page_of(run_of(tmp_path / "a", OLD | {"diagnosis": [reason]}))

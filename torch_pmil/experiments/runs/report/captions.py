@@ -85,10 +85,9 @@ ALONE = {
     ),
     "learning_curve": Caption(
         "Learning curve",
-        "Above, whether the own rollout of each trial succeeded (100 %) or failed (0 %), each of "
-        "them with a new policy; below, what the search made of its objective, where a cross "
-        "stands for a policy that the model could not predict. The star at the end is the saved "
-        "policy by its own rollout.",
+        "Above, whether the own rollout of each trial succeeded, each of them with a new policy; "
+        "below, what the search made of its objective, where a cross stands for a policy that the "
+        "model could not predict. The star at the end is the saved policy by its own rollout.",
     ),
     "calibration": Caption(
         "Calibration of the model",

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from examples.robot_server.launch import ServerProcess
 from reproduction.kills import killed
-from reproduction.reproduction import PaperExperiment, Results, Run, tell_trial
+from reproduction.reproduction import PaperExperiment, Results, Run
 from reproduction.served_robot import DISTURBANCE, connected, served_experiment
 from torch_pmil.control.policy_file import load_policy
 from torch_pmil.envs import DoublePendulumEnv, DoublePendulumServoEnv
@@ -79,8 +79,7 @@ def _learned(out: Path, command: str, seed: int) -> dict[str, object]:
     if not is_finished(out):
         with ServerProcess(*DISTURBANCE, "--seed", str(seed)) as server:
             experiment = served_experiment((server.states, server.commands))
-            told = partial(tell_trial, out)
-            train(experiment, seed, TRIALS, out, command, False, on_trial=told, resume=True)
+            train(experiment, seed, TRIALS, out, command, progress_bar=False, resume=True)
     summary = read_summary(out)
     kept = ("seed", "experience_s", "saved_success_rate", "stop_reason", "wall_seconds")
     return {name: summary[name] for name in kept}

@@ -14,6 +14,7 @@ from reproduction.handwriting import HANDWRITING
 from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.masses import MASSES
 from reproduction.reaching import REACHING
+from reproduction.robot_server import ROBOT_SERVER
 from reproduction.robustness import ROBUSTNESS
 
 PAPER = {
@@ -31,5 +32,6 @@ PAPER = {
         FIGURE11,
         REACHING,
         HANDWRITING,
+        ROBOT_SERVER,
     )
 }

@@ -5,6 +5,8 @@ A file has the runs, the numbers and the figures of its experiment.
 
 from reproduction.ablation import ABLATION
 from reproduction.biorob import BIOROB
+from reproduction.box import BOX
+from reproduction.delay_calibration import DELAY_CALIBRATION
 from reproduction.figure6 import FIGURE6
 from reproduction.figure7a import FIGURE7A
 from reproduction.figure7b import FIGURE7B
@@ -26,6 +28,8 @@ PAPER = {
         MASSES,
         ROBUSTNESS,
         ABLATION,
+        BOX,
+        DELAY_CALIBRATION,
         FIGURE9,
         BIOROB,
         HIDDEN_MOTORS,

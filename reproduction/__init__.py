@@ -16,6 +16,7 @@ from reproduction.handwriting import HANDWRITING
 from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.masses import MASSES
 from reproduction.reaching import REACHING
+from reproduction.robot_server import ROBOT_SERVER
 from reproduction.robustness import ROBUSTNESS
 
 PAPER = {
@@ -35,5 +36,6 @@ PAPER = {
         FIGURE11,
         REACHING,
         HANDWRITING,
+        ROBOT_SERVER,
     )
 }

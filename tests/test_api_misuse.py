@@ -1021,8 +1021,8 @@ TRAINER = {
     "PMILTrainer, the name of a robot": misuse(
         lambda: trainer(env="Pendulum-v1"), "env must be an instance of EnvBase, got str", TypeError
     ),
-    "PMILTrainer without robots to measure on": misuse(
-        lambda: trainer(evaluation_env=None), "evaluation_env must be an instance of", TypeError
+    "PMILTrainer with robots to measure on of another kind": misuse(
+        lambda: trainer(evaluation_env=20), "evaluation_env must be an instance of", TypeError
     ),
     "PMILTrainer, exploration without rollouts": misuse(
         lambda: trainer(exploration=RandomActions(ACTIONS, 0.4, 5, 0)),

@@ -67,7 +67,8 @@ class RemoteRobot:
         end = time.monotonic() + ANSWER
         while time.monotonic() < end:
             self._request()
-            if self._states.poll(AGAIN) and self._received().rollout == self._rollout:
+            state = self.next_state(AGAIN)
+            if state is not None and state.rollout == self._rollout:
                 return
         raise RobotError(f"no robot answers at {self._address}")
 
@@ -110,10 +111,15 @@ class RemoteRobot:
         self._commands.close()
         self._context.term()
 
+    def next_state(self, patience: int) -> State | None:
+        """The next state that comes within ``patience`` ms, of whatever rollout."""
+        return self._received() if self._states.poll(patience) else None
+
     def _newest(self) -> State:
         age = self._age(self._stamp)
-        while self._states.poll(math.ceil(1000 * max(0.0, self._timeout - age))):
-            state = self._received()
+        while (
+            state := self.next_state(math.ceil(1000 * max(0.0, self._timeout - age)))
+        ) is not None:
             age = self._age(state.stamp)
             if age <= self._timeout:
                 return state

@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -19,6 +18,7 @@ pytest.importorskip("zmq", reason="needs the extra remote")
 
 from examples.robot_server.client import RemoteRobot, served_env
 from examples.robot_server.connection import Connection, Disturbance
+from examples.robot_server.launch import ServerProcess
 from examples.robot_server.messages import (
     ACTION,
     PUT_BACK,
@@ -189,28 +189,9 @@ def test_servo_that_is_stopped_holds_where_it_is() -> None:
 
 
 @contextmanager
-def served(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen, list[str]]]:
-    """A server in a process of its own, and its addresses."""
-    addresses = [f"ipc://{folder}/states", f"ipc://{folder}/commands"]
-    command = [sys.executable, "-m", "examples.robot_server.server"]
-    server = subprocess.Popen(
-        [*command, "--states", addresses[0], "--commands", addresses[1], *options],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert server.stdout.readline().startswith("a robot tells its state at ipc://")
-        yield server, addresses
-    finally:
-        server.kill()
-        server.communicate()
-
-
-@contextmanager
-def remote(addresses: list[str]) -> Iterator[PhysicalRobotEnv]:
+def remote(server: ServerProcess) -> Iterator[PhysicalRobotEnv]:
     """The environment of a served double pendulum."""
-    with closing(RemoteRobot(4, PERIOD / 2, *addresses)) as robot:
+    with closing(RemoteRobot(4, PERIOD / 2, server.states, server.commands)) as robot:
         env = served_env(robot, DoublePendulumEnv())
         yield env
         env.close()
@@ -221,11 +202,11 @@ def still(tensordict: TensorDictBase) -> TensorDictBase:
 
 
 @pytest.mark.slow
-def test_rollout_through_the_server_is_that_of_the_environment(tmp_path: Path) -> None:
+def test_rollout_through_the_server_is_that_of_the_environment() -> None:
     """Up to the time by which actions come late."""
     expected = DoublePendulumEnv(seed=0)
     expected.reset()
-    with served(tmp_path) as (_, addresses), remote(addresses) as env:
+    with ServerProcess() as server, remote(server) as env:
         seen = env.rollout(10, still)
     states = expected.rollout(10, still)["next", "observation"]
     assert seen["next", "measured"].all()
@@ -233,7 +214,7 @@ def test_rollout_through_the_server_is_that_of_the_environment(tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_end_of_the_server_is_noticed_within_two_periods(tmp_path: Path) -> None:
+def test_end_of_the_server_is_noticed_within_two_periods() -> None:
     died = []
 
     def kill(tensordict: TensorDictBase) -> TensorDictBase:
@@ -242,7 +223,7 @@ def test_end_of_the_server_is_noticed_within_two_periods(tmp_path: Path) -> None
             died.append(time.monotonic())
         return still(tensordict)
 
-    with served(tmp_path) as (server, addresses), remote(addresses) as env:
+    with ServerProcess() as server, remote(server) as env:
         begun = time.monotonic() + PERIOD
         rollout = env.rollout(30, kill)
         assert time.monotonic() - died[0] < 2 * PERIOD
@@ -268,9 +249,10 @@ env.rollout(100, still)
 @pytest.mark.slow
 @pytest.mark.parametrize("end", [subprocess.Popen.kill, subprocess.Popen.terminate])
 def test_robot_stops_within_two_periods_when_the_client_ends(
-    end: Callable[[subprocess.Popen], None], tmp_path: Path
+    end: Callable[[subprocess.Popen], None],
 ) -> None:
-    with served(tmp_path) as (_, addresses):
+    with ServerProcess() as server:
+        addresses = [server.states, server.commands]
         program = CLIENT.format(root=str(ROOT), addresses=addresses)
         client = subprocess.Popen(
             [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True
@@ -281,6 +263,6 @@ def test_robot_stops_within_two_periods_when_the_client_ends(
             end(client)
             ended = time.monotonic()
             client.communicate()
-            while (state := watcher._received()).status == Status.MOVING:
+            while (state := watcher.next_state(1000)).status == Status.MOVING:
                 assert state.stamp - ended < 2 * PERIOD
         assert state.status == Status.STOPPED

@@ -243,6 +243,17 @@ def test_rollout_may_be_discarded_at_once_after_a_resumption(whole: Path, tmp_pa
     assert_same_end(tmp_path / "run", whole)
 
 
+def test_discarded_rollout_stays_away_though_the_run_stops_at_once(
+    whole: Path, tmp_path: Path
+) -> None:
+    operator = Operator(("", "", "d", "q"))
+    with pytest.raises(RunStopped):
+        run(tmp_path / "run", Attended(operator))
+    run(tmp_path / "run", Attended(operator), resume=True)
+    assert_same_end(tmp_path / "run", whole)
+    assert operator.asked == 2 + 2 + TRIALS  # with the rollout that was discarded once more
+
+
 def test_trainer_alone_leaves_discarding_to_its_caller() -> None:
     with pytest.raises(RolloutDiscarded):
         trained(Attended(Operator(("", "d"))))

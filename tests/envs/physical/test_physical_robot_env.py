@@ -267,7 +267,6 @@ class Told(FakeRobot):
         print("stop", flush=True)
 robot = Told()
 env = fake_env(robot, control_period=1.0)
-env._fresh_reading = lambda: env._read()
 env.reset()
 env._robot.send([0.0, 0.0])
 print("moves", flush=True)

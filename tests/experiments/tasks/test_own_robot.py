@@ -101,18 +101,26 @@ def test_a_start_that_is_said_takes_one_reset(monkeypatch: pytest.MonkeyPatch) -
     assert len(resets) < 5  # one, and those of checks of the environment
 
 
-class Physical(Arm, RobotEnv):
-    """The same joint as a physical robot."""
+class Physical(RobotEnv):
+    """A joint of a physical robot."""
 
     physical = True
+    names = ("0",)
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        return self.names
 
     def __init__(self) -> None:
-        RobotEnv.__init__(self, (), 0.1, False, 0)
+        super().__init__((), 0.1, False, 0)
         self._set_specs(2, torch.tensor([-4.0]).double(), torch.tensor([2.0]).double(), {})
         self.resets = 0
 
     def _reset(self, tensordict: object) -> object:
         self.resets += 1
+        raise AssertionError("a physical robot must not move")
+
+    def _step(self, tensordict: object) -> object:
         raise AssertionError("a physical robot must not move")
 
 
@@ -122,9 +130,19 @@ def test_physical_robot_is_not_reset_and_starts_where_it_was_shown() -> None:
     assert not made.evaluated and made.robot(0) is robot and robot.resets == 0
     starts = made.demonstrated_states.reshape(5, 21, 2)[:, 0]
     assert torch.equal(made.initial.mean, starts.mean(0))
-    assert (made.initial.std > 0).all()
+    assert (made.initial.std >= 0.05 * made.demonstrated_states.abs().amax(0) - 1e-12).all()
     start = Gaussian(torch.ones(2).double(), torch.eye(2).double())
     assert own_robot(robot, reaches(), 0.1, state=("q", "dq"), initial=start).initial is start
+
+
+def test_actions_named_like_entries_of_the_state_are_targets_of_them() -> None:
+    robot = Physical()
+    robot.names = ("q",)
+    made = own_robot(robot, reaches(), 0.1, state=("q", "dq"))
+    states = torch.tensor([[0.3, 1.0], [-0.2, 0.0]], dtype=torch.float64)
+    assert made.holding_actions is not None
+    assert made.holding_actions(states).tolist() == [[0.3], [-0.2]]
+    assert task().holding_actions is None
 
 
 def test_robot_of_ones_own_that_shall_make_no_more_motions_is_not_reset() -> None:

@@ -16,6 +16,7 @@ from torchrl.data import Binary, Unbounded
 from torch_pmil.envs.operator import RobotError, prompt
 from torch_pmil.envs.physical.control_clock import ControlClock
 from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
+from torch_pmil.envs.physical.readings import Readings
 from torch_pmil.envs.physical.watched_robot import WatchedRobot
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.files import bounded_line
@@ -114,6 +115,7 @@ class PhysicalRobotEnv(RobotEnv):
         self._make_specs(dim, low, high)
         self._clock = ControlClock(control_period)
         self._robot = WatchedRobot(robot, PATIENCE * control_period)
+        self._readings = Readings(self._robot.read_state, dim)
         self._finalizer = weakref.finalize(self, self._robot.close)
 
     @property
@@ -141,10 +143,13 @@ class PhysicalRobotEnv(RobotEnv):
         self._robot.stop()
         self.operator()
         self.cut_short, self._late_in_a_row = "", 0
-        self._first = self._latest = self._fresh_reading()
+        try:
+            self._readings.begin(self.control_period)
+        except Exception as error:
+            raise RobotError(_failure(error)) from error
         self._sent = torch.zeros_like(self.action_spec.space.low)
         if self.holding_action is not None:
-            self._sent = _vector("holding_action", self.holding_action(self._latest.state))
+            self._sent = _vector("holding_action", self.holding_action(self._readings.latest.state))
         self._clock.start()
         self._robot.start()
         return self._shown(_Timing())
@@ -168,26 +173,26 @@ class PhysicalRobotEnv(RobotEnv):
         limits = self.action_spec.space
         if action.shape != limits.low.shape or not action.isfinite().all():
             raise ValueError(f"action must be {len(limits.low)} finite numbers, got {action}")
-        action = action.detach().to(torch.float64).clamp(limits.low, limits.high)
-        if self._largest_change is None:
-            return action
-        change = self._largest_change
-        return action.clamp(self._sent - change, self._sent + change)
+        action = action.detach().to(torch.float64)
+        if self._largest_change is not None:
+            change = self._largest_change
+            action = action.clamp(self._sent - change, self._sent + change)
+        return action.clamp(limits.low, limits.high)
 
     def _moved(self, action: Tensor) -> tuple[_Timing, str]:
         """Send, wait and read; return how that went in time, and why the rollout must end."""
-        before, delay = self._latest, time.monotonic() - self._latest.taken
+        delay = time.monotonic() - self._readings.latest.taken
         if self._clock.lag() > self._slack:
             self._clock.start()  # the period of an action that comes late counts from its sending
         try:
             sent = self._robot.send(action)
             self._sent = action if sent is None else _vector("what send returns", sent)
             self._clock.wait()
-            self._latest = self._read()
+            self._readings.take()
         except Exception as error:  # each robot fails with errors of its own
             return _Timing(delay, measured=False), _failure(error)
         overrun = self._clock.lag()
-        reason = self._lateness(before, delay, overrun)
+        reason = self._lateness(delay, overrun)
         self._late_in_a_row = self._late_in_a_row + 1 if reason else 0
         trouble = ""
         if self._late_in_a_row >= self.most_late:
@@ -198,47 +203,21 @@ class PhysicalRobotEnv(RobotEnv):
     def _slack(self) -> float:
         return self.tolerance * self.control_period
 
-    def _lateness(self, before: _Reading, delay: float, overrun: float) -> str:
+    def _lateness(self, delay: float, overrun: float) -> str:
         """Why a step is late, or "" where it is not."""
-        now, first = self._latest, self._first
-        age = (now.taken - first.taken) - (now.stamp - first.stamp)
-        if now.stamp <= before.stamp:
-            return f"the robot repeats the reading of {now.stamp:.3f} s"
-        if age > self._slack:
-            return f"its reading was {age:.3f} s old"
+        if self._readings.repeated():
+            return f"the robot repeats the reading of {self._readings.latest.stamp:.3f} s"
+        if self._readings.age() > self._slack:
+            return f"its reading was {self._readings.age():.3f} s old"
         if overrun > self._slack:
             return f"its reading came {overrun:.3f} s after the deadline"
         if delay > self._slack:
             return f"its action was sent {delay:.3f} s after the reading"
         return ""
 
-    def _fresh_reading(self) -> _Reading:
-        """A reading with a time stamp of its own. Raises RobotError where there is none."""
-        try:
-            stale = self._read()
-            time.sleep(self.control_period)
-            fresh = self._read()
-        except Exception as error:
-            raise RobotError(_failure(error)) from error
-        if fresh.stamp <= stale.stamp:
-            raise RobotError(
-                f"the robot's time stamps must advance, got {stale.stamp} s and "
-                f"{self.control_period} s later {fresh.stamp} s"
-            )
-        return fresh
-
-    def _read(self) -> _Reading:
-        state, stamp = self._robot.read_state()
-        taken = time.monotonic()
-        state = torch.as_tensor(state, dtype=torch.float64)
-        shape = self.observation_spec["observation"].shape
-        if state.shape != shape or not state.isfinite().all():
-            raise RobotError(f"a reading must be {shape[0]} finite numbers, got {state.tolist()}")
-        return _Reading(state.clone(), float(stamp), taken)
-
     def _shown(self, timing: _Timing) -> TensorDict:
         shown = {
-            "time": self._latest.stamp,
+            "time": self._readings.latest.stamp,
             "delay": timing.delay,
             "overrun": timing.overrun,
             "late": timing.late,
@@ -248,14 +227,9 @@ class PhysicalRobotEnv(RobotEnv):
             key: torch.tensor([value], dtype=self.observation_spec[key].dtype)
             for key, value in shown.items()
         }
-        return TensorDict({"observation": self._latest.state, "sent": self._sent, **entries})
-
-
-@dataclass(frozen=True, eq=False)
-class _Reading:
-    state: Tensor  # (D,)
-    stamp: float  # s, of the robot's clock
-    taken: float  # s, of the monotonic clock
+        return TensorDict(
+            {"observation": self._readings.latest.state, "sent": self._sent, **entries}
+        )
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from torch_pmil.gp.gaussian import Gaussian
 STARTS = 20  # resets by which p(x_0) is estimated
 START_SEED = 3_000_000  # of these resets
 LEAST_START = 0.01  # standard deviation of a start, in largest demonstrated values of its entry
+LEAST_START_BY_HAND = 0.05  # the same of a robot that a person puts there, and that is not asked
 NOISE = 0.05  # standard deviation of the observation noise, in demonstrated ranges of an entry
 LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of all ranges
 TOLERANCE = 2.0  # standard deviations of the demonstrations
@@ -59,9 +60,9 @@ def own_robot(
     """An experiment with one's own robot and recordings.
 
     What is not said is told from them: the start by 20 resets, unless ``initial`` is given, or by
-    the demonstrations' starts for a robot that makes no motion but its own rollouts (``evaluated``
-    is False, as it is for a physical robot, which is not reset here); the range of the actions by
-    the environment; the observation noise as 5 % of each entry's demonstrated range (of an entry
+    the demonstrations' starts, with a standard deviation of 5 % of what was demonstrated at least,
+    for a robot that makes no motion but its own rollouts (``evaluated`` is False, as it is for a
+    physical robot, which is not reset here); the range of the actions by the environment; the observation noise as 5 % of each entry's demonstrated range (of an entry
     that hardly changes, as 1 % of the largest range); the demonstrated states by
     :func:`~torch_pmil.control.recovered_states.recover_states`; and a success as a rollout that
     differs from the demonstrations' mean by at most twice their standard deviation (noise
@@ -127,7 +128,11 @@ def own_robot(
         "draws": robot.draws,
     }
     if "initial" not in settings:
-        defaults["initial"] = _start(states[:, 0] if starts is None else starts, states)
+        defaults["initial"] = (
+            _start(states[:, 0], states, LEAST_START_BY_HAND)
+            if starts is None
+            else _start(starts, states, LEAST_START)
+        )
     return Experiment(
         make_env=robot,
         space=space,
@@ -270,10 +275,11 @@ def _noise(shown: Demonstrations) -> Tensor:
     return NOISE * span.clamp(min=LEAST_RANGE * span.max())
 
 
-def _start(starts: Tensor, states: Tensor) -> Gaussian:
+def _start(starts: Tensor, states: Tensor, least_share: float) -> Gaussian:
     """p(x_0) by starts (N, D), of which all entries vary: no robot starts twice the same.
 
-    States that were demonstrated, (*batch, D), tell how little is little.
+    The least standard deviation is a share of the largest value in the demonstrated states,
+    (*batch, D).
     """
-    least = LEAST_START * states.flatten(0, -2).abs().amax(0)
+    least = least_share * states.flatten(0, -2).abs().amax(0)
     return independent_start(starts.mean(0), starts.std(0).clamp(min=1e-6).maximum(least))

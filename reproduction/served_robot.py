@@ -1,0 +1,73 @@
+"""The double pendulum of the robot server, and learning on it without another simulator."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from examples.robot_server.client import RemoteRobot, served_env
+from torch_pmil.envs import DoublePendulumEnv, PhysicalRobotEnv
+from torch_pmil.envs.operator import RobotError
+from torch_pmil.envs.robot import RobotEnv
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.runs.training import train
+from torch_pmil.experiments.tasks.experiment import Experiment
+
+DISTURBANCE = ("--delay", "0.005", "--jitter", "0.002")  # s
+Addresses = tuple[str, str]  # of states and commands
+
+
+class TimedRobot(RemoteRobot):
+    """A client that appends to a file when its robot was told to stop, in s of the system.
+
+    Args:
+        stops: the file.
+        dim, timeout, addresses: of the client.
+    """
+
+    def __init__(self, stops: Path, dim: int, timeout: float, addresses: Addresses) -> None:
+        super().__init__(dim, timeout, *addresses)
+        self._stops = stops
+
+    def stop(self) -> None:
+        """Stop the robot."""
+        super().stop()
+        with self._stops.open("a") as file:
+            file.write(f"{time.monotonic()}\n")
+
+
+def connected(addresses: Addresses, like: RobotEnv) -> PhysicalRobotEnv:
+    """The environment of a served robot like that one."""
+    dim = like.observation_spec["observation"].shape[-1]
+    return served_env(RemoteRobot(dim, like.control_period / 2, *addresses), like)
+
+
+def served_experiment(addresses: Addresses, stops: Path | None = None) -> Experiment:
+    """The double pendulum on the server; the operator is the server, and nothing else measures."""
+    return replace(
+        load_experiment("double_pendulum"),
+        name="robot_server",
+        make_env=partial(_env, addresses, stops),
+        evaluated=False,
+        draws=False,
+    )
+
+
+def _env(addresses: Addresses, stops: Path | None, seed: int) -> PhysicalRobotEnv:
+    """The starts are the server's: it has the seed."""
+    like = DoublePendulumEnv()
+    if stops is None:
+        return connected(addresses, like)
+    return served_env(TimedRobot(stops, 4, like.control_period / 2, addresses), like)
+
+
+def learn_hastily(out: Path, addresses: Addresses, stops: Path, trials: int) -> None:
+    """Learn with a search that takes no time, until the robot cannot be reached."""
+    few = dict.fromkeys(("mean_iterations", "stage_iterations", "final_iterations"), 1)
+    settings = {f"search.{name}": count for name, count in few.items()}
+    experiment = served_experiment(addresses, stops).with_settings(**settings)
+    with suppress(RobotError):
+        train(experiment, 0, trials, out, "kills", progress_bar=False, resume=True)

@@ -275,3 +275,17 @@ def test_copies_are_told_once_each() -> None:
         f"demonstrations {first} and {second} are the same; leave one of them out"
         for first, second in ((1, 5), (1, 6), (3, 7))
     ]
+
+
+def test_demonstration_outside_the_limits_of_the_motion_is_told() -> None:
+    experiment = load_experiment("double_pendulum")
+    speeds = experiment.demonstrated_states.unflatten(0, (5, -1))[..., 3].abs().amax(-1)
+    low, high = speeds.sort().values[-2:].tolist()
+    limit = (low + high) / 2
+    (finding,) = check(replace(experiment, box={"dq2": (-limit, limit)}))
+    assert finding.cause == "demonstrations out of reach"
+    assert not finding.fatal
+    said = f"demonstration {speeds.argmax()} shows what the robot may not do: dq2 = "
+    assert finding.message.startswith(said)
+    assert "left its limits" in finding.message
+    assert check(replace(experiment, box={"dq2": (-1.1 * high, 1.1 * high)})) == []

@@ -12,6 +12,7 @@ import torch
 from scipy.special import chdtri
 from torch import Tensor
 
+from torch_pmil.control.state_box import StateBox
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.diagnosis.modes import split_in_two
 from torch_pmil.gp.gaussian import Gaussian
@@ -239,6 +240,20 @@ def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
             fatal=True,
         )
         for number, step, joint in _worst(excess, STOP_MARGIN)
+    ]
+
+
+def check_box(box: StateBox, states: Tensor) -> list[Finding]:
+    """Find demonstrated states (N, T + 1, D) outside the limits of the learning robot's motion."""
+    lines = [box.guard(motion) for motion in states]
+    return [
+        Finding(
+            UNREACHABLE,
+            f"demonstration {number} shows what the robot may not do: {line}; widen the box, or "
+            "show a slower or smaller motion",
+        )
+        for number, line in enumerate(lines)
+        if line
     ]
 
 

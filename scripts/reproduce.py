@@ -2,4 +2,5 @@
 
 from reproduction.__main__ import main
 
-main()
+if __name__ == "__main__":  # not in a process that the experiment starts
+    main()

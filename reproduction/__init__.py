@@ -5,6 +5,7 @@ A file has the runs, the numbers and the figures of its experiment.
 
 from reproduction.ablation import ABLATION
 from reproduction.biorob import BIOROB
+from reproduction.double_pendulum_servo import DOUBLE_PENDULUM_SERVO
 from reproduction.figure6 import FIGURE6
 from reproduction.figure7a import FIGURE7A
 from reproduction.figure7b import FIGURE7B
@@ -15,6 +16,7 @@ from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.masses import MASSES
 from reproduction.reaching import REACHING
 from reproduction.robustness import ROBUSTNESS
+from reproduction.servo_gains import SERVO_GAINS
 
 PAPER = {
     experiment.name: experiment
@@ -31,5 +33,7 @@ PAPER = {
         FIGURE11,
         REACHING,
         HANDWRITING,
+        DOUBLE_PENDULUM_SERVO,
+        SERVO_GAINS,
     )
 }

@@ -12,6 +12,10 @@ from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.experiments.tasks.double_pendulum import double_pendulum
 from torch_pmil.experiments.tasks.experiment import Experiment, actions_of
 
+# a tenth of the motors': of the same weight, the torque of a servo at kp = 10 N·m/rad whose
+# setpoints go up to 4 rad is some ten times that of a motor of 3.5 N·m
+WEIGHT_STD = 0.01
+
 
 def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Experiment:
     """The experiment of Section 5.1 with a position servo in each joint, at 10 Hz.
@@ -34,6 +38,7 @@ def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Exper
         name="double_pendulum_servo",
         make_env=DoublePendulumServoEnv,
         actions=actions_of(env),
+        initial_weight_std=WEIGHT_STD,
         demonstrated_states=states,
         holding_actions=env.holding_actions,
         held_states=states,

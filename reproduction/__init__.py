@@ -7,6 +7,7 @@ from reproduction.ablation import ABLATION
 from reproduction.biorob import BIOROB
 from reproduction.box import BOX
 from reproduction.delay_calibration import DELAY_CALIBRATION
+from reproduction.double_pendulum_servo import DOUBLE_PENDULUM_SERVO
 from reproduction.figure6 import FIGURE6
 from reproduction.figure7a import FIGURE7A
 from reproduction.figure7b import FIGURE7B
@@ -18,6 +19,7 @@ from reproduction.masses import MASSES
 from reproduction.reaching import REACHING
 from reproduction.robot_server import ROBOT_SERVER
 from reproduction.robustness import ROBUSTNESS
+from reproduction.servo_gains import SERVO_GAINS
 
 PAPER = {
     experiment.name: experiment
@@ -37,5 +39,7 @@ PAPER = {
         REACHING,
         HANDWRITING,
         ROBOT_SERVER,
+        DOUBLE_PENDULUM_SERVO,
+        SERVO_GAINS,
     )
 }

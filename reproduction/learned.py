@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -96,7 +97,7 @@ def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, s
     return success_rate(experiment.error(rollouts), experiment.tolerance)
 
 
-def remeasured(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, object]:
+def remeasured(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, Any]:
     """The main numbers of a run, for the details of a summary, with its policy measured anew.
 
     Args:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from torch_pmil.plotting.calibration import plot_calibration as plot_calibration
     from torch_pmil.plotting.errors import plot_errors_over_data as plot_errors_over_data
     from torch_pmil.plotting.frequencies import plot_frequencies as plot_frequencies
+    from torch_pmil.plotting.gains import plot_gains as plot_gains
     from torch_pmil.plotting.gaussian_process import (
         plot_gp as plot_gp,
         plot_moment_matching as plot_moment_matching,
@@ -64,6 +65,7 @@ MODULES = {
     "plot_distributions": "trajectories",
     "plot_errors_over_data": "errors",
     "plot_frequencies": "frequencies",
+    "plot_gains": "gains",
     "plot_gp": "gaussian_process",
     "plot_gp_slices": "gp_slices",
     "plot_heat_map": "heat_maps",

@@ -118,6 +118,9 @@ class Experiment:
         box: lowest and highest value of entries of the state or of the match space in which the
             robot shall stay while it learns, by name; see :class:`StateBox`. None for no limits.
         leaving_threshold: predicted probability of leaving them up to which a policy may run.
+        held_states: states (S, D) beside the starts in which a new policy holds the robot. A servo
+            whose target is not near the joint pulls with all its force, whatever the target: where
+            actions are targets, a search that begins elsewhere has no slope to follow.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.
 
@@ -152,6 +155,7 @@ class Experiment:
     holding_actions: Callable[[Tensor], Tensor] | None = None
     box: Mapping[str, tuple[float, float]] | None = None
     leaving_threshold: float = 0.05
+    held_states: Tensor | None = None
     search: SearchSettings = field(default_factory=SearchSettings)
     draws: bool = True
 
@@ -176,6 +180,8 @@ class Experiment:
             raise ValueError(f"box must hold the mean of initial, but {outside}")
         check_noise(self.noise_std, self.space.match_space.names)
         check_tensor("demonstrated_states", self.demonstrated_states, ("S", D))
+        if self.held_states is not None:
+            check_tensor("held_states", self.held_states, ("S", D))
         if self.initial.dim != D:
             raise ValueError(
                 f"initial must be over the {D} entries of the state, got {self.initial.dim}"
@@ -383,8 +389,10 @@ class Experiment:
         white = torch.randn(policy.weights.shape, dtype=torch.float64, generator=generator)
         policy.weights.data.copy_(self.initial_weight_std * white)
         if self.holding_actions is not None:
-            starts = self.initial.sample(HELD_STARTS, generator)
-            policy.fit_weights(self.start_inputs(starts), self.holding_actions(starts))
+            held = self.initial.sample(HELD_STARTS, generator)
+            if self.held_states is not None:
+                held = torch.cat([held, self.held_states])
+            policy.fit_weights(self.start_inputs(held), self.holding_actions(held))
         return policy
 
     def widths(self, std: Tensor) -> Tensor:

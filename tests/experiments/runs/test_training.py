@@ -206,7 +206,8 @@ def test_metrics_hold_a_row_for_each_trial(result: RunResult, folder: Path) -> N
     rows = read_metrics(folder)
     assert list(rows[0]) == [field.name for field in fields(Trial)]
     assert rows == [
-        {name: str(value) for name, value in asdict(trial).items()} for trial in result.trials
+        {name: "" if value is None else str(value) for name, value in asdict(trial).items()}
+        for trial in result.trials
     ]
 
 

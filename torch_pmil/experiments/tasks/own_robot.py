@@ -62,8 +62,9 @@ def own_robot(
     What is not said is told from them: the start by 20 resets, unless ``initial`` is given, or by
     the demonstrations' starts, with a standard deviation of 5 % of what was demonstrated at least,
     for a robot that makes no motion but its own rollouts (``evaluated`` is False, as it is for a
-    physical robot, which is not reset here); the range of the actions by the environment; the observation noise as 5 % of each entry's demonstrated range (of an entry
-    that hardly changes, as 1 % of the largest range); the demonstrated states by
+    physical robot, which is not reset here); the range of the actions by the environment; the
+    observation noise as 5 % of each entry's demonstrated range (of an entry that hardly changes, as
+    1 % of the largest range); the demonstrated states by
     :func:`~torch_pmil.control.recovered_states.recover_states`; and a success as a rollout that
     differs from the demonstrations' mean by at most twice their standard deviation (noise
     included), in root mean square over all entries and times. Actions that have the names of

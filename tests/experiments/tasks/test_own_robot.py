@@ -142,6 +142,7 @@ def test_actions_named_like_entries_of_the_state_are_targets_of_them() -> None:
     states = torch.tensor([[0.3, 1.0], [-0.2, 0.0]], dtype=torch.float64)
     assert made.holding_actions is not None
     assert made.holding_actions(states).tolist() == [[0.3], [-0.2]]
+    assert made.held_states is not None
     assert task().holding_actions is None
 
 

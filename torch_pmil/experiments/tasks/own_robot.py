@@ -69,7 +69,7 @@ def own_robot(
     differs from the demonstrations' mean by at most twice their standard deviation (noise
     included), in root mean square over all entries and times. Actions that have the names of
     entries of the state are targets of these entries, so that the first policy holds the robot
-    where it starts.
+    where it is.
 
     Args:
         env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
@@ -116,10 +116,12 @@ def own_robot(
     )
     noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
     deviation = Deviation(expert_distribution(shown, noise_std), space)
+    held = _held(adapted.action_names, space.names)
     defaults: dict[str, Any] = {
         "name": robot.name,
         "actions": actions_of(adapted),
-        "holding_actions": _held(adapted.action_names, space.names),
+        "holding_actions": held,
+        "held_states": None if held is None else states.flatten(0, 1),
         "demonstrated_states": states.flatten(0, 1),
         "num_centres": CENTRES,
         "error": of_states(deviation),

@@ -12,6 +12,7 @@ import torch
 
 from tests.helpers.draws import Draws
 from tests.helpers.run_script import run_command
+from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.policy_file import load_policy, save_policy
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
@@ -35,7 +36,8 @@ def saved(tmp_path: Path, draws: Draws) -> Path:
     space = StateSpace(
         ("q", "dq"), ("rad", "rad/s"), (0,), joint_match(("q", "dq"), ("rad", "rad/s"))
     )
-    save_policy(tmp_path / "policy.pt", policy, space, control_period=0.1)
+    actions = ActionSpace.around(policy.u_middle, policy.u_max, ("tau",), ("N·m",))
+    save_policy(tmp_path / "policy.pt", policy, space, 0.1, actions=actions)
     return tmp_path / "policy.pt"
 
 
@@ -52,7 +54,10 @@ def test_exported_file_is_the_saved_policy(
     states = draws.normal(*shape)
     program = torch.export.load("policy.pt2").module()
     torch.testing.assert_close(program(states), load_policy(saved)(states), rtol=0, atol=1e-12)
-    expected = "wrote policy.pt2: state q (rad), dq (rad/s); torques up to 3.5 N·m; every 0.1 s\n"
+    expected = (
+        "wrote policy.pt2: state q (rad), dq (rad/s); actions tau (N·m) from -3.5 to 3.5; "
+        "every 0.1 s\n"
+    )
     assert capsys.readouterr().out == expected
     assert sorted(os.listdir()) == ["policy.pt", "policy.pt2"]
 

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from torch import Tensor
 
 from tests.helpers.draws import Draws
+from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
@@ -38,9 +39,12 @@ def model_of(draws: Draws, targets: str = "difference") -> GPDynamics:
 
 
 def policy_of(draws: Draws) -> StatePolicy:
-    network = RBFPolicy(draws.normal(5, 3), torch.tensor([2.0, 3.0]), torch.ones(3))
+    middle, half = torch.tensor([0.0, 1.0]), torch.tensor([2.0, 3.0])
+    network = RBFPolicy(draws.normal(5, 3), half, torch.ones(3), middle)
     network.weights.data.copy_(draws.normal(5, 2))
-    return StatePolicy(network, StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS)), 0.1)
+    actions = ActionSpace.around(middle, half, ("tau", "angle"), ("N·m", "rad"))
+    space = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))
+    return StatePolicy(network, space, 0.1, actions=actions)
 
 
 def panels_of(
@@ -195,22 +199,23 @@ def test_kl_of_other_shapes_is_refused(draws: Draws) -> None:
         plot_kl_per_step(NAMES, 0.1, draws.belief(7, 3), draws.belief(6, 3))
 
 
-def test_colour_is_the_torque_at_the_state_on_a_scale_that_is_zero_in_the_middle(
+def test_colour_is_the_action_at_the_state_on_the_scale_of_its_range(
     draws: Draws,
 ) -> None:
     policy, states = policy_of(draws), draws.normal(2, 2)
     figure = plot_policy(policy, [PLANE, Plane(1, 0, 1, ((-8, 8), (-3, 3)))], states, ["a", "b"])
     panels = figure.axes[:4]
     mesh = panels[2].collections[0]
-    torques = mesh.get_array()
+    actions = mesh.get_array()
     x, y = -8 + 16 * (10 + 0.5) / 61, -3 + 6 * (50 + 0.5) / 61
-    assert torques[50, 10] == pytest.approx(policy(torch.tensor([y, x]).double())[1].item())
-    assert (mesh.norm.vmin, mesh.norm.vmax) == (-3, 3)
+    assert actions[50, 10] == pytest.approx(policy(torch.tensor([y, x]).double())[1].item())
+    assert (mesh.norm.vmin, mesh.norm.vmax) == (-2, 4)
     assert [panel.get_title() for panel in panels] == ["a", "b", "", ""]
     assert (panels[2].get_xlabel(), panels[2].get_ylabel()) == ("dq (rad/s)", "q (rad)")
     marked = next(line for line in panels[1].lines).get_xydata()
     np.testing.assert_allclose(marked[0], states[1])
-    assert [axes.get_ylabel() for axes in figure.axes[4:]] == ["torque 1 (N·m)", "torque 2 (N·m)"]
+    labels = [axes.get_ylabel() for axes in figure.axes[4:]]
+    assert labels == ["action tau (N·m)", "action angle (rad)"]
 
 
 def test_arrows_point_to_where_the_robot_is_next(draws: Draws) -> None:
@@ -242,7 +247,7 @@ def test_policy_pictures_that_do_not_fit_are_refused(draws: Draws) -> None:
         plot_policy(policy_of(draws), [PLANE], torch.zeros(1, 3), ["a"])
     with pytest.raises(
         ValueError,
-        match=r"planes must be of entries below 2 and torques below 2, got Plane\(x=0, y=2",
+        match=r"planes must be of entries below 2 and actions below 2, got Plane\(x=0, y=2",
     ):
         plot_policy(policy_of(draws), [Plane(0, 2, 0, ((0, 1), (0, 1)))], torch.zeros(1, 2), ["a"])
 

@@ -25,6 +25,7 @@ OF_A_TASK = {"trajectories", "kl_per_step", "policy"}
 OWN = {
     "double_pendulum": {"poses"},
     "double_pendulum_pilco": {"poses"},
+    "double_pendulum_servo": {"poses"},
     "double_pendulum_targets": {"poses"},
     "handwriting": {"writing"},
 }
@@ -74,7 +75,7 @@ def test_planes_of_a_cart_have_its_one_motor() -> None:
     planes = planes_of(
         space, 1, torch.tensor([[[0.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0, 4.0]]]).double()
     )
-    assert [(plane.x, plane.y, plane.torque) for plane in planes] == [(0, 2, 0), (1, 3, 0)]
+    assert [(plane.x, plane.y, plane.action) for plane in planes] == [(0, 2, 0), (1, 3, 0)]
     assert planes[0].span == (pytest.approx((-0.3, 1.3)), pytest.approx((-0.9, 3.9)))
 
 

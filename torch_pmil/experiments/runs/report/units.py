@@ -10,7 +10,6 @@ from torch_pmil.experiments.runs.setting_words import SETTINGS
 DERIVED = {
     "horizon": "control steps",
     "exploration.random_action": SETTINGS["random_action"].unit,
-    "exploration.around": "the unit of the action",
     "targets": "the unit of the entry",
 }
 

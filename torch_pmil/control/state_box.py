@@ -48,7 +48,7 @@ class StateBox:
         'dq = 12.3 rad/s left its limits of -10 to 10 rad/s'
         >>> certain = Gaussian(torch.tensor([[0.0, 1.0]]), 1e-9 * torch.eye(2)[None])
         >>> box.leaving_probability(certain)
-        tensor(0., dtype=torch.float64)
+        tensor(0.)
     """
 
     space: StateSpace

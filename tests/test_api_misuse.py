@@ -564,6 +564,10 @@ CONTROL = {
     "RandomActions without rollouts": misuse(
         lambda: RandomActions(ACTIONS, 0.5, 5, 0), "rollouts must be a whole number of at"
     ),
+    "RandomActions around two of one action": misuse(
+        lambda: RandomActions(ACTIONS, 0.5, 5, around=torch.zeros(2)),
+        "around must have shape (1,), got (2,)",
+    ),
     "ActionSpace without room": misuse(
         lambda: replace(ACTIONS, low=ONE), "low must be below high, got [1.0] and [1.0]"
     ),

@@ -84,12 +84,11 @@ def test_torques_end_at_the_limits() -> None:
     assert limited.tolist() == [0.5, free[1].item()]
 
 
-def test_random_actions_are_uniform_around_those_that_hold_and_clipped_to_the_range() -> None:
+def test_random_actions_are_uniform_around_the_given_one_and_clipped_to_the_range() -> None:
     """A quarter of half the range: (-1, 1) around 0, and (1.75, 2.25) around 2 of (0, 2)."""
-    random = RandomActions(TARGETS, 0.25, 20, holding=lambda states: states[:, ::2])
-    state = torch.tensor([0.0, 9.0, 2.0, 9.0], dtype=torch.float64)
-    assert random.motion(generator())(state).shape == (2,)
-    first, second = random.motion(generator())(state.expand(2, 2000, 4)).flatten(0, 1).unbind(-1)
+    around = torch.tensor([0.0, 2.0], dtype=torch.float64)
+    motion = RandomActions(TARGETS, 0.25, 20, around=around).motion(generator())
+    first, second = motion(torch.zeros(4000, 4)).unbind(-1)
     assert first.abs().max() <= 1 and first.abs().max() > 0.99
     assert first.mean().abs() < 4 * (1 / 3 / 4000) ** 0.5
     assert second.min() >= 1.75 and second.min() < 1.76 and second.max() == 2

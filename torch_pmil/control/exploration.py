@@ -51,26 +51,25 @@ class Exploration(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RandomActions:
-    """Rollouts of independent actions, uniform around the one that holds the robot where it is.
+    """Rollouts of independent actions, uniform around one of them, within the robot's range.
 
     Args:
         actions: the robot's actions.
-        fraction: how far they go from there, as a fraction of half the range; what would leave the
-            range is clipped.
+        fraction: how far they go from the action around which they are drawn, as a fraction of
+            half the range; what would leave the range is clipped.
         steps: control steps of each rollout.
         rollouts: number of rollouts.
-        holding: actions (S, F) that hold the robot in states (S, D). None: they are drawn around
-            the middle of the range.
+        around: the action around which they are drawn, (F,); None for the middle of the range.
 
     Raises:
-        ValueError: the fraction is not in (0, 1], or there is no step or no rollout.
+        ValueError: the fraction is not in (0, 1], there is no step or no rollout, or the action is
+            not finite or has another shape.
 
     Example:
         >>> low, high = torch.tensor([-4.0, -3.0]), torch.tensor([4.0, 3.0])
         >>> targets = ActionSpace(("q1", "q2"), ("rad", "rad"), low, high)
-        >>> random = RandomActions(targets, 0.1, steps=25, holding=lambda states: states[:, ::2])
-        >>> here = torch.tensor([3.9, 0.0, 0.0, 0.0]).expand(1000, 4)
-        >>> drawn = random.motion(torch.Generator().manual_seed(0))(here)
+        >>> motion = RandomActions(targets, 0.1, steps=25, around=torch.tensor([3.9, 0.0]))
+        >>> drawn = motion.motion(torch.Generator().manual_seed(0))(torch.zeros(1000, 4))
         >>> [(round(least, 1), round(most, 1)) for least, most in zip(drawn.amin(0).tolist(),
         ...                                                         drawn.amax(0).tolist())]
         [(3.5, 4.0), (-0.3, 0.3)]
@@ -80,18 +79,25 @@ class RandomActions:
     fraction: float
     steps: int
     rollouts: int = 1
-    holding: Callable[[Tensor], Tensor] | None = None
+    around: Tensor | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.fraction <= 1:
             raise ValueError(f"fraction must be above 0 and at most 1, got {self.fraction}")
         check_whole("steps", self.steps, 1)
         check_whole("rollouts", self.rollouts, 1)
+        if self.around is not None:
+            check_tensor("around", self.around, (len(self.actions.names),))
 
     @property
     def settings(self) -> dict[str, object]:
-        """Number and length of the rollouts, and the fraction."""
-        return {"rollouts": self.rollouts, "steps": self.steps, "random_action": self.fraction}
+        """Number and length of the rollouts, the fraction, and the action if one is given."""
+        numbers: dict[str, object] = {
+            "rollouts": self.rollouts,
+            "steps": self.steps,
+            "random_action": self.fraction,
+        }
+        return numbers if self.around is None else numbers | {"around": self.around.tolist()}
 
     def motion(self, generator: torch.Generator) -> Motion:
         """Motion of independent actions, drawn from a generator."""
@@ -102,8 +108,9 @@ class _Uniform:
     amplitude = 1.0
 
     def __init__(self, random: RandomActions, generator: torch.Generator) -> None:
-        actions, self.holding = random.actions, random.holding
+        actions = random.actions
         self.low, self.high = actions.low.double(), actions.high.double()
+        self.around = (actions.middle if random.around is None else random.around).double()
         self.reach, self.generator = random.fraction * actions.half_range.double(), generator
 
     def begin(self) -> None:
@@ -113,13 +120,7 @@ class _Uniform:
         shape = (*state.shape[:-1], len(self.reach))
         uniform = torch.rand(shape, dtype=torch.float64, generator=self.generator)
         offset = self.amplitude * self.reach * (2 * uniform - 1)
-        return (self._held(state.double()) + offset).clamp(self.low, self.high)
-
-    def _held(self, state: Tensor) -> Tensor:
-        """Actions (*batch, F) around which the next ones are drawn."""
-        if self.holding is None:
-            return (self.low + self.high) / 2
-        return self.holding(state.reshape(-1, state.shape[-1])).reshape(*state.shape[:-1], -1)
+        return (self.around + offset).clamp(self.low, self.high)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Exper
 
     All but the robot, its actions and the first policy is that of :func:`double_pendulum`. That
     policy holds the robot where it is, at the start and along what was demonstrated, and the first
-    motion is around what holds it where it is.
+    motion is around what holds the start.
 
     Args:
         demonstrations: as of :func:`double_pendulum`.

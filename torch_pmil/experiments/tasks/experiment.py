@@ -101,8 +101,8 @@ class Experiment:
             lenient measure.
         evaluated: whether policies are measured from fresh starts, which are no experience, beside
             their own rollouts; False for a robot that a person resets.
-        random_action: of exploration by random actions around those that hold the robot where it
-            is, if they are known, or else the middle of the range; as a fraction of half the range.
+        random_action: of exploration by random actions around those that hold the start, if they
+            are known, or else the middle of the range; as a fraction of half the range.
         pd_movements: exploration by a PD controller; random actions for one horizon if None.
         initial_weight_std: of the policy's initial weights.
         input_scale: width of the policy's initial basis functions, in standard deviations of the
@@ -233,9 +233,10 @@ class Experiment:
         """The robot's motion before anything is learned."""
         if self.pd_movements is not None:
             return self.pd_movements
-        return RandomActions(
-            self.actions, self.random_action, self.horizon, holding=self.holding_actions
-        )
+        around = None
+        if self.holding_actions is not None:
+            around = self.holding_actions(self.initial.mean[None])[0]
+        return RandomActions(self.actions, self.random_action, self.horizon, around=around)
 
     @property
     def limits(self) -> Tensor:

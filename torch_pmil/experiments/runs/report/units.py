@@ -10,6 +10,7 @@ from torch_pmil.experiments.runs.setting_words import SETTINGS
 DERIVED = {
     "horizon": "control steps",
     "exploration.random_action": SETTINGS["random_action"].unit,
+    "exploration.around": "the units of the actions",
     "targets": "the unit of the entry",
 }
 

@@ -140,7 +140,7 @@ def test_robot_that_stays_where_it_is_has_a_policy_of_some_width(name: str, trem
 def test_model_of_a_robot_that_shall_stay_has_all_of_the_exploration() -> None:
     task = still("double_pendulum", 26)
     trainer = make_trainer(task, 100, 1, False, lambda trial: None)
-    trainer.experience.extend(next(iter(trainer.collector)))
+    trainer._learn_from_rollout(next(iter(trainer.collector)))
     explored = trainer.experience.transitions["observation"]
     assert (explored.abs() <= task.limits).all(-1).sum() < trainer.loss_module.dynamics.num_inputs
     trainer.fit_dynamics()

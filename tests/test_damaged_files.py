@@ -20,7 +20,7 @@ from reproduction.learned import load_learned
 from tests.helpers.bounded import SECONDS, Load, measured
 from tests.helpers.data_sets import WRITERS
 from tests.helpers.hostile import SPRUNG, damaged, pickle_of_a_trap
-from tests.helpers.short_run import SEED, STEPS, quick_fits, run, short_experiment
+from tests.helpers.short_run import SEED, quick_fits, run, short_experiment
 from torch_pmil.cli.resume import overrides
 from torch_pmil.cli.summarize import summarize
 from torch_pmil.control.policy_file import PolicyFileError, load_policy
@@ -35,7 +35,7 @@ from torch_pmil.trainer.checkpoints import rotation_in
 MEGABYTES, LETTERS = 1000, 1200  # of growth, and of a line with the path of its file
 FEW, MANY = 10, 125  # damaged files of a kind in the fast and in the slow test
 CHECKPOINTS = 4  # times as many of them, which have the most parts
-NEWEST = f"checkpoint-{STEPS:012}.torchrl"
+NEWEST = f"checkpoint-{1:012}.torchrl"  # after the last of its rollouts
 OURS = {  # kinds of a run: what is copied, what of it is damaged, and how it may be refused
     "policy": ("policy.pt", "policy.pt", PolicyFileError),
     "model": ("*", "dynamics.pt", RunError),

@@ -27,6 +27,7 @@ class ActionSpace:
             not finite, or a least action not below the largest.
 
     Example:
+        >>> import torch
         >>> low, high = torch.tensor([-4.0, 0.0]), torch.tensor([4.0, 2.0])
         >>> targets = ActionSpace(("q1", "q2"), ("rad", "rad"), low, high)
         >>> targets.middle.tolist(), targets.half_range.tolist()
@@ -83,6 +84,7 @@ class ActionSpace:
         """Names for figures, with the units that are known.
 
         Example:
+            >>> import torch
             >>> ActionSpace.around(torch.zeros(1), torch.ones(1), ["tau"], ["N·m"]).labels
             ('action tau (N·m)',)
         """

@@ -253,7 +253,7 @@ class MujocoRobotEnv(RobotEnv):
             >>> from torch_pmil.envs import DoublePendulumServoEnv
             >>> env = DoublePendulumServoEnv()
             >>> env.holding_actions(torch.tensor([[3.0, 0.0, 0.0, 0.0]]).double()).round(decimals=2)
-            tensor([[2.9300, 0.0200]], dtype=torch.float64)
+            tensor([[ 2.9300, -0.0200]], dtype=torch.float64)
         """
         positions = states[:, self._position_entries].numpy()
         still = np.zeros_like(positions)

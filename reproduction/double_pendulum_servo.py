@@ -7,14 +7,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import fmean, median
-
-import torch
+from typing import Any
 
 from reproduction.cloning import FIRST_LINK
 from reproduction.figure7 import GOAL, OUR_TRIALS, size, success_curves, success_results
 from reproduction.learned import remeasured
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
-from reproduction.robustness import VELOCITY_NOISE
+from reproduction.robustness import with_noise
 from torch_pmil.envs import DoublePendulumServoEnv
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.tasks.experiment import Experiment
@@ -26,41 +25,35 @@ VARIED_SEEDS, QUICK_SEEDS = range(3), range(1)
 STARTS, START_SEED = 100, 8_000_000  # no start that a run has seen
 
 
-def with_noise(std: float) -> Experiment:
-    """The double pendulum with servos and sensor noise of ``std`` (rad) in the angles.
+def with_servos(name: str, **settings: Any) -> Experiment:
+    """The double pendulum with other servos or links, which its first policy holds as well.
 
-    That of the velocities and the told p(x_0) are those of the noisy double pendulum with motors.
-    """
-    experiment = load_experiment("double_pendulum_servo")
-    noise = std * torch.tensor([1.0, VELOCITY_NOISE, 1.0, VELOCITY_NOISE], dtype=torch.float64)
-    return replace(
-        experiment,
-        name=f"{experiment.name}_noise_{std:g}rad",
-        make_env=partial(DoublePendulumServoEnv, observation_std=noise.tolist()),
-        initial=experiment.initial.add_noise(noise**2),
-    )
-
-
-def with_second_link(mass: float) -> Experiment:
-    """The double pendulum with servos and a second link of that mass in kg.
+    Args:
+        name: what the experiment's name ends with.
+        settings: of :class:`DoublePendulumServoEnv`.
 
     Example:
-        >>> with_second_link(1.0).name
+        >>> with_servos("1kg", link_masses=(0.5, 1.0)).name
         'double_pendulum_servo_1kg'
     """
-    experiment, masses = load_experiment("double_pendulum_servo"), (FIRST_LINK, mass)
+    experiment = load_experiment("double_pendulum_servo")
+    make_env = partial(DoublePendulumServoEnv, **settings)
     return replace(
         experiment,
-        name=f"{experiment.name}_{mass:g}kg",
-        make_env=partial(DoublePendulumServoEnv, masses),
-        holding_actions=DoublePendulumServoEnv(masses).holding_actions,
+        name=f"{experiment.name}_{name}",
+        make_env=make_env,
+        holding_actions=make_env().holding_actions,
     )
 
 
 def varied() -> dict[str, Experiment]:
     """The experiments with noisy sensors or another second link, by name in the headline."""
-    heavier = {f"success_{mass:g}kg": with_second_link(mass) for mass in SECOND_LINKS}
-    return {f"success_noise_{NOISE:g}rad": with_noise(NOISE)} | heavier
+    noise, masses = f"noise_{NOISE:g}rad", {f"{mass:g}kg": mass for mass in SECOND_LINKS}
+    noisy = with_noise(NOISE, "double_pendulum_servo")
+    return {f"success_{noise}": replace(noisy, name=f"{noisy.name}_{noise}")} | {
+        f"success_{name}": with_servos(name, link_masses=(FIRST_LINK, mass))
+        for name, mass in masses.items()
+    }
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:

@@ -45,19 +45,19 @@ def with_start_std(std: float) -> Experiment:
     )
 
 
-def with_noise(std: float) -> Experiment:
-    """The double pendulum with sensor noise of ``std`` (rad) in the angles.
+def with_noise(std: float, name: str = "double_pendulum") -> Experiment:
+    """The double pendulum of that name with sensor noise of ``std`` (rad) in the angles.
 
     The told p(x_0) is the sensors' view of the start.
 
     The states that the policy sees and the model learns from are noisy. So are those by which a run
     judges its own rollouts.
     """
-    experiment = load_experiment("double_pendulum")
+    experiment = load_experiment(name)
     noise = std * torch.tensor([1.0, VELOCITY_NOISE, 1.0, VELOCITY_NOISE], dtype=torch.float64)
     return replace(
         experiment,
-        make_env=partial(DoublePendulumEnv, observation_std=noise.tolist()),
+        make_env=partial(experiment.make_env, observation_std=noise.tolist()),
         initial=experiment.initial.add_noise(noise**2),
     )
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from examples.robot_server.client import RemoteRobot, served_env
 from torch_pmil.envs import DoublePendulumEnv, PhysicalRobotEnv
@@ -25,11 +27,11 @@ class TimedRobot(RemoteRobot):
 
     Args:
         stops: the file.
-        dim, timeout, addresses: of the client.
+        settings: of the client.
     """
 
-    def __init__(self, stops: Path, dim: int, timeout: float, addresses: Addresses) -> None:
-        super().__init__(dim, timeout, *addresses)
+    def __init__(self, stops: Path, *settings: Any) -> None:
+        super().__init__(*settings)
         self._stops = stops
 
     def stop(self) -> None:
@@ -39,10 +41,12 @@ class TimedRobot(RemoteRobot):
             file.write(f"{time.monotonic()}\n")
 
 
-def connected(addresses: Addresses, like: RobotEnv) -> PhysicalRobotEnv:
+def connected(
+    addresses: Addresses, like: RobotEnv, client: Callable[..., RemoteRobot] = RemoteRobot
+) -> PhysicalRobotEnv:
     """The environment of a served robot like that one."""
     dim = like.observation_spec["observation"].shape[-1]
-    return served_env(RemoteRobot(dim, like.control_period / 2, *addresses), like)
+    return served_env(client(dim, like.control_period / 2, *addresses), like)
 
 
 def served_experiment(addresses: Addresses, stops: Path | None = None) -> Experiment:
@@ -58,10 +62,8 @@ def served_experiment(addresses: Addresses, stops: Path | None = None) -> Experi
 
 def _env(addresses: Addresses, stops: Path | None, seed: int) -> PhysicalRobotEnv:
     """The starts are the server's: it has the seed."""
-    like = DoublePendulumEnv()
-    if stops is None:
-        return connected(addresses, like)
-    return served_env(TimedRobot(stops, 4, like.control_period / 2, addresses), like)
+    client = RemoteRobot if stops is None else partial(TimedRobot, stops)
+    return connected(addresses, DoublePendulumEnv(), client)
 
 
 def learn_hastily(out: Path, addresses: Addresses, stops: Path, trials: int) -> None:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from statistics import median
 
 import torch
 from torch import Tensor
 
+from reproduction.double_pendulum_servo import with_servos
+from reproduction.figure7 import GOAL
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
-from torch_pmil.envs import DoublePendulumServoEnv
-from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.summaries import read_summary
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.plotting import plot_gains
@@ -24,7 +22,6 @@ DAMPINGS = (0.3, 1.0, 3.0, 10.0)  # N·m·s/rad
 LEARNED = ((3.0, 0.3), (3.0, 1.0), (10.0, 1.0), (10.0, 3.0), (30.0, 3.0), (100.0, 10.0))
 SEEDS, TRIALS = range(3), 8
 STARTS, START_SEED = 20, 9_000_000  # no start that a run has seen
-GOAL = 0.95
 
 
 def with_gains(stiffness: float, damping: float) -> Experiment:
@@ -34,14 +31,7 @@ def with_gains(stiffness: float, damping: float) -> Experiment:
         >>> with_gains(3.0, 0.3).name
         'double_pendulum_servo_kp3_kv0.3'
     """
-    experiment = load_experiment("double_pendulum_servo")
-    make_env = partial(DoublePendulumServoEnv, stiffness=stiffness, damping=damping)
-    return replace(
-        experiment,
-        name=f"{experiment.name}_kp{stiffness:g}_kv{damping:g}",
-        make_env=make_env,
-        holding_actions=make_env().holding_actions,
-    )
+    return with_servos(_name(stiffness, damping), stiffness=stiffness, damping=damping)
 
 
 def success_alone(experiment: Experiment, still: bool = False) -> float:
@@ -85,11 +75,9 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         )
         for still in (False, True)
     )
-    experience = {
-        gains: [experience_to_goal(folder) for folder in folders[index * each :][:each]]
-        for index, gains in enumerate(LEARNED)
-    }
-    medians = {gains: median(found) for gains, found in experience.items()}
+    summaries = [read_summary(folder) for folder in folders]
+    runs = {gains: summaries[index * each :][:each] for index, gains in enumerate(LEARNED)}
+    medians = {gains: median(map(experience_to_goal, of_gains)) for gains, of_gains in runs.items()}
     figure = plot_gains(STIFFNESSES, DAMPINGS, alone.numpy(), medians)
     headline: dict[str, float | None] = {
         **_by_gains("alone", alone),
@@ -102,22 +90,18 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         "starts": STARTS,
         "seeds": each,
         "success_rates": {
-            _name(*gains): _saved_rates(folders, index, each) for index, gains in enumerate(LEARNED)
+            _name(*gains): [run["saved_success_rate"] for run in of_gains]
+            for gains, of_gains in runs.items()
         },
     }
     return Results(headline, {"servo_gains": figure}, details)
 
 
-def experience_to_goal(folder: Path) -> float:
+def experience_to_goal(summary: dict) -> float:
     """Experience (s) of a run's first trial with 95 % of success; infinite if there is none."""
-    trials = read_summary(folder)["trials"]
+    trials = summary["trials"]
     found = [trial["experience_s"] for trial in trials if trial["success_rate"] >= GOAL]
     return min(found, default=float("inf"))
-
-
-def _saved_rates(folders: Sequence[Path], index: int, each: int) -> list[float]:
-    own = folders[index * each : (index + 1) * each]
-    return [read_summary(folder)["saved_success_rate"] for folder in own]
 
 
 def _name(stiffness: float, damping: float) -> str:

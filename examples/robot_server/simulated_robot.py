@@ -10,8 +10,7 @@ import torch
 
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.actuators import actuator_kinds
-
-FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
+from torch_pmil.envs.mujoco_model import FULL_PHYSICS
 
 
 class SimulatedRobot:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from reproduction import double_pendulum_servo, servo_gains
-from reproduction.double_pendulum_servo import varied, with_second_link
+from reproduction.double_pendulum_servo import varied, with_servos
 from reproduction.servo_gains import LEARNED, experience_to_goal, success_alone, with_gains
 
 pytestmark = pytest.mark.robot
@@ -24,7 +24,7 @@ def test_robots_are_varied_as_their_names_say() -> None:
 
 
 def test_heavier_robot_is_held_by_what_holds_it() -> None:
-    experiment = with_second_link(1.0)
+    experiment = with_servos("1kg", link_masses=(0.5, 1.0))
     raised = torch.tensor([[2.9, 0.0, 0.1, 0.0]], dtype=torch.float64)
     held = experiment.holding_actions(raised)
     after = experiment.robot(seed=0).simulate(raised, held)
@@ -45,11 +45,8 @@ def test_stiff_servos_alone_swing_up_and_soft_ones_do_not() -> None:
     assert success_alone(with_gains(3.0, 1.0)) == 0
 
 
-def test_experience_is_that_of_the_first_trial_that_reaches_the_goal(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_experience_is_that_of_the_first_trial_that_reaches_the_goal() -> None:
     rates = [0.0, 0.94, 0.95, 0.0]
     trials = [{"experience_s": 2.5 * (k + 1), "success_rate": r} for k, r in enumerate(rates)]
-    monkeypatch.setattr(servo_gains, "read_summary", lambda folder: {"trials": trials})
-    assert experience_to_goal(Path()) == 7.5
+    assert experience_to_goal({"trials": trials}) == 7.5
     assert len(set(LEARNED)) == len(LEARNED)

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from tests.helpers.draws import Draws
+from tests.helpers.integrator import damped_integrator
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_space import StateSpace, joint_match
@@ -28,12 +29,7 @@ INITIAL = Gaussian(
 
 @pytest.fixture(scope="module")
 def dynamics() -> GPDynamics:
-    """A damped integrator, learned from 30 random transitions."""
-    draws = Draws(seed=0)
-    x, u = draws.uniform(-1.5, 1.5, 30, 1), draws.uniform(-2, 2, 30, 1)
-    dynamics = GPDynamics(2, 1)
-    dynamics.fit(torch.cat([x, u], -1), 0.2 * (u - 0.5 * x) + 0.01 * draws.normal(30, 1))
-    return dynamics
+    return damped_integrator()
 
 
 @pytest.fixture

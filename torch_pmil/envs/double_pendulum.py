@@ -14,6 +14,9 @@ from torch import Tensor
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 
 LINK_LENGTH = 0.5  # m, paper
+HANGING = (math.pi, 0.0, 0.0, 0.0)  # rad and rad/s, the mean of the start
+START_STD = (0.05, 0.1, 0.05, 0.1)  # rad and rad/s
+PICTURE = (480, 480)  # pixels
 
 
 class DoublePendulumEnv(MujocoRobotEnv):
@@ -61,8 +64,8 @@ class DoublePendulumEnv(MujocoRobotEnv):
         link_masses: Sequence[float] = (0.5, 0.5),
         *,
         torque_limit: float | Sequence[float] = 3.5,
-        initial_mean: Sequence[float] | Tensor = (math.pi, 0.0, 0.0, 0.0),
-        initial_std: Sequence[float] | Tensor = (0.05, 0.1, 0.05, 0.1),
+        initial_mean: Sequence[float] | Tensor = HANGING,
+        initial_std: Sequence[float] | Tensor = START_STD,
         observation_std: Sequence[float] | Tensor | None = None,
         control_period: float = 0.1,
         targets: Tensor | None = None,
@@ -81,7 +84,7 @@ class DoublePendulumEnv(MujocoRobotEnv):
             targets=targets,
             num_envs=num_envs,
             from_pixels=from_pixels,
-            pixel_size=(480, 480),
+            pixel_size=PICTURE,
             seed=seed,
         )
 

@@ -8,7 +8,12 @@ from collections.abc import Sequence
 import mujoco
 from torch import Tensor
 
-from torch_pmil.envs.double_pendulum import double_pendulum_spec
+from torch_pmil.envs.double_pendulum import (
+    HANGING,
+    PICTURE,
+    START_STD,
+    double_pendulum_spec,
+)
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 
 SETPOINT_RANGE = (4.0, 3.0)  # rad, of q1 and q2
@@ -57,8 +62,8 @@ class DoublePendulumServoEnv(MujocoRobotEnv):
         stiffness: float = 10.0,
         damping: float = 1.0,
         torque_limit: float = 3.5,
-        initial_mean: Sequence[float] | Tensor = (math.pi, 0.0, 0.0, 0.0),
-        initial_std: Sequence[float] | Tensor = (0.05, 0.1, 0.05, 0.1),
+        initial_mean: Sequence[float] | Tensor = HANGING,
+        initial_std: Sequence[float] | Tensor = START_STD,
         observation_std: Sequence[float] | Tensor | None = None,
         control_period: float = 0.1,
         num_envs: int | None = None,
@@ -74,7 +79,7 @@ class DoublePendulumServoEnv(MujocoRobotEnv):
             control_period=control_period,
             num_envs=num_envs,
             from_pixels=from_pixels,
-            pixel_size=(480, 480),
+            pixel_size=PICTURE,
             seed=seed,
         )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -100,6 +100,15 @@ class SearchResult:
     def complete(self) -> bool:
         """Whether the search converged at the whole horizon T."""
         return self.converged and self.horizon == len(self.per_step)
+
+    def with_work_of(self, other: SearchResult) -> SearchResult:
+        """This outcome, with the time and the evaluations of both searches."""
+        return replace(
+            self,
+            evaluations=self.evaluations + other.evaluations,
+            failures=self.failures + other.failures,
+            seconds=self.seconds + other.seconds,
+        )
 
 
 def search_policy(

@@ -79,7 +79,7 @@ def admit(
                 again = search_policy(loss, initial, settings, report)
         except NotFiniteError:  # so far outside that no search can begin
             break
-        result = _with_loss(loss, initial, _together(result, again))
+        result = _with_loss(loss, initial, again.with_work_of(result))
         leaving = _leaving(loss, initial, box)
     steps = int((leaving.cumsum(-1) <= box.threshold).sum())
     return Admission(result, min(leaving.sum().item(), 1.0), refused, steps)
@@ -96,16 +96,6 @@ def _leaving(loss: TrajectoryLoss, initial: Gaussian, box: StateBox) -> Tensor:
         return leaving.reshape(-1, horizon).amax(0)
 
     return evaluate_steps(largest, initial, loss.horizon).clamp(max=1)
-
-
-def _together(result: SearchResult, again: SearchResult) -> SearchResult:
-    """The newer result with the numbers of both searches."""
-    return replace(
-        again,
-        seconds=result.seconds + again.seconds,
-        evaluations=result.evaluations + again.evaluations,
-        failures=result.failures + again.failures,
-    )
 
 
 def _with_loss(loss: TrajectoryLoss, initial: Gaussian, result: SearchResult) -> SearchResult:

@@ -99,7 +99,7 @@ def discard_newest(rotation: CheckpointRotation) -> SavedRun | None:
     if not paths:
         return None
     before = newest_undamaged(rotation, before=paths[0])
-    if before is None and number_of(paths[0]) > 0:
+    if before is None and _rollouts_before(paths[0]) > 0:
         warnings.warn(
             "the rollout stays: of those before it, no checkpoint is left to go back to",
             RuntimeWarning,
@@ -110,7 +110,7 @@ def discard_newest(rotation: CheckpointRotation) -> SavedRun | None:
     return before
 
 
-def number_of(path: Path) -> int:
+def _rollouts_before(path: Path) -> int:
     """Number of rollouts before the one that a checkpoint holds."""
     return int(path.stem.rpartition("-")[2])
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -102,12 +101,8 @@ class PolicySearchStepper(OptimizationStepper):
         found = copy.deepcopy(loss.actor_network.state_dict())
         begin()
         second = search_policy(loss, initial, self.settings, self.report, random=random)
-        better = second if second.loss < self.result.loss else self.result
-        if better is not second:
+        if second.loss < self.result.loss:
+            self.result = second.with_work_of(self.result)
+        else:
             loss.actor_network.load_state_dict(found)
-        self.result = replace(
-            better,
-            seconds=self.result.seconds + second.seconds,
-            evaluations=self.result.evaluations + second.evaluations,
-            failures=self.result.failures + second.failures,
-        )
+            self.result = self.result.with_work_of(second)

@@ -43,7 +43,7 @@ from torch_pmil.trainer.checkpoints import GeneratorState, new_checkpoint, newes
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
 from torch_pmil.trainer.resumption import restore
 from torch_pmil.trainer.search_stepper import PolicySearchStepper
-from torch_pmil.trainer.trials import Candidate, Trial, success_rate
+from torch_pmil.trainer.trials import Candidate, Trial, own_error, success_rate
 
 NUMERALS = {2: "two", 3: "three", 4: "four"}
 
@@ -350,18 +350,19 @@ class PMILTrainer(Trainer):
     def _complete(self, batch: TensorDictBase) -> None:
         """Complete the pending trial with its own rollout, and end the training if it is time."""
         assert self._pending is not None  # the search before the rollout left it
-        own_error = self._own_error(batch)
+        cut_short = self.collector.cut_short
+        error = own_error(batch, cut_short, self.loss_module.horizon, self.error)
         trial = replace(
             self._pending,
-            own_error=own_error,
-            own_success=own_error <= self.tolerance,
+            own_error=error,
+            own_success=error <= self.tolerance,
             steps=batch.shape[-1],
-            cut_short=self.collector.cut_short or self._pending.cut_short,
+            cut_short=cut_short or self._pending.cut_short,
         )
         parameters = {k: v.clone() for k, v in self.loss_module.actor_network.state_dict().items()}
         self.trials.append(trial)
         self._pending = None
-        self.candidates.append(Candidate(trial.trial, parameters, own_error))
+        self.candidates.append(Candidate(trial.trial, parameters, error))
         self.on_trial(trial)
         last = self.trials[-self.confirmations :]
         if len(last) == self.confirmations and all(t.own_success for t in last):
@@ -369,12 +370,6 @@ class PMILTrainer(Trainer):
             self.request_stop(f"the own rollouts of {count} trials in a row succeeded")
         elif len(self.trials) >= self.most_trials:
             self.request_stop("limit of trials")
-
-    def _own_error(self, batch: TensorDictBase) -> float:
-        """The largest error of a rollout of all robots; infinite if it was cut short."""
-        if self.collector.cut_short or batch.shape[-1] < self.loss_module.horizon:
-            return math.inf
-        return self.error(batch).max().item()
 
     def _start_belief(self, batch: TensorDictBase) -> TensorDictBase:
         return TensorDict({"observation": {"mean": self.initial.mean, "var": self.initial.cov}})

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from tensordict import TensorDictBase
 from torch import Tensor
 
 
@@ -72,6 +74,25 @@ class Candidate:
     trial: int
     parameters: Mapping[str, Tensor]
     own_error: float
+
+
+def own_error(
+    rollout: TensorDictBase,
+    cut_short: str,
+    horizon: int,
+    error: Callable[[TensorDictBase], Tensor],
+) -> float:
+    """The largest error of a rollout (*robots, T), infinite where it was cut short.
+
+    Args:
+        rollout: as the robot executed it.
+        cut_short: why the robot ended it early, "" if it did not.
+        horizon: control steps that it should have.
+        error: of whole rollouts, (*robots).
+    """
+    if cut_short or rollout.shape[-1] < horizon:
+        return math.inf
+    return error(rollout).max().item()
 
 
 def success_rate(errors: Tensor, tolerance: float) -> float:

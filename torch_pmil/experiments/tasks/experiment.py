@@ -30,6 +30,7 @@ from torch_pmil.model.experience import FEWEST_TRANSITIONS
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.trials import own_error
 
 HELD_STARTS = 200  # at which a new policy is told to hold the robot
 START_REACH = 3.0  # standard deviations of the start that the model's data reach at least
@@ -338,13 +339,12 @@ class Experiment:
         robot, module = self.robot(seed), policy.as_tensordict_module()
         if self.state_box is not None:
             robot.guard = self.state_box.guard
-        return torch.stack([self._error_of_one(robot, module) for _ in range(starts)])
+        errors = [self._own_error(robot, module) for _ in range(starts)]
+        return torch.tensor(errors, dtype=torch.float64)
 
-    def _error_of_one(self, robot: RobotEnv, module: TensorDictModule) -> Tensor:
+    def _own_error(self, robot: RobotEnv, module: TensorDictModule) -> float:
         rollout = as_executed(robot.rollout(self.horizon, module))
-        if robot.cut_short or rollout.shape[-1] < self.horizon:
-            return torch.tensor(torch.inf, dtype=torch.float64)
-        return self.error(rollout).max()
+        return own_error(rollout, robot.cut_short, self.horizon, self.error)
 
     def first_robot(self, seed: int) -> MujocoRobotEnv | AdaptedEnv:
         """One robot for the first task, to be filmed."""

@@ -131,11 +131,7 @@ def own_robot(
         "draws": robot.draws,
     }
     if "initial" not in settings:
-        defaults["initial"] = (
-            _start(states[:, 0], states, LEAST_START_BY_HAND)
-            if starts is None
-            else _start(starts, states, LEAST_START)
-        )
+        defaults["initial"] = _start(starts, states)
     return Experiment(
         make_env=robot,
         space=space,
@@ -278,11 +274,14 @@ def _noise(shown: Demonstrations) -> Tensor:
     return NOISE * span.clamp(min=LEAST_RANGE * span.max())
 
 
-def _start(starts: Tensor, states: Tensor, least_share: float) -> Gaussian:
-    """p(x_0) by starts (N, D), of which all entries vary: no robot starts twice the same.
+def _start(starts: Tensor | None, states: Tensor) -> Gaussian:
+    """p(x_0) by resets (N, D), or by the demonstrated states, (N, T + 1, D), where there are none.
 
-    The least standard deviation is a share of the largest value in the demonstrated states,
-    (*batch, D).
+    All entries vary, since no robot starts twice the same: the least standard deviation is a share
+    of the largest demonstrated value.
     """
+    least_share = LEAST_START
+    if starts is None:
+        starts, least_share = states[:, 0], LEAST_START_BY_HAND
     least = least_share * states.flatten(0, -2).abs().amax(0)
     return independent_start(starts.mean(0), starts.std(0).clamp(min=1e-6).maximum(least))

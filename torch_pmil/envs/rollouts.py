@@ -89,12 +89,15 @@ def of_states(error: Callable[[Tensor], Tensor]) -> Callable[[TensorDictBase], T
         >>> last(rollout_of(torch.ones(7, 26, 4))).shape
         torch.Size([7])
     """
-    return _OfStates(error)
+    return OfStates(error)
 
 
 @dataclass(frozen=True)
-class _OfStates:
-    error: Callable[[Tensor], Tensor]
+class OfStates:
+    """What :func:`of_states` makes of an error of states, which it keeps as ``of_states``."""
+
+    of_states: Callable[[Tensor], Tensor]
 
     def __call__(self, rollout: TensorDictBase) -> Tensor:
-        return self.error(states_of(rollout))
+        """Errors (*batch) of rollouts (*batch, T)."""
+        return self.of_states(states_of(rollout))

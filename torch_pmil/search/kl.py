@@ -1,7 +1,8 @@
-"""Kullback-Leibler divergence of Gaussians and of factorised trajectories (Eqs. 19-24)."""
+"""Kullback-Leibler divergence and cross-entropy of Gaussians (Eqs. 19-24)."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -46,6 +47,35 @@ def gaussian_kl(p: Gaussian, q: Gaussian) -> Tensor:
     L_p, L_q, white = _whitened(p, q)
     trace_and_mahalanobis = white.square().sum((-2, -1))
     return (trace_and_mahalanobis - p.dim + _log_det(L_q) - _log_det(L_p)) / 2
+
+
+def gaussian_cross_entropy(q: Gaussian, p: Gaussian) -> Tensor:
+    r"""Cross-entropy of q relative to p: the expected surprise of p at what q gives.
+
+    .. math::
+        \mathbb E_q[-\log p] = \tfrac12 \left[ \operatorname{tr}(\Sigma_p^{-1}\Sigma_q)
+        + \delta^\top \Sigma_p^{-1} \delta + \log |2\pi\Sigma_p| \right],
+        \qquad \delta = \mu_p - \mu_q
+
+    It is least where q is a point at the mean of p, where KL(p‖q) is least if q is p.
+
+    Args:
+        q: predicted marginals over D entries.
+        p: demonstrated marginals; batches broadcast. Both covariances positive definite.
+
+    Returns:
+        Nats, (*batch).
+
+    Raises:
+        ValueError, NotPositiveDefiniteError: as of :func:`gaussian_kl`.
+
+    Example:
+        >>> p = Gaussian(torch.zeros(2), torch.eye(2))
+        >>> gaussian_cross_entropy(Gaussian(torch.ones(2), torch.eye(2)), p)
+        tensor(3.8379)
+    """
+    _, L_p, white = _whitened(q, p)
+    return (white.square().sum((-2, -1)) + p.dim * math.log(2 * math.pi) + _log_det(L_p)) / 2
 
 
 def _whitened(p: Gaussian, q: Gaussian) -> tuple[Tensor, Tensor, Tensor]:

@@ -12,7 +12,7 @@ from torch_pmil.gp.gaussian import Gaussian, check_belief
 from torch_pmil.model.compiled.plans import Comparison
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
-from torch_pmil.search.kl import gaussian_kl, mean_kl
+from torch_pmil.search.kl import gaussian_cross_entropy, gaussian_kl, mean_kl
 from torch_pmil.search.saturating_cost import expected_saturating_cost, saturating_cost
 from torch_pmil.search.trajectory_loss import (
     MeanPrediction,
@@ -93,6 +93,18 @@ class TrajectoryKLLoss(TrajectoryLoss):
     def horizon(self) -> int:
         """T, number of demonstrated steps after the start."""
         return self.demonstrated_mean.shape[-2]
+
+    def cross_entropy_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """Expected surprise of the demonstrated marginals at the predicted ones, (*batch, horizon).
+
+        See :func:`~torch_pmil.search.kl.gaussian_cross_entropy`. The KL is least where the
+        prediction is as wide as the demonstrations, this where it is narrow. Within
+        :meth:`~TrajectoryLoss.penalised` it has the penalty too. Raises PredictionError.
+        """
+        states = self.predict_states(initial, horizon)
+        observed = self._observe(states)
+        costs = gaussian_cross_entropy(observed, self._demonstrated(observed.batch_shape[-1]))
+        return costs if self._penalty is None else costs + self._penalty(states)
 
     def _observe(self, states: Gaussian) -> Gaussian:
         return super()._observe(states).add_noise(self.noise_std**2)

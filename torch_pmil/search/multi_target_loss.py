@@ -107,6 +107,13 @@ class MultiTargetKLLoss(TrajectoryKLLoss):
         """
         return super().per_step(initial, horizon).mean(-2)
 
+    def cross_entropy_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
+        """Cross-entropy of each step, averaged over the targets, (*batch, horizon).
+
+        Raises PredictionError.
+        """
+        return super().cross_entropy_per_step(initial, horizon).mean(-2)
+
     def mean_per_step(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """KL of the model's mean by step, averaged over the targets, (*batch, horizon)."""
         return super().mean_per_step(initial, horizon).mean(-2)

@@ -44,7 +44,8 @@ class SearchSettings:
             another loss a motion may be predicted well and be no good; then the horizon grows by
             ``horizon_step`` only, and from ``first_horizon`` on for a random policy.
         restarts: largest number of searches from random policies, made one after the other while
-            none has brought enough (:class:`PolicySearchStepper`).
+            the policy matches and yet fails from too many starts
+            (:func:`~torch_pmil.search.success_search.search_for_success`).
     """
 
     mean_iterations: int = 60
@@ -54,7 +55,7 @@ class SearchSettings:
     horizon_step: int = 3
     trust_threshold: float = 3.0
     skip_matched_steps: bool = True
-    restarts: int = 0
+    restarts: int = 4
 
     def __post_init__(self) -> None:
         least = {
@@ -144,7 +145,7 @@ def search_policy(
         raise TypeError(f"settings must be SearchSettings, got {type(settings).__name__}")
     if initial.batch_shape:
         raise ValueError(f"initial must be one belief, mean (D,), got {tuple(initial.mean.shape)}")
-    search = _Search(loss, initial, settings, report)
+    search = SearchRuns(loss, initial, settings, report)
     step_loss = evaluate_steps(loss.step_loss_for_trust, initial, loss.horizon)
     from_first = random and not settings.skip_matched_steps
     horizon = min(settings.first_horizon, loss.horizon)
@@ -164,8 +165,12 @@ def search_policy(
     return search.result(horizon)
 
 
-class _Search:
-    """The runs of L-BFGS of one policy search."""
+class SearchRuns:
+    """The runs of L-BFGS of one policy search.
+
+    Args:
+        loss, initial, settings, report: as of :func:`search_policy`.
+    """
 
     def __init__(
         self,

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -36,6 +35,7 @@ from torch_pmil.model.experience import (
 )
 from torch_pmil.model.rollout import PredictionError, check_start_belief
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.promise import PredictedSuccess, Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.admission import Admission, admit
 from torch_pmil.trainer.archive import SavedRun
@@ -55,8 +55,8 @@ class PMILTrainer(Trainer):
     after each later one, the model is fitted to all experience, the policy is searched on it and,
     with an ``evaluation_env``, measured from fresh starts (which decides nothing, and is no
     experience); the next batch is that policy's rollout on the robot. Training ends when the own
-    rollouts of some trials in a row succeeded, or at the limit of trials. :meth:`best_policy` then
-    chooses among the policies that ran.
+    rollout succeeded and the model that learned from it predicts the promised success rate, or at
+    the limit of trials. :meth:`best_policy` then chooses among the policies that ran.
 
     A rollout that the robot cuts short is a failure, and what was recorded of it is experience.
 
@@ -76,7 +76,9 @@ class PMILTrainer(Trainer):
             (:func:`~torch_pmil.model.experience.widened`).
         error: maps rollouts (*batch, T) of the environment to their errors, (*batch).
         tolerance: error up to which a rollout is a success.
-        confirmations: number of successes in a row that end the training.
+        promise: success rate from fresh starts that the policy shall keep; None where no success
+            can be predicted, and the confirmations alone end the training.
+        confirmations: number of successes in a row without which the training does not end.
         trials: largest number of trials.
         search: budget and horizon of each policy search.
         make_policy: returns a new random policy, drawn from a generator.
@@ -112,6 +114,7 @@ class PMILTrainer(Trainer):
         limits: Tensor,
         error: Callable[[TensorDictBase], Tensor],
         tolerance: float,
+        promise: Promise | None,
         confirmations: int,
         trials: int,
         search: SearchSettings,
@@ -155,7 +158,7 @@ class PMILTrainer(Trainer):
             optim_steps_per_batch=1,
             loss_module=loss_module,
             optimization_stepper=PolicySearchStepper(
-                search, lambda: make_policy(policy_generator), generator, self._report
+                search, promise, lambda: make_policy(policy_generator), generator, self._report
             ),
             progress_bar=progress_bar and sys.stderr.isatty(),
             logger=logger,
@@ -165,11 +168,12 @@ class PMILTrainer(Trainer):
         self.actor, self.evaluation_env = actor, evaluation_env
         self.initial, self.limits, self.box = initial, limits, box
         self.error, self.tolerance = error, tolerance
-        self.confirmations, self.on_trial = confirmations, on_trial
+        self.promise, self.confirmations, self.on_trial = promise, confirmations, on_trial
         self.control_period = env.control_period
         self.experience = Experience(capacity=frames)
         self.explorations = exploration.rollouts
         self.rollouts, self.explored = 0, 0  # rollouts, and transitions of the exploration, so far
+        self._fitted = 0  # transitions of the newest model's experience
         self.trials: list[Trial] = []
         self.candidates: list[Candidate] = []
         self.rotation, self.metadata = checkpoint_rotation, checkpoint_metadata
@@ -235,21 +239,24 @@ class PMILTrainer(Trainer):
         return not (self._stop_training or self.actor.exploring)
 
     def fit_dynamics(self) -> None:
-        """Fit the forward model to all experience within the limits."""
+        """Fit the forward model to all experience within the limits, unless it is already."""
+        if self._fitted == len(self.experience):
+            return
         dynamics, experience = self.loss_module.dynamics, self.experience
         explored = experience.transitions["observation"][: self.explored]
         # fewer transitions than inputs do not tell how the robot moves, not even if it is linear
         limits = widened(self.limits, explored, fewest=dynamics.num_inputs)
         data = experience.training_data(self.loss_module.space, dynamics.targets, limits)
         self._say(f"fitting the model to {len(data[0])} transitions")
-        self._fit = dynamics.fit(*data)
+        self._fit, self._fitted = dynamics.fit(*data), len(experience)
 
     def best_policy(self) -> Candidate:
-        """Best of the policies that ran: least predicted loss among the best own rollouts.
+        """Best of the policies that ran, by a model of all experience.
 
-        The loss is predicted under a model of all experience. All successes are best alike; where
-        there is none, the least error is, and where all were cut short, the longest rollout. The
-        policy of the loss then holds the parameters of the best policy.
+        It has the highest predicted success rate, as far as :attr:`Promise.aim`. Of several alike,
+        or where no success can be predicted, it has the least error of the own rollout, of which
+        all successes are alike; then the longest own rollout; then the least predicted loss. The
+        policy of the loss then holds its parameters.
 
         Raises:
             RuntimeError: no policy ran yet.
@@ -258,17 +265,32 @@ class PMILTrainer(Trainer):
             why = self.stop_reason or "call train first"
             raise RuntimeError(f"a policy must have run to be the best, got none: {why}")
         self.fit_dynamics()
-        chosen = min(self._nearest(), key=self._predicted_loss)
+        chosen = max(self.candidates, key=self._merit)
         self.loss_module.actor_network.load_state_dict(chosen.parameters)
         return chosen
 
-    def _nearest(self) -> list[Candidate]:
-        """The policies with the best own rollouts."""
-        least = min(candidate.own_error for candidate in self.candidates)
-        if least < math.inf:
-            return [c for c in self.candidates if c.own_error <= max(least, self.tolerance)]
-        longest = max(trial.steps for trial in self.trials)
-        return [c for c in self.candidates if self.trials[c.trial - 1].steps == longest]
+    def _merit(self, candidate: Candidate) -> tuple[float, ...]:
+        self.loss_module.actor_network.load_state_dict(candidate.parameters)
+        predicted, least = self._predicted_success(), 0.0
+        if self.promise is not None and predicted is not None:
+            least = min(predicted.least, self.promise.aim)
+        error = max(candidate.own_error, self.tolerance)
+        steps = self.trials[candidate.trial - 1].steps
+        return least, -error, steps, -self._predicted_loss()
+
+    def _predicted_success(self) -> PredictedSuccess | None:
+        """Success of the loss's policy under the newest model, None where it is not predicted."""
+        if self.promise is None:
+            return None
+        return self.promise.predicted(self.loss_module, self.initial)
+
+    def promised_success_rate(self) -> float | None:
+        """Success rate of the loss's policy that the model predicts at least, if it does.
+
+        The confidence is 95 %. None where no success can be predicted.
+        """
+        predicted = self._predicted_success()
+        return None if predicted is None else predicted.least
 
     def own_rollout(self, candidate: Candidate) -> TensorDictBase:
         """The rollout of a policy that became experience, (robots, steps)."""
@@ -278,8 +300,7 @@ class PMILTrainer(Trainer):
         return transitions.reshape(self.num_robots, steps[-1])
 
     @torch.no_grad()
-    def _predicted_loss(self, candidate: Candidate) -> float:
-        self.loss_module.actor_network.load_state_dict(candidate.parameters)
+    def _predicted_loss(self) -> float:
         try:
             return self.loss_module.per_step(self.initial).sum().item()
         except PredictionError:
@@ -352,10 +373,15 @@ class PMILTrainer(Trainer):
         assert self._pending is not None  # the search before the rollout left it
         cut_short = self.collector.cut_short
         error = own_error(batch, cut_short, self.loss_module.horizon, self.error)
+        success, promised = error <= self.tolerance, None
+        if success and self.promise is not None:
+            self.fit_dynamics()
+            promised = self.promise.predicted(self.loss_module, self.initial).least
         trial = replace(
             self._pending,
             own_error=error,
-            own_success=error <= self.tolerance,
+            own_success=success,
+            promised_success_rate=promised,
             steps=batch.shape[-1],
             cut_short=cut_short or self._pending.cut_short,
         )
@@ -364,12 +390,26 @@ class PMILTrainer(Trainer):
         self._pending = None
         self.candidates.append(Candidate(trial.trial, parameters, error))
         self.on_trial(trial)
-        last = self.trials[-self.confirmations :]
-        if len(last) == self.confirmations and all(t.own_success for t in last):
-            count = NUMERALS.get(len(last), len(last))
-            self.request_stop(f"the own rollouts of {count} trials in a row succeeded")
+        if ended := self._promise_kept():
+            self.request_stop(ended)
         elif len(self.trials) >= self.most_trials:
             self.request_stop("limit of trials")
+
+    def _promise_kept(self) -> str:
+        """Why the newest policy is good enough, "" if it is not."""
+        last = self.trials[-self.confirmations :]
+        if len(last) < self.confirmations or not all(trial.own_success for trial in last):
+            return ""
+        count = NUMERALS.get(len(last), len(last))
+        done = f"the own rollouts of {count} trials in a row succeeded"
+        if len(last) == 1:
+            done = "the own rollout succeeded"
+        if self.promise is None:
+            return done
+        least = self.trials[-1].promised_success_rate
+        if least is None or least < self.promise.rate:
+            return ""
+        return f"{done}, and the model predicts success from {least:.1%} of the starts at least"
 
     def _start_belief(self, batch: TensorDictBase) -> TensorDictBase:
         return TensorDict({"observation": {"mean": self.initial.mean, "var": self.initial.cov}})
@@ -384,7 +424,7 @@ class PMILTrainer(Trainer):
             self.request_stop("no policy was admitted: its first step may already leave the box")
             return None
         rate, count = self._measure()
-        search = admission.result
+        search, predicted = admission.result, self._predicted_success()
         self._pending = Trial(
             trial=len(self.trials) + 1,
             experience_s=len(self.experience) * self.control_period,
@@ -392,6 +432,8 @@ class PMILTrainer(Trainer):
             n_eval=count,
             own_error=float("nan"),
             own_success=False,
+            predicted_success_rate=None if predicted is None else predicted.rate,
+            promised_success_rate=None,
             loss=search.loss,
             horizon=search.horizon,
             refitted=self.optimization_stepper.refitted,

@@ -40,6 +40,10 @@ class Trial(Measurement):
     The measurement decides nothing.
 
     Args:
+        predicted_success_rate: predicted under the model on which the policy was searched; None
+            where no success can be predicted.
+        promised_success_rate: predicted with a confidence of 95 %, under the model that learned
+            from the own rollout; None where that was no success, or nothing can be predicted.
         loss: predicted loss over the whole horizon: the KL in nats, or another objective's cost.
         horizon: step up to which the search trusted the prediction.
         refitted: whether a second search was made, from a refitted policy.
@@ -54,6 +58,8 @@ class Trial(Measurement):
         refused: number of policies that were refused before, since they were likely to leave it.
     """
 
+    predicted_success_rate: float | None
+    promised_success_rate: float | None
     loss: float
     horizon: int
     refitted: bool

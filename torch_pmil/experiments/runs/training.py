@@ -282,6 +282,7 @@ def make_trainer(
         limits=experiment.limits,
         error=experiment.error,
         tolerance=experiment.tolerance,
+        promise=experiment.promised,
         confirmations=experiment.confirmations,
         trials=trials,
         search=experiment.search,
@@ -358,6 +359,7 @@ def _measured(
         "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
         "saved_trial": best.trial,
         "saved_success_rate": fmean(rates.values()),
+        "promised_success_rate": trainer.promised_success_rate(),
         "saved_n_eval": sum(len(outcome.errors) for outcome in outcomes) if measured else 0,
         **({"saved_success_rate_by_target": rates} if len(outcomes) > 1 else {}),
         "units": {

@@ -10,6 +10,7 @@ from torch_pmil.control.exploration import PDMovements
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv, holding_torques
+from torch_pmil.envs.racket import distance_along
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
     actions_of,
@@ -123,6 +124,7 @@ def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
         error=distance_from_ball,
         tolerance=0.0,
         confirmations=4,
+        predicted_error=distance_along,
         pd_movements=movements_around(
             env.initial_mean,
             demonstrated_reach(

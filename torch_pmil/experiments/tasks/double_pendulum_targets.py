@@ -52,4 +52,5 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
         num_centres=100,
         error=distance_of_tip,
         tolerance=REACH_DISTANCE,
+        confirmations=2,
     )

@@ -21,7 +21,7 @@ from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.robot import RobotEnv
-from torch_pmil.envs.rollouts import as_executed, states_of
+from torch_pmil.envs.rollouts import OfStates, as_executed, states_of
 from torch_pmil.files import short
 from torch_pmil.gp.checks import check_noise, check_positive, check_tensor, check_whole
 from torch_pmil.gp.gaussian import Gaussian
@@ -29,6 +29,7 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import FEWEST_TRANSITIONS
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.promise import Promise, check_rate
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import own_error
 
@@ -98,8 +99,15 @@ class Experiment:
             :func:`~torch_pmil.envs.rollouts.of_states` makes it of a function of the states
             x_0..x_T.
         tolerance: error up to which a rollout is a success.
-        confirmations: successes of own rollouts in a row that end a run: more where a success is a
-            lenient measure.
+        promise: success rate from fresh starts, below 1, that a run's end promises: the model that
+            learned from the last own rollout predicts it, with a confidence of 95 %. A lower one
+            ends sooner.
+        confirmations: successes of own rollouts in a row without which no run ends: more where a
+            success is a lenient measure, or where nothing can be predicted of it.
+        predicted_error: error of predicted states x_0..x_T, (*batch, T + 1, D) to (*batch), where
+            ``error`` reads more of a rollout than its states. None for that of ``error``, if it is
+            made by ``of_states``; otherwise no success is predicted, and the confirmations alone
+            end a run.
         evaluated: whether policies are measured from fresh starts, which are no experience, beside
             their own rollouts; False for a robot that a person resets.
         random_action: of exploration by random actions around those that hold the start, if they
@@ -145,7 +153,9 @@ class Experiment:
     num_centres: int
     error: Callable[[TensorDictBase], Tensor]
     tolerance: float
-    confirmations: int = 2
+    promise: float = 0.95
+    confirmations: int = 1
+    predicted_error: Callable[[Tensor], Tensor] | None = None
     evaluated: bool = True
     random_action: float = 0.4
     pd_movements: PDMovements | None = None
@@ -189,6 +199,7 @@ class Experiment:
             )
         check_whole("num_centres", self.num_centres, 1, MOST_CENTRES)
         check_whole("confirmations", self.confirmations, 1)
+        check_rate("promise", self.promise)
         for name in ("input_scale", "random_action"):
             check_positive(name, getattr(self, name))
         if self.random_action > 1:
@@ -218,6 +229,14 @@ class Experiment:
         if self.box is None:
             return None
         return StateBox(self.space, self.box, self.leaving_threshold)
+
+    @property
+    def promised(self) -> Promise | None:
+        """The success rate that ends a run; None where no success can be predicted."""
+        error = self.predicted_error
+        if error is None and isinstance(self.error, OfStates):
+            error = self.error.of_states
+        return None if error is None else Promise(self.promise, error, self.tolerance)
 
     @property
     def horizon(self) -> int:
@@ -267,6 +286,7 @@ class Experiment:
             "least_widths": self._least_widths.tolist(),
             "holds_start": self.holding_actions is not None,
             "tolerance": self.tolerance,
+            "promise": self.promise,
             "confirmations": self.confirmations,
             "evaluated": self.evaluated,
             "state_box": self.state_box and self.state_box.settings,

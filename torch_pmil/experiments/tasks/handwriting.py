@@ -30,7 +30,6 @@ NOISE_SHARE = 1 / 30  # of the extent of what is written: the observation noise
 NUM_CENTRES = 50
 START_STD = 0.01, 0.02  # rad, rad/s: as a servo holds a joint
 SUCCESS_RATIO = 1.25  # of the error to the writers' own spread
-CONFIRMATIONS = 4  # own rollouts that succeed in a row: one says little of other starts
 SPEED_WIDTH, ANGLE_WIDTH = 1.8, 0.42  # rad/s, rad: of a policy's basis functions, at least
 
 
@@ -113,7 +112,6 @@ def handwriting(
         num_centres=NUM_CENTRES,
         error=of_states(partial(distance_of_tip, space=writer.space, strokes=strokes)),
         tolerance=SUCCESS_RATIO * distance_spread(strokes),
-        confirmations=CONFIRMATIONS,
         pd_movements=writer.movements(
             demonstrated, actions.half_range, strokes.positions.shape[1] - 1
         ),

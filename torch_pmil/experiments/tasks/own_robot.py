@@ -23,7 +23,7 @@ from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.one_robot import OneRobot
-from torch_pmil.envs.rollouts import of_states
+from torch_pmil.envs.rollouts import OfStates, of_states
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
     actions_of,
@@ -41,7 +41,7 @@ LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of al
 TOLERANCE = 2.0  # standard deviations of the demonstrations
 CENTRES = 50
 INPUT_SCALE = 3.0  # a few demonstrations show less of the state than fresh starts reach
-CONFIRMATIONS = 3
+CONFIRMATIONS = 3  # where the success of other starts cannot be predicted
 
 Recorded = Demonstrations | Recordings | str | os.PathLike[str]
 
@@ -117,6 +117,9 @@ def own_robot(
     noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
     deviation = Deviation(expert_distribution(shown, noise_std), space)
     held = _held(adapted.action_names, space.names)
+    predictable = (
+        isinstance(settings.get("error"), OfStates | None) or "predicted_error" in settings
+    )
     defaults: dict[str, Any] = {
         "name": robot.name,
         "actions": actions_of(adapted),
@@ -127,7 +130,7 @@ def own_robot(
         "error": of_states(deviation),
         "tolerance": TOLERANCE,
         "input_scale": INPUT_SCALE,
-        "confirmations": CONFIRMATIONS,
+        "confirmations": 1 if predictable else CONFIRMATIONS,
         "draws": robot.draws,
     }
     if "initial" not in settings:

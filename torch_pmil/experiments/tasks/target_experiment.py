@@ -53,6 +53,10 @@ class TargetExperiment(Experiment):
                 f"demonstrations must be of two targets at least, got {self.targets.tolist()}"
             )
 
+    @property
+    def promised(self) -> None:
+        """None: no success is predicted of several targets, whose confirmations end a run."""
+
     @cached_property
     def targets(self) -> Tensor:
         """The demonstrated targets, (S, K)."""

@@ -1,0 +1,65 @@
+"""How near the BioRob's racket comes to the ball along states that were predicted, not executed."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import torch
+from scipy.interpolate import CubicHermiteSpline
+from torch import Tensor
+
+from torch_pmil.envs.biorob import JOINTS, BioRobEnv
+
+PLACES = 10  # of the racket, between two states
+
+
+def distance_along(states: Tensor, time_step: float = 0.1) -> Tensor:
+    """Least distance of racket and ball if the joints moved along states.
+
+    Between two states the joints move along the cubic that their positions and velocities tell. The
+    ball hangs still at its usual place, and stops nothing.
+
+    Args:
+        states: x_0..x_T, (*batch, T + 1, 6), in rad and rad/s.
+        time_step: between two states, s.
+
+    Returns:
+        Distance of the surfaces (*batch), m, float64; 0 where they touch.
+
+    Example:
+        >>> from torch_pmil.envs.biorob import START
+        >>> distance_along(torch.tensor(START).expand(4, 19, 6)).shape
+        torch.Size([4])
+    """
+    paths = _joint_paths(states.detach().double().numpy(), time_step)
+    model, joints, qpos = _robot_at_start()
+    data, sensor = mujoco.MjData(model), model.sensor("racket_ball_distance").adr[0]
+    data.qpos[:] = qpos
+    distances = np.empty(paths.shape[:-1])
+    for place in np.ndindex(distances.shape):
+        data.qpos[joints] = paths[place]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_sensorPos(model, data)
+        distances[place] = data.sensordata[sensor]
+    return torch.from_numpy(distances.min(-1).clip(min=0))
+
+
+def _joint_paths(states: np.ndarray, time_step: float) -> np.ndarray:
+    """Positions of the joints, (*batch, PLACES T + 1, 3), along states (*batch, T + 1, 6)."""
+    positions, velocities = np.split(states, 2, axis=-1)
+    times = time_step * np.arange(states.shape[-2])
+    fine = np.linspace(0, times[-1], PLACES * (len(times) - 1) + 1)
+    return CubicHermiteSpline(times, positions, velocities, axis=-2)(fine)
+
+
+@cache
+def _robot_at_start() -> tuple[mujoco.MjModel, list[int], np.ndarray]:
+    """The robot's model, the addresses of its joints, and the positions of all at the start."""
+    env = BioRobEnv(initial_std=torch.zeros(2 * len(JOINTS)), seed=0)
+    env.reset()
+    model = env.model
+    joints = [int(model.joint(name).qposadr[0]) for name in JOINTS]
+    return model, joints, env.get_buffer("_physics")[0, 1 : 1 + model.nq].numpy().copy()

@@ -1,0 +1,112 @@
+"""The success rate that a policy shall keep from all of the robot's starts, judged by its model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from scipy.stats import beta
+from torch import Tensor
+
+from torch_pmil.gp.checks import check_positive
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.particles import sample_trajectories
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+
+SAMPLES = 500
+CONFIDENCE = 0.95
+SEED = 0  # of the samples: policies are compared under the same random numbers
+
+
+@dataclass(frozen=True)
+class PredictedSuccess:
+    """How many sampled trajectories of a policy succeed, of ``SAMPLES``."""
+
+    successes: int
+
+    @property
+    def rate(self) -> float:
+        """Predicted success rate."""
+        return self.successes / SAMPLES
+
+    @property
+    def least(self) -> float:
+        """Success rate that the samples show at least, with a confidence of 95 %.
+
+        It is the one-sided bound of Clopper and Pearson (1934).
+
+        Example:
+            >>> round(PredictedSuccess(500).least, 3), PredictedSuccess(0).least
+            (0.994, 0.0)
+        """
+        if not self.successes:
+            return 0.0
+        failures = SAMPLES - self.successes
+        return float(beta.ppf(1 - CONFIDENCE, self.successes, failures + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Promise:
+    """A success rate from fresh starts, and the error by which trajectories are judged.
+
+    A start is drawn from p(x_0), and each step from the model's posterior: what the model does not
+    know makes trajectories differ, and fail. Moment matching alone does not tell how many fail,
+    since a Gaussian hides a few trajectories that go elsewhere.
+
+    Args:
+        rate: that shall be kept, above 0 and below 1.
+        error: of states x_0..x_T, (N, T + 1, D) to (N).
+        tolerance: error up to which a trajectory is a success.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    rate: float
+    error: Callable[[Tensor], Tensor]
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        check_rate("promise", self.rate)
+        check_positive("tolerance", self.tolerance, zero=True)
+
+    @property
+    def aim(self) -> float:
+        """Predicted rate up to which a search goes on: half the failures that are promised.
+
+        The other half is for what the model does not know.
+        """
+        return (1 + self.rate) / 2
+
+    @torch.no_grad()
+    def predicted(self, loss: TrajectoryLoss, initial: Gaussian) -> PredictedSuccess:
+        """Successes of the policy of ``loss`` under its model, from p(x_0)."""
+        start, policy = loss.begin(initial)
+        trajectories = sample_trajectories(
+            start, policy, loss.dynamics, loss.space, loss.horizon, SAMPLES, _generator()
+        )
+        begin = start.sample(SAMPLES, _generator())[..., None, :]  # the draws that they began with
+        errors = self.error(torch.cat([begin, trajectories], -2))
+        return PredictedSuccess(int((errors <= self.tolerance).sum()))
+
+    def kept(self, predicted: PredictedSuccess) -> bool:
+        """Whether the rate is kept with a confidence of 95 %."""
+        return predicted.least >= self.rate
+
+
+def check_rate(name: str, rate: object) -> None:
+    """Raise ValueError unless a rate can be promised: above 0, and below 1.
+
+    Example:
+        >>> check_rate("promise", 1)
+        Traceback (most recent call last):
+        ValueError: promise must be a number above 0 and below 1, got 1
+    """
+    number = isinstance(rate, int | float) and not isinstance(rate, bool)
+    if not number or not 0 < rate < 1:  # type: ignore[operator]
+        raise ValueError(f"{name} must be a number above 0 and below 1, got {rate!r}")
+
+
+def _generator() -> torch.Generator:
+    return torch.Generator().manual_seed(SEED)

@@ -44,8 +44,7 @@ class SearchSettings:
             another loss a motion may be predicted well and be no good; then the horizon grows by
             ``horizon_step`` only, and from ``first_horizon`` on for a random policy.
         restarts: largest number of searches from random policies, made one after the other while
-            the policy matches and yet fails from too many starts
-            (:func:`~torch_pmil.search.success_search.search_for_success`).
+            none has brought enough (:class:`PolicySearchStepper`).
     """
 
     mean_iterations: int = 60
@@ -55,7 +54,7 @@ class SearchSettings:
     horizon_step: int = 3
     trust_threshold: float = 3.0
     skip_matched_steps: bool = True
-    restarts: int = 4
+    restarts: int = 0
 
     def __post_init__(self) -> None:
         least = {

@@ -22,6 +22,7 @@ from torch_pmil.search.promise import Promise
 from torch_pmil.search.success_search import search_for_success
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
+RESTARTS = 4  # of a search for success, after a rollout that succeeded
 PROGRESS = 0.8  # a search should come to this fraction of the least loss so far
 
 
@@ -30,8 +31,9 @@ class PolicySearchStepper(OptimizationStepper):
 
     A search starts from the policy that the last one left. Where it neither matches the whole
     horizon nor brings the loss well below the least so far, a second search starts from the
-    refitted policy (:func:`refit_policy`). The better one is kept. After a rollout that failed it
-    does not suffice to match the whole horizon: an optimum far above others may do so too.
+    refitted policy (:func:`refit_policy`). Where that brings no more, others start from random
+    policies if the settings say so. The best one is kept. After a rollout that failed it does not
+    suffice to match the whole horizon: an optimum far above others may do so too.
 
     A policy that then matches the whole horizon, and yet is predicted to fail from too many starts,
     is searched on (:func:`search_for_success`), from random policies only after a rollout that
@@ -67,12 +69,22 @@ class PolicySearchStepper(OptimizationStepper):
         """
         loss = trainer.loss_module
         initial = Gaussian(sub_batch["observation", "mean"], sub_batch["observation", "var"])
+
+        def refit() -> None:
+            refit_policy(loss, initial, self.make_policy(), self.settings, self.generator)
+
+        def restart() -> None:
+            loss.actor_network.load_state_dict(self.make_policy().state_dict())
+
         first = self._least == math.inf
         self.result = search_policy(loss, initial, self.settings, self.report, random=first)
         failed = not all(trial.own_success for trial in trainer.trials[-1:])
         self.refitted = not self._enough(failed)
         if self.refitted:
-            self._search_from_refitted(loss, initial)
+            self._search_also(loss, initial, refit)
+        for _ in range(self.settings.restarts):
+            if not self._enough(failed):
+                self._search_also(loss, initial, restart, random=True)
         self._least = min(self._least, self.result.loss)
         succeeded = any(trial.own_success for trial in trainer.trials[-1:])
         if self.promise is not None and self.result.complete:
@@ -83,7 +95,7 @@ class PolicySearchStepper(OptimizationStepper):
                 self.settings,
                 self.make_policy,
                 self.result,
-                self.settings.restarts if succeeded else 0,
+                RESTARTS if succeeded else 0,
                 self.report,
             )
         return TensorDict({loss.out_keys[0]: torch.tensor(self.result.loss, dtype=torch.float64)})
@@ -100,10 +112,16 @@ class PolicySearchStepper(OptimizationStepper):
         progress = self.result.loss < PROGRESS * self._least
         return progress or (self.result.complete and not failed)
 
-    def _search_from_refitted(self, loss: TrajectoryLoss, initial: Gaussian) -> None:
+    def _search_also(
+        self,
+        loss: TrajectoryLoss,
+        initial: Gaussian,
+        begin: Callable[[], object],
+        random: bool = False,
+    ) -> None:
         found = copy.deepcopy(loss.actor_network.state_dict())
-        refit_policy(loss, initial, self.make_policy(), self.settings, self.generator)
-        second = search_policy(loss, initial, self.settings, self.report)
+        begin()
+        second = search_policy(loss, initial, self.settings, self.report, random=random)
         if second.loss < self.result.loss:
             self.result = second.with_work_of(self.result)
         else:

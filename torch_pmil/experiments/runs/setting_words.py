@@ -92,8 +92,12 @@ OF_EXPERIMENT = {
     "tolerance": Setting(
         "error up to which a rollout is a success", FROM_ZERO, "the unit of the task's error"
     ),
+    "promise": Setting(
+        "success rate from fresh starts that a run's end promises: a lower one ends sooner",
+        "above 0, below 1",
+    ),
     "confirmations": Setting(
-        "successes in a row of own rollouts that end a run", COUNT, "own rollouts"
+        "successes in a row of own rollouts without which no run ends", COUNT, "own rollouts"
     ),
     "evaluated": Setting(
         "whether policies are measured from fresh starts beside their own rollouts", SWITCH

@@ -9,7 +9,13 @@ from torch.distributions import MultivariateNormal, kl_divergence
 
 from tests.helpers.draws import Draws
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
-from torch_pmil.search.kl import gaussian_kl, gaussian_kl_terms, mean_kl, trajectory_kl
+from torch_pmil.search.kl import (
+    gaussian_cross_entropy,
+    gaussian_kl,
+    gaussian_kl_terms,
+    mean_kl,
+    trajectory_kl,
+)
 
 
 def test_kl_is_that_of_torch(draws: Draws) -> None:
@@ -25,6 +31,20 @@ def test_kl_is_that_of_quadrature(draws: Draws) -> None:
     log_p, log_q = (MultivariateNormal(belief.mean, belief.cov).log_prob(x) for belief in (p, q))
     expected = weights @ (log_p - log_q) / (2 * torch.pi) ** 0.5
     torch.testing.assert_close(gaussian_kl(p, q), expected, rtol=1e-10, atol=1e-10)
+
+
+def test_cross_entropy_is_kl_and_entropy_together(draws: Draws) -> None:
+    q, p = draws.belief(3, 5, 4), draws.belief(3, 5, 4)
+    ours, theirs = MultivariateNormal(q.mean, q.cov), MultivariateNormal(p.mean, p.cov)
+    expected = kl_divergence(ours, theirs) + ours.entropy()
+    torch.testing.assert_close(gaussian_cross_entropy(q, p), expected, rtol=1e-10, atol=1e-10)
+
+
+def test_cross_entropy_is_least_at_a_point_in_the_mean(draws: Draws) -> None:
+    p = draws.belief(3)
+    point = Gaussian(p.mean, 1e-12 * torch.eye(3).double())
+    others = [Gaussian(p.mean, p.cov), Gaussian(p.mean + 0.1, point.cov)]
+    assert all(gaussian_cross_entropy(point, p) < gaussian_cross_entropy(q, p) for q in others)
 
 
 def test_gradients_in_the_prediction_are_those_of_the_paper(draws: Draws) -> None:

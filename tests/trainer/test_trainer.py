@@ -22,8 +22,10 @@ from torch_pmil.control.exploration import RandomActions
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.envs.rollouts import rollout_of, states_of, without_sensor_noise
 from torch_pmil.experiments.runs.training import make_trainer
+from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.policy_search import SearchResult, SearchSettings
+from torch_pmil.search.promise import SAMPLES, PredictedSuccess
 from torch_pmil.trainer import search_stepper as stepper_module
 from torch_pmil.trainer.collector import RobotActor
 from torch_pmil.trainer.search_stepper import PROGRESS, PolicySearchStepper
@@ -198,7 +200,7 @@ def test_rate_is_that_of_the_fresh_starts_and_decides_nothing() -> None:
 
 
 def test_trials_are_told_one_by_one_when_their_rollout_is_done() -> None:
-    trainer, told = make(trials=2, error=own_errors(0.2, 0.9), tolerance=0.5)
+    trainer, told = make(trials=2, error=own_errors(0.2, 0.9), tolerance=0.5, confirmations=2)
     trainer.train()
     assert told == trainer.trials
     assert [(trial.own_error, trial.own_success) for trial in told] == [
@@ -233,6 +235,53 @@ def test_experiment_says_how_many_successes_in_a_row_end_the_training(
     assert trainer.stop_reason.startswith("the own rollout")
 
 
+class ScriptedPromise:
+    """A promise of 0.9; the models that learned from successes predict these rates, one by one."""
+
+    rate, aim, tolerance = 0.9, 0.95, 0.5
+
+    def __init__(self, *rates: float) -> None:
+        self._rates = iter(rates)
+        self.fitted: list[int] = []  # data of the models that were asked
+
+    def predicted(self, loss: torch.nn.Module, _: object) -> PredictedSuccess:
+        self.fitted.append(len(loss.dynamics.train_inputs))
+        return PredictedSuccess(round(next(self._rates) * SAMPLES))
+
+
+def test_training_ends_when_the_model_that_learned_from_a_success_predicts_the_promised_rate() -> (
+    None
+):
+    trainer, told = make(trials=6, error=own_errors(0.1, 0.9, 0.1), tolerance=0.5)
+    # before the rollout of each trial, and after those that succeeded
+    trainer.promise = promise = ScriptedPromise(0.99, 0.8, 0.99, 0.7, 1.0)
+    trainer.train()
+    rates = [(trial.predicted_success_rate, trial.promised_success_rate) for trial in told]
+    least = [PredictedSuccess(round(rate * SAMPLES)).least for rate in (0.8, 1.0)]
+    assert rates == [(0.99, least[0]), (0.99, None), (0.7, least[1])]
+    assert trainer.stop_reason == (
+        "the own rollout succeeded, and the model predicts success from 99.4% of the starts at "
+        "least"
+    )
+    assert promise.fitted == [HORIZON, 2 * HORIZON, 2 * HORIZON, 3 * HORIZON, 4 * HORIZON]
+
+
+def test_model_is_fitted_once_to_the_same_experience(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[int] = []
+    fit = GPDynamics.fit
+
+    def counted(dynamics: GPDynamics, inputs: Tensor, targets: Tensor) -> object:
+        sizes.append(len(inputs))
+        return fit(dynamics, inputs, targets)
+
+    monkeypatch.setattr(GPDynamics, "fit", counted)
+    trainer, _ = make(trials=2, error=own_errors(0.1, 0.1), tolerance=0.5)
+    trainer.promise = ScriptedPromise(0.5, 0.5, 0.5, 0.5, 0.5, 0.5)
+    trainer.train()
+    trainer.best_policy()
+    assert sizes == [HORIZON, 2 * HORIZON, 3 * HORIZON]
+
+
 def test_no_confirmations_are_an_error() -> None:
     with pytest.raises(
         ValueError, match="confirmations must be a whole number of at least 1, got 0"
@@ -241,7 +290,9 @@ def test_no_confirmations_are_an_error() -> None:
 
 
 def test_training_ends_after_two_own_successes_in_a_row() -> None:
-    trainer, told = make(trials=5, error=own_errors(0.1, 0.9, 0.1, 0.5), tolerance=0.5)
+    trainer, told = make(
+        trials=5, error=own_errors(0.1, 0.9, 0.1, 0.5), tolerance=0.5, confirmations=2
+    )
     trainer.train()
     assert [trial.own_success for trial in told] == [True, False, True, True]
     assert trainer.stop_reason == "the own rollouts of two trials in a row succeeded"
@@ -252,7 +303,9 @@ def test_training_ends_after_two_own_successes_in_a_row() -> None:
 def test_training_ends_at_the_limit_of_trials_without_two_in_a_row(
     errors: tuple[float, ...],
 ) -> None:
-    trainer, told = make(trials=len(errors), error=own_errors(*errors), tolerance=0.5)
+    trainer, told = make(
+        trials=len(errors), error=own_errors(*errors), tolerance=0.5, confirmations=2
+    )
     trainer.train()
     assert len(told) == len(errors)
     assert trainer.stop_reason == "limit of trials"
@@ -340,7 +393,9 @@ def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callabl
     numbered from 1.
     """
 
-    def choose(*outcomes: tuple[float, float | None]) -> Candidate:
+    def choose(
+        *outcomes: tuple[float, float | None], promise: ScriptedPromise | None = None
+    ) -> Candidate:
         policy, made = trained.loss_module.actor_network, []
         for trial, (own_error, _) in enumerate(outcomes, start=1):
             parameters = {name: value.clone() for name, value in policy.state_dict().items()}
@@ -354,6 +409,8 @@ def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callabl
             return torch.tensor([kl / 2, kl / 2])
 
         monkeypatch.setattr(trained, "candidates", made)
+        monkeypatch.setattr(trained, "trials", [SimpleNamespace(steps=HORIZON)] * len(made))
+        monkeypatch.setattr(trained, "promise", promise)
         monkeypatch.setattr(trained, "tolerance", 0.25)
         monkeypatch.setattr(trained.loss_module, "per_step", per_step)
         return trained.best_policy()
@@ -383,6 +440,19 @@ def test_best_policy(
 ) -> None:
     assert candidates(*outcomes).trial == best
     assert (trained.loss_module.actor_network.weights == best).all()
+
+
+@pytest.mark.parametrize(
+    ("rates", "best"),
+    [((0.5, 0.9, 0.7), 2), ((0.99, 1.0, 0.98), 3), ((0.0, 0.0, 0.0), 3)],
+    ids=["highest rate", "alike beyond the aim", "nothing is predicted to succeed"],
+)
+def test_best_policy_is_predicted_to_succeed_most_often(
+    candidates: Callable[..., Candidate], rates: tuple[float, ...], best: int
+) -> None:
+    """Own errors and KL decide among those that are alike."""
+    outcomes = [(0.9, 2.0), (0.2, 3.0), (0.1, 1.0)]
+    assert candidates(*outcomes, promise=ScriptedPromise(*rates)).trial == best
 
 
 def test_best_policy_is_chosen_under_a_model_of_all_experience(
@@ -416,7 +486,11 @@ class ScriptedSearches:
             stepper_module, "refit_policy", lambda *_: self.refitted_from.append(self.kept)
         )
         self.stepper = PolicySearchStepper(
-            SearchSettings(restarts=restarts), self._random, torch.Generator(), lambda *_: None
+            SearchSettings(restarts=restarts),
+            None,
+            self._random,
+            torch.Generator(),
+            lambda *_: None,
         )
 
     def _random(self) -> RBFPolicy:

@@ -1,0 +1,111 @@
+"""The success rate that a model predicts, against its moments, and the bound of its samples."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from scipy.stats import binom
+from torch import Tensor
+
+from tests.helpers.draws import Draws
+from tests.helpers.integrator import damped_integrator
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.search.promise import CONFIDENCE, SAMPLES, PredictedSuccess, Promise
+
+HORIZON = 6
+SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
+INITIAL = Gaussian(torch.ones(1, dtype=torch.float64), torch.full((1, 1), 0.04).double())
+
+
+@pytest.fixture(scope="module")
+def loss() -> TrajectoryKLLoss:
+    """A policy that does nothing, so that the damped integrator moves as a linear system does."""
+    policy = RBFPolicy(torch.zeros(2, 1), torch.ones(1), torch.ones(1))
+    policy.weights.data.zero_()
+    demonstrated = Gaussian(torch.zeros(HORIZON, 1), torch.ones(HORIZON, 1, 1))
+    return TrajectoryKLLoss(policy, damped_integrator(), SPACE, demonstrated, noise_std=0.05)
+
+
+@pytest.mark.parametrize("reach", [0.5, 1.0, 2.0], ids=lambda reach: f"{reach} std")
+def test_predicted_rate_is_the_probability_of_the_predicted_marginal(
+    loss: TrajectoryKLLoss, reach: float
+) -> None:
+    """Of a linear system, whose marginals are Gaussian; up to four standard errors."""
+    with torch.no_grad():
+        last = loss.predict_states(INITIAL)[-1]
+
+    def error(states: Tensor) -> Tensor:
+        assert states.shape == (SAMPLES, HORIZON + 1, 1)
+        return (states[:, -1, 0] - last.mean).abs()
+
+    expected = torch.erf(torch.tensor(reach / 2**0.5)).item()
+    rate = Promise(0.95, error, reach * last.std.item()).predicted(loss, INITIAL).rate
+    assert rate == pytest.approx(expected, abs=4 * (expected * (1 - expected) / SAMPLES) ** 0.5)
+
+
+def test_samples_begin_at_the_robots_starts(loss: TrajectoryKLLoss) -> None:
+    seen: list[Tensor] = []
+
+    def error(states: Tensor) -> Tensor:
+        seen.append(states)
+        return states[:, 0, 0]
+
+    assert Promise(0.95, error, 1e9).predicted(loss, INITIAL).rate == 1.0
+    states = seen[0]
+    assert states[:, 0].mean().item() == pytest.approx(1.0, abs=4 * 0.2 / SAMPLES**0.5)
+    moved = states[:, 1, 0] - states[:, 0, 0]
+    slope = torch.linalg.lstsq(states[:, :1, 0] - 1, moved[:, None]).solution.item()
+    assert slope == pytest.approx(-0.1, abs=0.05)
+
+
+def test_policies_are_compared_under_the_same_random_numbers(loss: TrajectoryKLLoss) -> None:
+    promise = Promise(0.95, lambda states: states[:, -1, 0].abs(), 0.5)
+    assert promise.predicted(loss, INITIAL) == promise.predicted(loss, INITIAL)
+
+
+def test_error_that_is_no_number_is_a_failure(loss: TrajectoryKLLoss) -> None:
+    promise = Promise(0.95, lambda states: states[:, -1, 0] * torch.nan, 0.5)
+    assert promise.predicted(loss, INITIAL).successes == 0
+
+
+@pytest.mark.parametrize("rate", [0.5, 0.8, 0.95, 0.99])
+def test_bound_is_above_the_true_rate_at_most_as_often_as_the_confidence_says(rate: float) -> None:
+    bounds = [PredictedSuccess(successes).least for successes in range(SAMPLES + 1)]
+    above = [successes for successes, bound in enumerate(bounds) if bound > rate]
+    assert binom.pmf(above, SAMPLES, rate).sum() <= 1 - CONFIDENCE
+    assert sorted(bounds) == bounds
+    assert bounds[0] == 0.0 and bounds[-1] == pytest.approx((1 - CONFIDENCE) ** (1 / SAMPLES))
+
+
+def test_promise_is_kept_by_the_bound_and_aims_at_half_its_failures() -> None:
+    promise = Promise(0.9, lambda states: states, 0.1)
+    assert promise.aim == pytest.approx(0.95)
+    kept = [n for n in range(SAMPLES + 1) if promise.kept(PredictedSuccess(n))]
+    assert PredictedSuccess(kept[0]).least >= 0.9 > PredictedSuccess(kept[0] - 1).least
+    assert PredictedSuccess(kept[0]).rate > 0.9
+
+
+@pytest.mark.parametrize("rate", [0, 1, -0.1, 1.5, "0.9", True, float("nan")])
+def test_rate_that_cannot_be_promised_is_an_error(rate: object) -> None:
+    with pytest.raises(ValueError, match="promise must be a number above 0 and below 1, got"):
+        Promise(rate, lambda states: states, 0.1)
+
+
+def test_more_data_where_the_robot_goes_raise_the_predicted_rate(draws: Draws) -> None:
+    """What the model does not know counts as failures."""
+    policy = RBFPolicy(torch.zeros(2, 1), torch.ones(1), torch.ones(1))
+    demonstrated = Gaussian(torch.zeros(HORIZON, 1), torch.ones(HORIZON, 1, 1))
+    rates = []
+    for data in (3, 30):
+        dynamics = damped_integrator()
+        inputs, targets = dynamics.train_inputs[:data], dynamics.train_targets[:data]
+        dynamics.set_data(inputs, targets)
+        loss = TrajectoryKLLoss(policy, dynamics, SPACE, demonstrated, noise_std=0.05)
+        with torch.no_grad():
+            mean = loss.predict_states(INITIAL)[-1].mean
+        promise = Promise(0.95, lambda states, mean=mean: (states[:, -1, 0] - mean).abs(), 0.2)
+        rates.append(promise.predicted(loss, INITIAL).rate)
+    assert rates[0] < rates[1]

@@ -9,6 +9,8 @@ GIVEN = $(foreach name,$(SETTINGS),$(if $(filter command,$(origin $(name))),$(na
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=
+SOAK_RUNS ?= 100
+SOAK_SEED ?= 0
 CPU := https://download.pytorch.org/whl/cpu
 # the matrices are small: more threads wait for each other
 export OMP_NUM_THREADS ?= 1
@@ -18,7 +20,7 @@ PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Ne
   NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-ci test-portable test-all test-newest lint demonstrations results reproduce docs benchmark benchmark-steps dist test-dist test-wheel clean
+.PHONY: help train test test-ci test-portable test-all test-newest lint demonstrations results reproduce soak docs benchmark benchmark-steps dist test-dist test-wheel clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -69,6 +71,9 @@ runs/%/summary.json: | .venv/.installed
 
 reproduce: .venv/.installed  ## reproduce an experiment of the paper, as ARGS="figure6" or ARGS="figure6 --quick"
 	@.venv/bin/python scripts/reproduce.py $(ARGS)
+
+soak: .venv/.installed  ## learn SOAK_RUNS=100 runs of eight tasks from SOAK_SEED=0 on, resumable, into results/soak
+	@.venv/bin/python scripts/soak.py --runs $(SOAK_RUNS) --first-seed $(SOAK_SEED) $(ARGS)
 
 docs: .venv/.docs  ## build the documentation into docs/_build/html, its notebooks executed
 	@.venv/bin/python -m sphinx -b html -q -W --keep-going -E docs docs/_build/html

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from torch_pmil.plotting.gp_slices import plot_gp_slices as plot_gp_slices
     from torch_pmil.plotting.heat_maps import plot_heat_map as plot_heat_map
     from torch_pmil.plotting.kl_terms import plot_kl_per_step as plot_kl_per_step
+    from torch_pmil.plotting.many_runs import (
+        plot_experience_by_task as plot_experience_by_task,
+        plot_promises as plot_promises,
+    )
     from torch_pmil.plotting.pendulum import (
         pendulum_frames as pendulum_frames,
         plot_poses as plot_poses,
@@ -64,6 +68,7 @@ MODULES = {
     "plot_demonstrations": "trajectories",
     "plot_distributions": "trajectories",
     "plot_errors_over_data": "errors",
+    "plot_experience_by_task": "many_runs",
     "plot_frequencies": "frequencies",
     "plot_gains": "gains",
     "plot_gp": "gaussian_process",
@@ -76,6 +81,7 @@ MODULES = {
     "plot_policy": "policy",
     "plot_poses": "pendulum",
     "plot_prediction": "trajectories",
+    "plot_promises": "many_runs",
     "plot_recordings": "recordings",
     "plot_success_of_methods": "success",
     "plot_success_over_experience": "success",

@@ -1,0 +1,51 @@
+"""Figures of a soak: promises beside what was measured, and experience by task."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from reproduction.soak.comparison import Outcomes
+from reproduction.soak.results import Row, reliability
+from torch_pmil.plotting import Figure, plot_experience_by_task, plot_promises
+
+OURS, THEIRS = "now", "before"
+
+
+def figures_of(rows: Sequence[Row], theirs: Outcomes) -> dict[str, Figure]:
+    """The figures by name; the one of promises only where runs promise something.
+
+    Args:
+        rows: of all runs, see :func:`~reproduction.soak.results.row_of`.
+        theirs: outcomes of other runs; those of the same tasks and seeds are drawn. May be empty.
+    """
+    ended = {(row["task"], row["seed"]): row for row in rows if row["ended"]}
+    if not ended:
+        return {}
+    methods = {OURS: ended}
+    if theirs:
+        methods[THEIRS] = {key: theirs[key] for key in ended.keys() & theirs.keys()}
+    experience = {label: _experience(outcomes) for label, outcomes in methods.items()}
+    return {"experience": plot_experience_by_task(experience), **_promises(ended.values())}
+
+
+def _experience(outcomes: Outcomes) -> dict[str, list[float]]:
+    return {
+        name: [row["experience_s"] for (task, _), row in outcomes.items() if task == name]
+        for name in dict.fromkeys(task for task, _ in outcomes)
+    }
+
+
+def _promises(rows: Iterable[Row]) -> dict[str, Figure]:
+    promising = [row for row in rows if row["promised_success_rate"] is not None]
+    if not promising:
+        return {}
+    trials = [pair for row in promising for pair in row["predictions"]]
+    of_claim = {
+        claimed: [
+            (row["promised_success_rate"], row["measured_success_rate"])
+            for row in promising
+            if row["claimed"] == claimed
+        ]
+        for claimed in (True, False)
+    }
+    return {"promises": plot_promises(trials, reliability(trials), of_claim[True], of_claim[False])}

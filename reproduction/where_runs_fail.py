@@ -45,7 +45,7 @@ TASKS: dict[str, Callable[[], Experiment]] = {
     "Pendulum-v1": partial(load_experiment, "gym_pendulum"),
     "inverted pendulum": partial(load_experiment, "inverted_pendulum"),
     "BioRob": partial(load_experiment, "biorob"),
-    **{shape: partial(handwriting, shape=shape) for shape in WRITTEN},
+    **{f"handwriting {shape}": partial(handwriting, shape=shape) for shape in WRITTEN},
 }
 # success rates between which predictions are pooled
 EDGES = (0.0, 0.05, 0.2, 0.4, 0.6, 0.75, 0.85, 0.9, 0.95, 1.0)
@@ -70,7 +70,7 @@ class Size:
 
 
 FULL = Size(tuple(TASKS), range(100, 130), trials=12, samples=100)
-QUICK = Size(("double pendulum", "Angle"), (100,), trials=3, samples=20)
+QUICK = Size(("double pendulum", "handwriting Angle"), (100,), trials=3, samples=20)
 
 
 @dataclass(frozen=True)

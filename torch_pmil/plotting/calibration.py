@@ -158,7 +158,7 @@ def plot_success_calibration(
             *trials.T, ".", color=SKY, markersize=4, alpha=0.5, clip_on=False, label="trials"
         )
         predicted, measured, lower, upper = 100 * np.asarray(drawn["bins"]).T
-        panel.errorbar(
+        bins = panel.errorbar(
             predicted,
             measured,
             np.maximum([measured - lower, upper - measured], 0),
@@ -170,6 +170,8 @@ def plot_success_calibration(
             zorder=3,
             label="means in bins, 95 % intervals",
         )
+        for artist in bins.get_children():
+            artist.set_clip_on(False)
         panel.set(title=title, xlabel="predicted success rate (%)", xlim=(0, 100), ylim=(0, 100))
         panel.set_aspect("equal")
         style(panel)

@@ -60,4 +60,5 @@ def _draw_bars(panel: Axes, table: Mapping[str, Mapping[str, int]]) -> None:
                 "linewidth": 0.6,
             }
             panel.barh(list(table), width, left=begin, label=kind, **look)
+    panel.set_xlim(0, 1.02 * widths.sum(1).max())
     panel.invert_yaxis()

@@ -36,6 +36,7 @@ from torch_pmil.experiments.runs.summaries import is_finished, read_summary
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.experiments.tasks.handwriting import SUCCESS_RATIO, handwriting
 from torch_pmil.files import read_json, write_json
+from torch_pmil.plotting import Figure
 from torch_pmil.plotting.calibration import plot_success_calibration
 from torch_pmil.plotting.counts import plot_counts
 
@@ -148,33 +149,47 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     by_task = {task: [run for run in runs if run.task == task] for task in TASKS}
     by_task = {task: found for task, found in by_task.items() if found}
     counted = {task: counts(found) for task, found in by_task.items()}
+    total = counts(runs)
     binned = {entry: reliability(runs, entry) for entry in PREDICTIONS}
     writers = {shape: left_out_ratios(handwriting(shape=shape).demonstrations) for shape in WRITTEN}
     inside = [ratio <= SUCCESS_RATIO for ratios in writers.values() for ratio in ratios]
     coverage = {task: coverage_ahead(found) for task, found in by_task.items()}
-    headline = counts(runs)["totals"] | _biases(runs) | {"writers_own_success": fmean(inside)}
-    figures = {
-        "causes": plot_counts(
-            {
-                "trials that fail from more than 5 % of the starts": _table(counted, "causes"),
-                "runs": _table(counted, "ends"),
-            }
-        ),
-        "predicted_success": plot_success_calibration(
-            {
-                f"{when} its own rollout": _points(runs, entry, binned[entry])
-                for when, entry in zip(("before", "after"), PREDICTIONS, strict=True)
-            }
-        ),
+    headline = {
+        **total["totals"],
+        **{_entry(cause): count for cause, count in total["causes"].items()},
+        **_biases(runs),
+        "writers_own_success": fmean(inside),
     }
     details = {
         "samples": (QUICK if quick else FULL).samples,
-        "tasks": counted,
+        "counts": counted | {"all": total},
         "coverage_ahead": coverage | {"all": coverage_ahead(runs)},
         "reliability": binned,
+        "predictions": {task: _biases(found) for task, found in by_task.items()},
         "writers_left_out": writers,
     }
-    return Results(headline, figures, details)
+    return Results(headline, _figures(runs, counted, binned), details)
+
+
+def _figures(
+    runs: Sequence[ReplayedRun],
+    counted: Mapping[str, Mapping[str, Any]],
+    binned: Mapping[str, Sequence[Mapping[str, float]]],
+) -> dict[str, Figure]:
+    """Stacked bars of the counts, and measured over predicted success rates."""
+    causes, ends = (
+        {task: found[entry] for task, found in counted.items()} for entry in ("causes", "ends")
+    )
+    predictions = {
+        f"{when} its own rollout": _points(runs, entry, binned[entry])
+        for when, entry in zip(("before", "after"), PREDICTIONS, strict=True)
+    }
+    return {
+        "causes": plot_counts(
+            {"trials that fail from more than 5 % of the starts": causes, "runs": ends}
+        ),
+        "predicted_success": plot_success_calibration(predictions),
+    }
 
 
 def counts(runs: Sequence[ReplayedRun]) -> dict[str, Any]:
@@ -253,6 +268,16 @@ def coverage_ahead(runs: Sequence[ReplayedRun]) -> dict[str, dict[str, float]]:
     return found
 
 
+def _entry(cause: str) -> str:
+    """Name of a cause in the headline.
+
+    Example:
+        >>> _entry("model not right, and unsure")
+        'trials_model_not_right_and_unsure'
+    """
+    return "_".join(["trials", *cause.replace(",", "").split()])
+
+
 def _biases(runs: Sequence[ReplayedRun]) -> dict[str, float]:
     """Mean of predicted minus measured success rates, and of its absolute value."""
     found = {}
@@ -261,10 +286,6 @@ def _biases(runs: Sequence[ReplayedRun]) -> dict[str, float]:
         found[f"{entry}_bias"] = fmean(off)
         found[f"{entry}_error"] = fmean(map(abs, off))
     return found
-
-
-def _table(counted: Mapping[str, Mapping[str, Any]], entry: str) -> dict[str, dict[str, int]]:
-    return {task: found[entry] for task, found in counted.items()}
 
 
 def _points(

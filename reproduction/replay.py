@@ -9,9 +9,8 @@ from the rollout.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,8 @@ from torch import Tensor
 
 from reproduction.delay_calibration import calibrations_ahead
 from reproduction.failure_causes import ReplayedTrial
-from reproduction.imagined_strike import imagined_distance_from_ball
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.envs.rollouts import rollout_of, states_of
+from torch_pmil.envs.rollouts import states_of
 from torch_pmil.experiments.diagnosis.after_a_run import known_steps
 from torch_pmil.experiments.diagnosis.causes import covered_fraction, first_mismatch, moved_fraction
 from torch_pmil.experiments.runs.summaries import RunError, read_summary
@@ -256,15 +254,9 @@ def imagined_errors(
         experiment.initial, *robot, experiment.horizon, samples, generators[0]
     )
     starts = experiment.initial.sample(samples, generators[1])
-    return error_of_states(experiment)(torch.cat([starts[:, None], states], 1))
-
-
-def error_of_states(experiment: Experiment) -> Callable[[Tensor], Tensor]:
-    """Errors (B,) of states x_0..x_T, (B, T + 1, D), where nothing else is known of a rollout."""
-    if experiment.name == "biorob":
-        time_step = experiment.demonstrations.time_step
-        return partial(imagined_distance_from_ball, time_step=time_step)
-    return lambda states: experiment.error(rollout_of(states))
+    promise = experiment.promised
+    assert promise is not None  # of these tasks success can be predicted
+    return promise.error(torch.cat([starts[:, None], states], 1))
 
 
 def _miss(errors: Tensor, tolerance: float) -> float | None:

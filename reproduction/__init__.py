@@ -20,6 +20,7 @@ from reproduction.reaching import REACHING
 from reproduction.robot_server import ROBOT_SERVER
 from reproduction.robustness import ROBUSTNESS
 from reproduction.servo_gains import SERVO_GAINS
+from reproduction.where_runs_fail import WHERE_RUNS_FAIL
 
 PAPER = {
     experiment.name: experiment
@@ -41,5 +42,6 @@ PAPER = {
         ROBOT_SERVER,
         DOUBLE_PENDULUM_SERVO,
         SERVO_GAINS,
+        WHERE_RUNS_FAIL,
     )
 }

@@ -21,11 +21,14 @@ from torch import Tensor
 
 from reproduction.learned import load_learned, remeasured
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_trajectory
 from torch_pmil.plotting.calibration import plot_calibration_ahead
 
@@ -125,21 +128,30 @@ class Calibration:
 CALIBRATION = tuple(entry.name for entry in fields(Calibration))
 
 
-@torch.no_grad()
 def calibrations(folder: Path, experiment: Experiment, starts: int) -> dict[int, Calibration]:
-    """Calibration of a run's model of its saved policy, by the number of steps ahead.
-
-    Each prediction begins at an executed state, without uncertainty.
-    """
+    """Calibration of a run's model of its saved policy, by the number of steps ahead."""
     learned = load_learned(folder, experiment)
     states = states_of(learned.rollouts(experiment, starts, START_SEED))
+    return calibrations_ahead(states, learned.policy.policy, learned.dynamics, experiment.space)
+
+
+@torch.no_grad()
+def calibrations_ahead(
+    states: Tensor, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace
+) -> dict[int, Calibration]:
+    """Calibration of a model by the number of steps ahead, 1, 5, 10 and 25 if there are as many.
+
+    Each prediction begins at an executed state, without uncertainty.
+
+    Args:
+        states: x_0..x_T of rollouts of the policy, (N, T + 1, D).
+        policy, dynamics, space: policy, forward model and state space of one robot.
+    """
     found = {}
-    for steps in AHEAD:
+    for steps in (steps for steps in AHEAD if steps < states.shape[1]):
         begin, end = states[:, :-steps].flatten(0, 1), states[:, steps:].flatten(0, 1)
         certain = Gaussian(begin, torch.zeros(*begin.shape, begin.shape[-1]).to(begin))
-        ahead = predict_trajectory(
-            certain, learned.policy.policy, learned.dynamics, experiment.space, steps
-        )
+        ahead = predict_trajectory(certain, policy, dynamics, space, steps)
         found[steps] = Calibration.of(Gaussian(ahead.mean[:, -1], ahead.cov[:, -1]), end)
     return found
 

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
+import torch
+
 from reproduction.learned import load_learned
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.runs.summaries import read_summary
 from torch_pmil.experiments.tasks.handwriting import Handwriting, Writing, handwriting
+from torch_pmil.experiments.tasks.strokes import distance_from_mean, distance_spread
 from torch_pmil.plotting import plot_writing
 
 # the shapes that the experiment was developed on
@@ -77,6 +82,27 @@ def ratio(run: dict) -> float:
         1.0
     """
     return _norm(run["rms_error"]) / _norm(run["demonstration_spread"])
+
+
+def left_out_ratios(strokes: Demonstrations) -> list[float]:
+    """Error of each stroke of the writer over the spread of the others: what people reach.
+
+    The error is the distance from the mean of the others.
+
+    Example:
+        >>> still = torch.tensor([[0.0], [0.0]]).expand(3, 2, 2)
+        >>> apart = still + torch.tensor([-1.0, 0.0, 4.0])[:, None, None]
+        >>> ratios = left_out_ratios(Demonstrations(apart, 0.1, ("x", "y")))
+        >>> [round(ratio, 2) for ratio in ratios]
+        [1.06, 0.42, 6.36]
+    """
+    positions = strokes.positions
+    rest = [torch.cat([positions[:n], positions[n + 1 :]]) for n in range(len(positions))]
+    others = [replace(strokes, positions=kept) for kept in rest]
+    return [
+        distance_from_mean(stroke, kept).item() / distance_spread(kept)
+        for stroke, kept in zip(positions, others, strict=True)
+    ]
 
 
 def measured_run(shape: str, robot: str, run: dict) -> dict[str, object]:

@@ -14,9 +14,11 @@ from torch import Tensor
 
 from torch_pmil.model.calibration import observed_coverage
 from torch_pmil.plotting.style import (
+    BLUE,
     DARK,
     GREY,
     SERIES,
+    SKY,
     WIDTH,
     check_some,
     draw_range,
@@ -125,6 +127,57 @@ def plot_calibration_ahead(
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False
     )
+    return figure
+
+
+def plot_success_calibration(
+    predictions: Mapping[str, Mapping[str, Sequence[Sequence[float]]]],
+) -> Figure:
+    """Measured over predicted success rates, a panel for each kind of prediction.
+
+    Args:
+        predictions: by title, "trials", the predicted and measured rate of each, drawn as small
+            points, and "bins", the mean predicted and measured rate of the trials in each with the
+            lower and upper end of an interval.
+
+    Raises:
+        ValueError: there is no prediction.
+
+    Example:
+        >>> drawn = {"trials": [(0.9, 1.0), (0.9, 0.8)], "bins": [(0.9, 0.9, 0.8, 0.95)]}
+        >>> plot_success_calibration({"before": drawn}).axes[0].get_xlabel()
+        'predicted success rate (%)'
+    """
+    check_some("predictions", predictions)
+    figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
+    panels = figure.subplots(1, len(predictions), sharey=True, squeeze=False)[0]
+    for panel, (title, drawn) in zip(panels, predictions.items(), strict=True):
+        panel.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, linestyle="--")
+        trials = 100 * np.asarray(drawn["trials"])
+        panel.plot(
+            *trials.T, ".", color=SKY, markersize=4, alpha=0.5, clip_on=False, label="trials"
+        )
+        predicted, measured, lower, upper = 100 * np.asarray(drawn["bins"]).T
+        bins = panel.errorbar(
+            predicted,
+            measured,
+            np.maximum([measured - lower, upper - measured], 0),
+            color=BLUE,
+            marker="o",
+            markersize=5,
+            linewidth=1.4,
+            capsize=3,
+            zorder=3,
+            label="means in bins, 95 % intervals",
+        )
+        for artist in bins.get_children():
+            artist.set_clip_on(False)
+        panel.set(title=title, xlabel="predicted success rate (%)", xlim=(0, 100), ylim=(0, 100))
+        panel.set_aspect("equal")
+        style(panel)
+    panels[0].set_ylabel("measured success rate (%)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)
     return figure
 
 

@@ -1,0 +1,176 @@
+"""What is counted of replayed runs, and that a replay tells what the run knew."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from reproduction.failure_causes import (
+    CAUSES,
+    ENDS,
+    ReplayedTrial,
+    cause_of,
+    end_of,
+    trials_not_needed,
+)
+from reproduction.handwriting import left_out_ratios
+from reproduction.replay import replayed
+from reproduction.where_runs_fail import (
+    FULL,
+    TASKS,
+    ReplayedRun,
+    counts,
+    coverage_ahead,
+    needed_runs,
+    reliability,
+)
+from tests.helpers.short_run import quick_fits, run, short_experiment
+from torch_pmil.demonstrations import Demonstrations
+
+LUCK = "the own rollouts of two trials in a row succeeded"
+RIGHT = ReplayedTrial(
+    trial=2,
+    success_rate=0.8,
+    n_eval=20,
+    own_success=True,
+    complete=True,
+    predicted_before=0.85,
+    predicted_after=0.85,
+    samples=100,
+    loss=1.0,
+    miss=1.2,
+    covered=0.95,
+    followed=0.95,
+    known=1.0,
+    spread_share=None,
+    coverage_ahead={"1": 0.95},
+)
+STUCK = replace(RIGHT, complete=False, predicted_before=0.0, success_rate=0.0, spread_share=0.1)
+
+
+def replayed_run(*trials: ReplayedTrial, **summary: object) -> ReplayedRun:
+    plain = {"moved": 1.0, "saved_success_rate": 1.0, "predicted_saved": 1.0, "stop_reason": LUCK}
+    numbered = [replace(trial, trial=number) for number, trial in enumerate(trials, 1)]
+    return ReplayedRun("BioRob", plain | summary, numbered)
+
+
+@pytest.mark.parametrize(
+    ("cause", "trial", "moved"),
+    [
+        (None, replace(RIGHT, success_rate=0.95), 1.0),
+        ("first motion too small", replace(RIGHT, trial=1), 0.2),
+        ("criterion asks for more", RIGHT, 0.2),
+        ("sure and wrong", replace(RIGHT, predicted_before=0.95), 1.0),
+        ("chance of 20 starts", replace(RIGHT, predicted_before=0.95, success_rate=0.9), 1.0),
+        ("tail not seen", replace(RIGHT, miss=2.1), 1.0),
+        ("criterion asks for more", replace(RIGHT, miss=None), 1.0),
+        ("model not right, and unsure", replace(RIGHT, success_rate=0.5), 1.0),
+        ("search stopped early", STUCK, 1.0),
+        ("model not right, and unsure", replace(STUCK, covered=0.7), 1.0),
+        ("model not right, and unsure", replace(STUCK, followed=0.6), 1.0),
+        ("model not right, and unsure", replace(STUCK, known=0.7), 1.0),
+        ("model not right, and unsure", replace(STUCK, spread_share=0.6), 1.0),
+        ("model not right, and unsure", replace(STUCK, followed=None, known=None), 1.0),
+    ],
+)
+def test_each_failure_has_the_first_cause_that_applies(
+    cause: str | None, trial: ReplayedTrial, moved: float
+) -> None:
+    assert cause_of(trial, moved) == cause
+    assert cause is None or cause in CAUSES
+
+
+def test_a_run_ends_learned_by_luck_or_at_the_limit() -> None:
+    found = [
+        end_of(0.95, 0.1, LUCK),
+        end_of(0.9, 0.94, LUCK),
+        end_of(0.9, 0.95, LUCK),
+        end_of(0.9, 0.95, "limit of trials"),
+    ]
+    assert tuple(found) == ENDS
+
+
+def test_trials_after_a_success_that_the_model_promises_to_repeat_are_not_needed() -> None:
+    sure = replace(RIGHT, predicted_after=0.95)
+    trials = [RIGHT, replace(sure, own_success=False), sure, RIGHT, sure]
+    assert trials_not_needed(replayed_run(*trials).trials) == 2
+    assert trials_not_needed(replayed_run(RIGHT, RIGHT).trials) == 0
+
+
+def test_all_failures_are_counted_once_and_those_after_a_success_apart() -> None:
+    learned, failed = replace(RIGHT, success_rate=1.0), replace(STUCK, own_success=False)
+    runs = [
+        replayed_run(failed, RIGHT, RIGHT, learned),
+        replayed_run(failed, saved_success_rate=0.0, stop_reason="limit of trials"),
+    ]
+    found = counts(runs)
+    assert {k: n for k, n in found["causes"].items() if n} == {
+        "search stopped early": 2,
+        "criterion asks for more": 2,
+    }
+    assert {k: n for k, n in found["causes_after_success"].items() if n} == {
+        "criterion asks for more": 1
+    }
+    assert {k: n for k, n in found["ends"].items() if n} == {"learned": 1, "limit of trials": 1}
+    assert found["totals"] == {
+        "runs": 2,
+        "runs_not_learned": 1,
+        "runs_ended_by_luck": 0,
+        "runs_ended_by_luck_known": 0,
+        "trials": 5,
+        "trials_failed": 4,
+        "trials_not_needed": 0,
+    }
+
+
+def test_reliability_pools_trials_of_like_predictions() -> None:
+    trials = [
+        replace(RIGHT, predicted_before=predicted, success_rate=rate)
+        for predicted, rate in ((0.0, 0.1), (0.02, 0.3), (1.0, 1.0))
+    ]
+    low, high = reliability([replayed_run(*trials)], "predicted_before")
+    assert (low["trials"], low["predicted"], low["measured"]) == pytest.approx((2, 0.01, 0.2))
+    assert low["lower"] == pytest.approx(0.0905, abs=1e-3)  # of 8 in 40
+    assert (high["trials"], high["predicted"], high["measured"]) == (1, 1.0, 1.0)
+    assert high["lower"] == pytest.approx(0.025 ** (1 / 20))
+
+
+def test_coverage_is_told_up_to_the_first_success_and_after() -> None:
+    before = replace(STUCK, own_success=False, coverage_ahead={"1": 0.5, "25": 0.1})
+    found = coverage_ahead([replayed_run(before, replace(RIGHT, coverage_ahead={"1": 0.7}), RIGHT)])
+    assert found["up_to_first_success"] == {"1": pytest.approx(0.6), "25": 0.1}
+    assert found["after"] == {"1": 0.95}
+
+
+def test_runs_are_twenty_seeds_of_eight_tasks(tmp_path: Path) -> None:
+    found = [run.out.relative_to(tmp_path / "replays") for run in needed_runs(tmp_path, False)]
+    assert len(found) == len(set(found)) == 160
+    assert {path.name for path in found} == {f"seed_{seed}" for seed in FULL.seeds}
+    assert len(TASKS) == 8
+    assert len(needed_runs(tmp_path, True)) == 2
+
+
+def test_replay_predicts_what_the_run_predicted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The model before each rollout is that of the search: its loss is the very same."""
+    quick_fits(monkeypatch)
+    learned = run(tmp_path)
+    found = replayed(tmp_path, short_experiment(), samples=10)
+    assert [trial["loss"] for trial in found["replayed"]] == [t.loss for t in learned.trials]
+    last = found["replayed"][learned.summary["saved_trial"] - 1]
+    assert 0 <= found["predicted_saved"] <= 1 and last["samples"] == 10
+    read = json.loads(json.dumps(found))["replayed"]
+    assert [asdict(ReplayedTrial(**trial)) for trial in read] == found["replayed"]
+
+
+def test_writer_who_is_left_out_is_as_far_off_as_a_further_stroke_would_be() -> None:
+    """N strokes of unit spread: the expected squared ratio is 1 + 1 / (N - 1) = 1.25 of five."""
+    generator = torch.Generator().manual_seed(0)
+    strokes = torch.randn(5, 20_001, 2, dtype=torch.float64, generator=generator)
+    ratios = left_out_ratios(Demonstrations(strokes, 0.1, ("x", "y")))
+    assert ratios == pytest.approx([1.25**0.5] * 5, rel=0.02)

@@ -1,0 +1,64 @@
+"""Figure of counts by kind, as stacked bars."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from torch_pmil.plotting.style import COLOURS, GREY, HATCHES, WIDTH, check_some, style
+
+
+def plot_counts(panels: Mapping[str, Mapping[str, Mapping[str, int]]]) -> Figure:
+    """Stacked bars of counts, one panel below the other, each with a legend of its kinds.
+
+    Kinds that were never counted are left out.
+
+    Args:
+        panels: by what is counted, by row, the count of each kind; all rows of a panel have the
+            same kinds.
+
+    Raises:
+        ValueError: there is no panel, or rows of one have different kinds.
+
+    Example:
+        >>> figure = plot_counts({"runs": {"Pendulum": {"learned": 28, "failed": 2}}})
+        >>> figure.axes[0].get_xlabel()
+        'number of runs'
+    """
+    check_some("panels", panels)
+    rows = max(map(len, panels.values()))
+    figure = Figure(figsize=(WIDTH, (1.2 + 0.25 * rows) * len(panels)), layout="constrained")
+    drawn = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for panel, (what, table) in zip(drawn, panels.items(), strict=True):
+        kinds = {tuple(counts) for counts in table.values()}
+        if len(kinds) > 1:
+            raise ValueError(f"rows of {what} must have the same kinds, got {sorted(kinds)}")
+        _draw_bars(panel, table)
+        panel.set(xlabel=f"number of {what}")
+        style(panel)
+        panel.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize="small")
+    return figure
+
+
+def _draw_bars(panel: Axes, table: Mapping[str, Mapping[str, int]]) -> None:
+    """The rows from above, their kinds from the left."""
+    kinds, counts = list(next(iter(table.values()))), [list(row.values()) for row in table.values()]
+    widths = np.array(counts, dtype=int)
+    begins = widths.cumsum(1) - widths
+    looks = zip(cycle((*COLOURS, GREY)), cycle(HATCHES), strict=False)
+    for kind, width, begin, (colour, hatch) in zip(kinds, widths.T, begins.T, looks, strict=False):
+        if width.any():
+            look: dict[str, Any] = {
+                "facecolor": colour,
+                "edgecolor": "white",
+                "hatch": hatch,
+                "linewidth": 0.6,
+            }
+            panel.barh(list(table), width, left=begin, label=kind, **look)
+    panel.set_xlim(0, 1.02 * widths.sum(1).max())
+    panel.invert_yaxis()

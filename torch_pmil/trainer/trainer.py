@@ -407,7 +407,7 @@ class PMILTrainer(Trainer):
         if self.promise is None:
             return done
         least = self.trials[-1].promised_success_rate
-        if least is None or least < self.promise.rate:
+        if least is None or least < self.promise.aim:
             return ""
         return f"{done}, and the model predicts success from {least:.1%} of the starts at least"
 

@@ -236,7 +236,7 @@ def test_experiment_says_how_many_successes_in_a_row_end_the_training(
 
 
 class ScriptedPromise:
-    """A promise with an aim of 0.95; the models that learned from successes predict these rates, one by one."""
+    """A promise with an aim of 0.95, for which the models predict these rates, one by one."""
 
     aim, tolerance = 0.95, 0.5
 

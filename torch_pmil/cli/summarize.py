@@ -38,8 +38,8 @@ def headline(runs: list[dict]) -> dict[str, float]:
 
     A run has learned if its saved policy reaches the success rate within the paper's experience.
 
-    ``median_experience_s`` and ``max_experience_s`` count all rollouts, the two that confirm a
-    success too. Runs of a method that predicts nothing have no coverage.
+    ``median_experience_s`` and ``max_experience_s`` count all rollouts of the robot. Runs of a
+    method that predicts nothing have no coverage.
     """
     experience = [run["experience_s"] for run in runs]
     coverage = [run[COVERAGE] for run in runs if COVERAGE in run]

@@ -30,9 +30,10 @@ from torch_pmil.experiments.diagnosis.causes import COVERED, FOLLOWED, LEARNED, 
 
 SIGNIFICANCE = 0.05  # of Fisher's exact test of two success rates
 FAR = 2.0  # tolerances: a failure beyond is none that a narrower spread would mend
+UNSURE = "model not right, and unsure"
 CAUSES = (
     "first motion too small",
-    "model not right, and unsure",
+    UNSURE,
     "sure and wrong",
     "search stopped early",
     "tail not seen",
@@ -119,7 +120,7 @@ def cause_of(trial: ReplayedTrial, moved: float) -> str | None:
         return "tail not seen" if far else "criterion asks for more"
     if not trial.complete and _stuck(trial):
         return "search stopped early"
-    return "model not right, and unsure"
+    return UNSURE
 
 
 def _p_value(trial: ReplayedTrial, alternative: str) -> float:

@@ -80,12 +80,9 @@ def test_bound_is_above_the_true_rate_at_most_as_often_as_the_confidence_says(ra
     assert bounds[0] == 0.0 and bounds[-1] == pytest.approx((1 - CONFIDENCE) ** (1 / SAMPLES))
 
 
-def test_promise_is_kept_by_the_bound_and_aims_at_half_its_failures() -> None:
+def test_half_of_the_promised_failures_are_left_to_what_the_model_does_not_know() -> None:
     promise = Promise(0.9, lambda states: states, 0.1)
     assert promise.aim == pytest.approx(0.95)
-    kept = [n for n in range(SAMPLES + 1) if promise.kept(PredictedSuccess(n))]
-    assert PredictedSuccess(kept[0]).least >= 0.9 > PredictedSuccess(kept[0] - 1).least
-    assert PredictedSuccess(kept[0]).rate > 0.9
 
 
 @pytest.mark.parametrize("rate", [0, 1, -0.1, 1.5, "0.9", True, float("nan")])

@@ -236,9 +236,9 @@ def test_experiment_says_how_many_successes_in_a_row_end_the_training(
 
 
 class ScriptedPromise:
-    """A promise of 0.9; the models that learned from successes predict these rates, one by one."""
+    """A promise with an aim of 0.95, for which the models predict these rates, one by one."""
 
-    rate, aim, tolerance = 0.9, 0.95, 0.5
+    aim, tolerance = 0.95, 0.5
 
     def __init__(self, *rates: float) -> None:
         self._rates = iter(rates)

@@ -44,7 +44,7 @@ def distance_along(states: Tensor, time_step: float = 0.1) -> Tensor:
         mujoco.mj_comPos(model, data)
         mujoco.mj_sensorPos(model, data)
         distances[place] = data.sensordata[sensor]
-    return torch.from_numpy(distances.min(-1).clip(min=0))
+    return torch.as_tensor(distances.min(-1).clip(min=0))
 
 
 def _joint_paths(states: np.ndarray, time_step: float) -> np.ndarray:

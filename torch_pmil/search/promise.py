@@ -54,6 +54,8 @@ class Promise:
     know makes trajectories differ, and fail. Moment matching alone does not tell how many fail,
     since a Gaussian hides a few trajectories that go elsewhere.
 
+    A policy keeps the promise if :attr:`PredictedSuccess.least` is at least :attr:`aim`.
+
     Args:
         rate: that shall be kept, above 0 and below 1.
         error: of states x_0..x_T, (N, T + 1, D) to (N).
@@ -73,7 +75,7 @@ class Promise:
 
     @property
     def aim(self) -> float:
-        """Predicted rate up to which a search goes on: half the failures that are promised.
+        """Rate that the model must predict at least: with half the failures that are promised.
 
         The other half is for what the model does not know.
         """
@@ -89,10 +91,6 @@ class Promise:
         begin = start.sample(SAMPLES, _generator())[..., None, :]  # the draws that they began with
         errors = self.error(torch.cat([begin, trajectories], -2))
         return PredictedSuccess(int((errors <= self.tolerance).sum()))
-
-    def kept(self, predicted: PredictedSuccess) -> bool:
-        """Whether the rate is kept with a confidence of 95 %."""
-        return predicted.least >= self.rate
 
 
 def check_rate(name: str, rate: object) -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -41,11 +42,10 @@ from torch_pmil.trainer.admission import Admission, admit
 from torch_pmil.trainer.archive import SavedRun
 from torch_pmil.trainer.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
+from torch_pmil.trainer.ending import why_ended
 from torch_pmil.trainer.resumption import restore
 from torch_pmil.trainer.search_stepper import PolicySearchStepper
 from torch_pmil.trainer.trials import Candidate, Trial, own_error, success_rate
-
-NUMERALS = {2: "two", 3: "three", 4: "four"}
 
 
 class PMILTrainer(Trainer):
@@ -253,10 +253,10 @@ class PMILTrainer(Trainer):
     def best_policy(self) -> Candidate:
         """Best of the policies that ran, by a model of all experience.
 
-        It has the highest predicted success rate, as far as :attr:`Promise.aim`. Of several alike,
-        or where no success can be predicted, it has the least error of the own rollout, of which
-        all successes are alike; then the longest own rollout; then the least predicted loss. The
-        policy of the loss then holds its parameters.
+        Of those whose own rollout was not cut short it has the highest predicted success rate, as
+        far as :attr:`Promise.aim`. Of several alike, or where no success can be predicted, it has
+        the least error of the own rollout, of which all successes are alike; then the longest own
+        rollout; then the least predicted loss. The policy of the loss then holds its parameters.
 
         Raises:
             RuntimeError: no policy ran yet.
@@ -271,12 +271,12 @@ class PMILTrainer(Trainer):
 
     def _merit(self, candidate: Candidate) -> tuple[float, ...]:
         self.loss_module.actor_network.load_state_dict(candidate.parameters)
-        predicted, least = self._predicted_success(), 0.0
-        if self.promise is not None and predicted is not None:
-            least = min(predicted.least, self.promise.aim)
+        promise, alike = self.promise, 0.0
+        if promise is not None:
+            alike = min(promise.predicted(self.loss_module, self.initial).least, promise.aim)
         error = max(candidate.own_error, self.tolerance)
         steps = self.trials[candidate.trial - 1].steps
-        return least, -error, steps, -self._predicted_loss()
+        return error < math.inf, alike, -error, steps, -self._predicted_loss()
 
     def _predicted_success(self) -> PredictedSuccess | None:
         """Success of the loss's policy under the newest model, None where it is not predicted."""
@@ -376,7 +376,7 @@ class PMILTrainer(Trainer):
         success, promised = error <= self.tolerance, None
         if success and self.promise is not None:
             self.fit_dynamics()
-            promised = self.promise.predicted(self.loss_module, self.initial).least
+            promised = self.promised_success_rate()
         trial = replace(
             self._pending,
             own_error=error,
@@ -390,26 +390,8 @@ class PMILTrainer(Trainer):
         self._pending = None
         self.candidates.append(Candidate(trial.trial, parameters, error))
         self.on_trial(trial)
-        if ended := self._promise_kept():
+        if ended := why_ended(self.trials, self.confirmations, self.promise, self.most_trials):
             self.request_stop(ended)
-        elif len(self.trials) >= self.most_trials:
-            self.request_stop("limit of trials")
-
-    def _promise_kept(self) -> str:
-        """Why the newest policy is good enough, "" if it is not."""
-        last = self.trials[-self.confirmations :]
-        if len(last) < self.confirmations or not all(trial.own_success for trial in last):
-            return ""
-        count = NUMERALS.get(len(last), len(last))
-        done = f"the own rollouts of {count} trials in a row succeeded"
-        if len(last) == 1:
-            done = "the own rollout succeeded"
-        if self.promise is None:
-            return done
-        least = self.trials[-1].promised_success_rate
-        if least is None or least < self.promise.rate:
-            return ""
-        return f"{done}, and the model predicts success from {least:.1%} of the starts at least"
 
     def _start_belief(self, batch: TensorDictBase) -> TensorDictBase:
         return TensorDict({"observation": {"mean": self.initial.mean, "var": self.initial.cov}})

@@ -2,21 +2,21 @@
 
 Of a trial whose policy succeeds from fewer than 95 % of fresh starts, the first that applies:
 
-==========================  ======================================================================
-cause                       applies if
-==========================  ======================================================================
-first motion too small      the policy was searched on the first motion alone, which went less
-                            than 25 % of the demonstrated way
-sure and wrong              95 % or more were predicted, and significantly fewer measured
-chance of 20 starts         95 % or more were predicted, and not significantly fewer measured
-criterion asks for more     the search was complete and the measured rate is the predicted one:
-                            the median failure misses by up to twice the tolerance ...
-tail not seen               ... or by more: some starts lead elsewhere
-search stopped early        the model was right as far as the search trusted it, and the next step
-                            differs from the demonstrations in the mean more than in the spread
-model not right, and unsure all others: fewer than 95 % were predicted, by a model that was wrong or
-                            vague
-==========================  ======================================================================
+===========================  =====================================================================
+cause                        applies if
+===========================  =====================================================================
+first motion too small       the policy was searched on the first motion alone, which went less
+                             than 25 % of the demonstrated way
+sure and wrong               95 % or more were predicted, and significantly fewer measured
+chance of 20 starts          95 % or more were predicted, and not significantly fewer measured
+criterion asks for more      the search was complete and the measured rate is the predicted one:
+                             the median failure misses by up to twice the tolerance ...
+tail not seen                ... or by more: some starts lead elsewhere
+search stopped early         the model was right as far as the search trusted it, and the next step
+                             differs from the demonstrations in the mean more than in the spread
+model not right, and unsure  all others: fewer than 95 % were predicted, by a model that was wrong
+                             or vague
+===========================  =====================================================================
 """
 
 from __future__ import annotations

@@ -235,7 +235,7 @@ def reliability(runs: Sequence[ReplayedRun], entry: str) -> list[dict[str, float
 
     Args:
         runs: of any tasks.
-        entry: of a :class:`ReplayedTrial`, the prediction.
+        entry: of a :class:`~reproduction.failure_causes.ReplayedTrial`, the prediction.
 
     Returns:
         Bins with a trial, each with ``trials``, ``predicted``, ``measured``, and ``lower`` and

@@ -2,21 +2,21 @@
 
 Of a trial whose policy succeeds from fewer than 95 % of fresh starts, the first that applies:
 
-==========================  ======================================================================
-cause                       applies if
-==========================  ======================================================================
-first motion too small      the policy was searched on the first motion alone, which went less
-                            than 25 % of the demonstrated way
-sure and wrong              95 % or more were predicted, and significantly fewer measured
-chance of 20 starts         95 % or more were predicted, and not significantly fewer measured
-criterion asks for more     the search was complete and the measured rate is the predicted one:
-                            the median failure misses by up to twice the tolerance ...
-tail not seen               ... or by more: some starts lead elsewhere
-search stopped early        the model was right as far as the search trusted it, and the next step
-                            differs from the demonstrations in the mean more than in the spread
-model not right, and unsure all others: fewer than 95 % were predicted, by a model that was wrong or
-                            vague
-==========================  ======================================================================
+===========================  =====================================================================
+cause                        applies if
+===========================  =====================================================================
+first motion too small       the policy was searched on the first motion alone, which went less
+                             than 25 % of the demonstrated way
+sure and wrong               95 % or more were predicted, and significantly fewer measured
+chance of 20 starts          95 % or more were predicted, and not significantly fewer measured
+criterion asks for more      the search was complete and the measured rate is the predicted one:
+                             the median failure misses by up to twice the tolerance ...
+tail not seen                ... or by more: some starts lead elsewhere
+search stopped early         the model was right as far as the search trusted it, and the next step
+                             differs from the demonstrations in the mean more than in the spread
+model not right, and unsure  all others: fewer than 95 % were predicted, by a model that was wrong
+                             or vague
+===========================  =====================================================================
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ from torch_pmil.experiments.diagnosis.causes import COVERED, FOLLOWED, LEARNED, 
 
 SIGNIFICANCE = 0.05  # of Fisher's exact test of two success rates
 FAR = 2.0  # tolerances: a failure beyond is none that a narrower spread would mend
+UNSURE = "model not right, and unsure"
 CAUSES = (
     "first motion too small",
-    "model not right, and unsure",
+    UNSURE,
     "sure and wrong",
     "search stopped early",
     "tail not seen",
@@ -119,7 +120,7 @@ def cause_of(trial: ReplayedTrial, moved: float) -> str | None:
         return "tail not seen" if far else "criterion asks for more"
     if not trial.complete and _stuck(trial):
         return "search stopped early"
-    return "model not right, and unsure"
+    return UNSURE
 
 
 def _p_value(trial: ReplayedTrial, alternative: str) -> float:

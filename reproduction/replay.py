@@ -112,7 +112,8 @@ def replayed(folder: Path, experiment: Experiment, samples: int) -> dict[str, An
     Returns:
         - ``moved``: fraction of the demonstrated way that the first motion went.
         - ``predicted_saved``: success rate of the saved policy, by the newest model.
-        - ``replayed``: entries of the :class:`ReplayedTrial` of each trial.
+        - ``replayed``: of each trial, the entries of its
+          :class:`~reproduction.failure_causes.ReplayedTrial`.
 
     Raises:
         RunError: the run is not finished, or left no checkpoint.
@@ -191,7 +192,7 @@ def foresight(
         horizon: step to which the search trusted the prediction.
 
     Returns:
-        The entries of a :class:`ReplayedTrial` that say so.
+        The entries of a :class:`~reproduction.failure_causes.ReplayedTrial` that say so.
     """
     executed = states_of(rollout)[None]
     actions = rollout["action"][None]

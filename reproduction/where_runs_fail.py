@@ -23,6 +23,7 @@ from reproduction.delay_calibration import AHEAD
 from reproduction.failure_causes import (
     CAUSES,
     ENDS,
+    UNSURE,
     ReplayedTrial,
     cause_of,
     end_of,
@@ -32,6 +33,7 @@ from reproduction.handwriting import SHAPES, left_out_ratios
 from reproduction.replay import replayed
 from reproduction.reproduction import OF_RUN, PaperExperiment, Results, Run, learning_run
 from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.diagnosis.causes import COVERED
 from torch_pmil.experiments.runs.summaries import is_finished, read_summary
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.experiments.tasks.handwriting import SUCCESS_RATIO, handwriting
@@ -105,6 +107,13 @@ class ReplayedRun:
         """How it ended, of ``ENDS``."""
         entries = ("saved_success_rate", "predicted_saved", "stop_reason")
         return end_of(*(self.summary[entry] for entry in entries))
+
+    @property
+    def wrong_one_step(self) -> int:
+        """Trials whose model was unsure, and wrong about single steps already."""
+        moved = self.summary["moved"]
+        unsure = [t for t in self.trials if cause_of(t, moved) == UNSURE]
+        return sum(t.covered < COVERED for t in unsure)
 
     def causes(self, after_success: bool = False) -> Counter[str]:
         """Failed trials by cause: all, or those after the first own success alone."""
@@ -210,6 +219,7 @@ def counts(runs: Sequence[ReplayedRun]) -> dict[str, Any]:
         "runs_ended_by_luck_known": ends["ended by luck, and the model knew"],
         "trials": sum(len(run.trials) for run in runs),
         "trials_failed": causes.total(),
+        "trials_wrong_one_step": sum(run.wrong_one_step for run in runs),
         "trials_not_needed": sum(trials_not_needed(run.trials) for run in runs),
     }
     return {
@@ -225,7 +235,7 @@ def reliability(runs: Sequence[ReplayedRun], entry: str) -> list[dict[str, float
 
     Args:
         runs: of any tasks.
-        entry: of a :class:`ReplayedTrial`, the prediction.
+        entry: of a :class:`~reproduction.failure_causes.ReplayedTrial`, the prediction.
 
     Returns:
         Bins with a trial, each with ``trials``, ``predicted``, ``measured``, and ``lower`` and

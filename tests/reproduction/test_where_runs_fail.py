@@ -123,8 +123,15 @@ def test_all_failures_are_counted_once_and_those_after_a_success_apart() -> None
         "runs_ended_by_luck_known": 0,
         "trials": 5,
         "trials_failed": 4,
+        "trials_wrong_one_step": 0,
         "trials_not_needed": 0,
     }
+
+
+def test_unsure_models_that_are_wrong_one_step_ahead_are_counted() -> None:
+    vague, wrong = replace(STUCK, spread_share=0.9), replace(STUCK, covered=0.7)
+    totals = counts([replayed_run(vague, wrong, replace(RIGHT, covered=0.7))])["totals"]
+    assert totals["trials_wrong_one_step"] == 1
 
 
 def test_reliability_pools_trials_of_like_predictions() -> None:

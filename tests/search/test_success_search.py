@@ -17,7 +17,7 @@ from torch_pmil.search import success_search
 from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess, Promise
-from torch_pmil.search.success_search import search_for_success, steady_policy
+from torch_pmil.search.success_search import STEADYINGS, search_for_success, steady_policy
 
 HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
 SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
@@ -75,7 +75,7 @@ def test_steadied_policy_succeeds_more_often(
     loss, result = searched
     promise = Promise(0.95, distance, 0.6 * WIDE)
     before = promise.predicted(loss, INITIAL)
-    found = search_for_success(loss, INITIAL, promise, SETTINGS, make_policy, result, restarts=0)
+    found = search_for_success(loss, INITIAL, promise, SETTINGS, result)
     after = promise.predicted(loss, INITIAL)
     assert before.least < promise.aim
     assert after.successes > before.successes
@@ -117,9 +117,8 @@ def scripted(monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss) -> list[st
 def go_on(loss: TrajectoryKLLoss, restarts: int, *rates: float) -> tuple[int, SearchResult]:
     """Number of the search whose policy was kept, and the outcome."""
     first = SearchResult(0.0, torch.ones(HORIZON), HORIZON, True, 10, 0, 0.5, "iteration limit")
-    found = search_for_success(
-        loss, INITIAL, Scripted(*rates), SETTINGS, make_policy, first, restarts
-    )
+    policies = (make_policy(seed) for seed in range(restarts))
+    found = search_for_success(loss, INITIAL, Scripted(*rates), SETTINGS, first, policies)
     return int(loss.actor_network.weights[0, 0].item()), found
 
 
@@ -128,13 +127,23 @@ def go_on(loss: TrajectoryKLLoss, restarts: int, *rates: float) -> tuple[int, Se
     [
         (2, [1.0], [], 0),
         (2, [0.5, 0.95], ["steady"], 1),
-        (0, [0.5, 0.6], ["steady"], 1),
-        (0, [0.5, 0.4], ["steady"], 0),
-        (1, [0.5, 0.4, 0.3, 0.7], ["steady", "random", "steady"], 3),
+        (2, [0.5, 0.6, 0.6, 0.95], ["steady"] * 3, 3),
+        (0, [0.5] + [0.6] * STEADYINGS, ["steady"] * STEADYINGS, 1),
+        (0, [0.5, 0.6, 0.4], ["steady"] * 2, 1),
+        (1, [0.5, 0.4, 0.3, 0.7, 0.6], ["steady", "random", "steady", "steady"], 3),
         (2, [0.5, 0.4, 1.0], ["steady", "random"], 2),
-        (1, [0.5, 0.5, 0.2, 0.2], ["steady", "random", "steady"], 0),
+        (1, [0.5, 0.4, 0.2, 0.1], ["steady", "random", "steady"], 0),
     ],
-    ids=["enough", "steadied", "no restart", "worse", "better restart", "at once", "least loss"],
+    ids=[
+        "enough",
+        "steadied",
+        "steadied again",
+        "often enough",
+        "no restart",
+        "better restart",
+        "at once",
+        "worse",
+    ],
 )
 def test_searches_follow_until_the_aim_is_reached_and_the_best_policy_is_kept(
     loss: TrajectoryKLLoss,

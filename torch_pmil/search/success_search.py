@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from torch import Tensor
 
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
@@ -14,10 +17,25 @@ from torch_pmil.search.policy_search import (
     SearchSettings,
     search_policy,
 )
-from torch_pmil.search.promise import Promise
+from torch_pmil.search.promise import PredictedSuccess, Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 Report = Callable[[str, float], None]
+
+STEADYINGS = 8  # of one policy, while it gets no worse
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A policy that a search left, and what is predicted of it."""
+
+    result: SearchResult
+    predicted: PredictedSuccess
+    parameters: dict[str, Tensor]
+
+    @property
+    def merit(self) -> tuple[float, float]:
+        return self.predicted.rate, -self.result.loss
 
 
 def search_for_success(
@@ -25,63 +43,59 @@ def search_for_success(
     initial: Gaussian,
     promise: Promise,
     settings: SearchSettings,
-    make_policy: Callable[[], RBFPolicy],
     result: SearchResult,
-    restarts: int,
+    policies: Iterable[RBFPolicy] = (),
     report: Report = lambda stage, loss: None,
 ) -> SearchResult:
     """Search on until the predicted success rate of the policy is :attr:`Promise.aim`.
 
-    The policy is steadied first (:func:`steady_policy`), if the loss is a KL. Then others are
-    searched from random policies, and steadied too. The policy with the highest predicted rate is
-    kept, of several alike the one of least loss.
+    The policy is steadied first (:func:`steady_policy`), if the loss is a KL, again and again while
+    it gets no worse. Then others are searched from random policies, and steadied too. The policy
+    with the highest predicted rate is kept, of several alike the one of least loss.
 
     Args:
         loss: objective with the policy (changed in place) and the model.
         initial: p(x_0).
         promise: what the policy shall keep.
         settings: budget and horizon of the searches.
-        make_policy: returns a new random policy of the same shape.
         result: of the search that found the policy, which matches the whole horizon.
-        restarts: largest number of searches from random policies.
+        policies: random policies of the same shape, of which no more are taken than are needed.
         report: as of :func:`search_policy`.
 
     Returns:
         The outcome of the search whose policy was kept, with the work of all searches.
     """
     network = loss.actor_network
-    successes = promise.predicted(loss, initial)
-    best = result, successes, copy.deepcopy(network.state_dict())
-    searches = _searches(loss, initial, settings, make_policy, restarts, report)
-    while best[1].least < promise.aim and (found := next(searches, None)) is not None:
-        successes = promise.predicted(loss, initial)
-        merit = successes.successes, -found.loss
-        work, kept = found.with_work_of(best[0]), best[0].with_work_of(found)
-        if merit > (best[1].successes, -best[0].loss):
-            best = work, successes, copy.deepcopy(network.state_dict())
-        else:
-            best = kept, *best[1:]
-    network.load_state_dict(best[2])
-    return best[0]
+    found: list[_Found] = []
 
+    def judge(result: SearchResult) -> bool:
+        """Note the policy that was found; return whether a better one is needed."""
+        predicted = promise.predicted(loss, initial)
+        found.append(_Found(result, predicted, copy.deepcopy(network.state_dict())))
+        return predicted.least < promise.aim
 
-def _searches(
-    loss: TrajectoryLoss,
-    initial: Gaussian,
-    settings: SearchSettings,
-    make_policy: Callable[[], RBFPolicy],
-    restarts: int,
-    report: Report,
-) -> Iterator[SearchResult]:
-    """Outcomes of one search after the other, each of which leaves its policy in the loss."""
-    if isinstance(loss, TrajectoryKLLoss):
-        yield steady_policy(loss, initial, settings, report)
-    for _ in range(restarts):
-        loss.actor_network.load_state_dict(make_policy().state_dict())
-        found = search_policy(loss, initial, settings, report, random=True)
-        yield found
-        if found.complete and isinstance(loss, TrajectoryKLLoss):
-            yield steady_policy(loss, initial, settings, report)
+    def steady() -> bool:
+        """Steady the last policy; return whether a better one is needed."""
+        if not isinstance(loss, TrajectoryKLLoss) or not found[-1].result.complete:
+            return True
+        for _ in range(STEADYINGS):
+            if not judge(steady_policy(loss, initial, settings, report)):
+                return False
+            if found[-1].predicted.rate < found[-2].predicted.rate:
+                break
+        return True
+
+    needed, others = judge(result) and steady(), iter(policies)
+    while needed and (policy := next(others, None)) is not None:
+        network.load_state_dict(policy.state_dict())
+        again = search_policy(loss, initial, settings, report, random=True)
+        needed = judge(again) and steady()
+    best = max(found, key=lambda each: each.merit)
+    network.load_state_dict(best.parameters)
+    kept = best.result
+    for other in found:
+        kept = kept if other is best else kept.with_work_of(other.result)
+    return kept
 
 
 def steady_policy(

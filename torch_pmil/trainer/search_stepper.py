@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -22,7 +23,7 @@ from torch_pmil.search.promise import Promise
 from torch_pmil.search.success_search import search_for_success
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
-RESTARTS = 4  # of a search for success, after a rollout that succeeded
+RESTARTS = 6  # of the searches for success of a run
 PROGRESS = 0.8  # a search should come to this fraction of the least loss so far
 
 
@@ -60,7 +61,7 @@ class PolicySearchStepper(OptimizationStepper):
         self.settings, self.promise, self.make_policy = settings, promise, make_policy
         self.generator, self.report = generator, report
         self.refitted = False
-        self._least = math.inf
+        self._least, self._restarts_left = math.inf, RESTARTS
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
         """Search from the belief p(x_0) in ``sub_batch``.
@@ -93,20 +94,25 @@ class PolicySearchStepper(OptimizationStepper):
                 initial,
                 self.promise,
                 self.settings,
-                self.make_policy,
                 self.result,
-                RESTARTS if succeeded else 0,
+                self._random_policies() if succeeded else (),
                 self.report,
             )
         return TensorDict({loss.out_keys[0]: torch.tensor(self.result.loss, dtype=torch.float64)})
 
-    def state_dict(self) -> dict[str, float]:
+    def state_dict(self) -> dict[str, Any]:
         """State on which the next search depends, besides policy and model."""
-        return {"least": self._least}
+        return {"least": self._least, "restarts_left": self._restarts_left}
 
-    def load_state_dict(self, state_dict: dict[str, float]) -> None:
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` gave."""
-        self._least = state_dict["least"]
+        self._least, self._restarts_left = state_dict["least"], state_dict["restarts_left"]
+
+    def _random_policies(self) -> Iterator[RBFPolicy]:
+        """New policies, as many as this run may still begin searches for success with."""
+        while self._restarts_left:
+            self._restarts_left -= 1
+            yield self.make_policy()
 
     def _enough(self, failed: bool) -> bool:
         progress = self.result.loss < PROGRESS * self._least

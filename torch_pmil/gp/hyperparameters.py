@@ -1,6 +1,6 @@
 """Hyper-parameters of one Gaussian process by maximum marginal likelihood.
 
-Starting points and penalties are PILCO's; the optimiser is L-BFGS. All parameters are logarithms,
+Starting points and penalties are PILCO's, the latter within narrower bounds; the optimiser is L-BFGS. All parameters are logarithms,
 in one vector (D + 2,): of the D lengthscales, of the signal variance and of the noise variance.
 """
 
@@ -18,9 +18,10 @@ from torch_pmil.gp.lbfgs import MinimiseResult, NotFiniteError, minimise_functio
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
 
 # PILCO's penalties lower the likelihood beyond this ratio of standard deviations, and beyond this
-# factor between a lengthscale and the spread of its input
-MAX_SIGNAL_TO_NOISE = 500.0
-MAX_LENGTHSCALE_RATIO = 100.0
+# factor between a lengthscale and the spread of its input. PILCO has 500 and 100: there the
+# rounding of a variance ends a search, and a first small motion tells what large actions do
+MAX_SIGNAL_TO_NOISE = 100.0
+MAX_LENGTHSCALE_RATIO = 30.0
 PENALTY_POWER = 30
 # noise std over signal std at PILCO's start, and at a second start that explains less by noise
 NOISE_RATIOS = (0.1, 0.01)

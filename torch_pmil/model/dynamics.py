@@ -146,7 +146,7 @@ class GPDynamics(nn.Module):
         The best of several starts is kept: the last optimum and PILCO's starts, which are
         lengthscales std(input), signal std(target), noise a tenth or a hundredth of it, and for few
         data the same with twice the lengthscales. PILCO's penalties keep the signal-to-noise ratio
-        below about 500 and the lengthscales within a factor 100 of std(input).
+        below about 100 and the lengthscales within a factor 30 of std(input).
 
         Few data have several optima, and one of them may explain all motion as noise. Later, when
         many data have come rollout by rollout, the other starts hardly ever lead further than the

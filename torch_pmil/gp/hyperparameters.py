@@ -1,7 +1,8 @@
 """Hyper-parameters of one Gaussian process by maximum marginal likelihood.
 
-Starting points and penalties are PILCO's, the latter within narrower bounds; the optimiser is L-BFGS. All parameters are logarithms,
-in one vector (D + 2,): of the D lengthscales, of the signal variance and of the noise variance.
+Starting points and penalties are PILCO's, the latter with narrower bounds; the optimiser is
+L-BFGS. All parameters are logarithms, in one vector (D + 2,): of the D lengthscales, of the signal
+variance and of the noise variance.
 """
 
 from __future__ import annotations

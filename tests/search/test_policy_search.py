@@ -325,9 +325,10 @@ def test_refitted_policy_acts_nearly_as_the_old_one_along_the_prediction(
     found: TrajectoryKLLoss,
 ) -> None:
     before, after, drawn = refitted(found)
-    assert (after - before).abs().max() < 0.05 * U_MAX
+    apart = (after - before).abs().max()
+    assert apart < 0.05 * U_MAX
     features = SPACE.features(INITIAL.mean)
-    assert (drawn(features) - before[0]).abs() > 0.2 * U_MAX
+    assert (drawn(features) - before[0]).abs() > 4 * apart
 
 
 def test_refitted_policy_has_the_centres_and_widths_of_the_new_one(found: TrajectoryKLLoss) -> None:

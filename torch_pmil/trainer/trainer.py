@@ -76,8 +76,6 @@ class PMILTrainer(Trainer):
             (:func:`~torch_pmil.model.experience.widened`).
         error: maps rollouts (*batch, T) of the environment to their errors, (*batch).
         tolerance: error up to which a rollout is a success.
-        promise: success rate from fresh starts that the policy shall keep; None where no success
-            can be predicted, and the confirmations alone end the training.
         confirmations: number of successes in a row without which the training does not end.
         trials: largest number of trials.
         search: budget and horizon of each policy search.
@@ -85,6 +83,8 @@ class PMILTrainer(Trainer):
         exploration: how the robot moves before anything is learned.
         policy_generator: generator of new policies.
         generator: generator of the exploration, and of the states at which policies are refitted.
+        promise: success rate from fresh starts that the policy shall keep; None where no success
+            can be predicted, and the confirmations alone end the training.
         box: limits of the motion. ``env`` stops where it leaves them, the exploration begins small
             (:class:`CautiousMotion`), and a policy that is likely to leave them is refused, or runs
             for its first steps alone (:func:`admit`). None for no limits.
@@ -114,7 +114,6 @@ class PMILTrainer(Trainer):
         limits: Tensor,
         error: Callable[[TensorDictBase], Tensor],
         tolerance: float,
-        promise: Promise | None,
         confirmations: int,
         trials: int,
         search: SearchSettings,
@@ -122,6 +121,7 @@ class PMILTrainer(Trainer):
         exploration: Exploration,
         policy_generator: torch.Generator,
         generator: torch.Generator,
+        promise: Promise | None = None,
         box: StateBox | None = None,
         on_trial: Callable[[Trial], None] = lambda trial: None,
         progress_bar: bool = True,

@@ -18,6 +18,7 @@ from torch_pmil.experiments.runs.setting_words import (
     FROM_ZERO,
     OF_EXPERIMENT,
     POSITIVE,
+    RATE,
     SETTINGS,
     SHARE,
     SWITCH,
@@ -38,6 +39,7 @@ OTHERS = ([], "x", ["x"], [[1.0, 2.0]], [math.nan] * 4, [-1e400] * 6, 10**400, T
 NUMBERS = {
     POSITIVE: (0, -1.0, math.nan, math.inf, 10**400, True),
     SHARE: (0, 1.5, -1.0, math.nan, "much"),
+    RATE: (0, 1, -0.5, math.nan, "much"),
     FROM_ZERO: (-1.0, math.nan, math.inf, 10**400, True),
     WHOLE: (-1, 1.0, math.nan, True),
     COUNT: (0, -1, 1.0, math.nan, True),
@@ -88,8 +90,7 @@ def test_each_setting_can_be_set_and_is_told_and_no_other_changes(name: str) -> 
     own = task_with(name)
     present = own.adjustable[name]
     value = other([1.0] * len(own.space.feature_names) if present is None else present)
-    if name == "random_action":
-        value = 1
+    value = {"random_action": 1, "promise": 0.5}.get(name, value)
     changed = own.with_settings(**{name: value})
     assert told(changed, name) == value
     assert {**changed.adjustable, name: None} == {**own.adjustable, name: None}

@@ -136,7 +136,11 @@ def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> Non
         "input_widths",
         "holds_start",
     } <= settings.keys()
-    assert (settings["noise_std"], settings["confirmations"]) == (0.05, 2)
+    assert (settings["noise_std"], settings["promise"], settings["confirmations"]) == (
+        0.05,
+        0.95,
+        1,
+    )
     assert settings["exploration"] == {
         "rollouts": 1,
         "steps": HORIZON,

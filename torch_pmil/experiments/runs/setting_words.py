@@ -15,6 +15,7 @@ from torch_pmil.experiments.tasks.experiment import MOST_CENTRES
 
 WIDTH = 100  # characters of a line of help
 POSITIVE, FROM_ZERO, SHARE = "above 0", "at least 0", "above 0, at most 1"
+RATE = "above 0, below 1"
 SWITCH = "true or false"
 WHOLE, COUNT = "whole number, at least 0", "whole number, at least 1"
 OF_FEATURES = "numbers above 0, one for each feature of the state"
@@ -94,7 +95,8 @@ OF_EXPERIMENT = {
     ),
     "promise": Setting(
         "success rate from fresh starts that a run's end promises: a lower one ends sooner",
-        "above 0, below 1",
+        RATE,
+        "fresh starts",
     ),
     "confirmations": Setting(
         "successes in a row of own rollouts without which no run ends", COUNT, "own rollouts"

@@ -93,6 +93,8 @@ def _trials(summary: Mapping) -> Table:
     measured = "The success rate is from fresh starts, which are no experience."
     if judged_alone(summary):
         measured = "Success is judged by the robot's own rollouts alone."
+    if "predicted_success_rate" in fields:
+        measured += " The predicted one is of trajectories that are drawn from the trial's model."
     text = (
         f"{measured} A search has a number of iterations; that it does them all is usual, and no "
         "failure."
@@ -114,6 +116,7 @@ def _columns(summary: Mapping) -> dict[str, tuple[str, Callable[[Any], str]]]:
         "experience_s": ("experience (s)", "{:.1f}".format),
         "loss": (with_unit("objective", summary.get("units", {}).get("objective")), say),
         "tracking_error": ("tracking error (rad)", say),
+        "predicted_success_rate": ("predicted success", percent),
         "success_rate": ("success rate", percent),
         "own_success": ("own rollout", lambda success: "succeeded" if success else "failed"),
         "own_error": own_error,

@@ -16,12 +16,18 @@ def headline(summary: dict) -> tuple[str, str]:
     Example:
         >>> headline({"saved_success_rate": 1.0, "saved_n_eval": 20, "experience_s": 17.5})
         ('good', 'It learned: 20 of 20 fresh starts succeed, after 17.5 s of experience.')
+        >>> alone = {"saved_success_rate": 1.0, "saved_n_eval": 0, "experience_s": 17.5}
+        >>> headline(alone | {"promised_success_rate": 0.979})[1].partition(". ")[2]
+        'The model predicts success from 97.9 % of the starts at least.'
     """
     rate, count = summary["saved_success_rate"], summary["saved_n_eval"]
     succeeded = f"{round(rate * count) or 'none'} of {count} fresh starts succeed"
     if judged_alone(summary):
         succeeded = f"the saved policy's own rollout {'succeeded' if rate else 'failed'}"
     succeeded = f"{succeeded}, after {summary['experience_s']:g} s of experience."
+    least = summary.get("promised_success_rate")
+    if least is not None:
+        succeeded += f" The model predicts success from {100 * least:.1f} % of the starts at least."
     if rate >= LEARNED:
         return "good", f"It learned: {succeeded}"
     if rate > 0:

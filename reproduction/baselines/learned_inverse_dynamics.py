@@ -19,6 +19,9 @@ POSITION_GAIN = 0.5  # N·m/rad, K_p of Eq. 29
 VELOCITY_GAIN = 0.25  # N·m s/rad, K_d
 
 
+PILCO_SIGNAL_TO_NOISE = 500.0  # no moments of this model are matched, whose rounding would count
+
+
 class InverseDynamics:
     r"""GPs of the torques, the inverse model of Eq. 29.
 
@@ -51,7 +54,7 @@ class InverseDynamics:
         self.space = space
         joints = space.dim // 2
         inputs = len(space.feature_names) + space.dim + joints
-        self.gp = GPDynamics(inputs, joints, targets="successor")
+        self.gp = GPDynamics(inputs, joints, "successor", PILCO_SIGNAL_TO_NOISE)
 
     def fit(
         self, states: Tensor, next_states: Tensor, accelerations: Tensor, torques: Tensor

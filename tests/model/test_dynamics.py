@@ -121,6 +121,10 @@ def test_signal_to_noise_ratio_stays_bounded_without_noise(draws: Draws) -> None
     dynamics.fit(inputs, true_function(inputs))
     _, signal, noise = hyperparameters(dynamics)
     assert ((signal / noise).sqrt() < 200).all()
+    surer = GPDynamics(2, 2, most_signal_to_noise=500.0)
+    surer.fit(inputs, true_function(inputs))
+    _, signal, noise = hyperparameters(surer)
+    assert ((signal / noise).sqrt() < 1000).all() and (signal / noise).sqrt().max() > 200
 
 
 def test_lengthscales_stay_bounded_where_an_input_has_no_effect(draws: Draws) -> None:
@@ -171,11 +175,9 @@ def starts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Numbers of starts of the searches that follow, one for each output."""
     numbers: list[int] = []
 
-    def counting(
-        inputs: Tensor, target: Tensor, starts: list[Tensor], max_iterations: int
-    ) -> Optimum:
+    def counting(inputs: Tensor, target: Tensor, starts: list[Tensor], *limits: float) -> Optimum:
         numbers.append(len(starts))
-        return find_hyperparameters(inputs, target, starts, max_iterations)
+        return find_hyperparameters(inputs, target, starts, *limits)
 
     monkeypatch.setattr(torch_pmil.model.dynamics, "find_hyperparameters", counting)
     return numbers

@@ -18,10 +18,11 @@ from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.lbfgs import MinimiseResult, NotFiniteError, minimise_function
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
 
-# PILCO's penalties lower the likelihood beyond this ratio of standard deviations, and beyond this
-# factor between a lengthscale and the spread of its input. PILCO has 500 and 100: there the
-# rounding of a variance ends a search, and a first small motion tells what large actions do
-MAX_SIGNAL_TO_NOISE = 100.0
+# PILCO's penalties lower the likelihood beyond a ratio of standard deviations, this one for a model
+# of which moments are matched, and beyond this factor between a lengthscale and the spread of its
+# input. PILCO has 500 and 100: there the rounding of a variance ends a search, and a first small
+# motion tells what large actions do
+MOST_SIGNAL_TO_NOISE = 100.0
 MAX_LENGTHSCALE_RATIO = 30.0
 PENALTY_POWER = 30
 # noise std over signal std at PILCO's start, and at a second start that explains less by noise
@@ -54,7 +55,11 @@ class Optimum:
 
 
 def find_hyperparameters(
-    inputs: Tensor, target: Tensor, starts: Sequence[Tensor], max_iterations: int
+    inputs: Tensor,
+    target: Tensor,
+    starts: Sequence[Tensor],
+    max_iterations: int,
+    most_signal_to_noise: float = MOST_SIGNAL_TO_NOISE,
 ) -> Optimum:
     """Minimise the penalised negative log marginal likelihood by L-BFGS from several starts.
 
@@ -65,6 +70,7 @@ def find_hyperparameters(
         target: one output, (n,).
         starts: log parameters, (D + 2,) each.
         max_iterations: limit of L-BFGS for each start.
+        most_signal_to_noise: ratio of standard deviations beyond which it is penalised.
 
     Raises:
         NotPositiveDefiniteError, NotFiniteError: the likelihood has no value at any start; the
@@ -81,7 +87,7 @@ def find_hyperparameters(
 
     def objective(log_parameters: Tensor) -> tuple[float, Tensor]:
         likelihood, slope = negative_log_likelihood(inputs, target, log_parameters)
-        penalised, penalty_slope = penalty(log_parameters, log_spread)
+        penalised, penalty_slope = penalty(log_parameters, log_spread, most_signal_to_noise)
         return likelihood + penalised, slope + penalty_slope
 
     runs: list[tuple[Tensor, MinimiseResult]] = []
@@ -103,7 +109,7 @@ def find_hyperparameters(
     if not runs:
         raise failures[0]
     best, result = min(runs, key=lambda run: run[1].loss)
-    likelihood = result.loss - penalty(best, log_spread)[0]
+    likelihood = result.loss - penalty(best, log_spread, most_signal_to_noise)[0]
     return Optimum(best, likelihood, sum(run.evaluations for _, run in runs), result.stop_reason)
 
 
@@ -123,12 +129,14 @@ def pilco_starts(inputs: Tensor, target: Tensor) -> list[Tensor]:
     ]
 
 
-def penalty(log_parameters: Tensor, log_spread: Tensor) -> tuple[float, Tensor]:
+def penalty(
+    log_parameters: Tensor, log_spread: Tensor, most_signal_to_noise: float = MOST_SIGNAL_TO_NOISE
+) -> tuple[float, Tensor]:
     """Nats by which PILCO's penalties lower the log likelihood, next to none inside the bounds.
 
     With their gradient in the log parameters, (D + 2,).
     """
-    signal_scale, length_scale = 2 * math.log(MAX_SIGNAL_TO_NOISE), math.log(MAX_LENGTHSCALE_RATIO)
+    signal_scale, length_scale = 2 * math.log(most_signal_to_noise), math.log(MAX_LENGTHSCALE_RATIO)
     ratio = (log_parameters[-2:-1] - log_parameters[-1:]) / signal_scale
     length = (log_parameters[:-2] - log_spread) / length_scale
     slopes = [

@@ -15,7 +15,12 @@ from torch import Tensor, nn
 
 from torch_pmil.gp.checks import check_real, check_whole
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
-from torch_pmil.gp.hyperparameters import Optimum, find_hyperparameters, pilco_starts
+from torch_pmil.gp.hyperparameters import (
+    MOST_SIGNAL_TO_NOISE,
+    Optimum,
+    find_hyperparameters,
+    pilco_starts,
+)
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.lbfgs import NotFiniteError
 
@@ -76,6 +81,8 @@ class GPDynamics(nn.Module):
         num_outputs: number D of entries of the state.
         targets: "difference" to learn x_{t+1} - x_t (the prior mean is then that the state stays
             where it is), or "successor" to learn x_{t+1} (Eq. 2).
+        most_signal_to_noise: ratio of standard deviations beyond which a fit is penalised. A model
+            of which moments are matched must not be surer: their rounding grows with the square.
 
     Example:
         >>> X = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
@@ -90,13 +97,20 @@ class GPDynamics(nn.Module):
     train_targets: Tensor
     searched_size: Tensor
 
-    def __init__(self, num_inputs: int, num_outputs: int, targets: Targets = "difference") -> None:
+    def __init__(
+        self,
+        num_inputs: int,
+        num_outputs: int,
+        targets: Targets = "difference",
+        most_signal_to_noise: float = MOST_SIGNAL_TO_NOISE,
+    ) -> None:
         super().__init__()
         if targets not in ("difference", "successor"):
             raise ValueError(f'targets must be "difference" or "successor", got {targets!r}')
         for name, value in (("num_inputs", num_inputs), ("num_outputs", num_outputs)):
             check_whole(name, value, 1)
         self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, targets
+        self.most_signal_to_noise = most_signal_to_noise
         self.gp = _BatchGP(
             torch.zeros(num_outputs, 1, num_inputs), torch.zeros(num_outputs, 1)
         ).double()
@@ -146,7 +160,7 @@ class GPDynamics(nn.Module):
         The best of several starts is kept: the last optimum and PILCO's starts, which are
         lengthscales std(input), signal std(target), noise a tenth or a hundredth of it, and for few
         data the same with twice the lengthscales. PILCO's penalties keep the signal-to-noise ratio
-        below about 100 and the lengthscales within a factor 30 of std(input).
+        below about ``most_signal_to_noise`` and the lengthscales within a factor 30 of std(input).
 
         Few data have several optima, and one of them may explain all motion as noise. Later, when
         many data have come rollout by rollout, the other starts hardly ever lead further than the
@@ -190,13 +204,14 @@ class GPDynamics(nn.Module):
 
         The last ones are the only start unless ``restarted``, or unless they fail at the new data.
         """
+        limits = max_iterations, self.most_signal_to_noise
         target, last = self.train_targets[:, output].contiguous(), self._log_parameters()[output]
         if not restarted:
             # new data may contradict the last model
             with contextlib.suppress(NotPositiveDefiniteError, NotFiniteError):
-                return find_hyperparameters(self.train_inputs, target, [last], max_iterations)
+                return find_hyperparameters(self.train_inputs, target, [last], *limits)
         starts = ([last] if fitted else []) + pilco_starts(self.train_inputs, target)
-        return find_hyperparameters(self.train_inputs, target, starts, max_iterations)
+        return find_hyperparameters(self.train_inputs, target, starts, *limits)
 
     def _continued_by(self, inputs: Tensor, targets: Tensor) -> bool:
         """Whether new data begin with the present ones."""

@@ -79,7 +79,7 @@ def test_error_is_one_where_a_rollout_is_a_standard_deviation_away_at_all_times(
     demonstrated = made.demonstrated
     states = torch.zeros(21, 2, dtype=torch.float64)
     states[1:, 0] = demonstrated.mean[:, 0] + demonstrated.std[:, 0]
-    assert made.error.error(states).item() == pytest.approx(1)
+    assert made.error.of_states(states).item() == pytest.approx(1)
 
 
 def test_what_is_said_is_kept() -> None:

@@ -38,7 +38,7 @@ nitpick_ignore_regex = [
     for name in (
         # their objects are not ours
         "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",
-        "examples|numba|argparse|collections|functools|http|os|pathlib|types|typing",
+        "examples|numba|argparse|collections|enum|functools|http|os|pathlib|types|typing",
         # by the names that annotations and docstrings have for them
         "nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError",
         "Array[1-5]?|Address|TypeAliasForwardRef",

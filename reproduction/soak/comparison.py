@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import bootstrap
+from scipy import stats
 
 from reproduction.soak.processes import attempts_in
 from reproduction.soak.results import Row, cpu_seconds_of, outcome_of
@@ -77,7 +77,7 @@ def paired(values: Sequence[tuple[float | None, float | None]]) -> dict[str, flo
     ours, theirs = pairs.T
     lower = upper = None
     if len(pairs) > 1:
-        interval = bootstrap(
+        interval = stats.bootstrap(
             (ours - theirs,), np.mean, confidence_level=CONFIDENCE, method="percentile", rng=0
         ).confidence_interval
         lower, upper = float(interval.low), float(interval.high)

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from scipy.stats import fisher_exact
 
 from torch_pmil.experiments.diagnosis.causes import COVERED, FOLLOWED, LEARNED, MOVED, UNKNOWN
+from torch_pmil.trainer.ending import LIMIT
 
 SIGNIFICANCE = 0.05  # of Fisher's exact test of two success rates
 FAR = 2.0  # tolerances: a failure beyond is none that a narrower spread would mend
@@ -44,7 +45,7 @@ ENDS = (
     "learned",
     "ended by luck, and the model knew",
     "ended by luck, and the model did not know",
-    "limit of trials",
+    LIMIT,
 )
 
 
@@ -160,8 +161,8 @@ def end_of(saved_success_rate: float, predicted: float, stop_reason: str) -> str
     """
     if saved_success_rate >= LEARNED:
         return "learned"
-    if stop_reason == "limit of trials":
-        return "limit of trials"
+    if stop_reason == LIMIT:
+        return LIMIT
     knew = "knew" if predicted < LEARNED else "did not know"
     return f"ended by luck, and the model {knew}"
 

@@ -30,7 +30,7 @@ from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.calibration import standardised_residuals, two_sigma_coverage
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import Experience, widened
-from torch_pmil.model.particles import sample_trajectories
+from torch_pmil.model.particles import sample_rollouts
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.kl import gaussian_kl_terms
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in
@@ -249,15 +249,13 @@ def imagined_errors(
     experiment: Experiment, policy: RBFPolicy, dynamics: GPDynamics, samples: int
 ) -> Tensor:
     """Errors (samples,) of rollouts that the model imagines, each step drawn from its posterior."""
-    generators = [torch.Generator().manual_seed(SAMPLE_SEED) for _ in range(2)]
-    robot = policy, dynamics, experiment.space
-    states = sample_trajectories(
-        experiment.initial, *robot, experiment.horizon, samples, generators[0]
+    generator, robot = torch.Generator().manual_seed(SAMPLE_SEED), (policy, dynamics)
+    states = sample_rollouts(
+        experiment.initial, *robot, experiment.space, experiment.horizon, samples, generator
     )
-    starts = experiment.initial.sample(samples, generators[1])
     promise = experiment.promised
     assert promise is not None  # of these tasks success can be predicted
-    return promise.error(torch.cat([starts[:, None], states], 1))
+    return promise.error(states)
 
 
 def _miss(errors: Tensor, tolerance: float) -> float | None:

@@ -33,6 +33,7 @@ from torch_pmil.experiments.tasks.double_pendulum import states_from_positions
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.files import write_json
 from torch_pmil.gp.checks import check_whole
+from torch_pmil.trainer.ending import LIMIT
 from torch_pmil.trainer.trials import Measurement, success_rate
 
 NUM_BASIS = 30  # of the primitive; with them it is within 1 mrad of the demonstrations' mean
@@ -126,7 +127,7 @@ def run_dmp(
         **source,
         "settings": settings(experiment, trials, feedback_period),
         "wall_seconds": round(time.perf_counter() - begun, 2),
-        "stop_reason": "limit of trials",
+        "stop_reason": LIMIT,
         "experience_s": round(learner.experience_s, 6),
         "saved_trial": trials,
         "saved_success_rate": success_rate(errors, experiment.tolerance),

@@ -16,12 +16,12 @@ from reproduction.handwriting import ratio
 from reproduction.learned import load_learned, measured_success
 from reproduction.soak.processes import Attempt, End, attempts_in, has_ended, size_of
 from reproduction.soak.tasks import SoakRun
+from torch_pmil.experiments.diagnosis.causes import LEARNED
 from torch_pmil.experiments.runs.summaries import CONFIDENCE, read_summary, wilson_interval
 from torch_pmil.files import read_json, write_json
+from torch_pmil.trainer.ending import LIMIT
 
-GOAL = 0.95  # success rate of a run that learned
 LISTED = ("predictions", "diagnosis")  # not in the list of runs: elsewhere in the summary
-LIMIT = "limit of trials"  # any other reason to stop says that the run has learned
 STARTS, START_SEED = 100, 7_000_000  # no start that a run has seen
 MEASURED = "measured.json"
 BINS = 10  # of predicted success rates
@@ -140,7 +140,7 @@ def of_task(rows: Sequence[Row], name: str) -> list[Row]:
 
 def at_goal(rows: Sequence[Row]) -> int:
     """Number of runs whose saved policy succeeds from at least 95 % of 20 fresh starts."""
-    return sum(row["saved_success_rate"] >= GOAL for row in rows)
+    return sum(row["saved_success_rate"] >= LEARNED for row in rows)
 
 
 def details_of(rows: Sequence[Row]) -> dict[str, object]:
@@ -217,7 +217,7 @@ def _group(pairs: Sequence[tuple[float, float]]) -> dict[str, float]:
 
 
 def _learned(row: Row) -> bool:
-    return row["claimed"] and row["saved_success_rate"] >= GOAL
+    return row["claimed"] and row["saved_success_rate"] >= LEARNED
 
 
 def _not_learned(row: Row) -> Row:

@@ -56,11 +56,30 @@ def sample_trajectories(
         ValueError: there is no step or no particle, or as of :func:`check_start_belief`.
         NotPositiveDefiniteError: the covariance of ``initial`` is none.
     """
+    return sample_rollouts(
+        initial, policy, dynamics, space, horizon, count, generator, observation_noise
+    )[..., 1:, :]
+
+
+def sample_rollouts(
+    initial: Gaussian,
+    policy: Policy,
+    dynamics: GPDynamics,
+    space: StateSpace,
+    horizon: int,
+    count: int,
+    generator: torch.Generator,
+    observation_noise: bool = True,
+) -> Tensor:
+    """The same with the starts: states at t = 0..T, (count, *batch, T + 1, D).
+
+    Arguments and errors are those of :func:`sample_trajectories`.
+    """
     check_start_belief(initial, "initial", dynamics, space)
     check_whole("horizon", horizon, 1)
     check_whole("count", count, 1)
-    controller, state, states = policy.controller, initial.sample(count, generator), []
-    expansion = dynamics.expansion
+    controller, state = policy.controller, initial.sample(count, generator)
+    states, expansion = [state], dynamics.expansion
     for _ in range(horizon):
         features = space.features(state)
         mean, variance = expansion.predict(torch.cat([features, controller(features)], -1))

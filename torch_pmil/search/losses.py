@@ -98,13 +98,11 @@ class TrajectoryKLLoss(TrajectoryLoss):
         """Expected surprise of the demonstrated marginals at the predicted ones, (*batch, horizon).
 
         See :func:`~torch_pmil.search.kl.gaussian_cross_entropy`. The KL is least where the
-        prediction is as wide as the demonstrations, this where it is narrow. Within
-        :meth:`~TrajectoryLoss.penalised` it has the penalty too. Raises PredictionError.
+        prediction is as wide as the demonstrations, this where it is narrow. Raises
+        PredictionError.
         """
-        states = self.predict_states(initial, horizon)
-        observed = self._observe(states)
-        costs = gaussian_cross_entropy(observed, self._demonstrated(observed.batch_shape[-1]))
-        return costs if self._penalty is None else costs + self._penalty(states)
+        observed = self.predict(initial, horizon)
+        return gaussian_cross_entropy(observed, self._demonstrated(observed.batch_shape[-1]))
 
     def _observe(self, states: Gaussian) -> Gaussian:
         return super()._observe(states).add_noise(self.noise_std**2)

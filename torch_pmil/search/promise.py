@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_pmil.gp.checks import check_positive
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.model.particles import sample_trajectories
+from torch_pmil.model.particles import sample_rollouts
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 
 SAMPLES = 500
@@ -85,12 +85,11 @@ class Promise:
     def predicted(self, loss: TrajectoryLoss, initial: Gaussian) -> PredictedSuccess:
         """Successes of the policy of ``loss`` under its model, from p(x_0)."""
         start, policy = loss.begin(initial)
-        trajectories = sample_trajectories(
-            start, policy, loss.dynamics, loss.space, loss.horizon, SAMPLES, _generator()
+        generator = torch.Generator().manual_seed(SEED)
+        states = sample_rollouts(
+            start, policy, loss.dynamics, loss.space, loss.horizon, SAMPLES, generator
         )
-        begin = start.sample(SAMPLES, _generator())[..., None, :]  # the draws that they began with
-        errors = self.error(torch.cat([begin, trajectories], -2))
-        return PredictedSuccess(int((errors <= self.tolerance).sum()))
+        return PredictedSuccess(int((self.error(states) <= self.tolerance).sum()))
 
 
 def check_rate(name: str, rate: object) -> None:
@@ -104,7 +103,3 @@ def check_rate(name: str, rate: object) -> None:
     number = isinstance(rate, int | float) and not isinstance(rate, bool)
     if not number or not 0 < rate < 1:  # type: ignore[operator]
         raise ValueError(f"{name} must be a number above 0 and below 1, got {rate!r}")
-
-
-def _generator() -> torch.Generator:
-    return torch.Generator().manual_seed(SEED)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from torch_pmil.search.promise import Promise
 from torch_pmil.trainer.trials import Trial
 
+LIMIT = "limit of trials"
 NUMERALS = {2: "two", 3: "three", 4: "four"}
 
 
@@ -29,7 +30,7 @@ def why_ended(
         least = last[-1].promised_success_rate
         if least is not None and least >= promise.aim:
             return f"{done}, and the model predicts success from {least:.1%} of the starts at least"
-    return "limit of trials" if len(trials) >= most_trials else ""
+    return LIMIT if len(trials) >= most_trials else ""
 
 
 def _succeeded(count: int) -> str:

@@ -23,7 +23,7 @@ from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.envs.adapter import CosSin
 from torch_pmil.envs.one_robot import OneRobot
-from torch_pmil.envs.rollouts import OfStates, of_states
+from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.experiment import (
     Experiment,
     actions_of,
@@ -117,9 +117,6 @@ def own_robot(
     noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
     deviation = Deviation(expert_distribution(shown, noise_std), space)
     held = _held(adapted.action_names, space.names)
-    predictable = (
-        isinstance(settings.get("error"), OfStates | None) or "predicted_error" in settings
-    )
     defaults: dict[str, Any] = {
         "name": robot.name,
         "actions": actions_of(adapted),
@@ -130,18 +127,20 @@ def own_robot(
         "error": of_states(deviation),
         "tolerance": TOLERANCE,
         "input_scale": INPUT_SCALE,
-        "confirmations": 1 if predictable else CONFIRMATIONS,
         "draws": robot.draws,
     }
     if "initial" not in settings:
         defaults["initial"] = _start(starts, states)
-    return Experiment(
+    made = Experiment(
         make_env=robot,
         space=space,
         demonstrations=shown,
         noise_std=noise_std,
         **(defaults | settings),
     )
+    if made.promised is None and "confirmations" not in settings:
+        return replace(made, confirmations=CONFIRMATIONS)
+    return made
 
 
 @dataclass(frozen=True, eq=False)

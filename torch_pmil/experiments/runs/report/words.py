@@ -8,6 +8,7 @@ from pathlib import Path
 
 from torch_pmil.experiments.diagnosis.causes import LEARNED
 from torch_pmil.experiments.runs.summaries import judged_alone, words_of
+from torch_pmil.trainer.ending import LIMIT
 
 
 def headline(summary: dict) -> tuple[str, str]:
@@ -72,7 +73,7 @@ def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
     """Next steps with a run: a sentence each, with the command or the lines of Python for it."""
     words = _words(summary["command"])
     if words[:2] == ["pmil", "train"]:
-        if summary["stop_reason"] == "limit of trials":
+        if summary["stop_reason"] == LIMIT:
             changed = [f"trials={2 * len(summary['trials'])}", "resume=true"]
             further = [*_without(words, "trials=", "resume=", "overwrite="), *changed]
             yield "Go on where it stopped, with twice as many trials:", shlex.join(further)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from reproduction.replayed_runs import drawn
 from reproduction.soak.comparison import Outcomes
-from reproduction.soak.results import Row, reliability
+from reproduction.soak.results import Row
+from reproduction.soak.tasks import TASKS
 from torch_pmil.plotting import Figure, plot_experience_by_task, plot_promises
 
 OURS, THEIRS = "now", "before"
+TITLES = {task.name: task.title for task in TASKS}
 
 
 def figures_of(rows: Sequence[Row], theirs: Outcomes) -> dict[str, Figure]:
@@ -30,16 +33,16 @@ def figures_of(rows: Sequence[Row], theirs: Outcomes) -> dict[str, Figure]:
 
 def _experience(outcomes: Outcomes) -> dict[str, list[float]]:
     return {
-        name: [row["experience_s"] for (task, _), row in outcomes.items() if task == name]
+        TITLES[name]: [row["experience_s"] for (task, _), row in outcomes.items() if task == name]
         for name in dict.fromkeys(task for task, _ in outcomes)
     }
 
 
 def _promises(rows: Iterable[Row]) -> dict[str, Figure]:
     promising = [row for row in rows if row["promised_success_rate"] is not None]
-    if not promising:
+    forecasts = [forecast for row in promising for forecast in row["forecasts"]]
+    if not forecasts:
         return {}
-    trials = [pair for row in promising for pair in row["predictions"]]
     of_claim = {
         claimed: [
             (row["promised_success_rate"], row["measured_success_rate"])
@@ -48,4 +51,4 @@ def _promises(rows: Iterable[Row]) -> dict[str, Figure]:
         ]
         for claimed in (True, False)
     }
-    return {"promises": plot_promises(trials, reliability(trials), of_claim[True], of_claim[False])}
+    return {"promises": plot_promises(drawn(forecasts), of_claim[True], of_claim[False])}

@@ -14,17 +14,19 @@ from scipy.stats import binomtest
 from reproduction.biorob import joint_degrees
 from reproduction.handwriting import ratio
 from reproduction.learned import load_learned, measured_success
+from reproduction.replay import replayed
+from reproduction.replayed_runs import Forecast, ReplayedRun, reliability, tables
 from reproduction.soak.processes import Attempt, End, attempts_in, has_ended, size_of
 from reproduction.soak.tasks import SoakRun
 from torch_pmil.experiments.diagnosis.causes import LEARNED
-from torch_pmil.experiments.runs.summaries import CONFIDENCE, read_summary, wilson_interval
+from torch_pmil.experiments.runs.summaries import CONFIDENCE, read_summary
 from torch_pmil.files import read_json, write_json
 from torch_pmil.trainer.ending import LIMIT
 
-LISTED = ("predictions", "diagnosis")  # not in the list of runs: elsewhere in the summary
+LISTED = ("forecasts", "replayed", "diagnosis")  # not in the list of runs: elsewhere
 STARTS, START_SEED = 100, 7_000_000  # no start that a run has seen
-MEASURED = "measured.json"
-BINS = 10  # of predicted success rates
+MEASURED, REPLAYED = "measured.json", "replayed.json"
+SAMPLES = 100  # imagined rollouts of each prediction of a replay
 
 Row = dict[str, Any]
 
@@ -42,6 +44,22 @@ def measure(run: SoakRun) -> float:
         rate = measured_success(policy, experiment, STARTS, START_SEED + run.seed)
         write_json(path, {"success_rate": rate, "starts": STARTS})
     return read_json(path)["success_rate"]
+
+
+def replay(run: SoakRun) -> dict[str, Any]:
+    """What a run's model expected at each trial, kept in ``replayed.json``.
+
+    Returns:
+        Entries of :func:`~reproduction.replay.replayed`.
+
+    Raises:
+        RunError: the run left no checkpoint.
+        OSError: the file cannot be read or written.
+    """
+    path = run.folder / REPLAYED
+    if not path.is_file():
+        write_json(path, replayed(run.folder, run.task.load(), SAMPLES))
+    return read_json(path)
 
 
 def row_of(run: SoakRun) -> Row:
@@ -62,7 +80,13 @@ def row_of(run: SoakRun) -> Row:
     }
     if not ended:
         return {**row, "said": attempts[-1].said if attempts else "not begun"}
-    return {**row, **outcome_of(read_summary(run.folder)), "measured_success_rate": measure(run)}
+    summary = read_summary(run.folder)
+    return {
+        **row,
+        **outcome_of(summary),
+        "measured_success_rate": measure(run),
+        "replayed": ReplayedRun.of(run.task.title, {**summary, **replay(run)}),
+    }
 
 
 def cpu_seconds_of(attempts: Sequence[Attempt]) -> float | None:
@@ -84,7 +108,7 @@ def outcome_of(summary: dict) -> Row:
         "promise": summary["settings"].get("promise"),
         "promised_success_rate": summary.get("promised_success_rate"),
         "predicted_success_rate": saved.get("predicted_success_rate"),
-        "predictions": predictions(summary["trials"]),
+        "forecasts": forecasts_of(summary["trials"]),
         "diagnosis": summary["diagnosis"],
     }
     if summary["experiment"].startswith("handwriting"):
@@ -94,10 +118,10 @@ def outcome_of(summary: dict) -> Row:
     return outcome
 
 
-def predictions(trials: Sequence[dict]) -> list[tuple[float, float]]:
+def forecasts_of(trials: Sequence[dict]) -> list[Forecast]:
     """Predicted and measured success rate of each trial that has both."""
     return [
-        (trial["predicted_success_rate"], trial["success_rate"])
+        Forecast(trial["predicted_success_rate"], trial["success_rate"], trial["n_eval"])
         for trial in trials
         if trial.get("predicted_success_rate") is not None
     ]
@@ -146,6 +170,7 @@ def at_goal(rows: Sequence[Row]) -> int:
 def details_of(rows: Sequence[Row]) -> dict[str, object]:
     """What the summary says besides the headline."""
     names = dict.fromkeys(row["task"] for row in rows)
+    ended = [row for row in rows if row["ended"]]
     return {
         "attempts": Counter(end for row in rows for end in row["attempts"]),
         "failed": [_failed(row) for row in rows if set(row["attempts"]) != {str(End.ENDED)}],
@@ -153,13 +178,10 @@ def details_of(rows: Sequence[Row]) -> dict[str, object]:
         "largest_run_bytes": max((row["bytes"] for row in rows), default=0),
         "starts": STARTS,
         "tasks": {name: task_numbers(of_task(rows, name)) for name in names},
-        "broken_promises": [
-            _broken(row) for row in rows if row["ended"] and row["claimed"] and not keeps(row)
-        ],
-        "not_learned": [_not_learned(row) for row in rows if row["ended"] and not _learned(row)],
-        "reliability": reliability(
-            [pair for row in rows if row["ended"] for pair in row["predictions"]]
-        ),
+        "broken_promises": [_broken(row) for row in ended if row["claimed"] and not keeps(row)],
+        "not_learned": [_not_learned(row) for row in ended if not _learned(row)],
+        "reliability": reliability([f for row in ended for f in row["forecasts"]]),
+        **tables([row["replayed"] for row in ended]),
         "runs": [{key: row[key] for key in row if key not in LISTED} for row in rows],
     }
 
@@ -181,39 +203,6 @@ def task_numbers(rows: Sequence[Row]) -> dict[str, float | None]:
     if "ratio" in ended[0]:
         numbers |= {"median_ratio": _median(ended, "ratio"), "worst_ratio": _most(ended, "ratio")}
     return numbers
-
-
-def reliability(pairs: Sequence[tuple[float, float]]) -> list[dict[str, float]]:
-    """Trials by their predicted success rate, and the measured rates of each group.
-
-    Args:
-        pairs: predicted and measured rate of each trial.
-
-    Returns:
-        For each tenth that has trials: their number, the mean of the predicted and of the measured
-        rates, and the ends of the 95 % interval of the latter.
-
-    Example:
-        >>> (group,) = reliability([(0.91, 1.0), (0.99, 0.9)])
-        >>> group["trials"], group["predicted"], group["measured"]
-        (2, 0.95, 0.95)
-    """
-    groups: dict[int, list[tuple[float, float]]] = {}
-    for pair in pairs:
-        groups.setdefault(min(int(BINS * pair[0]), BINS - 1), []).append(pair)
-    return [_group(groups[tenth]) for tenth in sorted(groups)]
-
-
-def _group(pairs: Sequence[tuple[float, float]]) -> dict[str, float]:
-    predicted, measured = np.mean(pairs, axis=0)
-    lower, upper = wilson_interval(measured, len(pairs))
-    return {
-        "trials": len(pairs),
-        "predicted": float(predicted),
-        "measured": float(measured),
-        "lower": float(lower),
-        "upper": float(upper),
-    }
 
 
 def _learned(row: Row) -> bool:

@@ -23,14 +23,16 @@ class Task:
 
     Args:
         experiment: its name there.
+        title: what pages and figures call it.
         shape: what is written, for handwriting.
 
     Example:
-        >>> Task("handwriting", "Angle").name
+        >>> Task("handwriting", "handwriting Angle", "Angle").name
         'handwriting_Angle_double_pendulum'
     """
 
     experiment: str
+    title: str
     shape: str | None = None
 
     @property
@@ -49,8 +51,11 @@ class Task:
 
 
 TASKS = (
-    *map(Task, ("double_pendulum", "biorob", "gym_pendulum", "inverted_pendulum")),
-    *(Task("handwriting", shape) for shape in SHAPES[ROBOT]),
+    Task("double_pendulum", "double pendulum"),
+    Task("gym_pendulum", "Pendulum-v1"),
+    Task("inverted_pendulum", "inverted pendulum"),
+    Task("biorob", "BioRob"),
+    *(Task("handwriting", f"handwriting {shape}", shape) for shape in SHAPES[ROBOT]),
 )
 
 
@@ -84,8 +89,8 @@ def first_runs(number: int, first_seed: int, root: Path) -> list[SoakRun]:
         root: below which each run has its folder.
 
     Example:
-        >>> runs = first_runs(10, 0, Path("runs/soak"))
-        >>> [(str(run.folder), run.seed) for run in (runs[1], runs[9])]
+        >>> runs = first_runs(12, 0, Path("runs/soak"))
+        >>> [(str(run.folder), run.seed) for run in (runs[3], runs[11])]
         [('runs/soak/biorob/seed_0', 0), ('runs/soak/biorob/seed_1', 1)]
     """
     return list(islice(_runs(first_seed, root), number))

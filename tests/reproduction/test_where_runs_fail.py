@@ -19,15 +19,8 @@ from reproduction.failure_causes import (
 )
 from reproduction.handwriting import left_out_ratios
 from reproduction.replay import replayed
-from reproduction.where_runs_fail import (
-    FULL,
-    TASKS,
-    ReplayedRun,
-    counts,
-    coverage_ahead,
-    needed_runs,
-    reliability,
-)
+from reproduction.replayed_runs import ReplayedRun, counts, coverage_ahead, reliability, tables
+from reproduction.where_runs_fail import FULL, needed_runs
 from tests.helpers.short_run import quick_fits, run, short_experiment
 from torch_pmil.demonstrations import Demonstrations
 
@@ -139,7 +132,7 @@ def test_reliability_pools_trials_of_like_predictions() -> None:
         replace(RIGHT, predicted_before=predicted, success_rate=rate)
         for predicted, rate in ((0.0, 0.1), (0.02, 0.3), (1.0, 1.0))
     ]
-    low, high = reliability([replayed_run(*trials)], "predicted_before")
+    low, high = reliability(replayed_run(*trials).forecasts("predicted_before"))
     assert (low["trials"], low["predicted"], low["measured"]) == pytest.approx((2, 0.01, 0.2))
     assert low["lower"] == pytest.approx(0.0905, abs=1e-3)  # of 8 in 40
     assert (high["trials"], high["predicted"], high["measured"]) == (1, 1.0, 1.0)
@@ -153,11 +146,19 @@ def test_coverage_is_told_up_to_the_first_success_and_after() -> None:
     assert found["after"] == {"1": 0.95}
 
 
-def test_runs_are_twenty_seeds_of_eight_tasks(tmp_path: Path) -> None:
+def test_tables_have_each_task_and_all() -> None:
+    hit, written = replayed_run(RIGHT), replace(replayed_run(RIGHT, RIGHT), task="handwriting")
+    found = tables([hit, written])
+    assert (
+        list(found["counts"]) == list(found["coverage_ahead"]) == ["BioRob", "handwriting", "all"]
+    )
+    assert [counted["totals"]["trials"] for counted in found["counts"].values()] == [1, 2, 3]
+
+
+def test_runs_are_thirty_seeds_of_eight_tasks(tmp_path: Path) -> None:
     found = [run.out.relative_to(tmp_path / "replays") for run in needed_runs(tmp_path, False)]
-    assert len(found) == len(set(found)) == 160
+    assert len(found) == len(set(found)) == 240
     assert {path.name for path in found} == {f"seed_{seed}" for seed in FULL.seeds}
-    assert len(TASKS) == 8
     assert len(needed_runs(tmp_path, True)) == 2
 
 

@@ -152,33 +152,41 @@ def plot_success_calibration(
     figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
     panels = figure.subplots(1, len(predictions), sharey=True, squeeze=False)[0]
     for panel, (title, drawn) in zip(panels, predictions.items(), strict=True):
-        panel.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, linestyle="--")
-        trials = 100 * np.asarray(drawn["trials"])
-        panel.plot(
-            *trials.T, ".", color=SKY, markersize=4, alpha=0.5, clip_on=False, label="trials"
-        )
-        predicted, measured, lower, upper = 100 * np.asarray(drawn["bins"]).T
-        bins = panel.errorbar(
-            predicted,
-            measured,
-            np.maximum([measured - lower, upper - measured], 0),
-            color=BLUE,
-            marker="o",
-            markersize=5,
-            linewidth=1.4,
-            capsize=3,
-            zorder=3,
-            label="means in bins, 95 % intervals",
-        )
-        for artist in bins.get_children():
-            artist.set_clip_on(False)
-        panel.set(title=title, xlabel="predicted success rate (%)", xlim=(0, 100), ylim=(0, 100))
-        panel.set_aspect("equal")
-        style(panel)
+        draw_success_calibration(panel, drawn)
+        panel.set(title=title, xlabel="predicted success rate (%)")
     panels[0].set_ylabel("measured success rate (%)")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)
     return figure
+
+
+def draw_success_calibration(panel: Axes, drawn: Mapping[str, Sequence[Sequence[float]]]) -> None:
+    """Trials and bins of :func:`plot_success_calibration` in a panel, with its diagonal."""
+    draw_rates(panel)
+    trials = 100 * np.asarray(drawn["trials"])
+    panel.plot(*trials.T, ".", color=SKY, markersize=4, alpha=0.5, clip_on=False, label="trials")
+    predicted, measured, lower, upper = 100 * np.transpose(drawn["bins"])
+    bins = panel.errorbar(
+        predicted,
+        measured,
+        np.maximum([measured - lower, upper - measured], 0),
+        color=BLUE,
+        marker="o",
+        markersize=5,
+        linewidth=1.4,
+        capsize=3,
+        zorder=3,
+        label="means in bins, 95 % intervals",
+    )
+    for artist in bins.get_children():
+        artist.set_clip_on(False)
+
+
+def draw_rates(panel: Axes) -> None:
+    """A square panel of rates over rates in percent, with its diagonal."""
+    panel.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, linestyle="--", zorder=1)
+    panel.set(xlim=(0, 100), ylim=(0, 100), aspect="equal")
+    style(panel)
 
 
 def _draw_diagonal(panel: Axes) -> None:

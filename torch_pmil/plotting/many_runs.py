@@ -8,65 +8,56 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torch_pmil.plotting.style import BLUE, DARK, GREY, VERMILLION, WIDTH, check_some, style
+from torch_pmil.plotting.calibration import draw_rates, draw_success_calibration
+from torch_pmil.plotting.style import BLUE, DARK, VERMILLION, WIDTH, check_some, style
 
 COLOURS = (BLUE, VERMILLION)
-Pairs = Sequence[tuple[float, float]]  # predicted and measured rates
+Pairs = Sequence[tuple[float, float]]  # promised and measured rates
 
 
 def plot_promises(
-    trials: Pairs, groups: Sequence[Mapping[str, float]], claimed: Pairs, others: Pairs
+    forecasts: Mapping[str, Sequence[Sequence[float]]], claimed: Pairs, others: Pairs
 ) -> Figure:
     """Predicted success rates beside measured ones.
 
-    On the left those of trials, as predicted before their rollouts: each trial, and the mean of
-    each group with its 95 % interval. On the right what is promised of the saved policies at the
-    end of their runs, as a lower bound: a promise is kept on and above the dashed diagonal.
+    On the left those of trials, as predicted before their rollouts. On the right what is promised
+    of the saved policies at the end of their runs, as a lower bound: a promise is kept on and above
+    the dashed diagonal.
 
     Args:
-        trials: predicted and measured rate of each, fractions from 0 to 1.
-        groups: of trials, each with the means "predicted" and "measured", and with the interval's
-            ends "lower" and "upper".
+        forecasts: "trials" and "bins" of
+            :func:`~torch_pmil.plotting.calibration.plot_success_calibration`.
         claimed: promised and measured rate of the runs that ended since they had learned.
         others: of the other runs.
 
+    Raises:
+        ValueError: there is no trial.
+
     Example:
-        >>> group = {"predicted": 0.95, "measured": 0.9, "lower": 0.7, "upper": 1.0}
-        >>> figure = plot_promises([(0.95, 0.9)], [group], [(0.96, 1.0)], [(0.3, 0.5)])
+        >>> forecasts = {"trials": [(0.95, 0.9)], "bins": [(0.95, 0.9, 0.7, 1.0)]}
+        >>> figure = plot_promises(forecasts, [(0.96, 1.0)], [(0.3, 0.5)])
         >>> [panel.get_xlabel() for panel in figure.axes]
         ['predicted before the rollout (%)', 'promised, as a lower bound (%)']
     """
+    check_some("trials", forecasts["trials"])
     figure = Figure(figsize=(WIDTH, 4.7), layout="constrained")
     left, right = figure.subplots(1, 2)
-    _scatter(left, trials, GREY, ".", f"a trial (of {len(trials)})", alpha=0.35)
-    mean = np.array([group["measured"] for group in groups])
-    ends = np.array([[group["lower"], group["upper"]] for group in groups]).reshape(-1, 2).T
-    left.errorbar(
-        [100 * group["predicted"] for group in groups],
-        100 * mean,
-        100 * np.abs(ends - mean),
-        fmt="o",
-        color=BLUE,
-        capsize=3,
-        label="mean of a tenth, 95 %",
-    )
-    _scatter(right, claimed, BLUE, "o", f"called itself learned ({len(claimed)} runs)", alpha=0.5)
-    _scatter(right, others, VERMILLION, "x", f"out of trials ({len(others)} runs)")
+    draw_success_calibration(left, forecasts)
+    draw_rates(right)
+    if claimed:
+        _scatter(right, claimed, BLUE, "o", f"called itself learned ({len(claimed)})")
+    if others:
+        _scatter(right, others, VERMILLION, "x", f"out of trials ({len(others)})")
     left.set(xlabel="predicted before the rollout (%)", ylabel="measured (%)")
     right.set(xlabel="promised, as a lower bound (%)")
     for panel in (left, right):
-        panel.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, linestyle="--", zorder=1)
-        panel.set(xlim=(-3, 103), ylim=(-3, 103), aspect="equal")
-        style(panel)
         panel.legend(loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     return figure
 
 
-def _scatter(
-    panel: Axes, pairs: Pairs, colour: str, marker: str, label: str, alpha: float = 1.0
-) -> None:
-    x, y = 100 * np.reshape(pairs, (-1, 2)).T
-    panel.plot(x, y, marker, color=colour, alpha=alpha, markeredgewidth=1.2, label=label)
+def _scatter(panel: Axes, pairs: Pairs, colour: str, marker: str, label: str) -> None:
+    x, y = 100 * np.transpose(pairs)
+    panel.plot(x, y, marker, color=colour, alpha=0.5, mew=1.2, clip_on=False, label=label)
 
 
 def plot_experience_by_task(
@@ -89,7 +80,7 @@ def plot_experience_by_task(
     check_some("experience_s", experience_s)
     tasks = list(next(iter(experience_s.values())))
     check_some("tasks", tasks)
-    figure = Figure(figsize=(WIDTH, 1.2 + 0.55 * len(tasks)), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 1.6 + 0.5 * len(tasks)), layout="constrained")
     panel, places = figure.subplots(), np.arange(len(tasks))
     lanes = (0.17, -0.17) if len(experience_s) > 1 else (0.0,)
     for (label, of_task), lane, colour in zip(experience_s.items(), lanes, COLOURS, strict=False):

@@ -11,11 +11,12 @@ import pytest
 
 from reproduction.soak import __main__ as command
 from reproduction.soak.processes import Job
-from reproduction.soak.results import MEASURED
+from reproduction.soak.results import MEASURED, REPLAYED
 from tests.helpers.run_script import run_script
-from tests.reproduction.soak.test_soak_results import promising, write_run
+from tests.reproduction.soak.test_soak_results import REPLAY, promising, write_run
 
 Script = Callable[..., None]
+ROBOTS = ("double_pendulum", "gym_pendulum", "inverted_pendulum", "biorob")  # the first tasks
 
 
 @pytest.fixture
@@ -31,9 +32,10 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
 
 
 def leave_runs(root: Path, experience_s: float) -> None:
-    for task in ("double_pendulum", "biorob"):
+    for task in ROBOTS:
         folder = write_run(root, promising(task, 5, 1.0, 0.97, experience_s=experience_s))
         (folder / MEASURED).write_text('{"success_rate": 0.99, "starts": 100}')
+        (folder / REPLAYED).write_text(json.dumps(REPLAY))
 
 
 def test_results_of_runs_that_have_ended(
@@ -41,15 +43,15 @@ def test_results_of_runs_that_have_ended(
 ) -> None:
     leave_runs(Path("runs/soak"), 10.0)
     leave_runs(Path("before"), 12.5)
-    script("--runs", 2, "--first-seed", 5, "--against", "before")
+    script("--runs", 4, "--first-seed", 5, "--against", "before")
     assert capsys.readouterr().out == (
-        "runs: 2\nended: 2\nsaved_at_95: 2\nworst_claimed: 1\ndouble_pendulum_at_95: 1\n"
+        "runs: 4\nended: 4\nsaved_at_95: 4\nworst_claimed: 1\ndouble_pendulum_at_95: 1\n"
         "biorob_at_95: 1\nbiorob_joint_rms_deg: 3\npromise_kept: 1\n"
         "see results/soak/summary.json\n"
     )
     summary = json.loads(Path("results/soak/summary.json").read_text())
     assert summary["headline"]["promise_kept"] == 1.0
-    assert summary["command"] == "python scripts/soak.py --runs 2 --first-seed 5 --against before"
+    assert summary["command"] == "python scripts/soak.py --runs 4 --first-seed 5 --against before"
     assert summary["compared"]["all"]["experience_s"]["difference"] == -2.5
     assert summary["compared"]["biorob"]["cpu_seconds"]["ours"] == 3.0
     assert {path.name for path in Path("results/soak").iterdir()} == {
@@ -62,10 +64,11 @@ def test_results_of_runs_that_have_ended(
 def test_runs_that_did_not_end_are_an_error_that_names_them(script: Script) -> None:
     leave_runs(Path("runs/soak"), 10.0)
     with pytest.raises(SystemExit) as stop:
-        script("--runs", 3, "--first-seed", 5)
-    assert stop.value.code == "error: 1 of 3 runs did not end: runs/soak/gym_pendulum/seed_5"
+        script("--runs", 5, "--first-seed", 5)
+    folder = "runs/soak/handwriting_Angle_double_pendulum/seed_5"
+    assert stop.value.code == f"error: 1 of 5 runs did not end: {folder}"
     (failed,) = json.loads(Path("results/soak/summary.json").read_text())["failed"][-1:]
-    assert (failed["folder"], failed["said"]) == ("runs/soak/gym_pendulum/seed_5", "not begun")
+    assert (failed["folder"], failed["said"]) == (folder, "not begun")
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from reproduction.replayed_runs import ReplayedRun
 from reproduction.soak import results
 from reproduction.soak.comparison import compared, outcomes_in, paired
 from reproduction.soak.figures import figures_of
 from reproduction.soak.processes import RECORD
-from reproduction.soak.results import Row, details_of, headline_of, outcome_of, reliability, row_of
+from reproduction.soak.results import Row, details_of, headline_of, outcome_of, row_of
 from reproduction.soak.tasks import TASKS, SoakRun, first_runs
 from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.plotting import Figure
@@ -23,7 +24,7 @@ JOINTS = [f"{kind}_{joint}" for kind in ("q", "dq") for joint in ("yaw", "should
 
 
 def trial(rate: float, **more: float | None) -> dict[str, Any]:
-    return {"experience_s": 2.5, "success_rate": rate, **more}
+    return {"experience_s": 2.5, "success_rate": rate, "n_eval": 20, **more}
 
 
 def summary(task: str, seed: int, saved: float, **more: Any) -> dict[str, Any]:
@@ -59,6 +60,9 @@ def promising(task: str, seed: int, saved: float, promised: float, **more: Any) 
     return summary(task, seed, saved, **{**later, **more})
 
 
+REPLAY: dict[str, Any] = {"moved": 1.0, "predicted_saved": 1.0, "replayed": []}
+
+
 def row(content: dict[str, Any], measured: float) -> Row:
     return {
         "task": content["experiment"],
@@ -70,6 +74,7 @@ def row(content: dict[str, Any], measured: float) -> Row:
         "bytes": 1000,
         **outcome_of(content),
         "measured_success_rate": measured,
+        "replayed": ReplayedRun.of(content["experiment"], {**content, **REPLAY}),
     }
 
 
@@ -188,21 +193,15 @@ def test_numbers_of_a_task_and_the_ratio_of_handwriting() -> None:
     }
 
 
-def test_trials_are_grouped_by_tenths_and_one_belongs_to_the_last() -> None:
-    lowest, highest = reliability([(1.0, 1.0), (0.92, 0.5), (0.05, 0.0)])
-    assert (lowest["trials"], lowest["predicted"], lowest["measured"]) == (1, 0.05, 0.0)
-    assert (highest["trials"], highest["predicted"]) == (2, pytest.approx(0.96))
-    assert highest["lower"] < highest["measured"] == 0.75 < highest["upper"]
-
-
 def test_row_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(results, "measure", lambda run: 0.99)
-    task = TASKS[1]
+    monkeypatch.setattr(results, "replay", lambda run: REPLAY)
+    task = next(task for task in TASKS if task.name == "biorob")
     folder = write_run(tmp_path, promising("biorob", 0, 1.0, 0.96))
     found = row_of(SoakRun(task, 0, folder))
     assert (found["ended"], found["attempts"]) == (True, ["crashed", "ended"])
     assert (found["cpu_seconds"], found["measured_success_rate"]) == (3.0, 0.99)
-    assert found["predictions"] == [(0.97, 1.0)] and found["predicted_success_rate"] == 0.97
+    assert found["forecasts"] == [(0.97, 1.0, 20)] and found["predicted_success_rate"] == 0.97
     folder = write_run(tmp_path, promising("biorob", 1, 1.0, 0.96), end="hung")
     found = row_of(SoakRun(task, 1, folder))
     assert (found["ended"], found["said"]) == (False, "a line")
@@ -224,6 +223,19 @@ def test_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = SoakRun(TASKS[0], 4, tmp_path)
     assert [results.measure(run), results.measure(run)] == [0.93, 0.93]
     assert seeds == [(100, 7_000_004)]
+
+
+def test_replayed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def told(folder: Path, experiment: object, samples: int) -> dict[str, Any]:
+        asked.append((folder, samples))
+        return REPLAY
+
+    monkeypatch.setattr(results, "replayed", told)
+    run = SoakRun(TASKS[0], 4, tmp_path)
+    assert [results.replay(run), results.replay(run)] == [REPLAY, REPLAY]
+    assert asked == [(tmp_path, 100)]
 
 
 def test_runs_are_paired_by_task_and_seed(tmp_path: Path) -> None:
@@ -269,7 +281,7 @@ def test_promises_are_drawn_beside_what_was_measured() -> None:
     figure = figures["promises"]
     assert drawn(figure, 1, "called itself learned") == ([97.0, 96.0, 96.0], [100.0, 94.0, 96.0])
     assert drawn(figure, 1, "out of trials") == ([30.0], [50.0])
-    assert drawn(figure, 0, "a trial (of 4)") == ([97.0] * 4, [100.0, 90.0, 95.0, 40.0])
+    assert drawn(figure, 0, "trials") == ([97.0] * 4, [100.0, 90.0, 95.0, 40.0])
 
 
 def test_experience_is_drawn_beside_that_of_the_same_runs() -> None:
@@ -279,4 +291,4 @@ def test_experience_is_drawn_beside_that_of_the_same_runs() -> None:
     places = {line.get_xdata()[0] for line in panel.lines if len(line.get_xdata())}
     assert 33.0 in places
     assert sum(list(line.get_xdata()).count(33.0) for line in panel.lines) == 2  # and the median
-    assert [tick.get_text() for tick in panel.get_yticklabels()] == ["double pendulum", "biorob"]
+    assert [tick.get_text() for tick in panel.get_yticklabels()] == ["double pendulum", "BioRob"]

@@ -182,10 +182,11 @@ def draw_success_calibration(panel: Axes, drawn: Mapping[str, Sequence[Sequence[
         artist.set_clip_on(False)
 
 
-def draw_rates(panel: Axes) -> None:
-    """A square panel of rates over rates in percent, with its diagonal."""
-    panel.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, linestyle="--", zorder=1)
-    panel.set(xlim=(0, 100), ylim=(0, 100), aspect="equal")
+def draw_rates(panel: Axes, lowest: float = 0) -> None:
+    """A square panel of rates over rates in percent, from the lowest one on, with its diagonal."""
+    ends = (lowest, 100)
+    panel.plot(ends, ends, color=GREY, linewidth=1.0, linestyle="--", zorder=1)
+    panel.set(xlim=ends, ylim=ends, aspect="equal")
     style(panel)
 
 

@@ -21,8 +21,8 @@ def plot_promises(
     """Predicted success rates beside measured ones.
 
     On the left those of trials, as predicted before their rollouts. On the right what is promised
-    of the saved policies at the end of their runs, as a lower bound: a promise is kept on and above
-    the dashed diagonal.
+    of the saved policies at the end of their runs, as a lower bound; its axes begin below the least
+    rate. A promise is kept on and above the dashed diagonal.
 
     Args:
         forecasts: "trials" and "bins" of
@@ -31,7 +31,7 @@ def plot_promises(
         others: of the other runs.
 
     Raises:
-        ValueError: there is no trial.
+        ValueError: there is no trial, or no run.
 
     Example:
         >>> forecasts = {"trials": [(0.95, 0.9)], "bins": [(0.95, 0.9, 0.7, 1.0)]}
@@ -40,10 +40,11 @@ def plot_promises(
         ['predicted before the rollout (%)', 'promised, as a lower bound (%)']
     """
     check_some("trials", forecasts["trials"])
+    check_some("claimed and others", [*claimed, *others])
     figure = Figure(figsize=(WIDTH, 4.7), layout="constrained")
     left, right = figure.subplots(1, 2)
     draw_success_calibration(left, forecasts)
-    draw_rates(right)
+    draw_rates(right, 10 * min(int(10 * np.min([*claimed, *others])), 9))
     if claimed:
         _scatter(right, claimed, BLUE, "o", f"called itself learned ({len(claimed)})")
     if others:

@@ -28,6 +28,7 @@ from torch_pmil.experiments.runs.training import train
 from torch_pmil.experiments.tasks.experiment import actions_of
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.promise import PredictedSuccess, Promise
 
 STARTS, LEARNED_FROM = 8, 5
 HEAVY = (0.5, 0.9)  # kg
@@ -292,6 +293,30 @@ def test_failure_that_nothing_explains_is_left_to_the_criterion(
     assert re.search(
         r"the KL of a step is at most [\d.e+]+ nats, at \d\.\d\d s, most in [xy][12] ", message
     )
+
+
+@pytest.mark.parametrize(
+    ("successes", "cause"), [(495, "chance of few starts"), (500, "success criterion")]
+)
+def test_failures_that_are_no_rare_chance_are_left_to_it(
+    policy: RBFPolicy,
+    dynamics: GPDynamics,
+    monkeypatch: pytest.MonkeyPatch,
+    successes: int,
+    cause: str,
+) -> None:
+    """Two or more of 20 starts fail in 6.5 % of the measurements of a policy that succeeds from
+    97.9 %, and in 0.6 % of one that succeeds from 99.4 %.
+    """
+    monkeypatch.setattr(Promise, "predicted", lambda *asked: PredictedSuccess(successes))
+    experiment = swing_up()
+    errors = experiment.error(rollouts(experiment, policy, 20, 2)).sort().values
+    content = replace(
+        experiment,
+        search=replace(experiment.search, trust_threshold=1e6),
+        tolerance=errors[-3].item(),
+    )
+    assert list(diagnose(content, policy, dynamics, starts=20)) == [cause]
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from torch_pmil.experiments.diagnosis.causes import (
     LEARNED,
     LITTLE,
     Reason,
+    check_chance,
     check_experience,
     check_model,
     check_motion,
@@ -78,9 +79,12 @@ def likely_reasons(
     ]
     if reasons:
         return reasons
+    promise, counted = experiment.promised, (int(failed.sum()), len(failed))
+    promised = promise.predicted(loss, experiment.initial).least if promise else None
+    if chance := check_chance(*counted, promised):
+        return [chance]
     largest = _largest(experiment, loss, outcomes, step_loss)
-    count, settings = int(failed.sum()), experiment.adjustable
-    return [unexplained(count, len(failed), experiment.tolerance, largest, settings)]
+    return [unexplained(*counted, experiment.tolerance, largest, experiment.adjustable)]
 
 
 def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from scipy.stats import binomtest
 from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
@@ -32,6 +33,7 @@ SATURATED = 0.5  # share of the steps near the limit; learned: up to 0.38
 MOVED = 0.25  # farthest from the start, over the demonstrated; learned: 0.77 and more
 FEWEST_STEPS = 20  # from which a share is told
 LATEST = 3  # trials in which a search should come further
+RARE = 0.05  # probability below which failures are no chance
 
 
 @dataclass(frozen=True)
@@ -443,6 +445,32 @@ def worst_entry(
         for belief in (predicted, demonstrated)
     )
     return "most in {} (predicted {}, demonstrated {})".format(names[worst], *said)
+
+
+def check_chance(failed: int, count: int, promised: float | None) -> Reason | None:
+    """A reason if so many failures are no rare chance for a policy of which success is predicted.
+
+    Args:
+        failed: number of rollouts that are no success.
+        count: of all.
+        promised: success rate that the model predicts at least; None where none is predicted.
+
+    Example:
+        >>> check_chance(2, 20, 0.976).message.partition(";")[0]
+        '2 of 20 rollouts failed, though the model predicts that 97.6 % of the starts succeed'
+        >>> check_chance(2, 20, 0.994)
+    """
+    if promised is None or promised < LEARNED:
+        return None
+    probability = binomtest(count - failed, count, promised, "less").pvalue
+    if probability < RARE:
+        return None
+    return Reason(
+        "chance of few starts",
+        f"{failed} of {count} rollouts failed, though the model predicts that {100 * promised:.1f} "
+        f"% of the starts succeed; even if it is right, {count} starts have as many failures with "
+        f"a probability of {100 * probability:.0f} %: measure the policy from more starts",
+    )
 
 
 def unexplained(

@@ -1,6 +1,6 @@
-"""Where runs go wrong: all failures of 160 runs, counted by cause.
+"""Where runs go wrong: all failures of 240 runs, counted by cause.
 
-Twenty seeds of eight tasks are learned, and each run is replayed
+Thirty seeds of eight tasks are learned, and each run is replayed
 (:mod:`~reproduction.replay`): what did its model expect of each policy, and what came? Every trial
 whose policy fails from more than 5 % of fresh starts is then given one cause
 (:mod:`~reproduction.failure_causes`).
@@ -72,7 +72,7 @@ class Size:
     samples: int
 
 
-FULL = Size(tuple(TASKS), range(100, 120), trials=12, samples=100)
+FULL = Size(tuple(TASKS), range(100, 130), trials=12, samples=100)
 QUICK = Size(("double pendulum", "handwriting Angle"), (100,), trials=3, samples=20)
 
 
@@ -310,5 +310,5 @@ def _points(
 
 
 WHERE_RUNS_FAIL = PaperExperiment(
-    "where_runs_fail", "why policies fail, counted over 160 runs", needed_runs, results
+    "where_runs_fail", "why policies fail, counted over 240 runs", needed_runs, results
 )

@@ -153,9 +153,9 @@ def test_coverage_is_told_up_to_the_first_success_and_after() -> None:
     assert found["after"] == {"1": 0.95}
 
 
-def test_runs_are_twenty_seeds_of_eight_tasks(tmp_path: Path) -> None:
+def test_runs_are_thirty_seeds_of_eight_tasks(tmp_path: Path) -> None:
     found = [run.out.relative_to(tmp_path / "replays") for run in needed_runs(tmp_path, False)]
-    assert len(found) == len(set(found)) == 160
+    assert len(found) == len(set(found)) == 240
     assert {path.name for path in found} == {f"seed_{seed}" for seed in FULL.seeds}
     assert len(TASKS) == 8
     assert len(needed_runs(tmp_path, True)) == 2

@@ -70,6 +70,8 @@ def test_tables_of_every_seed_are_those_of_the_summaries() -> None:
     lines = [" | ".join(["", *row, ""]).strip() for row in rows]
     text = EVERY_SEED.read_text().splitlines()
     assert [line for line in lines if line not in text] == []
+    ends = [" | ".join(["", *row, ""]).rstrip() for row in costs(summary_of("quiet")["compared"])]
+    assert [end for end in ends if not any(line.endswith(end) for line in text)] == []
 
 
 def causes(summary: dict) -> Iterator[list[str]]:
@@ -90,6 +92,16 @@ def coverage(summary: dict) -> Iterator[list[str]]:
     for task, found in summary["coverage_ahead"].items():
         shares = [found[when].get(steps) for when in found for steps in ("1", "5", "10", "25")]
         yield [task, *("" if share is None else f"{100 * share:.0f}" for share in shares)]
+
+
+def costs(compared: dict[str, dict]) -> list[list[str]]:
+    """Medians before and now of each task, without the name of the task."""
+    forms = ("experience_s", "{:.1f} s"), ("wall_seconds", "{:.0f} s")
+    return [
+        [form.format(found[entry][side]) for entry, form in forms for side in ("theirs", "ours")]
+        for task, found in compared.items()
+        if task != "all"
+    ]
 
 
 def tasks(numbers: dict[str, dict]) -> Iterator[list[str]]:

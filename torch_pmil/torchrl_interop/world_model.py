@@ -149,7 +149,8 @@ class GPWorldModel(TensorDictModuleBase):
         state = _required(tensordict, OBSERVATION, self.obs_dim)
         action = _required(tensordict, ACTION, self.action_dim)
         inputs = torch.cat([self.space.features(state), action], -1)
-        return state + self.dynamics.expansion.mean(inputs)
+        known = self.dynamics.known_part(self.space)
+        return known.successors(state, action, self.dynamics.expansion.mean(inputs))
 
     def _successor_belief(self, state: Gaussian, tensordict: TensorDictBase) -> Gaussian:
         action = lookup_belief(tensordict, self.in_keys[:2], self.action_dim)
@@ -166,7 +167,8 @@ class GPWorldModel(TensorDictModuleBase):
         inputs = joint(features, action, cross_cov)
         moments = moment_match(self.dynamics.expansion, inputs, observation_noise=True)
         input_slope = torch.cat([feature_slope, slope], -1)
-        return successor_belief(state, input_slope, moments, self.dynamics.targets)
+        known = self.dynamics.known_part(self.space)
+        return successor_belief(state, inputs, input_slope, moments, known)
 
     def _feature_cross_cov(self, features: Gaussian, tensordict: TensorDictBase) -> Tensor | None:
         """Covariance cov(f, u), (*batch, D', F), or None where the policy does not give it."""

@@ -134,6 +134,12 @@ class GPDynamics(nn.Module):
         """Number of entries of the state D."""
         return self.targets.dim if isinstance(self.targets, KnownPart) else self.num_outputs
 
+    @property
+    def learned(self) -> tuple[int, ...]:
+        """Index of the entry of the state that each output tells."""
+        every = tuple(range(self.num_outputs))
+        return self.targets.learned if isinstance(self.targets, KnownPart) else every
+
     def known_part(self, space: StateSpace) -> KnownPart:
         """What is known of the next state in a space of as many entries."""
         num_actions = self.num_inputs - len(space.feature_names)

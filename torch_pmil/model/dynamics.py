@@ -143,7 +143,13 @@ class GPDynamics(nn.Module):
     def known_part(self, space: StateSpace) -> KnownPart:
         """What is known of the next state in a space of as many entries."""
         num_actions = self.num_inputs - len(space.feature_names)
-        return known_part(self.targets, self.num_outputs, num_actions)
+        known = known_part(self.targets, self.num_outputs, num_actions)
+        if known.num_actions != num_actions:
+            raise ValueError(
+                f"the model's known part must be of its {num_actions} actions, got one of "
+                f"{known.num_actions}"
+            )
+        return known
 
     @property
     def expansion(self) -> KernelExpansion:

@@ -216,8 +216,14 @@ class Experiment:
                 check_tensor(name, widths, (len(self.space.feature_names),))
                 if not (widths > 0).all():
                     raise ValueError(f"{name} must be positive, got {widths.tolist()}")
-        if not isinstance(self.evaluated, bool):
-            raise ValueError(f"evaluated must be true or false, got {self.evaluated!r}")
+        for name in ("evaluated", "velocities_alone"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name} must be true or false, got {getattr(self, name)!r}")
+        if self.velocities_alone and not self.space.velocities:
+            raise ValueError(
+                "velocities_alone needs entries of the state that are velocities of others, dNAME "
+                f"beside NAME, got {', '.join(self.space.names)}"
+            )
         if not isinstance(self.search, SearchSettings):
             raise TypeError(f"search must be SearchSettings, got {type(self.search).__name__}")
         check_positive("search.trust_threshold", self.search.trust_threshold, zero=True)
@@ -293,6 +299,7 @@ class Experiment:
             "promise": self.promise,
             "confirmations": self.confirmations,
             "evaluated": self.evaluated,
+            "velocities_alone": self.velocities_alone,
             "state_box": self.state_box and self.state_box.settings,
             "search": asdict(self.search),
         }

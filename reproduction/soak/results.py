@@ -105,6 +105,7 @@ def outcome_of(summary: dict) -> Row:
         "experience_s": summary["experience_s"],
         "wall_seconds": summary["wall_seconds"],
         "saved_success_rate": summary["saved_success_rate"],
+        "first_at_95": first_at_goal(summary["trials"]),
         "promise": summary["settings"].get("promise"),
         "promised_success_rate": summary.get("promised_success_rate"),
         "predicted_success_rate": saved.get("predicted_success_rate"),
@@ -116,6 +117,17 @@ def outcome_of(summary: dict) -> Row:
     if summary["experiment"] == "biorob":
         outcome["joint_rms_deg"] = joint_degrees(summary["rms_error"])
     return outcome
+
+
+def first_at_goal(trials: Sequence[dict]) -> int | None:
+    """Number of the first trial whose policy succeeds from 95 % of 20 fresh starts, if any does.
+
+    Example:
+        >>> first_at_goal([{"success_rate": 0.2}, {"success_rate": 0.95}, {"success_rate": 1.0}])
+        2
+    """
+    reached = (number for number, trial in enumerate(trials, 1) if trial["success_rate"] >= LEARNED)
+    return next(reached, None)
 
 
 def forecasts_of(trials: Sequence[dict]) -> list[Forecast]:
@@ -200,6 +212,8 @@ def task_numbers(rows: Sequence[Row]) -> dict[str, float | None]:
     for key, name in (("experience_s", "experience_s"), ("trials", "trials")):
         numbers |= {f"median_{name}": _median(ended, key), f"longest_{name}": _most(ended, key)}
     numbers |= {f"median_{key}": _median(ended, key) for key in ("wall_seconds", "cpu_seconds")}
+    firsts = [row["first_at_95"] for row in ended]
+    numbers["latest_first_at_95"] = None if None in firsts else max(firsts)
     if "ratio" in ended[0]:
         numbers |= {"median_ratio": _median(ended, "ratio"), "worst_ratio": _most(ended, "ratio")}
     return numbers

@@ -188,7 +188,7 @@ def test_numbers_of_a_task_and_the_ratio_of_handwriting() -> None:
         **{"runs": 2, "ended": 2, "at_95": 2, "claimed": 2},
         **{"median_experience_s": 13.75, "longest_experience_s": 20.0},
         **{"median_trials": 2, "longest_trials": 2},
-        **{"median_wall_seconds": 10.0, "median_cpu_seconds": 12.0},
+        **{"median_wall_seconds": 10.0, "median_cpu_seconds": 12.0, "latest_first_at_95": 2},
         **{"median_ratio": 1.5, "worst_ratio": 2.0},
     }
 

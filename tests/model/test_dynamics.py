@@ -368,7 +368,7 @@ def test_refused_data_leave_the_model_as_it_was(fitted: GPDynamics, draws: Draws
 
 def test_unknown_kind_of_targets_is_an_error() -> None:
     with pytest.raises(
-        ValueError, match='"difference", "successor" or a KnownPart, got \'velocity\''
+        ValueError, match='targets must be "difference" or "successor", got \'velocity\''
     ):
         GPDynamics(2, 2, targets="velocity")
 

@@ -305,7 +305,8 @@ def check_targets(targets: object) -> None:
     """Raise ValueError unless it is known what a model learns."""
     if not isinstance(targets, KnownPart) and targets not in get_args(Named):
         raise ValueError(
-            f'targets must be "difference" or "successor", got {targets!r}, which is no KnownPart either'
+            f'targets must be "difference" or "successor", got {targets!r}, which is no KnownPart '
+            "either"
         )
 
 

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torch_pmil import envs as envs
+    from torch_pmil.control.known_part import KnownPart as KnownPart
     from torch_pmil.control.policy_file import (
         PolicyFileError as PolicyFileError,
         load_policy as load_policy,
@@ -112,6 +113,7 @@ MODULES = {
     "Gaussian": "gp.gaussian",
     "InaccurateMomentsError": "gp.moment_accuracy",
     "KernelExpansion": "gp.kernel_expansion",
+    "KnownPart": "control.known_part",
     "LBFGSStepper": "trainer.lbfgs_stepper",
     "MatchSpace": "control.state_space",
     "Moments": "gp.moments",

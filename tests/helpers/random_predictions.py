@@ -11,10 +11,11 @@ from gpytorch.means import ConstantMean
 from torch import Tensor
 
 from tests.helpers.draws import Draws
+from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.gp.gaussian import Gaussian, symmetric
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
@@ -122,26 +123,37 @@ class ProblemDraws(Draws):
 
     def dynamics(self, space: StateSpace, F: int, n: int) -> GPDynamics:
         """Lengthscales over three decades, signal-to-noise ratios from 1 to 1000."""
-        D, inputs = space.dim, len(space.feature_names) + F
-        dynamics = GPDynamics(inputs, D, "difference" if self.chance(0.5) else "successor")
+        D, inputs, targets = space.dim, len(space.feature_names) + F, self.targets(space.dim, F)
+        E = targets.num_outputs if isinstance(targets, KnownPart) else D
+        dynamics = GPDynamics(inputs, E, targets)
         x = torch.cat([space.features(self.normal(n, D)), self.uniform(-1, 1, n, F)], -1)
-        lengthscales = self.logarithmic(0.1, 100.0, D, inputs)
-        signal = self.logarithmic(1e-2, 1.0, D)
-        noise = signal / self.logarithmic(1.0, 1e3, D).square()
-        expected = (x @ (self.normal(D, inputs) / lengthscales).mT).sin()
-        y = expected * signal.sqrt() + self.normal(n, D) * noise.sqrt()
+        lengthscales = self.logarithmic(0.1, 100.0, E, inputs)
+        signal = self.logarithmic(1e-2, 1.0, E)
+        noise = signal / self.logarithmic(1.0, 1e3, E).square()
+        expected = (x @ (self.normal(E, inputs) / lengthscales).mT).sin()
+        y = expected * signal.sqrt() + self.normal(n, E) * noise.sqrt()
         dynamics.set_data(x, y)
         dynamics.gp.covar_module.base_kernel.lengthscale = lengthscales[:, None]
         dynamics.gp.covar_module.outputscale = signal
         dynamics.gp.likelihood.noise = noise[:, None]
         if self.chance(0.3):
-            dynamics.gp.mean_module = ConstantMean(batch_shape=torch.Size([D]))
-            dynamics.gp.mean_module.constant.data = signal.sqrt() * self.normal(D)
+            dynamics.gp.mean_module = ConstantMean(batch_shape=torch.Size([E]))
+            dynamics.gp.mean_module.constant.data = signal.sqrt() * self.normal(E)
             dynamics.gp.mean_module.requires_grad_(False)
-        if n * D <= 300 and self.chance(0.3):
-            own = x + 0.1 * self.normal(D, n, inputs)
+        if n * E <= 300 and self.chance(0.3):
+            own = x + 0.1 * self.normal(E, n, inputs)
             dynamics.gp.set_train_data(own, y.mT.contiguous(), strict=False)
         return dynamics
+
+    def targets(self, D: int, F: int) -> Targets:
+        """Differences, successors, or what any known part leaves to a model of some outputs."""
+        kind = self.whole(0, 2)
+        if kind < 2:
+            return "difference" if kind else "successor"
+        learned = torch.randperm(D, generator=self.generator)[: self.whole(1, D)].tolist()
+        gain = self.normal(D, len(learned))
+        gain[learned] = torch.eye(len(learned), dtype=torch.float64)
+        return KnownPart(0.5 * self.normal(D, D + F), gain, tuple(learned))
 
     def policy(self, inputs: int, F: int) -> RBFPolicy:
         """Some of its weights are exactly zero."""

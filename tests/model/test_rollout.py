@@ -13,13 +13,14 @@ from torch.autograd.graph import saved_tensors_hooks
 
 from tests.helpers.draws import Draws
 from tests.helpers.memory import LargestResult
+from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import Controller, RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp import exponential_sums
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.model import rollout
-from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.dynamics import GPDynamics, Targets, known_part
 from torch_pmil.model.particles import sample_trajectories
 from torch_pmil.model.rollout import (
     PredictionError,
@@ -112,8 +113,15 @@ class LinearController(Controller):
         return features.affine(self.gain), self.gain.mT.expand(*features.batch_shape, -1, -1)
 
 
+MIXED = KnownPart(
+    torch.tensor([[0.9, 0.2, 0.0, 0.5], [0.1, 0.0, -0.7, 0.3], [0.0, 0.4, 0.8, -0.6]]).double(),
+    torch.tensor([[0.6, -0.4], [1.0, 0.0], [0.0, 1.0]]).double(),
+    (1, 2),
+)
+
+
 @pytest.mark.parametrize("noise", [False, True], ids=["latent", "noisy"])
-@pytest.mark.parametrize("targets", ["difference", "successor"])
+@pytest.mark.parametrize("targets", ["difference", "successor", MIXED], ids=["d", "s", "mixed"])
 def test_step_without_angles_has_the_moments_of_samples(
     draws: Draws, targets: Targets, noise: bool
 ) -> None:
@@ -121,17 +129,19 @@ def test_step_without_angles_has_the_moments_of_samples(
     approximated.
     """
     space = StateSpace(("a", "b", "c"), ("",) * 3, (), joint_match(("a", "b", "c"), ("",) * 3))
-    inputs = draws.normal(25, 4)
-    dynamics, controller, state = GPDynamics(4, 3, targets), LinearController(), draws.belief(3)
-    dynamics.set_data(inputs, inputs[:, :3].sin() + inputs[:, 3:])
-    dynamics.gp.likelihood.noise = torch.full((3, 1), 0.05, dtype=torch.float64)
+    known = known_part(targets, 3, 1)
+    inputs, E = draws.normal(25, 4), known.num_outputs
+    dynamics, controller, state = GPDynamics(4, E, targets), LinearController(), draws.belief(3)
+    dynamics.set_data(inputs, inputs[:, :E].sin() + inputs[:, 3:])
+    dynamics.gp.likelihood.noise = torch.full((E, 1), 0.05, dtype=torch.float64)
 
     x = state.sample(100_000, draws.generator)
-    mean, variance = dynamics.expansion.predict(torch.cat([space.features(x), controller(x)], -1))
+    u = controller(x)
+    mean, variance = dynamics.expansion.predict(torch.cat([x, u], -1))
     variance = variance + dynamics.expansion.noise_variance if noise else variance
-    y = mean + variance.sqrt() * draws.normal(*mean.shape)
+    y = known.successors(x, u, mean + variance.sqrt() * draws.normal(*mean.shape))
     predicted = predict_step(state, controller, dynamics, space, observation_noise=noise)
-    assert_moments_of(x + y if targets == "difference" else y, predicted)
+    assert_moments_of(y, predicted)
 
 
 @torch.no_grad()

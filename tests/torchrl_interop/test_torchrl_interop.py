@@ -24,7 +24,7 @@ from torchrl.envs.utils import RandomPolicy, check_env_specs
 from benchmarks.workloads import make_dynamics, rbf_controller, world_model
 from examples import torchrl_pilco
 from tests.helpers.draws import Draws
-from torch_pmil import Gaussian, GPDynamics, RBFPolicy, StateSpace, joint_match
+from torch_pmil import Gaussian, GPDynamics, KnownPart, RBFPolicy, StateSpace, joint_match
 from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
 from torch_pmil.gp.gaussian import symmetric
 from torch_pmil.model.rollout import predict_step
@@ -199,6 +199,30 @@ def test_belief_is_differentiable_in_all_that_is_read(
 
     halves = [belief[key] / 2 if key[1] == "var" else belief[key] for key in keys]
     assert gradcheck(successor, [value.requires_grad_() for value in halves])
+
+
+def test_velocities_alone_are_learned_where_positions_follow(draws: Draws) -> None:
+    """Beside a model of all differences, to which the positions are no surprise."""
+    known = KnownPart.of_velocities(NAMES, {"q1": "dq1", "q2": "dq2"}, 2, 0.1)
+    x, u = draws.normal(40, 4), draws.normal(40, 2)
+    after = known.successors(x, u, torch.stack([x[:, 0].sin() - u[:, 0], u[:, 1] - x[:, 3]], -1))
+    data = TensorDict({"observation": x, "action": u, "next": {"observation": after}}, [40])
+    alone = GPWorldModel(4, 2, targets=known)
+    alone.fit(data)
+    plain = GPWorldModel(4, 2)
+    plain.fit(data)
+    belief = joint_belief(draws, scale=0.05)
+    ours, theirs = (next_belief(model(belief.clone())) for model in (alone, plain))
+    torch.testing.assert_close(ours.mean, theirs.mean, rtol=0, atol=0.02)
+    torch.testing.assert_close(ours.cov, theirs.cov, rtol=0.1, atol=0.01)
+
+
+def test_known_part_of_other_sizes_is_refused() -> None:
+    with pytest.raises(ValueError, match="4 entries and 2 actions, got a known part of 4 and 1"):
+        GPWorldModel(4, 2, targets=KnownPart.of_differences(4, 1))
+    dynamics = GPDynamics(6, 4, KnownPart.of_differences(4, 1))
+    with pytest.raises(ValueError, match="known part must be of its 2 actions, got one of 1"):
+        dynamics.known_part(raw_space(4))
 
 
 @raw_or_angles

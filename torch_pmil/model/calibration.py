@@ -14,7 +14,6 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_tensor
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.experience import gp_data
 
 
 @torch.no_grad()
@@ -24,10 +23,11 @@ def standardised_residuals(
     r"""Errors of the one-step prediction at executed transitions, in predicted standard deviations.
 
     .. math::
-        z_{t+1} = \frac{x_{t+1} - \mu(x_t, u_t)}{\sqrt{\sigma^2(x_t, u_t) + \sigma_\varepsilon^2}}
+        z_{t+1} = \frac{x_{t+1} - A\,[x_t, u_t] - C \mu(x_t, u_t)}
+            {\sqrt{C^2 (\sigma^2(x_t, u_t) + \sigma_\varepsilon^2)}}
 
     If the model is as sure as it is right, they are standard normal (Eqs. 6 and 7, with the noise
-    of Eq. 2).
+    of Eq. 2). A and C are those of its known part, C^2 the squares of C's entries.
 
     Args:
         dynamics: the forward model.
@@ -51,11 +51,10 @@ def standardised_residuals(
         >>> standardised_residuals(dynamics, space, states, actions).shape
         torch.Size([4, 2, 1])
     """
-    inputs, targets = gp_data(
-        states[..., :-1, :], actions, states[..., 1:, :], space, dynamics.targets
-    )
-    mean, variance = dynamics.expansion.predict(inputs)
-    return (targets - mean) / (variance + dynamics.expansion.noise).sqrt()
+    before, known = states[..., :-1, :], dynamics.known_part(space)
+    mean, variance = dynamics.expansion.predict(torch.cat([space.features(before), actions], -1))
+    error = states[..., 1:, :] - known.successors(before, actions, mean)
+    return error / ((variance + dynamics.expansion.noise) @ known.gain.square().mT).sqrt()
 
 
 def observed_coverage(residuals: Tensor, probabilities: Tensor) -> Tensor:

@@ -6,13 +6,15 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import gpytorch
 import torch
 from gpytorch.constraints import Positive
 from torch import Tensor, nn
 
+from torch_pmil.control.known_part import KnownPart
+from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_real, check_whole
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.hyperparameters import (
@@ -24,7 +26,8 @@ from torch_pmil.gp.hyperparameters import (
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.lbfgs import NotFiniteError
 
-Targets = Literal["difference", "successor"]
+Named = Literal["difference", "successor"]
+Targets = Named | KnownPart
 
 # growth of the data after which hyper-parameters are searched from all starts again
 RESTART_GROWTH = 1.25
@@ -78,9 +81,11 @@ class GPDynamics(nn.Module):
 
     Args:
         num_inputs: number D' + F of features and actions.
-        num_outputs: number D of entries of the state.
+        num_outputs: number E of outputs, one for each of the D entries of the state unless a known
+            part says otherwise.
         targets: "difference" to learn x_{t+1} - x_t (the prior mean is then that the state stays
-            where it is), or "successor" to learn x_{t+1} (Eq. 2).
+            where it is), "successor" to learn x_{t+1} (Eq. 2), or what is known of x_{t+1}, to
+            learn the rest.
         most_signal_to_noise: ratio of standard deviations beyond which a fit is penalised. A model
             of which moments are matched must not be surer: their rounding grows with the square.
 
@@ -105,10 +110,14 @@ class GPDynamics(nn.Module):
         most_signal_to_noise: float = MOST_SIGNAL_TO_NOISE,
     ) -> None:
         super().__init__()
-        if targets not in ("difference", "successor"):
-            raise ValueError(f'targets must be "difference" or "successor", got {targets!r}')
+        check_targets(targets)
         for name, value in (("num_inputs", num_inputs), ("num_outputs", num_outputs)):
             check_whole(name, value, 1)
+        if isinstance(targets, KnownPart) and targets.num_outputs != num_outputs:
+            raise ValueError(
+                f"num_outputs must be the {targets.num_outputs} of the known part, got "
+                f"{num_outputs}"
+            )
         self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, targets
         self.most_signal_to_noise = most_signal_to_noise
         self.gp = _BatchGP(
@@ -119,6 +128,28 @@ class GPDynamics(nn.Module):
         # number of data at the last fit from all starts
         self.register_buffer("searched_size", torch.tensor(0))
         self._expansion: KernelExpansion | None = None
+
+    @property
+    def dim(self) -> int:
+        """Number of entries of the state D."""
+        return self.targets.dim if isinstance(self.targets, KnownPart) else self.num_outputs
+
+    @property
+    def learned(self) -> tuple[int, ...]:
+        """Index of the entry of the state that each output tells."""
+        every = tuple(range(self.num_outputs))
+        return self.targets.learned if isinstance(self.targets, KnownPart) else every
+
+    def known_part(self, space: StateSpace) -> KnownPart:
+        """What is known of the next state in a space of as many entries."""
+        num_actions = self.num_inputs - len(space.feature_names)
+        known = known_part(self.targets, self.num_outputs, num_actions)
+        if known.num_actions != num_actions:
+            raise ValueError(
+                f"the model's known part must be of its {num_actions} actions, got one of "
+                f"{known.num_actions}"
+            )
+        return known
 
     @property
     def expansion(self) -> KernelExpansion:
@@ -136,7 +167,7 @@ class GPDynamics(nn.Module):
         return self._expansion
 
     def set_data(self, inputs: Tensor, targets: Tensor) -> None:
-        """Take data (n, D' + F) and (n, D) and keep the hyper-parameters.
+        """Take data (n, D' + F) and (n, E) and keep the hyper-parameters.
 
         Raises:
             ValueError: shapes do not fit, or an entry is not finite.
@@ -169,7 +200,7 @@ class GPDynamics(nn.Module):
 
         Args:
             inputs: features and actions (n, D' + F).
-            targets: differences or successors (n, D), see the argument ``targets`` of the class.
+            targets: what is learned, (n, E), see the argument ``targets`` of the class.
             max_iterations: limit of L-BFGS for each start.
 
         Raises:
@@ -268,3 +299,21 @@ class GPDynamics(nn.Module):
             self.set_data(inputs, targets)
         super()._load_from_state_dict(state_dict, prefix, *args)
         self._expansion = None
+
+
+def check_targets(targets: object) -> None:
+    """Raise ValueError unless it is known what a model learns."""
+    if not isinstance(targets, KnownPart) and targets not in get_args(Named):
+        raise ValueError(
+            f'targets must be "difference" or "successor", got {targets!r}, which is no KnownPart '
+            "either"
+        )
+
+
+def known_part(targets: Targets, dim: int, num_actions: int) -> KnownPart:
+    """What is known of the next state of D entries, under F actions, besides the targets."""
+    check_targets(targets)
+    if isinstance(targets, KnownPart):
+        return targets
+    of = {"difference": KnownPart.of_differences, "successor": KnownPart.of_successors}
+    return of[targets](dim, num_actions)

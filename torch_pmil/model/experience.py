@@ -15,7 +15,7 @@ from torchrl.data import LazyMemmapStorage, TensorDictReplayBuffer
 
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_tensor, check_whole
-from torch_pmil.model.dynamics import Targets
+from torch_pmil.model.dynamics import Targets, known_part
 
 FEWEST_TRANSITIONS = 2  # of which a model can be made
 KEYS = ("observation", "action", ("next", "observation"))
@@ -111,11 +111,11 @@ class Experience:
     def training_data(
         self, space: StateSpace, targets: Targets, limits: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """GP inputs [features of x_t, u_t] (n, D' + F) and targets (n, D).
+        """GP inputs [features of x_t, u_t] (n, D' + F) and targets (n, E).
 
         Args:
             space: the robot's state space.
-            targets: "difference" or "successor".
+            targets: what a model learns, as in :class:`GPDynamics`.
             limits: largest absolute value of each entry of the state (D,), infinite for no limit.
                 Transitions that start beyond are left out: how a robot tumbles on, far from the
                 task, says nothing about the task, and one stationary kernel cannot explain both.
@@ -164,23 +164,22 @@ def widened(limits: Tensor, explored: Tensor, fewest: int) -> Tensor:
 def gp_data(
     states: Tensor, actions: Tensor, successors: Tensor, space: StateSpace, targets: Targets
 ) -> tuple[Tensor, Tensor]:
-    """Model inputs [features of x_t, u_t] (*batch, D' + F) and targets (*batch, D) of transitions.
+    """Model inputs [features of x_t, u_t] (*batch, D' + F) and targets (*batch, E) of transitions.
 
     Args:
         states, successors: x_t and x_{t+1}, (*batch, D).
         actions: u_t, (*batch, F).
         space: the robot's state space.
-        targets: "difference" or "successor".
+        targets: what a model learns, as in :class:`GPDynamics`.
     """
-    if targets not in ("difference", "successor"):
-        raise ValueError(f'targets must be "difference" or "successor", got {targets!r}')
     if not states.shape[:-1] == actions.shape[:-1] == successors.shape[:-1]:
         raise ValueError(
             "states, actions and successors must be as many, got shapes "
             f"{tuple(states.shape)}, {tuple(actions.shape)} and {tuple(successors.shape)}"
         )
     inputs = torch.cat([space.features(states), actions], -1)
-    return inputs, successors if targets == "successor" else successors - states
+    known = known_part(targets, states.shape[-1], actions.shape[-1])
+    return inputs, known.targets(states, actions, successors)
 
 
 @contextmanager

@@ -80,13 +80,15 @@ def sample_rollouts(
     check_whole("count", count, 1)
     controller, state = policy.controller, initial.sample(count, generator)
     states, expansion = [state], dynamics.expansion
+    known = dynamics.known_part(space)
     for _ in range(horizon):
         features = space.features(state)
-        mean, variance = expansion.predict(torch.cat([features, controller(features)], -1))
+        action = controller(features)
+        mean, variance = expansion.predict(torch.cat([features, action], -1))
         if observation_noise:
             variance = variance + expansion.noise
-        change = mean + variance.clamp(min=0).sqrt() * normal(mean.shape, mean, generator)
-        state = change if dynamics.targets == "successor" else state + change
+        outputs = mean + variance.clamp(min=0).sqrt() * normal(mean.shape, mean, generator)
+        state = known.successors(state, action, outputs)
         states.append(state)
     return torch.stack(states, -2)
 

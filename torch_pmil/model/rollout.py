@@ -7,6 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import Controller, Policy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_tensor, check_whole
@@ -21,7 +22,7 @@ from torch_pmil.gp.moment_matching import exact_moments, moment_match
 from torch_pmil.gp.moments import Moments
 from torch_pmil.model.compiled import kernels, serves
 from torch_pmil.model.compiled.plans import Plan
-from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.dynamics import GPDynamics
 
 
 class PredictionError(RuntimeError):
@@ -44,7 +45,7 @@ def predict_step(
     1. Features of the state (sin and cos of its angles).
     2. The policy's action and its covariance with the features.
     3. The GP's moments at the joint belief over features and action.
-    4. For differences, :math:`\Sigma_{t+1} = \Sigma_t + S + C + C^\top`.
+    4. The known part of the dynamics, :func:`successor_belief`.
 
     Args:
         state: belief over the state, D entries.
@@ -63,7 +64,7 @@ def predict_step(
         state,
         controller.on_belief,
         lambda inputs: moment_match(dynamics.expansion, inputs, observation_noise),
-        dynamics.targets,
+        dynamics.known_part(space),
         space,
     )
 
@@ -72,34 +73,43 @@ def _propagate(
     state: Gaussian,
     act: Callable[[Gaussian], tuple[Gaussian, Tensor]],
     respond: Callable[[Gaussian], Moments],
-    targets: Targets,
+    known: KnownPart,
     space: StateSpace,
 ) -> Gaussian:
     """:func:`predict_step` for a policy and a model that are given as functions of beliefs."""
     features, slope = space.feature_moments(state)
     action, policy_slope = act(features)
-    moments = respond(joint(features, action, features.cov @ policy_slope))
-    return successor_belief(state, torch.cat([slope, slope @ policy_slope], -1), moments, targets)
+    inputs = joint(features, action, features.cov @ policy_slope)
+    input_slope = torch.cat([slope, slope @ policy_slope], -1)
+    return successor_belief(state, inputs, input_slope, respond(inputs), known)
 
 
 def successor_belief(
-    state: Gaussian, input_slope: Tensor, moments: Moments, targets: Targets
+    state: Gaussian, inputs: Gaussian, input_slope: Tensor, moments: Moments, known: KnownPart
 ) -> Gaussian:
-    r"""Belief p(x_{t+1}) from p(x_t) and the model's moments.
+    r"""Belief p(x_{t+1}) from p(x_t), p(u_t), the model's moments and the known part.
 
-    For differences, :math:`\Sigma_{t+1} = \Sigma_t + S + C + C^\top`.
+    With :math:`z = [x_t, u_t]` and :math:`x_{t+1} = A z + C g`,
+
+    .. math::
+        \Sigma_{t+1} = A \Sigma_z A^\top + C S C^\top
+            + A \operatorname{cov}(z, g) C^\top + C \operatorname{cov}(g, z) A^\top
 
     Args:
         state: p(x_t), D entries.
-        input_slope: Sigma_x^-1 cov(x, inputs of the model), (*batch, D, D' + F).
+        inputs: belief over the model's inputs, of which the last F are the actions.
+        input_slope: Sigma_x^-1 cov(x, inputs), (*batch, D, D' + F).
         moments: moments of the model at its inputs.
-        targets: what the model predicts, "difference" or "successor".
+        known: known part of the dynamics.
     """
-    if targets == "successor":
-        return Gaussian(moments.mean, symmetric(moments.cov))
-    C = state.cov @ (input_slope @ moments.inv_cov_cross_cov)
-    cov = symmetric(torch.add(state.cov + moments.cov, C, alpha=2))
-    return Gaussian(state.mean + moments.mean, cov)
+    F = known.num_actions
+    A, C = known.matrix.to(state.mean), known.gain.to(state.mean)
+    action = Gaussian(inputs.mean[..., -F:], inputs.cov[..., -F:, -F:])
+    z = joint(state, action, state.cov @ input_slope[..., -F:])
+    with_inputs = torch.cat([state.cov @ input_slope, inputs.cov[..., -F:, :]], -2)
+    cross = A @ (with_inputs @ moments.inv_cov_cross_cov) @ C.mT
+    mean = z.mean @ A.mT + moments.mean @ C.mT
+    return Gaussian(mean, symmetric(A @ z.cov @ A.mT + C @ moments.cov @ C.mT + 2 * cross))
 
 
 def predict_trajectory(
@@ -155,13 +165,14 @@ def _trajectory(
     states = []
     state = Gaussian(state.mean, symmetric(state.cov))
     network, model = controller.network, dynamics.expansion
+    known = dynamics.known_part(space)
     for step in range(1, horizon + 1):
         try:
             state = _propagate(
                 state,
                 lambda features: controller.squashed(exact_moments(network, features)),
                 lambda inputs: exact_moments(model, inputs, observation_noise),
-                dynamics.targets,
+                known,
                 space,
             )
         except NotPositiveDefiniteError as error:
@@ -185,22 +196,27 @@ def check_start_belief(
         NotPositiveDefiniteError: its covariance is none.
     """
     check_belief(belief, name, dynamics.train_inputs)
-    if not belief.dim == space.dim == dynamics.num_outputs:
+    if not belief.dim == space.dim == dynamics.dim:
         raise ValueError(
-            f"{name} must be over the {space.dim} entries of the state, like the model's outputs, "
-            f"got {belief.dim} entries and {dynamics.num_outputs} outputs"
+            f"{name} must be over the {space.dim} entries of the state, like the prediction, got "
+            f"{belief.dim} entries and {dynamics.dim} outputs"
         )
 
 
 def check_finite(trajectory: Gaussian, space: StateSpace) -> None:
     """Raise PredictionError for the first step at which marginals (*batch, T, D) are not finite.
 
-    The message names the entry of the state.
+    The message names the entry of the state; one that overflowed before others, since it makes them
+    NaN.
     """
     finite = trajectory.mean.isfinite() & trajectory.cov.isfinite().all(-1)
     if not finite.all():
-        step, output = (~finite).reshape(-1, *finite.shape[-2:]).any(0).nonzero()[0].tolist()
-        horizon = finite.shape[-2]
+        horizon, D = finite.shape[-2:]
+        wrong, infinite = (
+            found.reshape(-1, horizon, D).any(0) for found in (~finite, trajectory.mean.isinf())
+        )
+        step = int(wrong.any(-1).nonzero()[0])
+        output = int((infinite[step] if infinite[step].any() else wrong[step]).nonzero()[0])
         raise PredictionError(
             f"prediction of step {step + 1} of {horizon} failed: {space.names[output]} is not "
             "finite",
@@ -238,10 +254,12 @@ def _mean_trajectory(
     state: Tensor, controller: Controller, dynamics: GPDynamics, space: StateSpace, horizon: int
 ) -> Tensor:
     states, expansion = [], dynamics.expansion
+    known = dynamics.known_part(space)
     for _ in range(horizon):
         features = space.features(state)
-        mean = expansion.mean(torch.cat([features, controller(features)], -1))
-        state = mean if dynamics.targets == "successor" else state + mean
+        action = controller(features)
+        outputs = expansion.mean(torch.cat([features, action], -1))
+        state = known.successors(state, action, outputs)
         states.append(state)
     return torch.stack(states, -2)
 
@@ -253,7 +271,7 @@ def _compiled(
     f, network, F = dynamics.expansion, controller.network, len(controller.u_max)
     features, offset = len(space.feature_names), torch.as_tensor(network.offset, dtype=mean.dtype)
     fit = (
-        (f.num_inputs, f.num_outputs) == (features + F, space.dim)
+        (f.num_inputs, dynamics.dim) == (features + F, space.dim)
         and (network.num_inputs, network.num_outputs) == (features, F)
         and network.weights.shape[:-2] in ((), mean.shape[:1])
         and (f.gram_inverse is not None and network.gram_inverse is None)
@@ -269,5 +287,5 @@ def _plan(
     horizon: int,
     observation_noise: bool = True,
 ) -> Plan:
-    differences = dynamics.targets == "difference"
-    return Plan(dynamics.expansion, differences, space, controller, horizon, observation_noise)
+    known = dynamics.known_part(space)
+    return Plan(dynamics.expansion, known, space, controller, horizon, observation_noise)

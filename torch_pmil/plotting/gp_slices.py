@@ -39,8 +39,8 @@ def plot_gp_slices(
         dynamics: a model that is fitted to data.
         point: the point where the slices meet, (D' + F,), in the units of the inputs.
         input_names: names of the D' + F inputs.
-        output_names: names of the D entries of the state.
-        output_units: units of the D entries of the state.
+        output_names: names of the E entries of the state that are learned.
+        output_units: their units.
         over: inputs that have a column; all if None.
 
     Raises:
@@ -62,7 +62,7 @@ def plot_gp_slices(
     panels = figure.subplots(
         dynamics.num_outputs, len(over), sharex="col", sharey="row", squeeze=False
     )
-    what = "change of" if dynamics.targets == "difference" else "next"
+    what = "next" if dynamics.targets == "successor" else "change of"
     for column, entry in zip(panels.T, over, strict=True):
         column[-1].set_xlabel(input_names[entry])
         for output, panel in enumerate(column):

@@ -17,7 +17,7 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, joint
 from torch_pmil.gp.moment_matching import moment_match
-from torch_pmil.model.dynamics import FitResult, GPDynamics
+from torch_pmil.model.dynamics import FitResult, GPDynamics, Targets, known_part
 from torch_pmil.model.experience import gp_data
 from torch_pmil.model.rollout import successor_belief
 from torch_pmil.torchrl_interop.keys import (
@@ -55,9 +55,11 @@ class GPWorldModel(TensorDictModuleBase):
             the data: cov(f, u) then is that of x and u jointly Gaussian.
         out_keys: keys of the next state's mean (*batch, D) and covariance (*batch, D, D).
         space: the state space that gives the features; the state itself if None.
+        targets: what is learned, as in :class:`GPDynamics`.
 
     Raises:
-        ValueError: the space is of another dimension, or the number of keys is wrong.
+        ValueError: the space or the known part is of another dimension, or the number of keys is
+            wrong.
 
     Example:
         >>> from tensordict import TensorDict
@@ -82,6 +84,7 @@ class GPWorldModel(TensorDictModuleBase):
         in_keys: Sequence[NestedKey] | None = None,
         out_keys: Sequence[NestedKey] | None = None,
         space: StateSpace | None = None,
+        targets: Targets = "difference",
     ) -> None:
         super().__init__()
         check_whole("obs_dim", obs_dim, 1)
@@ -104,7 +107,13 @@ class GPWorldModel(TensorDictModuleBase):
                 f"expected five or six in_keys and two out_keys, got {len(self.in_keys)} and "
                 f"{len(self.out_keys)}"
             )
-        self.dynamics = GPDynamics(self.num_features + action_dim, obs_dim)
+        known = known_part(targets, obs_dim, action_dim)
+        if (known.dim, known.num_actions) != (obs_dim, action_dim):
+            raise ValueError(
+                f"targets must be of {obs_dim} entries and {action_dim} actions, got a known part "
+                f"of {known.dim} and {known.num_actions}"
+            )
+        self.dynamics = GPDynamics(self.num_features + action_dim, known.num_outputs, targets)
 
     def fit(self, dataset: TensorDictBase) -> FitResult:
         """Learn from transitions by maximum marginal likelihood.
@@ -149,7 +158,8 @@ class GPWorldModel(TensorDictModuleBase):
         state = _required(tensordict, OBSERVATION, self.obs_dim)
         action = _required(tensordict, ACTION, self.action_dim)
         inputs = torch.cat([self.space.features(state), action], -1)
-        return state + self.dynamics.expansion.mean(inputs)
+        known = self.dynamics.known_part(self.space)
+        return known.successors(state, action, self.dynamics.expansion.mean(inputs))
 
     def _successor_belief(self, state: Gaussian, tensordict: TensorDictBase) -> Gaussian:
         action = lookup_belief(tensordict, self.in_keys[:2], self.action_dim)
@@ -166,7 +176,8 @@ class GPWorldModel(TensorDictModuleBase):
         inputs = joint(features, action, cross_cov)
         moments = moment_match(self.dynamics.expansion, inputs, observation_noise=True)
         input_slope = torch.cat([feature_slope, slope], -1)
-        return successor_belief(state, input_slope, moments, self.dynamics.targets)
+        known = self.dynamics.known_part(self.space)
+        return successor_belief(state, inputs, input_slope, moments, known)
 
     def _feature_cross_cov(self, features: Gaussian, tensordict: TensorDictBase) -> Tensor | None:
         """Covariance cov(f, u), (*batch, D', F), or None where the policy does not give it."""

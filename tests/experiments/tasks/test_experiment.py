@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.helpers.short_run import PD_MOVEMENTS, quick_fits
+from reproduction.learned import load_learned
+from tests.helpers.short_run import PD_MOVEMENTS, quick_fits, short_experiment
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
@@ -201,3 +202,37 @@ def test_shortest_demonstrations_are_learned_from(
     task = replace(still(name, samples, 1e-3), num_centres=5, search=SearchSettings(1, 1, 1))
     result = train(task, 100, 1, tmp_path, "pmil train", progress_bar=False)
     assert len(result.trials) == 1 and (tmp_path / "policy.pt").exists()
+
+
+def test_velocities_alone_leave_the_positions_to_them(experiment: Experiment) -> None:
+    alone = replace(experiment, velocities_alone=True)
+    assert experiment.make_dynamics().targets == "difference"
+    dynamics = alone.make_dynamics()
+    known = dynamics.known_part(experiment.space)
+    assert (dynamics.num_outputs, known.learned) == (2, (1, 3))
+    assert alone.settings["velocities_alone"] is True
+    states = torch.tensor([[1.0, 2.0, -1.0, 0.5]], dtype=torch.float64)
+    after = known.successors(
+        states, torch.zeros(1, 2).double(), torch.tensor([[0.4, -1.0]]).double()
+    )
+    torch.testing.assert_close(after, torch.tensor([[1.22, 2.4, -1.0, -0.5]], dtype=torch.float64))
+
+
+def test_velocities_alone_needs_velocities(experiment: Experiment) -> None:
+    names = ("a", "b", "c", "d")
+    space = replace(experiment.space, names=names)
+    with pytest.raises(ValueError, match="dNAME beside NAME, got a, b, c, d"):
+        replace(experiment, space=space, velocities_alone=True)
+    with pytest.raises(ValueError, match="velocities_alone must be true or false, got 1"):
+        replace(experiment, velocities_alone=1)
+
+
+def test_run_learns_velocities_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole way, with its figures, diagnosis and files."""
+    quick_fits(monkeypatch)
+    experiment = short_experiment(velocities_alone=True)
+    result = train(experiment, 0, 2, tmp_path, "", progress_bar=False)
+    assert result.dynamics.num_outputs == 2
+    assert result.summary["settings"]["velocities_alone"] is True
+    learned = load_learned(tmp_path, experiment)
+    assert torch.equal(learned.dynamics.train_targets, result.dynamics.train_targets)

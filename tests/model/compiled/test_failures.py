@@ -63,7 +63,7 @@ def test_kernels_have_no_answer_where_the_formulas_raise(
 ) -> None:
     policy, dynamics = parts
     model = overconfident(dynamics, 0.1).expansion
-    plan = Plan(model, True, SPACE, policy.controller, STEPS)
+    plan = Plan(model, dynamics.known_part(SPACE), SPACE, policy.controller, STEPS)
     assert kernels().predict_beliefs(belief(0.01, 1), plan) is None
 
 

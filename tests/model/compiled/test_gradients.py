@@ -12,6 +12,7 @@ from torch.autograd import gradcheck
 
 from tests.helpers.draws import Draws
 from tests.helpers.two_ways import kernels_alone
+from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import Controller
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
@@ -24,7 +25,16 @@ SPACE = StateSpace(NAMES, ("",) * 3, (1,), joint_match(NAMES, ("",) * 3))
 R, F, M, N, STEPS = len(SPACE.feature_names), 2, 4, 2, 3
 U_MAX, U_MIDDLE = torch.tensor([[1.5, 0.7], [0.4, -0.6]], dtype=torch.float64)
 
-kinds_of_targets = pytest.mark.parametrize("targets", ["difference", "successor"])
+# positions follow from one velocity, and everything from two outputs and the actions
+VELOCITY = KnownPart.of_velocities(NAMES, {"a": "c"}, F, 0.5)
+MIXED = KnownPart(
+    torch.linspace(-0.6, 0.7, 3 * (3 + F), dtype=torch.float64).reshape(3, -1),
+    torch.tensor([[0.0, 1.0], [0.4, -0.3], [1.0, 0.0]], dtype=torch.float64),
+    (2, 0),
+)
+kinds_of_targets = pytest.mark.parametrize(
+    "targets", ["difference", "successor", VELOCITY, MIXED], ids=["d", "s", "velocity", "mixed"]
+)
 # of one policy, of one for each belief, and with one that is exactly zero
 weights = pytest.mark.parametrize("weights", [(F, M), (N, F, M)], ids=["one policy", "targets"])
 
@@ -49,11 +59,12 @@ class Network:
 
 
 def make_dynamics(draws: Draws, targets: Targets) -> GPDynamics:
-    dynamics = GPDynamics(R + F, 3, targets)
-    dynamics.set_data(draws.normal(10, R + F), 0.3 * draws.normal(10, 3))
-    dynamics.gp.covar_module.base_kernel.lengthscale = draws.uniform(0.7, 4.0, 3, 1, R + F)
-    dynamics.gp.covar_module.outputscale = draws.uniform(0.2, 0.6, 3)
-    dynamics.gp.likelihood.noise = torch.full((3, 1), 0.05, dtype=torch.float64)
+    E = targets.num_outputs if isinstance(targets, KnownPart) else 3
+    dynamics = GPDynamics(R + F, E, targets)
+    dynamics.set_data(draws.normal(10, R + F), 0.3 * draws.normal(10, E))
+    dynamics.gp.covar_module.base_kernel.lengthscale = draws.uniform(0.7, 4.0, E, 1, R + F)
+    dynamics.gp.covar_module.outputscale = draws.uniform(0.2, 0.6, E)
+    dynamics.gp.likelihood.noise = torch.full((E, 1), 0.05, dtype=torch.float64)
     return dynamics
 
 

@@ -193,8 +193,8 @@ def _model(experiment: Experiment, result: RunResult) -> plotting.Figure:
         dynamics,
         point,
         _input_names(experiment),
-        space.names,
-        space.units,
+        [space.names[entry] for entry in dynamics.learned],
+        [space.units[entry] for entry in dynamics.learned],
         sliced(relevance, len(experiment.actions.names)),
     )
 

@@ -104,6 +104,9 @@ OF_EXPERIMENT = {
     "evaluated": Setting(
         "whether policies are measured from fresh starts beside their own rollouts", SWITCH
     ),
+    "velocities_alone": Setting(
+        "whether the model learns velocities alone, from which their positions follow", SWITCH
+    ),
     "target_scale": Setting(
         "width of a new policy's basis functions in the entries of the target",
         POSITIVE,

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
+from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_policy import StatePolicy
@@ -130,6 +131,8 @@ class Experiment:
         held_states: states (S, D) beside the starts in which a new policy holds the robot. A servo
             whose target is not near the joint pulls with all its force, whatever the target: where
             actions are targets, a search that begins elsewhere has no slope to follow.
+        velocities_alone: whether the model learns no positions of which the velocity is an entry,
+            dNAME beside NAME: they follow from it by the trapezoidal rule.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.
 
@@ -167,6 +170,7 @@ class Experiment:
     box: Mapping[str, tuple[float, float]] | None = None
     leaving_threshold: float = 0.05
     held_states: Tensor | None = None
+    velocities_alone: bool = False
     search: SearchSettings = field(default_factory=SearchSettings)
     draws: bool = True
 
@@ -212,8 +216,14 @@ class Experiment:
                 check_tensor(name, widths, (len(self.space.feature_names),))
                 if not (widths > 0).all():
                     raise ValueError(f"{name} must be positive, got {widths.tolist()}")
-        if not isinstance(self.evaluated, bool):
-            raise ValueError(f"evaluated must be true or false, got {self.evaluated!r}")
+        for name in ("evaluated", "velocities_alone"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name} must be true or false, got {getattr(self, name)!r}")
+        if self.velocities_alone and not self.space.velocities:
+            raise ValueError(
+                "velocities_alone needs entries of the state that are velocities of others, dNAME "
+                f"beside NAME, got {', '.join(self.space.names)}"
+            )
         if not isinstance(self.search, SearchSettings):
             raise TypeError(f"search must be SearchSettings, got {type(self.search).__name__}")
         check_positive("search.trust_threshold", self.search.trust_threshold, zero=True)
@@ -289,6 +299,7 @@ class Experiment:
             "promise": self.promise,
             "confirmations": self.confirmations,
             "evaluated": self.evaluated,
+            "velocities_alone": self.velocities_alone,
             "state_box": self.state_box and self.state_box.settings,
             "search": asdict(self.search),
         }
@@ -381,7 +392,12 @@ class Experiment:
 
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""
-        return GPDynamics(len(self.space.feature_names) + len(self.actions.names), self.space.dim)
+        actions, time_step = len(self.actions.names), self.demonstrations.time_step
+        inputs = len(self.space.feature_names) + actions
+        if not self.velocities_alone:
+            return GPDynamics(inputs, self.space.dim)
+        known = KnownPart.of_velocities(self.space.names, self.space.velocities, actions, time_step)
+        return GPDynamics(inputs, known.num_outputs, known)
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:
         """The loss of the policy search: the KL between demonstrated and predicted trajectories."""

@@ -72,7 +72,8 @@ def predict_mean(robot: Robot, tape: MeanTape, of_model: MeanWork, of_network: M
         of_model, of_network: scratch.
     """
     rows, turns, kept, u_max = robot.rows, robot.turns, robot.kept, robot.u_max
-    states, gain, raw, differences = tape.states, tape.gain, tape.raw, robot.differences
+    states, gain, raw, known = tape.states, tape.gain, tape.raw, robot.known
+    D = rows.shape[1]
     for t in range(len(raw)):
         inputs = tape.inputs[t]
         write_waves(rows, turns, kept, states[t], inputs, gain[t])
@@ -81,9 +82,16 @@ def predict_mean(robot: Robot, tape: MeanTape, of_model: MeanWork, of_network: M
             raw[t, k] = _value(robot.network, k, of_network)
             inputs[len(rows) + k] = u_max[k] * sin(raw[t, k])
         centre(robot.model.inputs, inputs, of_model.nu)
-        for d in range(rows.shape[1]):
-            change = _value(robot.model, d, of_model)
-            states[t + 1, d] = states[t, d] + change if differences else change
+        for d in range(D):
+            states[t + 1, d] = robot.drift[d]
+            for e in range(D):
+                states[t + 1, d] += known[d, e] * states[t, e]
+            for k in range(len(u_max)):
+                states[t + 1, d] += known[d, D + k] * inputs[len(rows) + k]
+        for a in range(robot.gain.shape[1]):
+            change = _value(robot.model, a, of_model)
+            for d in range(D):
+                states[t + 1, d] += robot.gain[d, a] * change
     return True
 
 
@@ -106,6 +114,7 @@ def adjoint_of_mean(
     of_model: MeanWork,
     of_network: MeanWork,
     d_inputs: Array1,
+    d_next: Array1,
     d_state: Array1,
     out: NetworkGradient,
 ) -> bool:
@@ -114,29 +123,33 @@ def adjoint_of_mean(
     Args:
         robot, tape, of_model, of_network: as in :func:`predict_mean`, which has filled the tape.
         d_states: cotangents, (T, D).
-        d_inputs: scratch, (D' + F,).
+        d_inputs, d_next: scratch, (D' + F,) and (D,).
         d_state: out, gradient in the start, (D,).
         out: gradient in the network, to which is added.
     """
     rows, gain, raw, u_max = robot.rows, tape.gain, tape.raw, robot.u_max
-    R, F, differences = len(rows), len(u_max), robot.differences
+    R, F, D, known = len(rows), len(u_max), len(d_state), robot.known
     weights, squares = robot.model.weights, robot.model.squares
     nu, kernel = of_model.nu, of_model.kernel
     for d in range(len(d_state)):
         d_state[d] = 0.0
     for t in range(len(d_states) - 1, -1, -1):
         inputs = tape.inputs[t]
-        for i in range(R + F):
+        for d in range(D):
+            d_next[d] = d_state[d] + d_states[t, d]
+        for i in range(R):
             d_inputs[i] = 0.0
+        for k in range(F):
+            d_inputs[R + k] = _column_times(known, D + k, d_next)
         centre(robot.model.inputs, inputs, nu)
-        for d in range(len(d_state)):
-            d_state[d] += d_states[t, d]
-            _value(robot.model, d, of_model)
-            multiply_entries(weights[d], kernel, kernel)
+        for a in range(robot.gain.shape[1]):
+            of_change = _column_times(robot.gain, a, d_next)
+            _value(robot.model, a, of_model)
+            multiply_entries(weights[a], kernel, kernel)
             for i in range(R + F):
-                d_inputs[i] += d_state[d] * sum_products(nu[i], kernel) / squares[d, i]
-            if not differences:
-                d_state[d] = 0.0
+                d_inputs[i] += of_change * sum_products(nu[i], kernel) / squares[a, i]
+        for d in range(D):
+            d_state[d] = _column_times(known, d, d_next)
         centre(robot.network.inputs, inputs, of_network.nu)
         for k in range(F):
             scale = d_inputs[R + k] * u_max[k] * cos(raw[t, k])
@@ -145,6 +158,15 @@ def adjoint_of_mean(
             for d in range(len(d_state)):
                 d_state[d] += rows[r, d] * gain[t, r] * d_inputs[r]
     return True
+
+
+@compiled
+def _column_times(matrix: Array2, column: int, values: Array1) -> float:
+    """A column of a matrix times as many values."""
+    total = 0.0
+    for row in range(len(values)):
+        total += matrix[row, column] * values[row]
+    return total
 
 
 @part

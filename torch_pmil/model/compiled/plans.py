@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import Controller
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.kernel_expansion import KernelExpansion
@@ -18,7 +19,7 @@ class Plan:
 
     Args:
         model: the forward model's posterior.
-        differences: whether it predicts changes of the state.
+        known: what is known of the next state besides.
         space: the robot's state space.
         controller: the policy's controller.
         horizon: T.
@@ -26,7 +27,7 @@ class Plan:
     """
 
     model: KernelExpansion
-    differences: bool
+    known: KnownPart
     space: StateSpace
     controller: Controller
     horizon: int

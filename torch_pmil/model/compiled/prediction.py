@@ -132,8 +132,8 @@ class _States(torch.autograd.Function):
         gradients = [NetworkGradient.zero(robot.network) for robot in ctx.robots]
         for i, (robot, tape) in enumerate(zip(ctx.robots, ctx.tapes, strict=True)):
             works = MeanWork.of(robot.model), MeanWork.of(robot.network)
-            d_inputs = np.empty(len(robot.model.inputs))
-            adjoint_of_mean(robot, tape, d_states[i], *works, d_inputs, d_start[i], gradients[i])
+            scratch = np.empty(len(robot.model.inputs)), np.empty(len(robot.known))
+            adjoint_of_mean(robot, tape, d_states[i], *works, *scratch, d_start[i], gradients[i])
         return None, torch.from_numpy(d_start), *gradients_of(gradients, ctx.saved_tensors)
 
 

@@ -59,19 +59,19 @@ def make_symmetric(a: Array2) -> None:
 
 
 @compiled
-def clear(a: Array2) -> None:
-    """Fill a matrix with zeros."""
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            a[i, j] = 0.0
-
-
-@compiled
 def scale(a: Array2, factor: float) -> None:
     """Multiply a matrix by a factor."""
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
             a[i, j] *= factor
+
+
+@compiled
+def add(a: Array2, out: Array2) -> None:
+    """Add a matrix to ``out``."""
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] += a[i, j]
 
 
 @compiled

@@ -1,7 +1,7 @@
 """The prediction of T steps (Eq. 13), for one start belief and one policy.
 
-A state has D entries, D' features and F actions. The beliefs within a step, and what the moments
-need, are kept in arrays that the next step overwrites.
+A state has D entries, D' features and F actions, and the model E outputs. The beliefs within a
+step, and what the moments need, are kept in arrays that the next step overwrites.
 """
 
 from __future__ import annotations
@@ -25,7 +25,13 @@ from torch_pmil.model.compiled.building import (
 from torch_pmil.model.compiled.cosines import adjoint_of_cosines, write_cosines, write_phases
 from torch_pmil.model.compiled.matching import match
 from torch_pmil.model.compiled.matching_adjoints import adjoint_of_gp, adjoint_of_network
-from torch_pmil.model.compiled.small_matrices import make_symmetric, product
+from torch_pmil.model.compiled.small_matrices import (
+    add,
+    make_symmetric,
+    product,
+    product_with_transpose,
+    scale,
+)
 
 
 class Steps(NamedTuple):
@@ -52,7 +58,9 @@ class Robot(NamedTuple):
         network: the policy before squashing.
         u_max: limits of the F actions, (F,).
         rows, turns, kept: features of the state, (D', D) and (D',), as in :class:`Augmentation`.
-        differences: whether the model predicts changes of the state, not the state.
+        known, gain: what is known of the next state, (D, D + F) and (D, E), as in
+            :class:`KnownPart`.
+        drift: known effect of the middles of the actions' ranges, (D,): actions are around zero.
         steps: kernels.
     """
 
@@ -62,7 +70,9 @@ class Robot(NamedTuple):
     rows: Array2
     turns: Array1
     kept: int
-    differences: bool
+    known: Array2
+    gain: Array2
+    drift: Array1
     steps: Steps
 
 
@@ -112,7 +122,7 @@ class Belief(NamedTuple):
         return cls(np.empty(size), np.empty((size, size)), np.empty((inputs, size)))
 
 
-Beliefs = tuple[Belief, Belief, Belief, Belief, Belief, Belief]
+Beliefs = tuple[Belief, Belief, Belief, Belief, Belief, Belief, Belief]
 
 
 class StepWork(NamedTuple):
@@ -124,9 +134,10 @@ class StepWork(NamedTuple):
         raw: of the action before squashing less a quarter turn; as slope the gain in one row.
         action: slope in the features, (D', F).
         inputs: features and action; slope in the state, (D, D' + F).
-        change: what the model predicts; slope in the state, (D, D).
+        change: what the model predicts; slope in the state, (D, E).
+        joint: state and action; as slope their covariance with the change, (D + F, E).
         of_model, of_network: for the moments.
-        linear: scratch, (D', D).
+        linear, left, lifted, spread: scratch, (D', D), (D, D + F), (D, E) and (D, D).
     """
 
     phases: Belief
@@ -135,15 +146,21 @@ class StepWork(NamedTuple):
     action: Belief
     inputs: Belief
     change: Belief
+    joint: Belief
     of_model: Workspace
     of_network: Workspace
     linear: Array2
+    left: Array2
+    lifted: Array2
+    spread: Array2
 
     @classmethod
     def of(cls, robot: Robot) -> StepWork:
         """Room for one step."""
         spaces = Workspace.of(robot.model), Workspace.of(robot.network)
-        return cls(*beliefs_of(robot), *spaces, np.empty_like(robot.rows))
+        D = len(robot.known)
+        scratch = robot.rows, robot.known, robot.gain, np.empty((D, D))
+        return cls(*beliefs_of(robot), *spaces, *map(np.empty_like, scratch))
 
 
 def beliefs_of(robot: Robot) -> Beliefs:
@@ -151,7 +168,9 @@ def beliefs_of(robot: Robot) -> Beliefs:
     (R, D), F = robot.rows.shape, len(robot.u_max)
     before_action = Belief.of(R, 1), Belief.of(R, D)
     action = Belief.of(F, 1), Belief.of(F, R)
-    return *before_action, *action, Belief.of(R + F, D), Belief.of(D, D)
+    E = robot.gain.shape[1]
+    joint = Belief(np.empty(D + F), np.empty((D + F, D + F)), np.empty((D + F, E)))
+    return *before_action, *action, Belief.of(R + F, D), Belief.of(E, D), joint
 
 
 @Kernel
@@ -254,19 +273,63 @@ def _write_joint_moments(
 
 @part
 def _write_successor(robot: Robot, tape: Tape, t: int, work: StepWork) -> None:
-    """The belief at t + 1, from that at t and what the model predicts."""
-    before, cov_before, mean, cov = tape.mean[t], tape.cov[t], tape.mean[t + 1], tape.cov[t + 1]
-    record, offset, differences = tape.of_model, robot.model.offset, robot.differences
-    total, change, slope = record.total[t], work.change.cov, work.change.slope
+    """The belief at t + 1, from those over state, action and what the model predicts."""
+    mean, cov, change, record = tape.mean[t + 1], tape.cov[t + 1], work.change, tape.of_model
+    joint, left, lifted, spread = work.joint, work.left, work.lifted, work.spread
+    known, gain, offset = robot.known, robot.gain, robot.model.offset
+    for a in range(len(offset)):
+        change.mean[a] = record.total[t, a] + offset[a]
+    product(work.inputs.slope, record.slope[t], change.slope)
+    write_joint(tape.mean[t], tape.cov[t], record.slope[t], work)
     for d in range(len(mean)):
-        mean[d] = total[d] + offset[d]
-    if differences:
-        product(work.inputs.slope, record.slope[t], slope)
-        product(cov_before, slope, cov)
-    for d in range(len(mean)):
-        if differences:
-            mean[d] += before[d]
-        for e in range(len(mean)):
-            known = 2.0 * cov[d, e] + cov_before[d, e] if differences else 0.0
-            cov[d, e] = known + change[d, e]
+        mean[d] = robot.drift[d]
+        for a in range(len(offset)):
+            mean[d] += gain[d, a] * change.mean[a]
+        for i in range(len(joint.mean)):
+            mean[d] += known[d, i] * joint.mean[i]
+    product(known, joint.slope, lifted)
+    product_with_transpose(lifted, gain, cov)
+    scale(cov, 2.0)
+    product(known, joint.cov, left)
+    product_with_transpose(left, known, spread)
+    add(spread, cov)
+    product(gain, change.cov, lifted)
+    product_with_transpose(lifted, gain, spread)
+    add(spread, cov)
     make_symmetric(cov)
+
+
+@compiled
+def write_joint(mean: Array1, cov: Array2, slope: Array2, work: StepWork) -> None:
+    """Belief over state and action, with their covariance with the change.
+
+    Args:
+        mean, cov: of the state.
+        slope: of the model, (D' + F, E).
+        work: with inputs and the slope of the change; the joint belief is written.
+    """
+    joint, inputs, change = work.joint, work.inputs, work.change
+    D, R, F = len(mean), len(inputs.mean) - len(joint.mean) + len(mean), len(joint.mean) - len(mean)
+    for d in range(D):
+        joint.mean[d] = mean[d]
+        for e in range(D):
+            joint.cov[d, e] = cov[d, e]
+        for k in range(F):
+            cross = 0.0
+            for e in range(D):
+                cross += cov[d, e] * inputs.slope[e, R + k]
+            joint.cov[d, D + k] = joint.cov[D + k, d] = cross
+        for a in range(slope.shape[1]):
+            cross = 0.0
+            for e in range(D):
+                cross += cov[d, e] * change.slope[e, a]
+            joint.slope[d, a] = cross
+    for k in range(F):
+        joint.mean[D + k] = inputs.mean[R + k]
+        for other in range(F):
+            joint.cov[D + k, D + other] = inputs.cov[R + k, R + other]
+        for a in range(slope.shape[1]):
+            cross = 0.0
+            for i in range(len(slope)):
+                cross += inputs.cov[R + k, i] * slope[i, a]
+            joint.slope[D + k, a] = cross

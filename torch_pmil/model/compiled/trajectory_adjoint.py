@@ -14,12 +14,9 @@ from torch_pmil.model.compiled.building import Array1, Array2, Array3, Kernel, c
 from torch_pmil.model.compiled.cosines import write_cotangents
 from torch_pmil.model.compiled.matching_adjoints import add_cotangents, clear_cotangents
 from torch_pmil.model.compiled.small_matrices import (
-    clear,
-    copy,
     product,
     product_of_transpose,
     product_with_transpose,
-    scale,
 )
 from torch_pmil.model.compiled.trajectory import (
     Belief,
@@ -36,9 +33,10 @@ class Cotangents(NamedTuple):
     """Cotangents of the beliefs within a step, as in :class:`StepWork`.
 
     Args:
-        phases, features, raw, action, inputs, change: cotangents of these; some arrays serve as
-            scratch.
-        of_output: of the slope of the model's moments, (D' + F, D).
+        phases, features, raw, action, inputs, change, joint: cotangents of these; some arrays serve
+            as scratch.
+        of_output: of the slope of the model's moments, (D' + F, E).
+        through: of the state, scratch.
     """
 
     phases: Belief
@@ -47,13 +45,15 @@ class Cotangents(NamedTuple):
     action: Belief
     inputs: Belief
     change: Belief
+    joint: Belief
     of_output: Array2
+    through: Belief
 
     @classmethod
     def of(cls, robot: Robot) -> Cotangents:
         """Room for one step."""
-        size, D = robot.model.inputs.shape[0], robot.rows.shape[1]
-        return cls(*beliefs_of(robot), np.empty((size, D)))
+        size, (D, E) = robot.model.inputs.shape[0], robot.gain.shape
+        return cls(*beliefs_of(robot), np.empty((size, E)), Belief.of(D, D))
 
 
 @Kernel
@@ -100,29 +100,118 @@ def _adjoint_of_model(
     d_cov: Array2,
 ) -> None:
     """Cotangents of the model's inputs and their slope, and the direct ones of the state."""
-    inputs, slope_of_change, record = work.inputs, work.change.slope, tape.of_model
-    slope, d_inputs, of_output = record.slope[t], back.inputs, back.of_output
-    direct, through_slope, differences = back.change.slope, back.change.cov, robot.differences
-    if differences:
-        product(inputs.slope, slope, slope_of_change)
-        product(tape.cov[t], d_cov, direct)
-        scale(direct, 2.0)
-        product_with_transpose(direct, slope, d_inputs.slope)
-        product_of_transpose(inputs.slope, direct, of_output)
-        product_with_transpose(d_cov, slope_of_change, through_slope)
-    else:
-        clear(d_inputs.slope)
-        clear(of_output)
-    moments = robot.model, record, t, inputs.mean
-    cotangents = d_mean, d_cov, of_output, work.of_model, d_inputs.mean, d_inputs.cov
-    call(robot.steps.adjoint_of_gp, moments + cotangents)
-    for d in range(len(d_mean)):
-        if not differences:
-            d_mean[d] = 0.0
-        for e in range(len(d_mean)):
-            both = d_cov[d, e] + through_slope[d, e] + through_slope[e, d]
-            direct[d, e] = both if differences else 0.0
-    copy(direct, d_cov)
+    record, d_joint, d_change, cov = tape.of_model, back.joint, back.change, tape.cov[t]
+    product(work.inputs.slope, record.slope[t], work.change.slope)
+    _adjoint_of_successor(robot.known, robot.gain, d_mean, d_cov, work.left, work.lifted, back)
+    _adjoint_of_cross(cov, record.slope[t], work, back)
+    moments = robot.model, record, t, work.inputs.mean
+    cotangents = d_change.mean, d_change.cov, back.of_output, work.of_model
+    call(robot.steps.adjoint_of_gp, moments + cotangents + (back.inputs.mean, back.inputs.cov))
+    _add_known_cotangents(record.slope[t], d_joint, back.inputs)
+    _adjoint_of_state(work, d_joint, back.through.cov, d_mean, d_cov)
+
+
+@compiled
+def _adjoint_of_successor(
+    known: Array2,
+    gain: Array2,
+    d_mean: Array1,
+    d_cov: Array2,
+    left: Array2,
+    lifted: Array2,
+    back: Cotangents,
+) -> None:
+    """Cotangents of the joint belief and of the change, from those of the next state.
+
+    The one of their covariance (D + F, E) is half of it: it is in the state's on both sides.
+    """
+    for i in range(known.shape[1]):
+        back.joint.mean[i] = 0.0
+        for d in range(len(d_mean)):
+            back.joint.mean[i] += known[d, i] * d_mean[d]
+    for a in range(gain.shape[1]):
+        back.change.mean[a] = 0.0
+        for d in range(len(d_mean)):
+            back.change.mean[a] += gain[d, a] * d_mean[d]
+    product(d_cov, known, left)
+    product_of_transpose(known, left, back.joint.cov)
+    product(d_cov, gain, lifted)
+    product_of_transpose(known, lifted, back.joint.slope)
+    product_of_transpose(gain, lifted, back.change.cov)
+
+
+@compiled
+def _adjoint_of_cross(cov: Array2, slope: Array2, work: StepWork, back: Cotangents) -> None:
+    """Cotangents of the slopes of inputs and model, through the covariances with state and action.
+
+    Args:
+        cov: of the state.
+        slope: of the model, (D' + F, E).
+        work: as the prediction has it.
+        back: with the joint cotangents.
+    """
+    d_joint, direct, d_slope, inputs = back.joint, back.change.slope, back.inputs.slope, work.inputs
+    D, E = direct.shape
+    R, F = len(slope) - len(d_joint.mean) + D, len(d_joint.mean) - D
+    for d in range(D):
+        for a in range(E):
+            direct[d, a] = 0.0
+            for e in range(D):
+                direct[d, a] += cov[d, e] * d_joint.slope[e, a]
+            direct[d, a] *= 2.0
+    product_with_transpose(direct, slope, d_slope)
+    product_of_transpose(inputs.slope, direct, back.of_output)
+    for k in range(F):
+        for d in range(D):
+            for e in range(D):
+                d_slope[d, R + k] += 2.0 * cov[d, e] * d_joint.cov[e, D + k]
+        for i in range(len(slope)):
+            for a in range(E):
+                back.of_output[i, a] += 2.0 * inputs.cov[i, R + k] * d_joint.slope[D + k, a]
+
+
+@compiled
+def _add_known_cotangents(slope: Array2, d_joint: Belief, d_inputs: Belief) -> None:
+    """Add to the cotangents of the inputs what reaches the actions without the model.
+
+    Args:
+        slope: of the model, (D' + F, E).
+        d_joint: of state and action, and half of that of their covariance with the change.
+        d_inputs: of features and action.
+    """
+    D = len(d_inputs.slope)
+    R, F = len(slope) - len(d_joint.mean) + D, len(d_joint.mean) - D
+    for k in range(F):
+        d_inputs.mean[R + k] += d_joint.mean[D + k]
+        for other in range(F):
+            d_inputs.cov[R + k, R + other] += d_joint.cov[D + k, D + other]
+        for i in range(len(slope)):
+            entry = 0.0
+            for a in range(slope.shape[1]):
+                entry += d_joint.slope[D + k, a] * slope[i, a]
+            d_inputs.cov[R + k, i] += entry
+            d_inputs.cov[i, R + k] += entry
+
+
+@compiled
+def _adjoint_of_state(
+    work: StepWork, d_joint: Belief, through: Array2, d_mean: Array1, d_cov: Array2
+) -> None:
+    """Cotangents of the state (D,) and (D, D), from those of the joint belief; with scratch."""
+    of_change, of_inputs, D = work.change.slope, work.inputs.slope, len(d_mean)
+    F = len(d_joint.mean) - D
+    R = of_inputs.shape[1] - F
+    for d in range(D):
+        d_mean[d] = d_joint.mean[d]
+        for e in range(D):
+            through[d, e] = 0.0
+            for a in range(of_change.shape[1]):
+                through[d, e] += d_joint.slope[d, a] * of_change[e, a]
+            for k in range(F):
+                through[d, e] += d_joint.cov[d, D + k] * of_inputs[e, R + k]
+    for d in range(D):
+        for e in range(D):
+            d_cov[d, e] = d_joint.cov[d, e] + through[d, e] + through[e, d]
 
 
 @part
@@ -214,7 +303,7 @@ def _adjoint_of_features(
 ) -> None:
     """Add the cotangents of the state, through its features."""
     phases, rows, d_features, d_phases = work.phases, robot.rows, back.features, back.phases
-    gain, through = d_phases.slope[0], back.change
+    gain, through = d_phases.slope[0], back.through
     _write_cotangent_of_gain(rows, d_features.slope, gain)
     waves = phases.mean, phases.cov, robot.kept, phases.slope[0]
     cotangents = d_features.mean, d_features.cov, gain, d_phases.mean, d_phases.cov

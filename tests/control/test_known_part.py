@@ -1,0 +1,93 @@
+"""The known linear part of the dynamics: what follows from velocities, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from tests.helpers.draws import Draws
+from torch_pmil.control.known_part import KnownPart
+
+NAMES = ("x", "q", "dx", "dq")
+CART = KnownPart.of_velocities(NAMES, {"x": "dx", "q": "dq"}, num_actions=2, time_step=0.04)
+
+
+@pytest.mark.parametrize(
+    "known",
+    [KnownPart.of_differences(4, 2), KnownPart.of_successors(4, 2), CART],
+    ids=["differences", "successors", "velocities"],
+)
+def test_targets_and_successors_are_inverse(known: KnownPart, draws: Draws) -> None:
+    x, u, outputs = draws.normal(7, 4), draws.normal(7, 2), draws.normal(7, known.num_outputs)
+    after = known.successors(x, u, outputs)
+    torch.testing.assert_close(known.targets(x, u, after), outputs)
+
+
+def test_differences_and_successors_are_what_they_are_called(draws: Draws) -> None:
+    x, u, after = draws.normal(3, 4), draws.normal(3, 2), draws.normal(3, 4)
+    assert torch.equal(KnownPart.of_differences(4, 2).targets(x, u, after), after - x)
+    assert torch.equal(KnownPart.of_successors(4, 2).targets(x, u, after), after)
+
+
+def test_constant_acceleration_is_integrated_exactly(draws: Draws) -> None:
+    """The trapezoidal rule is exact for a velocity that changes linearly."""
+    start, velocity, acceleration = draws.normal(5, 2), draws.normal(5, 2), draws.normal(5, 2)
+    dt = 0.04
+    x = torch.cat([start, velocity], -1)
+    after = CART.successors(x, draws.normal(5, 2), dt * acceleration)
+    torch.testing.assert_close(
+        after[:, :2], start + dt * velocity + dt**2 * acceleration / 2, rtol=0, atol=1e-15
+    )
+    torch.testing.assert_close(after[:, 2:], velocity + dt * acceleration, rtol=0, atol=1e-15)
+
+
+def test_error_of_the_rule_falls_with_the_cube_of_the_time_step() -> None:
+    """q = sin t, with the right change of the velocity: the error is dt^3 / 12 in the limit."""
+    errors = []
+    for dt in (0.02, 0.01):
+        t = torch.tensor([0.0, dt], dtype=torch.float64) + 0.3
+        known = KnownPart.of_velocities(("q", "dq"), {"q": "dq"}, 1, dt)
+        x = torch.stack([t.sin(), t.cos()], -1)
+        after = known.successors(x[0], torch.zeros(1).double(), x[1, 1:] - x[0, 1:])
+        errors.append((after[0] - x[1, 0]).item() / dt**3)
+    assert errors[0] == pytest.approx(errors[1], rel=0.05)
+    # the change of the acceleration in a second is -cos t
+    assert abs(errors[1]) == pytest.approx(torch.tensor(0.3).cos().item() / 12, rel=0.05)
+
+
+def test_actions_have_their_known_effect(draws: Draws) -> None:
+    matrix, gain = draws.normal(2, 5), torch.eye(2, dtype=torch.float64)
+    known = KnownPart(matrix, gain, (0, 1))
+    x, u = draws.normal(4, 2), draws.normal(4, 3)
+    torch.testing.assert_close(known.of_action(u), u @ matrix[:, 2:].mT)
+    torch.testing.assert_close(
+        known.successors(x, u, torch.zeros(4, 2).double()),
+        x @ matrix[:, :2].mT + known.of_action(u),
+    )
+
+
+@pytest.mark.parametrize(
+    ("velocities", "got"),
+    [({"x": "y"}, "{'x': 'y'}"), ({"x": "dx", "dx": "dq"}, "{'x': 'dx', 'dx': 'dq'}")],
+)
+def test_velocities_must_be_learned_entries(velocities: dict[str, str], got: str) -> None:
+    with pytest.raises(ValueError, match="velocities must be entries of x, q, dx, dq") as error:
+        KnownPart.of_velocities(NAMES, velocities, 1, 0.1)
+    assert str(error.value).endswith(f"got {got}")
+
+
+@pytest.mark.parametrize(
+    ("matrix", "gain", "learned", "line"),
+    [
+        (torch.zeros(2, 2), torch.eye(2), (0, 1), "more columns than the 2 entries"),
+        (torch.zeros(3, 4), torch.eye(2), (0, 1), r"matrix must have shape \(2, 'D \+ F'\)"),
+        (torch.zeros(2, 3), 2 * torch.eye(2), (0, 1), "rows of gain are the identity"),
+        (torch.zeros(2, 3), torch.eye(2), (0, 2), r"2 entries of the state .* got \(0, 2\)"),
+        (torch.full((2, 3), torch.nan), torch.eye(2), (0, 1), "matrix must be finite"),
+    ],
+)
+def test_parts_that_do_not_fit_are_refused(
+    matrix: torch.Tensor, gain: torch.Tensor, learned: tuple[int, ...], line: str
+) -> None:
+    with pytest.raises(ValueError, match=line.replace("'", "")):
+        KnownPart(matrix, gain, learned)

@@ -1,0 +1,162 @@
+"""The known linear part of a robot's dynamics, beside what a model learns of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_pmil.gp.checks import check_positive, check_tensor, check_whole
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPart:
+    r"""What is known of the next state: how it depends on state, action and the learned function.
+
+    .. math:: x_{t+1} = A\,[x_t, u_t] + C\,g(x_t, u_t)
+
+    A model learns g, of E outputs. It may have fewer entries than the state: where velocities are
+    entries, the positions follow from them. Each output has an entry of the state of its own, to
+    which it is added as it is.
+
+    Args:
+        matrix: A, (D, D + F).
+        gain: C, (D, E).
+        learned: index of the own entry of each output, E; these rows of C are the identity.
+
+    Raises:
+        TypeError: a matrix is no tensor.
+        ValueError: shapes do not fit, a number is not finite, or the rows of ``learned`` are not
+            the identity.
+
+    Example:
+        >>> known = KnownPart.of_velocities(["q", "dq"], {"q": "dq"}, num_actions=1, time_step=0.1)
+        >>> known.matrix
+        tensor([[1.0000, 0.1000, 0.0000],
+                [0.0000, 1.0000, 0.0000]], dtype=torch.float64)
+        >>> known.gain.flatten()
+        tensor([0.0500, 1.0000], dtype=torch.float64)
+        >>> x, u = torch.tensor([[0.0, 1.0]]), torch.zeros(1, 1)
+        >>> known.targets(x, u, torch.tensor([[0.2, 3.0]]))
+        tensor([[2.]])
+        >>> known.successors(x, u, torch.tensor([[2.0]]))
+        tensor([[0.2000, 3.0000]])
+    """
+
+    matrix: Tensor
+    gain: Tensor
+    learned: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        check_tensor("gain", self.gain, ("D", "E"))
+        D, E = self.gain.shape
+        check_tensor("matrix", self.matrix, (D, "D + F"))
+        if self.num_actions < 1:
+            raise ValueError(
+                f"matrix must have more columns than the {D} entries of the state, got "
+                f"{self.matrix.shape[-1]}"
+            )
+        own = self.gain[list(self.learned)] if set(self.learned) <= set(range(D)) else None
+        if own is None or not torch.equal(own, torch.eye(E, dtype=own.dtype)):
+            raise ValueError(
+                f"learned must be {E} entries of the state whose rows of gain are the identity, "
+                f"got {self.learned}"
+            )
+
+    @classmethod
+    def of_differences(cls, dim: int, num_actions: int) -> KnownPart:
+        r"""All D entries change by what is learned, :math:`x_{t+1} = x_t + g(x_t, u_t)`."""
+        identity = torch.eye(dim, dtype=torch.float64)
+        return cls._of(identity, identity, num_actions)
+
+    @classmethod
+    def of_successors(cls, dim: int, num_actions: int) -> KnownPart:
+        r"""Nothing is known: :math:`x_{t+1} = g(x_t, u_t)`."""
+        identity = torch.eye(dim, dtype=torch.float64)
+        return cls._of(torch.zeros_like(identity), identity, num_actions)
+
+    @classmethod
+    def of_velocities(
+        cls,
+        names: Sequence[str],
+        velocities: Mapping[str, str],
+        num_actions: int,
+        time_step: float,
+    ) -> KnownPart:
+        r"""Positions follow from velocities; of all other entries the differences are learned.
+
+        .. math:: q_{t+1} = q_t + \Delta t \, (\dot q_t + \dot q_{t+1}) / 2
+
+        This is the trapezoidal rule: its error is :math:`\Delta t^3 / 12` times the change of the
+        acceleration in a second.
+
+        Args:
+            names: of the D entries of the state.
+            velocities: name of the velocity of each position that is not learned.
+            num_actions: F.
+            time_step: control period, s.
+
+        Raises:
+            ValueError: a name is no entry, or a velocity follows from another one.
+        """
+        check_positive("time_step", time_step)
+        check_whole("num_actions", num_actions, 1)
+        index = {name: number for number, name in enumerate(names)}
+        unknown = [name for pair in velocities.items() for name in pair if name not in index]
+        if unknown or set(velocities) & set(velocities.values()):
+            raise ValueError(
+                f"velocities must be entries of {', '.join(names)} that are learned, for others of "
+                f"them, got {dict(velocities)}"
+            )
+        learned = tuple(number for name, number in index.items() if name not in velocities)
+        identity = torch.eye(len(names), dtype=torch.float64)
+        of_state, gain = identity.clone(), identity[:, list(learned)]
+        for position, velocity in velocities.items():
+            row, column = index[position], index[velocity]
+            of_state[row, column] = time_step
+            gain[row, learned.index(column)] = time_step / 2
+        return cls._of(of_state, gain, num_actions, learned)
+
+    @classmethod
+    def _of(
+        cls, of_state: Tensor, gain: Tensor, num_actions: int, learned: tuple[int, ...] = ()
+    ) -> KnownPart:
+        """One in which actions have no known effect."""
+        of_action = of_state.new_zeros(len(of_state), num_actions)
+        own = learned or tuple(range(len(gain)))
+        return cls(torch.cat([of_state, of_action], -1), gain, own)
+
+    @property
+    def dim(self) -> int:
+        """Number of entries of the state D."""
+        return self.gain.shape[0]
+
+    @property
+    def num_outputs(self) -> int:
+        """Number of learned outputs E."""
+        return self.gain.shape[1]
+
+    @property
+    def num_actions(self) -> int:
+        """Number of actions F."""
+        return self.matrix.shape[-1] - self.dim
+
+    def targets(self, states: Tensor, actions: Tensor, successors: Tensor) -> Tensor:
+        """What the model had to say, (*batch, E), of x_t and x_{t+1} (*batch, D), u_t (*batch, F).
+
+        What the known part says wrongly of the other entries is left out.
+        """
+        return (successors - self._expected(states, actions))[..., list(self.learned)]
+
+    def successors(self, states: Tensor, actions: Tensor, outputs: Tensor) -> Tensor:
+        """x_{t+1} (*batch, D) of x_t (*batch, D), u_t (*batch, F) and g (*batch, E)."""
+        return self._expected(states, actions) + outputs @ self.gain.to(outputs).mT
+
+    def of_action(self, actions: Tensor) -> Tensor:
+        """What actions (*batch, F) add to the next state as far as it is known, (*batch, D)."""
+        return actions @ self.matrix[:, self.dim :].to(actions).mT
+
+    def _expected(self, states: Tensor, actions: Tensor) -> Tensor:
+        return torch.cat([states, actions], -1) @ self.matrix.to(states).mT

@@ -17,8 +17,6 @@ from torch_pmil.model.dynamics import FitResult, GPDynamics
 
 POSITION_GAIN = 0.5  # N·m/rad, K_p of Eq. 29
 VELOCITY_GAIN = 0.25  # N·m s/rad, K_d
-
-
 PILCO_SIGNAL_TO_NOISE = 500.0  # no moments of this model are matched, whose rounding would count
 
 

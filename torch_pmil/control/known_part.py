@@ -154,9 +154,5 @@ class KnownPart:
         """x_{t+1} (*batch, D) of x_t (*batch, D), u_t (*batch, F) and g (*batch, E)."""
         return self._expected(states, actions) + outputs @ self.gain.to(outputs).mT
 
-    def of_action(self, actions: Tensor) -> Tensor:
-        """What actions (*batch, F) add to the next state as far as it is known, (*batch, D)."""
-        return actions @ self.matrix[:, self.dim :].to(actions).mT
-
     def _expected(self, states: Tensor, actions: Tensor) -> Tensor:
         return torch.cat([states, actions], -1) @ self.matrix.to(states).mT

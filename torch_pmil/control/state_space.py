@@ -215,17 +215,6 @@ class StateSpace:
         return tuple(i for i in range(self.dim) if i not in self.angles)
 
     @property
-    def velocities(self) -> dict[str, str]:
-        """Entries whose velocity is an entry too, by their names: dNAME beside NAME.
-
-        Example:
-            >>> names, units = ("q", "dq"), ("rad", "rad/s")
-            >>> StateSpace(names, units, (0,), joint_match(names, units)).velocities
-            {'q': 'dq'}
-        """
-        return {name: f"d{name}" for name in self.names if f"d{name}" in self.names}
-
-    @property
     def feature_names(self) -> tuple[str, ...]:
         """Names of the D' entries that models and policies see."""
         sines, cosines = ([f"{f} {self.names[i]}" for i in self.angles] for f in ("sin", "cos"))

@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal, get_args
 
 import gpytorch
@@ -133,12 +134,6 @@ class GPDynamics(nn.Module):
     def dim(self) -> int:
         """Number of entries of the state D."""
         return self.targets.dim if isinstance(self.targets, KnownPart) else self.num_outputs
-
-    @property
-    def learned(self) -> tuple[int, ...]:
-        """Index of the entry of the state that each output tells."""
-        every = tuple(range(self.num_outputs))
-        return self.targets.learned if isinstance(self.targets, KnownPart) else every
 
     def known_part(self, space: StateSpace) -> KnownPart:
         """What is known of the next state in a space of as many entries."""
@@ -313,7 +308,10 @@ def check_targets(targets: object) -> None:
 def known_part(targets: Targets, dim: int, num_actions: int) -> KnownPart:
     """What is known of the next state of D entries, under F actions, besides the targets."""
     check_targets(targets)
-    if isinstance(targets, KnownPart):
-        return targets
+    return targets if isinstance(targets, KnownPart) else _named(targets, dim, num_actions)
+
+
+@cache  # each prediction of a search asks for it
+def _named(targets: Named, dim: int, num_actions: int) -> KnownPart:
     of = {"difference": KnownPart.of_differences, "successor": KnownPart.of_successors}
     return of[targets](dim, num_actions)

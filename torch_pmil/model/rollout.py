@@ -271,7 +271,8 @@ def _compiled(
     f, network, F = dynamics.expansion, controller.network, len(controller.u_max)
     features, offset = len(space.feature_names), torch.as_tensor(network.offset, dtype=mean.dtype)
     fit = (
-        (f.num_inputs, dynamics.dim) == (features + F, space.dim)
+        (f.num_inputs, f.num_outputs) == (features + F, dynamics.num_outputs)
+        and dynamics.dim == space.dim
         and (network.num_inputs, network.num_outputs) == (features, F)
         and network.weights.shape[:-2] in ((), mean.shape[:1])
         and (f.gram_inverse is not None and network.gram_inverse is None)

@@ -191,7 +191,7 @@ def draw_rates(panel: Axes, lowest: float = 0) -> None:
 
 
 def _draw_diagonal(panel: Axes) -> None:
-    panel.plot([0, 100], [0, 100], color=GREY, linewidth=1.0, linestyle="--")
+    draw_rates(panel)
     told: dict[str, Any] = {
         "transform": panel.transAxes,
         "color": DARK,
@@ -201,12 +201,6 @@ def _draw_diagonal(panel: Axes) -> None:
     }
     panel.text(0.03, 0.96, "not sure enough", va="top", **told)
     panel.text(0.97, 0.04, "too sure", ha="right", **told)
-    panel.set(
-        xlabel="probability of the interval (%)",
-        ylabel="errors inside (%)",
-        xlim=(0, 100),
-        ylim=(0, 100),
-        aspect="equal",
-    )
+    panel.set(xlabel="probability of the interval (%)", ylabel="errors inside (%)")
     panel.set_xticks([0, 25, 50, 75, 100])
     panel.set_yticks([0, 25, 50, 75, 100])

@@ -188,13 +188,14 @@ def _model(experiment: Experiment, result: RunResult) -> plotting.Figure:
     halfway = outcome.rollouts.shape[-1] // 2
     features = space.features(outcome.executed[0, halfway])
     point = torch.cat([features, outcome.rollouts["action"][0, halfway]])
+    learned = dynamics.known_part(space).learned
     relevance = (dynamics.train_inputs.std(0) / dynamics.expansion.lengthscales).amax(0)
     return plotting.plot_gp_slices(
         dynamics,
         point,
         _input_names(experiment),
-        [space.names[entry] for entry in dynamics.learned],
-        [space.units[entry] for entry in dynamics.learned],
+        [space.names[entry] for entry in learned],
+        [space.units[entry] for entry in learned],
         sliced(relevance, len(experiment.actions.names)),
     )
 

@@ -15,6 +15,7 @@ from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace
@@ -219,7 +220,7 @@ class Experiment:
         for name in ("evaluated", "velocities_alone"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} must be true or false, got {getattr(self, name)!r}")
-        if self.velocities_alone and not self.space.velocities:
+        if self.velocities_alone and not rates_of(self.space.names):
             raise ValueError(
                 "velocities_alone needs entries of the state that are velocities of others, dNAME "
                 f"beside NAME, got {', '.join(self.space.names)}"
@@ -396,7 +397,9 @@ class Experiment:
         inputs = len(self.space.feature_names) + actions
         if not self.velocities_alone:
             return GPDynamics(inputs, self.space.dim)
-        known = KnownPart.of_velocities(self.space.names, self.space.velocities, actions, time_step)
+        names = self.space.names
+        velocities = {names[entry]: names[rate] for rate, entry in rates_of(names).items()}
+        known = KnownPart.of_velocities(names, velocities, actions, time_step)
         return GPDynamics(inputs, known.num_outputs, known)
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:

@@ -41,7 +41,7 @@ def robots_of(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
     ]
     limits, steps = array(controller.u_max), Steps.compile()
     matrix, gain = array(plan.known.matrix), array(plan.known.gain)
-    drift = array(plan.known.of_action(controller.u_middle))
+    drift = matrix[:, len(matrix) :] @ array(controller.u_middle)
     return [
         Robot(model, network, limits, rows, turns, kept, matrix, gain, drift, steps)
         for network in (packed if len(packed) > 1 else packed * beliefs)

@@ -1,0 +1,121 @@
+"""CPU time of one KL with its policy gradient over the number D of entries of the state.
+
+One thread, 100 basis functions. The state is the angles and velocities of D/2 joints, each with an
+actuator. Data, hyper-parameters and policy are drawn at random: the time does not depend on what
+was learned. Two models take turns: one with a GP for each entry of the state, and one that learns
+the velocities alone, from which the positions follow. Of several evaluations of each, the one that
+takes least counts.
+
+Example:
+    python -m benchmarks.dimensions --dimensions 4 12 --n 400
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+
+from benchmarks.workloads import lengthscale_factors
+from torch_pmil import Gaussian, GPDynamics, RBFPolicy, TrajectoryKLLoss
+from torch_pmil.control.known_part import KnownPart
+from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.experiments.runs.run_folder import provenance
+from torch_pmil.files import write_json
+from torch_pmil.model.dynamics import Targets
+
+SEED = 0
+TIME_STEP = 0.05  # s
+CENTRES = 100
+LENGTHSCALE, NOISE = 4.0, 0.1  # in spreads of the inputs; noise over signal, standard deviations
+WIDTH = 2.0  # of the basis functions, in spreads of the state
+START_STD, DEMONSTRATED_STD, NOISE_STD = 0.05, 0.3, 0.1
+MODELS = ("all entries", "velocities alone")
+
+
+def main() -> None:
+    """Read the command line, measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument(
+        "--dimensions", nargs="+", type=int, default=[4, 6, 8, 12, 14], help="even numbers D"
+    )
+    parser.add_argument("--n", type=int, default=400, help="transitions that the model knows")
+    parser.add_argument("--horizon", type=int, default=25, help="T")
+    parser.add_argument("--repeats", type=int, default=7, help="evaluations of each model")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        default=Path("results/benchmarks/dimensions/summary.json"),
+        help="file to write",
+    )
+    arguments = parser.parse_args()
+    if odd := [dim for dim in arguments.dimensions if dim < 2 or dim % 2]:
+        parser.error(f"dimensions must be positive and even, got {odd[0]}")
+    torch.set_num_threads(1)
+    source = provenance(shlex.join(["python", "-m", "benchmarks.dimensions", *sys.argv[1:]]))
+    size = {name: getattr(arguments, name) for name in ("n", "horizon", "repeats")}
+    rows = []
+    for dim in arguments.dimensions:
+        rows.append({"dim": dim, "actions": dim // 2, **measure(dim, **size)})
+        print(f"D = {dim:<3}", *(f"{name}: {rows[-1][name]:.4f} s " for name in MODELS), flush=True)
+    arguments.json.parent.mkdir(parents=True, exist_ok=True)
+    headline = {f"cpu_seconds_D{row['dim']}": row["velocities alone"] for row in rows}
+    headline |= {f"cpu_seconds_all_entries_D{row['dim']}": row["all entries"] for row in rows}
+    size["centres"] = CENTRES
+    summary = {"experiment": "dimensions", **source, "headline": headline, **size, "rows": rows}
+    write_json(arguments.json, summary)
+
+
+def measure(dim: int, n: int, horizon: int, repeats: int) -> dict[str, float]:
+    """Least CPU seconds of a value and its gradient with each of the models."""
+    names = tuple(f"{kind}{joint}" for kind in ("q", "dq") for joint in range(dim // 2))
+    velocities = {f"q{joint}": f"dq{joint}" for joint in range(dim // 2)}
+    known = KnownPart.of_velocities(names, velocities, dim // 2, TIME_STEP)
+    targets: tuple[Targets, ...] = ("difference", known)
+    evaluations = [evaluation(names, n, horizon, each) for each in targets]
+    times = [[cpu_seconds(evaluate) for evaluate in evaluations] for _ in range(repeats + 1)]
+    least = [min(column) for column in zip(*times[1:], strict=True)]
+    return dict(zip(MODELS, least, strict=True))
+
+
+def evaluation(
+    names: tuple[str, ...], n: int, horizon: int, targets: Targets
+) -> Callable[[], object]:
+    """The KL of a random policy with its gradient, by a model of random data with these targets."""
+    generator, D, F = torch.Generator().manual_seed(SEED), len(names), len(names) // 2
+    outputs = D if targets == "difference" else D // 2
+
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(shape, generator=generator, dtype=torch.float64)
+
+    space = StateSpace(names, ("",) * D, (), joint_match(names, ("",) * D))
+    dynamics = GPDynamics(D + F, outputs, targets)
+    factors = lengthscale_factors(outputs, D + F)
+    dynamics.gp.covar_module.base_kernel.lengthscale = LENGTHSCALE * factors[:, None]
+    dynamics.gp.covar_module.outputscale = torch.full((outputs,), TIME_STEP**2)
+    dynamics.gp.likelihood.noise = torch.full((outputs, 1), (NOISE * TIME_STEP) ** 2)
+    dynamics.set_data(normal(n, D + F), TIME_STEP * normal(n, outputs))
+    one = torch.ones(D, dtype=torch.float64)
+    policy = RBFPolicy(normal(CENTRES, D), torch.ones(F, dtype=torch.float64), WIDTH * one)
+    policy.weights.data.copy_(0.1 * normal(CENTRES, F))
+    covariance = DEMONSTRATED_STD**2 * torch.diag(one)
+    demonstrated = Gaussian(0 * one.expand(horizon, D), covariance.expand(horizon, D, D))
+    loss = TrajectoryKLLoss(policy, dynamics, space, demonstrated, NOISE_STD)
+    start, parameters = Gaussian(0 * one, START_STD**2 * torch.diag(one)), list(policy.parameters())
+    return lambda: torch.autograd.grad(loss.per_step(start).sum(), parameters)
+
+
+def cpu_seconds(work: Callable[[], object]) -> float:
+    """CPU seconds that a piece of work takes."""
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+if __name__ == "__main__":
+    main()

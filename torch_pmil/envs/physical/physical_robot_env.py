@@ -78,9 +78,9 @@ class PhysicalRobotEnv(RobotEnv):
         ...     def stop(self):
         ...         pass
         >>> env = PhysicalRobotEnv(
-        ...     Cart(), dim=2, low=[-1.0], high=[1.0], control_period=0.02, operator=lambda: None
+        ...     Cart(), dim=2, low=[-1.0], high=[1.0], control_period=0.1, operator=lambda: None
         ... )
-        >>> env.rollout(5)["next", "measured"].all()
+        >>> env.rollout(3)["next", "measured"].all()
         tensor(True)
         >>> env.close()
     """

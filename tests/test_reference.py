@@ -19,6 +19,7 @@ from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import moment_match
+from torch_pmil.gp.sparse_posterior import sparse_posterior
 from torch_pmil.gp.trigonometry import augment, squash
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_step
@@ -30,7 +31,11 @@ POLICY_NUGGET = (
 )
 POLICY_NOISE = 1e-4  # in the reference's weights (K + 1e-4 I)^-1 targets
 
-gp_files = pytest.mark.parametrize("name", ["gp_moments_n10_D2_E1", "gp_moments_n60_D6_E4"])
+FITC_RIDGE = 1e-6  # variance that the reference adds at the inducing inputs
+
+gp_files = pytest.mark.parametrize(
+    "name", ["gp_moments_n10_D2_E1", "gp_moments_n60_D6_E4", "fitc_moments_n30_D4_E2"]
+)
 policy_files = pytest.mark.parametrize("name", ["policy_N20_D4_F2", "policy_N100_D6_F2"])
 rollout_files = pytest.mark.parametrize("name", ["rollout_D4F2_ang2_c100_812p", "rollout_D6F3_c20"])
 covariances = pytest.mark.parametrize("k", range(4), ids=["1e-6", "1e-2", "0.5", "singular"])
@@ -80,13 +85,12 @@ def assert_derivatives_agree(
 
 
 def gp_of(data: dict[str, Tensor]) -> KernelExpansion:
-    return KernelExpansion.from_data(
-        data["X"],
-        data["y"].mT,
-        data["lengthscales"],
-        data["signal_std"].square(),
-        data["noise_std"].square(),
-    )
+    signal, noise = data["signal_std"].square(), data["noise_std"].square()
+    observed, kernel = (data["X"], data["y"].mT), (data["lengthscales"], signal, noise)
+    if "inducing" not in data:
+        return KernelExpansion.from_data(*observed, *kernel)
+    inducing = data["inducing"].permute(2, 0, 1)
+    return sparse_posterior(*observed, inducing, *kernel, FITC_RIDGE * torch.ones_like(noise))
 
 
 @gp_files

@@ -88,3 +88,40 @@ def test_parts_that_do_not_fit_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=line.replace("'", "")):
         KnownPart(matrix, gain, learned)
+
+
+def servo(draws: Draws, dt: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """States, held targets and successors of two joints with linear servos of their own."""
+    x, u = draws.normal(30, 4), draws.normal(30, 2)
+    after = torch.empty_like(x)
+    for joint, (stiffness, damping) in enumerate(((90.0, 20.0), (400.0, 25.0))):
+        motion = torch.tensor([[0.0, 1.0, 0.0], [-stiffness, -damping, stiffness], [0.0] * 3])
+        step = torch.linalg.matrix_exp(dt * motion.double())
+        of_joint = torch.stack([x[:, joint], x[:, joint + 2], u[:, joint]], -1) @ step.mT
+        after[:, joint], after[:, joint + 2] = of_joint[:, 0], of_joint[:, 1]
+    return x, u, after
+
+
+def test_learned_rule_is_exact_for_linear_servos(draws: Draws) -> None:
+    x, u, after = servo(draws, 0.04)
+    known = CART.with_rule(CART.fitted_rule(x, after))
+    outputs = known.targets(x, u, after)
+    torch.testing.assert_close(outputs, CART.targets(x, u, after))
+    torch.testing.assert_close(known.successors(x, u, outputs), after, rtol=0, atol=1e-5)
+    assert (CART.successors(x, u, outputs) - after).abs().max() > 0.02
+
+
+def test_rule_stays_the_trapezoidal_one_where_it_is_exact_or_nothing_moves(draws: Draws) -> None:
+    x, u, outputs = draws.normal(20, 4), draws.normal(20, 2), draws.normal(20, 2)
+    half = torch.full((2, 2), 0.02, dtype=torch.float64)
+    torch.testing.assert_close(CART.rule, half)
+    torch.testing.assert_close(CART.fitted_rule(x, CART.successors(x, u, outputs)), half)
+    still = torch.zeros(5, 4, dtype=torch.float64)
+    torch.testing.assert_close(CART.fitted_rule(still, still), half)
+
+
+def test_rule_is_taken_as_it_is_given() -> None:
+    rule = torch.tensor([[0.01, 0.03], [0.015, 0.02]], dtype=torch.float64)
+    torch.testing.assert_close(CART.with_rule(rule).rule, rule)
+    with pytest.raises(ValueError, match=r"rule must have shape \(2, 2\), got \(2,\)"):
+        CART.with_rule(rule[0])

@@ -12,6 +12,7 @@ from torch.distributions import MultivariateNormal
 
 import torch_pmil.model.dynamics
 from tests.helpers.draws import Draws
+from torch_pmil.control.known_part import KnownPart
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.hyperparameters import Optimum, find_hyperparameters
 from torch_pmil.gp.moment_matching import moment_match
@@ -388,3 +389,65 @@ def test_fit_without_iterations_is_an_error() -> None:
         ValueError, match="max_iterations must be a whole number of at least 1, got 0"
     ):
         GPDynamics(1, 1).fit(torch.zeros(3, 1), torch.zeros(3, 1), max_iterations=0)
+
+
+def test_more_data_than_an_exact_posterior_has_make_a_sparse_one(draws: Draws) -> None:
+    inputs, other = draws.uniform(-2, 2, 120, 2), draws.uniform(-2, 2, 300, 2)
+    targets = true_function(inputs) + 0.05 * draws.normal(120, 2)
+    sparse, exact = GPDynamics(2, 2, most_exact=60, num_inducing=40), GPDynamics(2, 2)
+    for dynamics in (sparse, exact):
+        dynamics.fit(inputs, targets)
+    assert sparse.sparse and not exact.sparse
+    assert sparse.expansion.inputs.shape == (40, 2)
+    assert all((row == inputs).all(-1).any() for row in sparse.expansion.inputs)
+    errors = [
+        (dynamics.expansion.mean(other) - true_function(other)).square().mean().sqrt()
+        for dynamics in (sparse, exact)
+    ]
+    assert errors[0] < 1.5 * errors[1]
+
+
+def test_as_many_data_as_an_exact_posterior_has_change_nothing(
+    data: tuple[Tensor, Tensor], fitted: GPDynamics
+) -> None:
+    limited = GPDynamics(2, 2, most_exact=len(data[0]), num_inducing=5)
+    limited.fit(*data)
+    assert torch.equal(limited.expansion.weights, fitted.expansion.weights)
+
+
+def test_sparse_model_predicts_the_same_from_a_file(
+    data: tuple[Tensor, Tensor], draws: Draws
+) -> None:
+    saved, loaded = (GPDynamics(2, 2, most_exact=20, num_inducing=10) for _ in range(2))
+    saved.fit(*data)
+    loaded.load_state_dict(saved.state_dict())
+    points = draws.uniform(-2, 2, 5, 2)
+    for ours, wanted in zip(
+        loaded.expansion.predict(points), saved.expansion.predict(points), strict=True
+    ):
+        assert torch.equal(ours, wanted)
+
+
+def test_more_inducing_inputs_than_exact_data_are_an_error() -> None:
+    with pytest.raises(ValueError, match="most_exact must be a whole number of at least 200"):
+        GPDynamics(2, 2, most_exact=100)
+
+
+def test_rule_of_the_positions_is_learned_and_comes_back_from_a_file(draws: Draws) -> None:
+    known = KnownPart.of_velocities(("q", "dq"), {"q": "dq"}, num_actions=1, time_step=0.1)
+    x, dq = draws.normal(20, 2), draws.normal(20)
+    after = torch.stack([x[:, 0] + 0.02 * x[:, 1] + 0.07 * dq, dq], -1)
+    dynamics, loaded = GPDynamics(3, 1, known), GPDynamics(3, 1, known)
+    dynamics.fit_known_part(x, after)
+    loaded.load_state_dict(dynamics.state_dict())
+    for model in (dynamics, loaded):
+        torch.testing.assert_close(
+            model.targets.rule, torch.tensor([[0.02, 0.07]]).double(), rtol=1e-4, atol=0
+        )
+    torch.testing.assert_close(known.rule, torch.full((1, 2), 0.05).double())
+
+
+def test_model_of_all_entries_has_no_rule(fitted: GPDynamics) -> None:
+    fitted.fit_known_part(torch.zeros(3, 2), torch.zeros(3, 2))
+    assert "position_rule" not in fitted.state_dict()
+    assert fitted.targets == "difference"

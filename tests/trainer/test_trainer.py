@@ -652,3 +652,12 @@ def test_states_of_rollouts_are_the_start_and_all_that_followed() -> None:
     assert torch.equal(states_of(rollout), path)
     assert torch.equal(states_of(without_sensor_noise(rollout)), truth)
     assert torch.equal(states_of(rollout), path)
+
+
+def test_first_sparse_model_of_a_run_is_told_once() -> None:
+    trainer, _ = make(trials=3)
+    trainer.loss_module.dynamics.most_exact = 2 * HORIZON
+    trainer.loss_module.dynamics.num_inducing = HORIZON
+    with pytest.warns(RuntimeWarning, match="posterior is sparse, of 4 inducing inputs") as told:
+        trainer.train()
+    assert len([one for one in told if "sparse" in str(one.message)]) == 1

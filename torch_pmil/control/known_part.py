@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from torch_pmil.gp.checks import check_positive, check_tensor, check_whole
+
+# weight of the trapezoidal rule beside the data, over theirs: it counts where nothing moves
+RULE_RIDGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +28,8 @@ class KnownPart:
         matrix: A, (D, D + F).
         gain: C, (D, E).
         learned: index of the own entry of each output, E; these rows of C are the identity.
+        followed: indices of each position that follows from a velocity, and of that velocity, P
+            pairs.
 
     Raises:
         TypeError: a matrix is no tensor.
@@ -48,6 +53,7 @@ class KnownPart:
     matrix: Tensor
     gain: Tensor
     learned: tuple[int, ...]
+    followed: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         check_tensor("gain", self.gain, ("D", "E"))
@@ -90,7 +96,8 @@ class KnownPart:
         .. math:: q_{t+1} = q_t + \Delta t \, (\dot q_t + \dot q_{t+1}) / 2
 
         This is the trapezoidal rule: its error is :math:`\Delta t^3 / 12` times the change of the
-        acceleration in a second.
+        acceleration in a second. Where a servo changes a joint's speed within one period, a rule
+        that is learned from transitions is better, see :meth:`fitted_rule`.
 
         Args:
             names: of the D entries of the state.
@@ -117,7 +124,51 @@ class KnownPart:
             row, column = index[position], index[velocity]
             of_state[row, column] = time_step
             gain[row, learned.index(column)] = time_step / 2
-        return cls._of(of_state, gain, num_actions, learned)
+        followed = tuple((index[position], index[rate]) for position, rate in velocities.items())
+        return replace(cls._of(of_state, gain, num_actions, learned), followed=followed)
+
+    @property
+    def rule(self) -> Tensor:
+        r"""Numbers a and b of each position that follows, :math:`q' = q + a \dot q + b \dot q'`.
+
+        They are (P, 2), in s; both are half the control period by the trapezoidal rule.
+        """
+        rows, rates = ([pair[end] for pair in self.followed] for end in (0, 1))
+        b = self.gain[rows, [self.learned.index(rate) for rate in rates]]
+        return torch.stack([self.matrix[rows, rates] - b, b], -1)
+
+    def with_rule(self, rule: Tensor) -> KnownPart:
+        """The same with other numbers of the positions that follow, (P, 2)."""
+        check_tensor("rule", rule, (len(self.followed), 2))
+        matrix, gain = self.matrix.clone(), self.gain.clone()
+        for (row, rate), (a, b) in zip(self.followed, rule.to(matrix), strict=True):
+            matrix[row, rate], gain[row, self.learned.index(rate)] = a + b, b
+        return replace(self, matrix=matrix, gain=gain)
+
+    def fitted_rule(self, states: Tensor, successors: Tensor) -> Tensor:
+        r"""The numbers (P, 2) by least squares from transitions (n, D), near the present ones.
+
+        A joint that is driven by a linear servo with held targets obeys such a rule exactly: of
+        :math:`q'` and :math:`\dot q'`, linear in q, :math:`\dot q` and the target, the target can
+        be eliminated.
+
+        Example:
+            >>> known = KnownPart.of_velocities(["q", "dq"], {"q": "dq"}, 1, time_step=0.1)
+            >>> x = torch.tensor([[0.0, 1.0], [0.0, 2.0], [1.0, 0.0]]).double()
+            >>> dq = torch.tensor([0.5, 3.0, 1.0]).double()
+            >>> after = torch.stack([x[:, 0] + 0.02 * x[:, 1] + 0.07 * dq, dq], -1)
+            >>> known.fitted_rule(x, after).round(decimals=4)
+            tensor([[0.0200, 0.0700]], dtype=torch.float64)
+        """
+        numbers = []
+        for (row, rate), before in zip(self.followed, self.rule, strict=True):
+            speeds = torch.stack([states[:, rate], successors[:, rate]], -1)
+            left = successors[:, row] - states[:, row] - speeds @ before
+            normal = speeds.mT @ speeds
+            ridge = (RULE_RIDGE * normal.diagonal().mean()).clamp(min=torch.finfo(left.dtype).tiny)
+            normal = normal + ridge * torch.eye(2, dtype=left.dtype)
+            numbers.append(before + torch.linalg.solve(normal, speeds.mT @ left))
+        return torch.stack(numbers)
 
     @classmethod
     def _of(

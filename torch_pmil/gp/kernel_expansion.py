@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torch_pmil.gp.checks import check_finite_entries, check_real
 from torch_pmil.gp.gaussian import cholesky
+from torch_pmil.gp.gram import gram
 from torch_pmil.gp.kernel_pairs import KernelPairs
 
 
@@ -62,13 +63,13 @@ class KernelExpansion:
             tuple(values.shape)
             for values in (self.inputs, self.weights, self.lengthscales, self.signal_variance)
         )
-        gram = None if self.gram_inverse is None else tuple(self.gram_inverse.shape)
+        inverse = None if self.gram_inverse is None else tuple(self.gram_inverse.shape)
         fit = shapes == ((n, D), (*shapes[1][:-2], E, n), (E, D), (E,)) and len(shapes[1]) < 4
-        if not (fit and n and gram in (None, (E, n, n))):
+        if not (fit and n and inverse in (None, (E, n, n))):
             raise ValueError(
                 "inputs, weights, lengthscales and signal_variance must have shapes (n, D), (E, n)"
                 f", (E, D) and (E,), and gram_inverse (E, n, n) if any, got "
-                f"{', '.join(map(str, shapes))} and {gram}"
+                f"{', '.join(map(str, shapes))} and {inverse}"
             )
 
     def check_parameters(self) -> None:
@@ -287,30 +288,49 @@ class KernelExpansion:
                 signal variance is not positive, or a noise variance negative.
             NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
         """
-        _check_data(inputs, targets, lengthscales, signal_variance, noise_variance, offset)
-        scaled = (inputs - inputs.mean(-2, keepdim=True)) / lengthscales[:, None, :]
-        half_square = scaled.square().sum(-1, keepdim=True) / -2
-        one = torch.ones_like(half_square)
-        left = torch.cat([scaled, half_square + signal_variance.log()[:, None, None], one], -1)
-        gram = torch.exp(left @ torch.cat([scaled, one, half_square], -1).mT)
-        gram = gram.diagonal_scatter(
-            gram.diagonal(dim1=1, dim2=2) + noise_variance[:, None], dim1=1, dim2=2
+        check_data(inputs, targets, lengthscales, signal_variance, noise_variance, offset)
+        values = gram(inputs, inputs, lengthscales, signal_variance)
+        values = values.diagonal_scatter(
+            values.diagonal(dim1=1, dim2=2) + noise_variance[:, None], dim1=1, dim2=2
         )
-        factor = cholesky(gram, "Gram matrix of the outputs (element: output)")
-        del gram
+        factor = cholesky(values, "Gram matrix of the outputs (element: output)")
+        del values
         offsets = torch.as_tensor(offset, dtype=targets.dtype, device=targets.device)
         centred = targets - offsets.reshape(-1, 1)
         weights = torch.cholesky_solve(centred[..., None], factor)[..., 0]
         inverse = torch.cholesky_inverse(factor)
+        return cls.joined(
+            inputs, weights, lengthscales, signal_variance, inverse, noise_variance, offset
+        )
+
+    @classmethod
+    def joined(
+        cls,
+        inputs: Tensor,
+        weights: Tensor,
+        lengthscales: Tensor,
+        signal_variance: Tensor,
+        gram_inverse: Tensor,
+        noise_variance: Tensor,
+        offset: Tensor | float = 0.0,
+    ) -> KernelExpansion:
+        """A posterior whose outputs may have inputs of their own, (E, n, D).
+
+        It then holds all E n of them, with weights of zero where they are another output's. All
+        other arguments are those of the class.
+        """
         if inputs.ndim == 3:
             own = torch.eye(len(inputs), dtype=inputs.dtype, device=inputs.device)
             inputs = inputs.flatten(0, 1)
             weights = torch.einsum("ea,an->ean", own, weights).flatten(1)
-            inverse = torch.einsum("ea,eb,anm->eanbm", own, own, inverse).flatten(3).flatten(1, 2)
-        return cls(inputs, weights, lengthscales, signal_variance, inverse, noise_variance, offset)
+            gram_inverse = torch.einsum("ea,eb,anm->eanbm", own, own, gram_inverse)
+            gram_inverse = gram_inverse.flatten(3).flatten(1, 2)
+        return cls(
+            inputs, weights, lengthscales, signal_variance, gram_inverse, noise_variance, offset
+        )
 
 
-def _check_data(
+def check_data(
     inputs: Tensor,
     targets: Tensor,
     lengthscales: Tensor,

@@ -1,4 +1,4 @@
-"""The robot's forward model: one exact GP for each entry of the state (Eqs. 2-7), with GPyTorch."""
+"""The robot's forward model: one GP for each entry of the state (Eqs. 2-7), with GPyTorch."""
 
 from __future__ import annotations
 
@@ -26,12 +26,18 @@ from torch_pmil.gp.hyperparameters import (
 )
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.lbfgs import NotFiniteError
+from torch_pmil.gp.sparse_posterior import inducing_data, sparse_posterior
 
 Named = Literal["difference", "successor"]
 Targets = Named | KnownPart
 
 # growth of the data after which hyper-parameters are searched from all starts again
 RESTART_GROWTH = 1.25
+MOST_EXACT = 1000  # data of an exact posterior
+INDUCING = 200  # inducing inputs where there are more
+SEARCHED_DATA = 500  # data of which hyper-parameters are searched then
+# variance at the inducing inputs, over that of the noise: far less than what a datum tells
+INDUCING_RIDGE = 1e-4
 
 
 class _BatchGP(gpytorch.models.ExactGP):
@@ -89,6 +95,10 @@ class GPDynamics(nn.Module):
             learn the rest.
         most_signal_to_noise: ratio of standard deviations beyond which a fit is penalised. A model
             of which moments are matched must not be surer: their rounding grows with the square.
+        most_exact: number of data up to which the posterior is exact. Beyond, it is sparse
+            (:mod:`torch_pmil.gp.sparse_posterior`), its inducing inputs are some of ``most_exact``
+            data, and the hyper-parameters are those of ``SEARCHED_DATA``, evenly chosen.
+        num_inducing: number of inducing inputs of the sparse posterior.
 
     Example:
         >>> X = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
@@ -101,6 +111,7 @@ class GPDynamics(nn.Module):
 
     train_inputs: Tensor
     train_targets: Tensor
+    position_rule: Tensor
     searched_size: Tensor
 
     def __init__(
@@ -109,11 +120,15 @@ class GPDynamics(nn.Module):
         num_outputs: int,
         targets: Targets = "difference",
         most_signal_to_noise: float = MOST_SIGNAL_TO_NOISE,
+        most_exact: int = MOST_EXACT,
+        num_inducing: int = INDUCING,
     ) -> None:
         super().__init__()
         check_targets(targets)
-        for name, value in (("num_inputs", num_inputs), ("num_outputs", num_outputs)):
+        sizes = {"num_inputs": num_inputs, "num_outputs": num_outputs}
+        for name, value in (sizes | {"num_inducing": num_inducing}).items():
             check_whole(name, value, 1)
+        check_whole("most_exact", most_exact, num_inducing)
         if isinstance(targets, KnownPart) and targets.num_outputs != num_outputs:
             raise ValueError(
                 f"num_outputs must be the {targets.num_outputs} of the known part, got "
@@ -121,11 +136,14 @@ class GPDynamics(nn.Module):
             )
         self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, targets
         self.most_signal_to_noise = most_signal_to_noise
+        self.most_exact, self.num_inducing = most_exact, num_inducing
         self.gp = _BatchGP(
             torch.zeros(num_outputs, 1, num_inputs), torch.zeros(num_outputs, 1)
         ).double()
         self.register_buffer("train_inputs", torch.zeros(0, num_inputs, dtype=torch.float64))
         self.register_buffer("train_targets", torch.zeros(0, num_outputs, dtype=torch.float64))
+        if isinstance(targets, KnownPart) and targets.followed:
+            self.register_buffer("position_rule", targets.rule)
         # number of data at the last fit from all starts
         self.register_buffer("searched_size", torch.tensor(0))
         self._expansion: KernelExpansion | None = None
@@ -158,8 +176,37 @@ class GPDynamics(nn.Module):
                     "the dynamics model has no data yet: call fit(inputs, targets) first"
                 )
             with torch.no_grad():
-                self._expansion = KernelExpansion.from_exact_gp(self.gp)
+                self._expansion = (
+                    self._sparse_expansion()
+                    if self.sparse
+                    else KernelExpansion.from_exact_gp(self.gp)
+                )
         return self._expansion
+
+    @property
+    def sparse(self) -> bool:
+        """Whether the data are too many for an exact posterior."""
+        return len(self.train_inputs) > self.most_exact
+
+    def _sparse_expansion(self) -> KernelExpansion:
+        *kernel, noise = (parameter.exp() for parameter in self._raw_parameters())
+        lengthscales, signal, noise = kernel[0], kernel[1][:, 0], noise[:, 0]
+        few = self.train_inputs[self._even(self.most_exact)]
+        chosen = inducing_data(few, lengthscales, signal, noise, self.num_inducing)
+        return sparse_posterior(
+            self.train_inputs,
+            self.train_targets.mT,
+            few[chosen],
+            lengthscales,
+            signal,
+            noise,
+            INDUCING_RIDGE * noise,
+        )
+
+    def _even(self, most: int) -> Tensor:
+        """Indices of as many data, evenly chosen, or of all if there are fewer."""
+        n = len(self.train_inputs)
+        return torch.linspace(0, n - 1, min(n, most), dtype=torch.float64).round().long()
 
     def set_data(self, inputs: Tensor, targets: Tensor) -> None:
         """Take data (n, D' + F) and (n, E) and keep the hyper-parameters.
@@ -179,6 +226,19 @@ class GPDynamics(nn.Module):
             strict=False,
         )
         self._expansion = None
+
+    def fit_known_part(self, states: Tensor, successors: Tensor) -> None:
+        """Learn how positions follow from velocities, of transitions (n, D), if any do.
+
+        What the model itself learns stays the same.
+        """
+        if isinstance(self.targets, KnownPart) and self.targets.followed:
+            self._take_rule(self.targets.fitted_rule(states, successors))
+
+    def _take_rule(self, rule: Tensor) -> None:
+        assert isinstance(self.targets, KnownPart)
+        self.targets = self.targets.with_rule(rule)
+        self.position_rule = rule.to(self.position_rule)
 
     def fit(self, inputs: Tensor, targets: Tensor, max_iterations: int = 100) -> FitResult:
         """Maximise the marginal likelihood of the data, each output by an L-BFGS of its own.
@@ -231,13 +291,15 @@ class GPDynamics(nn.Module):
         The last ones are the only start unless ``restarted``, or unless they fail at the new data.
         """
         limits = max_iterations, self.most_signal_to_noise
-        target, last = self.train_targets[:, output].contiguous(), self._log_parameters()[output]
+        known = self._even(SEARCHED_DATA if self.sparse else self.most_exact)
+        inputs, target = self.train_inputs[known], self.train_targets[known, output]
+        last = self._log_parameters()[output]
         if not restarted:
             # new data may contradict the last model
             with contextlib.suppress(NotPositiveDefiniteError, NotFiniteError):
-                return find_hyperparameters(self.train_inputs, target, [last], *limits)
-        starts = ([last] if fitted else []) + pilco_starts(self.train_inputs, target)
-        return find_hyperparameters(self.train_inputs, target, starts, *limits)
+                return find_hyperparameters(inputs, target, [last], *limits)
+        starts = ([last] if fitted else []) + pilco_starts(inputs, target)
+        return find_hyperparameters(inputs, target, starts, *limits)
 
     def _continued_by(self, inputs: Tensor, targets: Tensor) -> bool:
         """Whether new data begin with the present ones."""
@@ -293,6 +355,8 @@ class GPDynamics(nn.Module):
         if inputs is not None and targets is not None and len(inputs):
             self.set_data(inputs, targets)
         super()._load_from_state_dict(state_dict, prefix, *args)
+        if prefix + "position_rule" in state_dict and hasattr(self, "position_rule"):
+            self._take_rule(self.position_rule.clone())
         self._expansion = None
 
 

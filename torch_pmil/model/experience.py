@@ -124,15 +124,20 @@ class Experience:
             ValueError: there is no transition, the space is of another number of entries, or limits
                 are not as many numbers that are not negative.
         """
+        check_limits_of_state(limits, space.dim)
+        return gp_data(*self.within(limits), space, targets)
+
+    def within(self, limits: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """States (n, D), actions (n, F) and successors (n, D) that start within limits (D,).
+
+        Raises ValueError where there is no transition at all.
+        """
         if not len(self):
             raise ValueError("experience must hold a transition at least, got none")
-        check_limits_of_state(limits, space.dim)
         transitions = self.transitions
         states, successors = transitions["observation"], transitions["next", "observation"]
         inside = (states.abs() <= limits).all(-1)
-        return gp_data(
-            states[inside], transitions["action"][inside], successors[inside], space, targets
-        )
+        return states[inside], transitions["action"][inside], successors[inside]
 
 
 def check_limits_of_state(limits: Tensor, dim: int) -> None:

@@ -134,6 +134,7 @@ class GPWorldModel(TensorDictModuleBase):
         states, actions, successors = (
             _required(dataset, *entry).detach().flatten(0, -2) for entry in entries
         )
+        self.dynamics.fit_known_part(states, successors)
         return self.dynamics.fit(
             *gp_data(states, actions, successors, self.space, self.dynamics.targets)
         )

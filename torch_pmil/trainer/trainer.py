@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -32,6 +33,7 @@ from torch_pmil.model.experience import (
     FEWEST_TRANSITIONS,
     Experience,
     check_limits_of_state,
+    gp_data,
     widened,
 )
 from torch_pmil.model.rollout import PredictionError, check_start_belief
@@ -246,9 +248,21 @@ class PMILTrainer(Trainer):
         explored = experience.transitions["observation"][: self.explored]
         # fewer transitions than inputs do not tell how the robot moves, not even if it is linear
         limits = widened(self.limits, explored, fewest=dynamics.num_inputs)
-        data = experience.training_data(self.loss_module.space, dynamics.targets, limits)
+        states, actions, successors = experience.within(limits)
+        dynamics.fit_known_part(states, successors)
+        space = self.loss_module.space
+        data = gp_data(states, actions, successors, space, dynamics.targets)
         self._say(f"fitting the model to {len(data[0])} transitions")
+        was_exact = not dynamics.sparse
         self._fit, self._fitted = dynamics.fit(*data), len(experience)
+        if was_exact and dynamics.sparse:
+            warnings.warn(
+                f"the model learned from {len(data[0])} transitions, more than the "
+                f"{dynamics.most_exact} of an exact posterior: from now on its posterior is sparse,"
+                f" of {dynamics.num_inducing} inducing inputs",
+                RuntimeWarning,
+                stacklevel=2,
+            )
 
     def best_policy(self) -> Candidate:
         """Best of the policies that ran, by a model of all experience.

@@ -4,7 +4,7 @@
 PYTHON ?= $(shell for p in python3.14 python3.13 python3.12 python3.11; do $$p -c '' 2>/dev/null && echo $$p && break; done || echo python3)
 PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-user-action=ignore
 ARGS ?=
-SETTINGS := experiment shape robot seed demonstrations trials out resume overwrite logger num_centres noise_std random_action initial_weight_std input_scale input_widths least_widths tolerance promise confirmations evaluated velocities_alone target_scale target cost_width velocity_std velocity_limit exploration.rollouts exploration.steps exploration.hold exploration.pose exploration.reach exploration.gain search.mean_iterations search.stage_iterations search.final_iterations search.first_horizon search.horizon_step search.trust_threshold search.skip_matched_steps search.restarts
+SETTINGS := experiment shape robot seed demonstrations trials out resume overwrite logger num_centres noise_std random_action explore_demonstrated initial_weight_std input_scale input_widths least_widths tolerance promise confirmations evaluated velocities_alone target_scale target cost_width velocity_std velocity_limit exploration.rollouts exploration.steps exploration.hold exploration.pose exploration.reach exploration.gain search.mean_iterations search.stage_iterations search.final_iterations search.first_horizon search.horizon_step search.trust_threshold search.skip_matched_steps search.restarts
 GIVEN = $(foreach name,$(SETTINGS),$(if $(filter command,$(origin $(name))),$(name)='$($(name))'))
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
@@ -20,7 +20,7 @@ PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Ne
   NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
 
 .DEFAULT_GOAL := help
-.PHONY: help train test test-ci test-portable test-all test-newest lint demonstrations results reproduce soak docs benchmark benchmark-steps dist test-dist test-wheel clean
+.PHONY: help train test test-ci test-portable test-all test-newest lint demonstrations results reproduce arms soak docs benchmark benchmark-steps dist test-dist test-wheel clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1 - /p' Makefile
@@ -72,6 +72,9 @@ runs/%/summary.json: | .venv/.installed
 reproduce: .venv/.installed  ## reproduce an experiment of the paper, as ARGS="figure6" or ARGS="figure6 --quick"
 	@.venv/bin/python scripts/reproduce.py $(ARGS)
 
+arms: .venv/.installed  ## models of UR5e and Panda (robosuite, 157 MB), which make reproduce ARGS=ur5e needs
+	@$(PIP) --no-deps robosuite==1.5.2
+
 soak: .venv/.installed  ## learn SOAK_RUNS=100 runs of eight tasks from SOAK_SEED=0 on, resumable, into results/soak
 	@.venv/bin/python scripts/soak.py --runs $(SOAK_RUNS) --first-seed $(SOAK_SEED) $(ARGS)
 
@@ -82,6 +85,7 @@ benchmark: .venv/.benchmark  ## time and memory of predictions (beside TorchRL's
 	@.venv/bin/python benchmarks/prediction.py $(ARGS)
 	@.venv/bin/python -m benchmarks.breakdown
 	@.venv/bin/python -m benchmarks.gp_fit
+	@.venv/bin/python -m benchmarks.dimensions
 	@.venv/bin/python -m benchmarks.policy_step
 
 benchmark-steps: .venv/.benchmark  ## time of single steps

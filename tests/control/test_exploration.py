@@ -134,3 +134,17 @@ def test_same_generator_gives_the_same_actions(
 def test_movements_that_make_no_sense_are_an_error(wrong: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(MOVEMENTS, **wrong)
+
+
+def test_random_actions_go_along_a_path_and_begin_it_anew_with_each_rollout() -> None:
+    path = torch.stack([torch.linspace(-2, 2, 5), torch.linspace(0, 1, 5)], -1).double()
+    motion = RandomActions(TARGETS, 1e-6, 5, rollouts=2, around=path).motion(generator())
+    for _ in range(2):
+        motion.begin()
+        drawn = torch.stack([motion(torch.zeros(2)) for _ in range(5)])
+        torch.testing.assert_close(drawn, path, atol=1e-5, rtol=0)
+
+
+def test_path_of_another_length_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"around must have shape \(5, 2\), got \(4, 2\)"):
+        RandomActions(TARGETS, 0.1, 5, around=torch.zeros(4, 2))

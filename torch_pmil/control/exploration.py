@@ -59,10 +59,11 @@ class RandomActions:
             half the range; what would leave the range is clipped.
         steps: control steps of each rollout.
         rollouts: number of rollouts.
-        around: the action around which they are drawn, (F,); None for the middle of the range.
+        around: the action around which they are drawn, (F,), or that of each step, (steps, F); None
+            for the middle of the range.
 
     Raises:
-        ValueError: the fraction is not in (0, 1], there is no step or no rollout, or the action is
+        ValueError: the fraction is not in (0, 1], there is no step or no rollout, or an action is
             not finite or has another shape.
 
     Example:
@@ -87,7 +88,8 @@ class RandomActions:
         check_whole("steps", self.steps, 1)
         check_whole("rollouts", self.rollouts, 1)
         if self.around is not None:
-            check_tensor("around", self.around, (len(self.actions.names),))
+            each = (self.steps,) if self.around.ndim > 1 else ()
+            check_tensor("around", self.around, (*each, len(self.actions.names)))
 
     @property
     def settings(self) -> dict[str, object]:
@@ -110,17 +112,22 @@ class _Uniform:
     def __init__(self, random: RandomActions, generator: torch.Generator) -> None:
         actions = random.actions
         self.low, self.high = actions.low.double(), actions.high.double()
-        self.around = (actions.middle if random.around is None else random.around).double()
+        around = (actions.middle if random.around is None else random.around).double()
+        self.around = around.expand(random.steps, -1)
         self.reach, self.generator = random.fraction * actions.half_range.double(), generator
+        self.begin()
 
     def begin(self) -> None:
-        """Nothing to do: each step is independent of the others."""
+        """Start a new rollout, with the first step."""
+        self.step = 0
 
     def __call__(self, state: Tensor) -> Tensor:
         shape = (*state.shape[:-1], len(self.reach))
         uniform = torch.rand(shape, dtype=torch.float64, generator=self.generator)
         offset = self.amplitude * self.reach * (2 * uniform - 1)
-        return (self.around + offset).clamp(self.low, self.high)
+        around = self.around[self.step % len(self.around)]
+        self.step += 1
+        return (around + offset).clamp(self.low, self.high)
 
 
 @dataclass(frozen=True, eq=False)

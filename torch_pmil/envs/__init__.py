@@ -21,6 +21,7 @@ from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.physical.physical_robot_env import PhysicalRobotEnv
 from torch_pmil.envs.registration import register_robots
 
@@ -30,6 +31,7 @@ __all__ = [
     "CosSin",
     "DoublePendulumEnv",
     "DoublePendulumServoEnv",
+    "MujocoRobot",
     "MujocoRobotEnv",
     "PhysicalRobotEnv",
 ]

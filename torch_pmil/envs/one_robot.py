@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
-from torch import Tensor
 from torchrl.envs import EnvBase, FrameSkipTransform, GymWrapper, TransformedEnv
 from torchrl.record import PixelRenderTransform
 
@@ -96,11 +95,6 @@ class OneRobot:
     def dim(self) -> int:
         """Number of entries of its state."""
         return self(seed=0).observation_spec["observation"].shape[-1]
-
-    def starts(self, number: int, seed: int) -> Tensor:
-        """States of that many resets, (number, D)."""
-        env = self(seed=seed)
-        return torch.stack([env.reset()["observation"] for _ in range(number)])
 
     def _made(self, from_pixels: bool = False) -> EnvBase:
         if not from_pixels or "pixels" in self.env.observation_spec:

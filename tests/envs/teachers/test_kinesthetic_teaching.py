@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from torch_pmil.envs.teachers import kinesthetic_teaching
+from torch_pmil.envs.teachers.hand import Hand
 from torch_pmil.envs.teachers.kinesthetic_teaching import (
-    HAND_FORCE,
+    HAND,
     SETTLING,
     Strike,
     Variation,
@@ -65,24 +66,24 @@ def test_velocities_are_those_of_the_positions(model: mujoco.MjModel) -> None:
 def test_limp_arm_is_pulled_with_the_largest_force_at_the_most_and_no_further_than_it_reaches(
     model: mujoco.MjModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    forces, pull = [], kinesthetic_teaching._pull
+    forces, pull = [], Hand.pull
 
     def weighed(
-        model: mujoco.MjModel, data: mujoco.MjData, place: np.ndarray, velocity: np.ndarray
+        hand: Hand, model: mujoco.MjModel, data: mujoco.MjData, *where: str | np.ndarray
     ) -> None:
-        pull(model, data, place, velocity)
+        pull(hand, model, data, *where)
         jacobian = np.empty((3, model.nv))
         mujoco.mj_jacSite(model, data, jacobian, None, model.site("racket").id)
         forces.append(np.linalg.lstsq(jacobian.T, data.qfrc_applied, rcond=None)[0])
         assert not data.ctrl.any()
 
-    monkeypatch.setattr(kinesthetic_teaching, "_pull", weighed)
+    monkeypatch.setattr(Hand, "pull", weighed)
     with pytest.raises(
         RuntimeError, match=r"the hand must keep the racket within 0\.1 m, it ended \d\.\d\d m away"
     ):
         record_strike(model, replace(Strike(), stop=(0.2, 3.5, 0.0)))
     largest = np.linalg.norm(forces, axis=1).max()
-    assert HAND_FORCE * 0.99 < largest < HAND_FORCE * 1.001
+    assert HAND.force * 0.99 < largest < HAND.force * 1.001
 
 
 def test_variation_is_as_large_as_it_says(model: mujoco.MjModel) -> None:

@@ -32,7 +32,13 @@ from torch_pmil.experiments.runs.settings import (
 )
 from torch_pmil.search.policy_search import SearchSettings
 
-TASKS = ("double_pendulum", "biorob", "double_pendulum_pilco", "double_pendulum_targets")
+TASKS = (
+    "double_pendulum",
+    "biorob",
+    "double_pendulum_pilco",
+    "double_pendulum_servo",
+    "double_pendulum_targets",
+)
 NO_NUMBERS = ("x", [1.0], {"a": 1.0}, None)
 NO_SWITCHES = ("yes", 1, None)
 OTHERS = ([], "x", ["x"], [[1.0, 2.0]], [math.nan] * 4, [-1e400] * 6, 10**400, True)

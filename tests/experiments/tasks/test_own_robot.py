@@ -11,9 +11,13 @@ from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from torch_pmil import DemonstrationError, Demonstrations, Experiment, Gaussian, MatchSpace
+from torch_pmil.envs.double_pendulum import double_pendulum_spec
+from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.experiments.tasks.own_robot import STARTS, own_robot
+from torch_pmil.experiments.tasks.site_match import site_match
 
+AXES = ("x_x", "x_y", "x_z", "y_x", "y_y", "y_z")
 START = 0.05  # largest absolute value of the first angle
 
 
@@ -214,3 +218,40 @@ def test_another_match_space_is_taken() -> None:
     made = own_robot(Arm(), shown, 0.1, state=("q", "dq"), match=ends)
     found = made.demonstrated_states.reshape(5, 21, 2)[..., 0]
     torch.testing.assert_close(found, q, atol=1e-4, rtol=0)
+
+
+def test_robot_of_a_file_tells_its_state_and_start() -> None:
+    robot = MujocoRobot(
+        double_pendulum_spec((0.5, 0.5)), ("q1", "q2"), rate=10, start=(3.0, 0.1), start_std=0.05
+    )
+    task = own_robot(robot, reaches(("q1", "q2")), 0.1)
+    assert task.space.names == ("q1", "q2", "dq1", "dq2")
+    assert task.space.units == ("rad", "rad", "rad/s", "rad/s")
+    assert task.space.match_space.names == ("q1", "q2")
+    assert task.initial.mean.tolist() == [3.0, 0.1, 0.0, 0.0]
+    assert task.initial.std.tolist() == pytest.approx([0.05] * 4)
+    assert task.robots(3, 0).batch_size == (3,)
+
+
+@pytest.mark.parametrize("names", [("x", "y", "z"), ("x", "y", "z", *AXES)])
+def test_site_of_a_robot_is_what_is_compared(names: tuple[str, ...]) -> None:
+    spec, start = double_pendulum_spec((0.5, 0.5)), (0.3, 0.6)
+    robot = MujocoRobot(spec, ("q1", "q2"), rate=10, start=start)
+    time = torch.linspace(0, 1, 21, dtype=torch.float64)
+    turned = torch.stack([start[0] + time, start[1] + 0.5 * time, 0 * time, 0 * time], -1)
+    place = site_match(robot, "tip", orientation=len(names) > 3)(turned)
+    shown = Demonstrations(place + 1e-3 * torch.arange(3)[:, None, None], 0.1, names)
+    task = own_robot(robot, shown, 0.1, match="tip")
+    assert task.space.match_space.names == names
+    assert (task.demonstrated_states[:21, :2] - turned[:, :2]).abs().max() < 0.01
+
+
+def test_control_period_must_be_that_of_the_robot_of_a_file() -> None:
+    robot = MujocoRobot(double_pendulum_spec((0.5, 0.5)), ("q1", "q2"), rate=10)
+    with pytest.raises(ValueError, match=r"control_period must be that of the robot, 0\.1 s"):
+        own_robot(robot, reaches(("q1", "q2")), 0.05)
+
+
+def test_site_of_another_robot_is_refused() -> None:
+    with pytest.raises(TypeError, match="match by a site needs a MujocoRobot, got Arm"):
+        own_robot(Arm(), reaches(), 0.1, match="tip")

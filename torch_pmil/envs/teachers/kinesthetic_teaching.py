@@ -17,12 +17,11 @@ from scipy.interpolate import BPoly
 from torch_pmil.envs.biorob import BALL, JOINTS, ROTORS, START
 from torch_pmil.envs.equilibrium import Equilibrium
 from torch_pmil.envs.mujoco_model import FULL_PHYSICS
+from torch_pmil.envs.teachers.hand import LOST, Hand
 
 Array = NDArray[np.floating]
 
-HAND_STIFFNESS = 1500.0  # N/m
-HAND_DAMPING = 70.0  # N·s/m
-HAND_FORCE = 120.0  # N, the most
+HAND = Hand()
 SETTLING = 0.3  # s at the start, before the recording
 MAX_ITERATIONS = 50  # of inverse kinematics
 NEAR = 1e-9  # m, from where the racket is to be
@@ -179,29 +178,18 @@ def record_strike(model: mujoco.MjModel, strike: Strike) -> RecordedStrike:
         mujoco.mj_getState(model, data, now, FULL_PHYSICS)
         mujoco.mj_step1(model, data)
         states.append([joint.qpos[0] for joint in joints] + [joint.qvel[0] for joint in joints])
-        _pull(model, data, place, velocity)
+        HAND.pull(model, data, "racket", place, velocity)
         mujoco.mj_step2(model, data)
         touched.append(data.sensor("racket_ball_contact").data[0] > 0)
     distance = np.linalg.norm(data.site("racket").xpos - led[-1])
-    if distance > 0.1:
+    if distance > LOST:
         raise RuntimeError(
-            f"the hand must keep the racket within 0.1 m, it ended {distance:.2f} m away"
+            f"the hand must keep the racket within {LOST} m, it ended {distance:.2f} m away"
         )
     begun = round(SETTLING / model.opt.timestep)
     hits = np.flatnonzero(touched[begun:])
     hit_time = hits[0] * model.opt.timestep if len(hits) else None
     return RecordedStrike(model.opt.timestep, np.array(states[begun:]), hit_time, physics[begun:])
-
-
-def _pull(model: mujoco.MjModel, data: mujoco.MjData, place: Array, velocity: Array) -> None:
-    """The hand's force on the racket, in ``qfrc_applied``."""
-    racket = data.site("racket")
-    jacobian = np.empty((3, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian, None, racket.id)
-    slip = velocity - jacobian @ data.qvel
-    force = HAND_STIFFNESS * (place - racket.xpos) + HAND_DAMPING * slip
-    limited = HAND_FORCE / max(float(np.linalg.norm(force)), HAND_FORCE)
-    data.qfrc_applied[:] = jacobian.T @ force * limited
 
 
 def _set_angles(

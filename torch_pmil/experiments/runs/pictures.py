@@ -27,7 +27,7 @@ from torch_pmil.plotting.video import (
     write_video,
 )
 
-FRAMES_PER_SECOND = 50
+FEWEST_FRAMES = 50  # in a second
 
 
 def tell_all(label: str, experiment: Experiment, result: RunResult, out: Path) -> list[str]:
@@ -78,13 +78,25 @@ def film_outcome(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, 
     Without OpenGL it is drawn as lines. Raises RuntimeError where there are none for this robot.
     """
     start, actions = outcome.executed[0, 0], outcome.rollouts["action"][0]
+    frames = frames_per_step(env)
+    fps = frames / env.control_period
     try:
-        write_video(path, render_rollout(env, start, actions), FRAMES_PER_SECOND)
+        write_video(path, render_rollout(env, start, actions, frames), fps)
     except RuntimeError as error:
         if experiment.name not in SKETCHED:
             raise
         print(f"{path} is a sketch, because {error}")
-        write_video(path, sketched(env, experiment, start, actions), FRAMES_PER_SECOND)
+        write_video(path, sketched(env, experiment, start, actions, frames), fps)
+
+
+def frames_per_step(env: MujocoRobotEnv) -> int:
+    """The fewest pictures in a control period that make 50 in a second, or as many as there are.
+
+    Each is of a time step of the simulation.
+    """
+    wanted = FEWEST_FRAMES * env.control_period - 1e-9
+    numbers = range(1, env.substeps + 1)
+    return next(n for n in numbers if env.substeps % n == 0 and (n >= wanted or n == env.substeps))
 
 
 def sketched(
@@ -92,18 +104,18 @@ def sketched(
     experiment: Experiment,
     start: Tensor,
     actions: Tensor,
-    frames_per_step: int = 5,
+    frames: int = 5,
 ) -> Iterator[np.ndarray]:
     """Pictures of a rollout drawn as lines, without OpenGL.
 
     Args:
-        env, start, actions, frames_per_step: as for
-            :func:`~torch_pmil.plotting.video.render_rollout`.
+        env, start, actions: as for :func:`~torch_pmil.plotting.video.render_rollout`.
         experiment: one of ``SKETCHED``.
+        frames: in a control period.
     """
-    states = dense_states(env, start, actions, frames_per_step)
+    states = dense_states(env, start, actions, frames)
     positions = experiment.space.observe(states)
-    return plotting.pendulum_frames(positions, env.control_period / frames_per_step)
+    return plotting.pendulum_frames(positions, env.control_period / frames)
 
 
 @torch.no_grad()

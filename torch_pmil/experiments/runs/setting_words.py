@@ -76,6 +76,10 @@ OF_EXPERIMENT = {
         SHARE,
         "half the range of the actions",
     ),
+    "explore_demonstrated": Setting(
+        "whether the first motion goes along the demonstrations, around what holds the robot there",
+        SWITCH,
+    ),
     "initial_weight_std": Setting(
         "standard deviation of a new policy's weights", FROM_ZERO, "rad, what the squashing takes"
     ),

@@ -114,6 +114,9 @@ class Experiment:
             their own rollouts; False for a robot that a person resets.
         random_action: of exploration by random actions around those that hold the start, if they
             are known, or else the middle of the range; as a fraction of half the range.
+        explore_demonstrated: whether these actions are around those that hold the robot in the mean
+            demonstrated states, one after the other, and not in the start. So the model knows the
+            way of the demonstrations from the first motion on, where actions are targets of servos.
         pd_movements: exploration by a PD controller; random actions for one horizon if None.
         initial_weight_std: of the policy's initial weights.
         input_scale: width of the policy's initial basis functions, in standard deviations of the
@@ -133,7 +136,7 @@ class Experiment:
             whose target is not near the joint pulls with all its force, whatever the target: where
             actions are targets, a search that begins elsewhere has no slope to follow.
         velocities_alone: whether the model learns no positions of which the velocity is an entry,
-            dNAME beside NAME: they follow from it by the trapezoidal rule.
+            dNAME beside NAME: they follow from it by a rule whose two numbers are fitted.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.
 
@@ -162,6 +165,7 @@ class Experiment:
     predicted_error: Callable[[Tensor], Tensor] | None = None
     evaluated: bool = True
     random_action: float = 0.4
+    explore_demonstrated: bool = False
     pd_movements: PDMovements | None = None
     initial_weight_std: float = 0.1
     input_scale: float = 1.0
@@ -217,9 +221,11 @@ class Experiment:
                 check_tensor(name, widths, (len(self.space.feature_names),))
                 if not (widths > 0).all():
                     raise ValueError(f"{name} must be positive, got {widths.tolist()}")
-        for name in ("evaluated", "velocities_alone"):
+        for name in ("evaluated", "velocities_alone", "explore_demonstrated"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} must be true or false, got {getattr(self, name)!r}")
+        if self.explore_demonstrated:
+            self._check_demonstrated_way()
         if self.velocities_alone and not rates_of(self.space.names):
             raise ValueError(
                 "velocities_alone needs entries of the state that are velocities of others, dNAME "
@@ -232,6 +238,17 @@ class Experiment:
             raise ValueError(
                 f"exploration.pose must be a state of {D} entries, got "
                 f"{len(self.pd_movements.pose)}"
+            )
+
+    def _check_demonstrated_way(self) -> None:
+        """Raise ValueError unless it is known what holds the robot along the demonstrations."""
+        states, held = len(self.demonstrated_states), self.holding_actions is not None
+        count, samples = self.demonstrations.positions.shape[:2]
+        if not held or states != count * samples:
+            raise ValueError(
+                "explore_demonstrated needs holding_actions, and demonstrated_states of all "
+                f"{count} times {samples} samples, got {states} states"
+                f"{'' if held else ' and no holding_actions'}"
             )
 
     @property
@@ -265,9 +282,18 @@ class Experiment:
         if self.pd_movements is not None:
             return self.pd_movements
         around = None
-        if self.holding_actions is not None:
+        if self.explore_demonstrated:
+            around = self._demonstrated_actions
+        elif self.holding_actions is not None:
             around = self.holding_actions(self.initial.mean[None])[0]
         return RandomActions(self.actions, self.random_action, self.horizon, around=around)
+
+    @property
+    def _demonstrated_actions(self) -> Tensor:
+        """Actions (T, F) that hold the robot in the mean demonstrated states x_1..x_T."""
+        assert self.holding_actions is not None
+        each = self.demonstrated_states.unflatten(0, self.demonstrations.positions.shape[:2])
+        return self.holding_actions(each.mean(0)[1:])
 
     @property
     def limits(self) -> Tensor:
@@ -290,6 +316,7 @@ class Experiment:
             "num_centres": self.num_centres,
             "noise_std": torch.as_tensor(self.noise_std, dtype=torch.float64).tolist(),
             "random_action": self.random_action,
+            "explore_demonstrated": self.explore_demonstrated,
             "exploration": self.exploration.settings,
             "initial_weight_std": self.initial_weight_std,
             "input_scale": self.input_scale,
@@ -311,7 +338,9 @@ class Experiment:
         settings: dict[str, Any] = self.settings
         moved = self.pd_movements is not None
         groups = ("exploration", "search") if moved else ("search",)
-        unused = {"search", "random_action"} if moved else {"search"}
+        unused = {"search", *(("random_action", "explore_demonstrated") if moved else ())}
+        if self.holding_actions is None:
+            unused.add("explore_demonstrated")
         own = {entry.name for entry in fields(self)} - unused
         return {name: value for name, value in settings.items() if name in own} | {
             f"{group}.{name}": value for group in groups for name, value in settings[group].items()

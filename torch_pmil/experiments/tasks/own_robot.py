@@ -22,6 +22,7 @@ from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.demonstrations.preparation.synchronisation import synchronise
 from torch_pmil.envs.adapter import CosSin
+from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.experiment import (
@@ -30,6 +31,7 @@ from torch_pmil.experiments.tasks.experiment import (
     fitting,
     independent_start,
 )
+from torch_pmil.experiments.tasks.site_match import site_match
 from torch_pmil.gp.gaussian import Gaussian
 
 STARTS = 20  # resets by which p(x_0) is estimated
@@ -41,8 +43,10 @@ LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of al
 TOLERANCE = 2.0  # standard deviations of the demonstrations
 CENTRES = 50
 INPUT_SCALE = 3.0  # a few demonstrations show less of the state than fresh starts reach
+PLACE = 3  # numbers that tell where a site is
 CONFIRMATIONS = 3  # where the success of other starts cannot be predicted
 
+Robot = OneRobot | MujocoRobot
 Recorded = Demonstrations | Recordings | str | os.PathLike[str]
 
 
@@ -54,7 +58,7 @@ def own_robot(
     state: Sequence[str] = (),
     units: Sequence[str] = (),
     angles: Sequence[str] = (),
-    match: MatchSpace | None = None,
+    match: MatchSpace | str | None = None,
     **settings: Any,
 ) -> Experiment:
     """An experiment with one's own robot and recordings.
@@ -72,7 +76,8 @@ def own_robot(
     where it is.
 
     Args:
-        env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
+        env: an environment of TorchRL or gymnasium, or the name of one of gymnasium, or a
+            :class:`~torch_pmil.envs.mujoco_robot.MujocoRobot`, which knows its state and its start.
         demonstrations: a file or folder of recordings, or what was read of one. Those of several
             lengths or at another rate are aligned and sampled at the control period.
         control_period: seconds between two actions.
@@ -81,7 +86,10 @@ def own_robot(
             ``sin NAME`` become one entry of the state, the angle ``NAME``.
         units: of the entries of the state; not said if empty.
         angles: names of entries that are angles (rad) and turn round.
-        match: what the demonstrations show of the state; its entries of their names if None.
+        match: what the demonstrations show of the state; its entries of their names if None. The
+            name of a site of a MuJoCo robot for the place of that site, and with it the axes of the
+            site where the demonstrations have these columns
+            (:func:`~torch_pmil.experiments.tasks.site_match.site_match`).
         settings: fields of :class:`Experiment` in place of the defaults.
 
     Raises:
@@ -100,9 +108,15 @@ def own_robot(
         ('dq1', 'dq2', 'sin q1', 'sin q2', 'cos q1', 'cos q2')
     """
     recorded = _read(demonstrations)
+    if isinstance(env, MujocoRobot):
+        state, units, angles = state or env.names, units or env.units, angles or env.turning
+        known = independent_start(env.initial_mean, env.initial_std)
+        settings = {"initial": known, **settings}
+    if isinstance(match, str):
+        match = _of_site(env, match, recorded)
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
-    robot = OneRobot(env, control_period, _pairs(observed))
+    robot = _robot(env, control_period, observed)
     evaluated = settings.setdefault("evaluated", not robot.physical)
     _check_entries(robot, observed, space.names)
     starts = None
@@ -161,6 +175,23 @@ class Deviation:
         return (apart / self.demonstrated.std).square().mean((-2, -1)).sqrt()
 
 
+def _of_site(env: Any, site: str, recorded: Demonstrations | Recordings) -> MatchSpace:
+    if not isinstance(env, MujocoRobot):
+        raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
+    return site_match(env, site, orientation=len(recorded.names) > PLACE)
+
+
+def _robot(env: Any, control_period: float, observed: Sequence[str]) -> Robot:
+    if not isinstance(env, MujocoRobot):
+        return OneRobot(env, control_period, _pairs(observed))
+    if env.control_period != control_period:
+        raise ValueError(
+            f"control_period must be that of the robot, {env.control_period:g} s, got "
+            f"{control_period:g} s"
+        )
+    return env
+
+
 def _read(demonstrations: Recorded) -> Demonstrations | Recordings:
     if isinstance(demonstrations, str | os.PathLike):
         return load_recordings(demonstrations)
@@ -207,7 +238,7 @@ def _pairs(observed: Sequence[str]) -> list[CosSin]:
     ]
 
 
-def _check_entries(robot: OneRobot, observed: Sequence[str], names: tuple[str, ...]) -> None:
+def _check_entries(robot: Robot, observed: Sequence[str], names: tuple[str, ...]) -> None:
     """Raise ValueError unless each entry of the observation has a name."""
     if robot.dim != len(names):
         raise ValueError(
@@ -216,19 +247,23 @@ def _check_entries(robot: OneRobot, observed: Sequence[str], names: tuple[str, .
         )
 
 
-def _starts(
-    robot: OneRobot, observed: Sequence[str], names: tuple[str, ...], resets: int
-) -> Tensor:
+def _starts(robot: Robot, observed: Sequence[str], names: tuple[str, ...], resets: int) -> Tensor:
     """States of the robot after resets, (resets, D); its angles are near them from now on."""
-    states = robot.starts(resets, START_SEED)
+    states = _after_resets(robot, resets)
     if robot.angles:
         turned = states[:, [names.index(observed[pair.cos][4:]) for pair in robot.angles]]
         near = torch.atan2(turned.sin().mean(0), turned.cos().mean(0)).tolist()
         robot.angles = tuple(
             replace(pair, near=q) for pair, q in zip(robot.angles, near, strict=True)
         )
-        states = robot.starts(resets, START_SEED)
+        states = _after_resets(robot, resets)
     return states
+
+
+def _after_resets(robot: Robot, number: int) -> Tensor:
+    """States of as many resets, (number, D)."""
+    env = robot(seed=START_SEED)
+    return torch.stack([env.reset()["observation"] for _ in range(number)])
 
 
 def _near(starts: Tensor | None, settings: Mapping[str, Any], space: StateSpace) -> Tensor:

@@ -20,6 +20,8 @@ from reproduction.reaching import REACHING
 from reproduction.robot_server import ROBOT_SERVER
 from reproduction.robustness import ROBUSTNESS
 from reproduction.servo_gains import SERVO_GAINS
+from reproduction.ur5e import UR5E_CARRIES
+from reproduction.velocities import VELOCITIES
 from reproduction.where_runs_fail import WHERE_RUNS_FAIL
 
 PAPER = {
@@ -43,5 +45,7 @@ PAPER = {
         DOUBLE_PENDULUM_SERVO,
         SERVO_GAINS,
         WHERE_RUNS_FAIL,
+        UR5E_CARRIES,
+        VELOCITIES,
     )
 }

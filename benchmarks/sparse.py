@@ -1,0 +1,203 @@
+"""Sparse posteriors beside exact ones: cost, KL, coverage, time of a fit and memory.
+
+Two robots: the UR5e of ``reproduction/arms.py`` (18 inputs of the model, 6 outputs), whose
+transitions come from random targets along the demonstrations, and the double pendulum (8 inputs, 4
+outputs), from random torques around those of a learned policy. What the model is to say is noisy as
+from sensors: by 3 % of its standard deviation, and for comparison not at all.
+
+The KL is that of a policy that was searched by the sparse model of 1000 transitions (UR5e) or that
+comes with the package (double pendulum), under the exact and the sparse posterior with the same
+hyper-parameters. Coverage is that of 3000 other transitions, noise included. One thread.
+
+Example:
+    make arms
+    python -m benchmarks.sparse
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from benchmarks.dimensions import cpu_seconds
+from benchmarks.measure import forget_peak, memory_mb
+from reproduction.arms import UR5E, arm_experiment
+from torch_pmil import GPDynamics, RBFPolicy
+from torch_pmil.control.exploration import RandomActions
+from torch_pmil.control.policy_file import load_policy
+from torch_pmil.experiments import Experiment, load_experiment
+from torch_pmil.experiments.runs.run_folder import provenance
+from torch_pmil.files import write_json
+from torch_pmil.model.experience import gp_data
+from torch_pmil.search.policy_search import search_policy
+
+FEW, SOME, MANY, TESTED = 200, 1000, 5000, 3000  # transitions
+NOISES = (0.03, 0.0)  # of what the model is to say, in its standard deviations
+RANDOM_TORQUE = 0.3  # of half the range
+LEARNED = "experiments/runs/learned/double_pendulum/policy.pt"
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A robot and its experience.
+
+    Args:
+        experiment: of the robot.
+        motion: actions (N, F) at states (N, D), one step after the other, drawn from a generator.
+        policy: of which the KL is predicted; None for one that is searched.
+    """
+
+    experiment: Experiment
+    motion: Callable[[torch.Generator], Callable[[Tensor], Tensor]]
+    policy: RBFPolicy | None
+
+    @torch.no_grad()
+    def data(self, n: int, seed: int, noise: float) -> tuple[Tensor, Tensor]:
+        """Inputs and targets of n transitions of rollouts from fresh starts."""
+        task, generator = self.experiment, torch.Generator().manual_seed(seed)
+        env = task.make_env(num_envs=-(-n // task.horizon), seed=seed)
+        state, motion, parts = env.reset()["observation"], self.motion(generator), []
+        for _ in range(task.horizon):
+            action = motion(state).clamp(task.actions.low, task.actions.high)
+            after = env.simulate(state, action)
+            parts.append((state, action, after))
+            state = after
+        states, actions, successors = (
+            torch.stack(part, 1).flatten(0, 1)[:n] for part in zip(*parts, strict=True)
+        )
+        learned = task.make_dynamics().targets
+        inputs, targets = gp_data(states, actions, successors, task.space, learned)
+        white = torch.randn(targets.shape, generator=generator, dtype=targets.dtype)
+        return inputs, targets + noise * targets.std(0) * white
+
+    def model(self, most_exact: int) -> GPDynamics:
+        """A model without data, of exact posteriors up to as many."""
+        like = self.experiment.make_dynamics()
+        return GPDynamics(like.num_inputs, like.num_outputs, like.targets, most_exact=most_exact)
+
+    def evaluation(self, policy: RBFPolicy, dynamics: GPDynamics) -> Callable[[], object]:
+        """The KL of the policy with its gradient."""
+        loss, parameters = self.experiment.make_loss(policy, dynamics), list(policy.parameters())
+        initial = self.experiment.initial
+        return lambda: torch.autograd.grad(loss.per_step(initial).sum(), parameters)
+
+
+def ur5e() -> Problem:
+    """The six-joint arm, with random targets along the demonstrations."""
+    task = arm_experiment(UR5E)
+    return Problem(task, task.exploration.motion, None)
+
+
+def double_pendulum() -> Problem:
+    """The pendulum, with random torques around those of the policy that comes with the package."""
+    task = load_experiment("double_pendulum")
+    policy = load_policy(resources.files("torch_pmil") / LEARNED)
+    actions = task.actions
+
+    def motion(generator: torch.Generator) -> Callable[[Tensor], Tensor]:
+        still = torch.zeros_like(actions.middle)
+        added = RandomActions(actions, RANDOM_TORQUE, task.horizon, around=still).motion(generator)
+        return lambda state: policy(state) + added(state)
+
+    return Problem(task, motion, policy.policy.requires_grad_(True))
+
+
+ROBOTS = {"ur5e": ur5e, "double_pendulum": double_pendulum}
+
+
+def main() -> None:
+    """Read the command line, measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
+    parser.add_argument("--repeats", type=int, default=7, help="evaluations of each model")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        default=Path("results/benchmarks/sparse/summary.json"),
+        help="file to write",
+    )
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    source = provenance(shlex.join(["python", "-m", "benchmarks.sparse", *sys.argv[1:]]))
+    rows = []
+    for robot in arguments.robots:
+        for noise in NOISES:
+            row = measure(ROBOTS[robot](), noise, arguments.repeats)
+            rows.append({"robot": robot, "noise": noise, **row})
+            print(", ".join(f"{name} {_short(value)}" for name, value in rows[-1].items()))
+    arguments.json.parent.mkdir(parents=True, exist_ok=True)
+    headline = {name: value for name, value in rows[0].items() if isinstance(value, float)}
+    summary = {"experiment": "sparse", **source, "headline": headline, "rows": rows}
+    write_json(arguments.json, summary)
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def measure(problem: Problem, noise: float, repeats: int) -> dict[str, float]:
+    """Costs, KL, coverage, times and memory on one robot, with noise of that size."""
+    few, some, many = (problem.model(most_exact=SOME) for _ in range(3))
+    forget_peak()
+    before, start = memory_mb("VmRSS"), time.process_time()
+    many.fit(*problem.data(MANY, 1, noise))
+    expansion = many.expansion
+    fit_seconds, peak = time.process_time() - start, memory_mb("VmHWM") - before
+    tested = covered(many, *problem.data(TESTED, 2, noise))
+    few.fit(*problem.data(FEW, 3, noise))
+    some.fit(*problem.data(SOME, 4, noise))
+    sparse = problem.model(most_exact=SOME - 1)
+    sparse.load_state_dict(some.state_dict())
+    policy = problem.policy or searched(problem, sparse)
+    exact_kl, sparse_kl = (kl(problem, policy, dynamics) for dynamics in (some, sparse))
+    work = [problem.evaluation(policy, dynamics) for dynamics in (few, many)]
+    times = [[cpu_seconds(evaluate) for evaluate in work] for _ in range(repeats + 1)]
+    exact_seconds, sparse_seconds = (min(column) for column in zip(*times[1:], strict=True))
+    return {
+        "cost_ratio_n5000": sparse_seconds / exact_seconds,
+        "kl_difference_n1000": abs(sparse_kl - exact_kl) / exact_kl,
+        "coverage_n5000": tested,
+        "coverage_exact_n1000": covered(some, *problem.data(TESTED, 2, noise)),
+        "fit_cpu_seconds_n5000": fit_seconds,
+        "fit_peak_mb_n5000": peak,
+        "kl_exact_n1000": exact_kl,
+        "kl_sparse_n1000": sparse_kl,
+        "cpu_seconds_exact_n200": exact_seconds,
+        "cpu_seconds_sparse_n5000": sparse_seconds,
+        "inducing_inputs": len(expansion.inputs),
+    }
+
+
+def searched(problem: Problem, dynamics: GPDynamics) -> RBFPolicy:
+    """The policy of a search on the model, from the experiment's first policy."""
+    task = problem.experiment
+    policy = task.make_policy(torch.Generator().manual_seed(0))
+    search_policy(task.make_loss(policy, dynamics), task.initial, task.search)
+    return policy
+
+
+@torch.no_grad()
+def kl(problem: Problem, policy: RBFPolicy, dynamics: GPDynamics) -> float:
+    """The predicted loss of the policy, nats."""
+    task = problem.experiment
+    return task.make_loss(policy, dynamics).per_step(task.initial).sum().item()
+
+
+def covered(dynamics: GPDynamics, inputs: Tensor, targets: Tensor) -> float:
+    """Share of targets within two predicted standard deviations, noise included."""
+    mean, variance = dynamics.expansion.predict(inputs)
+    apart = (targets - mean).square() / (variance + dynamics.expansion.noise)
+    return (apart <= 4).double().mean().item()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""The double pendulum whose model learns velocities alone, beside the one that learns all entries.
+
+The positions follow from the velocities by a rule that is fitted. The seeds are the same, so that
+each is a pair: of experience, of success, and of the time of an evaluation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any
+
+import torch
+
+from reproduction.figure7 import (
+    GOAL,
+    OUR_TRIALS,
+    OURS,
+    our_runs,
+    size,
+    success_curves,
+    success_results,
+)
+from reproduction.learned import remeasured
+from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.runs.summaries import read_summary
+from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.model.sampling_frequency import Interval
+
+ALONE = "velocities alone"
+STARTS, START_SEED = 100, 9_000_000  # no start that a run has seen
+
+
+def velocities_alone() -> Experiment:
+    """The double pendulum whose model learns velocities alone.
+
+    Example:
+        >>> velocities_alone().make_dynamics().num_outputs
+        2
+    """
+    task = load_experiment("double_pendulum")
+    return replace(task, name="double_pendulum_velocities", velocities_alone=True)
+
+
+def needed_runs(root: Path, quick: bool) -> list[Run]:
+    """All entries, then velocities alone."""
+    seeds, trials = size(quick, OUR_TRIALS)
+    return our_runs(root, quick) + [
+        learning_run(root, velocities_alone(), seed, trials) for seed in seeds
+    ]
+
+
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Experience and success of both, and what each seed differs by."""
+    curves, half = success_curves(folders, (OURS, ALONE)), len(folders) // 2
+    starts = 20 if quick else STARTS
+    ways = {
+        OURS: (load_experiment("double_pendulum"), folders[:half]),
+        ALONE: (velocities_alone(), folders[half:]),
+    }
+    measured = {
+        way: [_measured(folder, task, starts) for folder in own]
+        for way, (task, own) in ways.items()
+    }
+    pairs = list(zip(measured[OURS], measured[ALONE], strict=True))
+    more = [alone["experience_s"] - ours["experience_s"] for ours, alone in pairs]
+    interval = Interval.of(torch.tensor(more, dtype=torch.float64))
+    headline: dict[str, float | None] = {
+        "experience_to_95": curves[OURS].experience_to(GOAL),
+        "experience_to_95_velocities_alone": curves[ALONE].experience_to(GOAL),
+        "success": fmean(run["success_rate"] for run in measured[OURS]),
+        "success_velocities_alone": fmean(run["success_rate"] for run in measured[ALONE]),
+        "more_experience_s": interval.mean,
+        "more_experience_s_half_interval": None if quick else interval.half_width,
+        "evaluation_time_ratio": median(
+            alone["evaluation_s"] / ours["evaluation_s"] for ours, alone in pairs
+        ),
+    }
+    made = success_results(curves, headline, "velocities")
+    return replace(made, details={**made.details, "starts": starts, "measured": measured})
+
+
+def _measured(folder: Path, task: Experiment, starts: int) -> dict[str, Any]:
+    """The main numbers of a run, and the mean time of an evaluation in its searches."""
+    trials = read_summary(folder)["trials"]
+    seconds = sum(trial["search_seconds"] for trial in trials)
+    evaluations = sum(trial["evaluations"] for trial in trials)
+    own = remeasured(folder, task, starts, START_SEED)
+    return own | {"evaluation_s": seconds / evaluations}
+
+
+VELOCITIES = PaperExperiment(
+    "velocities", "the double pendulum, of which velocities alone are learned", needed_runs, results
+)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torch_pmil.envs.history import History
 from torch_pmil.gp.checks import check_positive, check_tensor, check_whole
 
 # weight of the trapezoidal rule beside the data, over theirs: it counts where nothing moves
@@ -126,6 +127,18 @@ class KnownPart:
             gain[row, learned.index(column)] = time_step / 2
         followed = tuple((index[position], index[rate]) for position, rate in velocities.items())
         return replace(cls._of(of_state, gain, num_actions, learned), followed=followed)
+
+    @classmethod
+    def of_history(cls, history: History) -> KnownPart:
+        r"""The measured entries change by what is learned; the past is known.
+
+        .. math:: x_{t+1} = S\,[x_t, u_t] + C\,(y_t + g(x_t, u_t))
+
+        Here y_t are the measured entries of x_t, S and C those of the :class:`History`.
+        """
+        matrix, measured = history.shift.clone(), list(history.measured)
+        matrix[:, measured] += history.gain
+        return cls(matrix, history.gain, history.measured)
 
     @property
     def rule(self) -> Tensor:

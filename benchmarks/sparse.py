@@ -79,10 +79,11 @@ class Problem:
         white = torch.randn(targets.shape, generator=generator, dtype=targets.dtype)
         return inputs, targets + noise * targets.std(0) * white
 
-    def model(self, most_exact: int) -> GPDynamics:
+    def model(self, most_exact: int, tied: bool = False) -> GPDynamics:
         """A model without data, of exact posteriors up to as many."""
         like = self.experiment.make_dynamics()
-        return GPDynamics(like.num_inputs, like.num_outputs, like.targets, most_exact=most_exact)
+        size = like.num_inputs, like.num_outputs, like.targets
+        return GPDynamics(*size, most_exact=most_exact, tied_lengthscales=tied)
 
     def evaluation(self, policy: RBFPolicy, dynamics: GPDynamics) -> Callable[[], object]:
         """The KL of the policy with its gradient."""

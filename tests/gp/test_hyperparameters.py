@@ -13,7 +13,13 @@ from torch import Tensor
 from tests.gp.test_marginal_likelihood import Model
 from tests.helpers.draws import Draws
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
-from torch_pmil.gp.hyperparameters import find_hyperparameters, penalty, pilco_starts
+from torch_pmil.gp.hyperparameters import (
+    find_hyperparameters,
+    joined,
+    of_outputs,
+    penalty,
+    pilco_starts,
+)
 from torch_pmil.gp.lbfgs import NotFiniteError
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
 
@@ -184,3 +190,38 @@ def test_slope_of_the_penalty_is_that_by_automatic_differentiation(draws: Draws)
     value, slope = penalty(parameters.detach(), log_spread)
     assert value == pytest.approx(plain.item(), rel=1e-12)
     torch.testing.assert_close(slope, expected, rtol=1e-12, atol=0)
+
+
+def test_joined_is_the_adjoint_of_of_outputs(draws: Draws) -> None:
+    parameters, cotangents = draws.normal(3 + 2 * 4), draws.normal(4, 5)
+    by_outputs = (of_outputs(parameters, 3) * cotangents).sum()
+    torch.testing.assert_close(parameters @ joined(cotangents), by_outputs)
+
+
+def test_twins_have_the_lengthscales_of_one_and_variances_in_their_units(
+    data: tuple[Tensor, Tensor],
+) -> None:
+    inputs, target = data
+    twins = torch.stack([target, 10 * target], -1)
+    one = find_hyperparameters(*data, pilco_starts(*data), max_iterations=100)
+    both = find_hyperparameters(inputs, twins, pilco_starts(inputs, twins), max_iterations=100)
+    expected = one.log_parameters.expand(2, -1).clone()
+    expected[1, -2:] += 2 * math.log(10)
+    torch.testing.assert_close(of_outputs(both.log_parameters, 2), expected, atol=1e-2, rtol=0)
+    shift = torch.tensor([0.0, len(target) * math.log(10)], dtype=torch.float64)
+    torch.testing.assert_close(
+        both.negative_log_likelihood, one.negative_log_likelihood + shift, atol=1e-4, rtol=0
+    )
+
+
+def test_same_lengthscales_explain_no_more_than_own_ones(draws: Draws) -> None:
+    inputs = draws.uniform(-2, 2, 40, 2)
+    targets = torch.stack([(3 * inputs[:, 0]).sin(), inputs[:, 1].sin()], -1)
+    targets = targets + NOISE * draws.normal(40, 2)
+    both = find_hyperparameters(inputs, targets, pilco_starts(inputs, targets), max_iterations=100)
+    own = [
+        find_hyperparameters(inputs, target, pilco_starts(inputs, target), max_iterations=100)
+        for target in targets.mT
+    ]
+    lost = both.negative_log_likelihood - torch.cat([each.negative_log_likelihood for each in own])
+    assert (lost > 1).all()

@@ -103,10 +103,11 @@ class ProblemDraws(Draws):
         """A number from low to high, all magnitudes alike."""
         return int(self.logarithmic(low, high + 1, 1))
 
-    def problem(self, most_data: int) -> Problem:
+    def problem(self, most_data: int, tied: bool = False) -> Problem:
+        """One of at most so many data; ``tied`` where all outputs have the same lengthscales."""
         D, F = self.whole(1, 8), self.whole(1, 3)
         space = self.space(D)
-        dynamics = self.dynamics(space, F, self.number(2, most_data))
+        dynamics = self.dynamics(space, F, self.number(2, most_data), tied)
         batch = ((), (), (3,), (2, 1))[self.whole(0, 3)]
         loss = self.loss(space, dynamics, F)
         return Problem(self.start(*batch, D), loss, self.chance(0.5), Draws(self.whole(0, 999)))
@@ -121,13 +122,15 @@ class ProblemDraws(Draws):
         )
         return StateSpace(names, units, angles, matched)
 
-    def dynamics(self, space: StateSpace, F: int, n: int) -> GPDynamics:
+    def dynamics(self, space: StateSpace, F: int, n: int, tied: bool = False) -> GPDynamics:
         """Lengthscales over three decades, signal-to-noise ratios from 1 to 1000."""
         D, inputs, targets = space.dim, len(space.feature_names) + F, self.targets(space.dim, F)
         E = targets.num_outputs if isinstance(targets, KnownPart) else D
         dynamics = GPDynamics(inputs, E, targets)
         x = torch.cat([space.features(self.normal(n, D)), self.uniform(-1, 1, n, F)], -1)
         lengthscales = self.logarithmic(0.1, 100.0, E, inputs)
+        if tied:
+            lengthscales = lengthscales[:1].repeat(E, 1)
         signal = self.logarithmic(1e-2, 1.0, E)
         noise = signal / self.logarithmic(1.0, 1e3, E).square()
         expected = (x @ (self.normal(E, inputs) / lengthscales).mT).sin()

@@ -91,6 +91,22 @@ def test_fit_ends_where_the_likelihood_of_gpytorch_is_flat(fitted: GPDynamics) -
         assert gradient.abs().max() < 0.1  # nats for a factor e
 
 
+def test_tied_outputs_are_searched_together_and_differ_in_signal_and_noise_alone(
+    data: tuple[Tensor, Tensor],
+) -> None:
+    inputs, targets = data
+    tied, own = GPDynamics(2, 2, tied_lengthscales=True), GPDynamics(2, 2)
+    result, best = tied.fit(inputs, targets), own.fit(inputs, targets)
+    lengthscales, signal, noise = hyperparameters(tied)
+    assert torch.equal(lengthscales[0], lengthscales[1])
+    assert (signal[0] != signal[1]) and (noise[0] != noise[1])
+    assert result.negative_log_likelihood.shape == (2,) and len(result.stop_reason) == 2
+    assert result.negative_log_likelihood.sum() > best.negative_log_likelihood.sum()
+    again = tied.fit(inputs, targets, max_iterations=1)
+    assert again.negative_log_likelihood.sum() < result.negative_log_likelihood.sum() + 1e-6
+    assert again.evaluations < result.evaluations / 3
+
+
 def test_scaling_the_targets_scales_the_variances(data: tuple[Tensor, Tensor]) -> None:
     inputs, targets = data
     one, ten = GPDynamics(2, 2), GPDynamics(2, 2)

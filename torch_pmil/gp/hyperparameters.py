@@ -1,8 +1,9 @@
-"""Hyper-parameters of one Gaussian process by maximum marginal likelihood.
+"""Hyper-parameters of a Gaussian process by maximum marginal likelihood.
 
 Starting points and penalties are PILCO's, the latter with narrower bounds; the optimiser is
-L-BFGS. All parameters are logarithms, in one vector (D + 2,): of the D lengthscales, of the signal
-variance and of the noise variance.
+L-BFGS. All parameters are logarithms, in one vector (D + 2 E,): of the D lengthscales, of the
+signal variances and of the noise variances. E is 1, or the number of outputs that are to have the
+same lengthscales.
 """
 
 from __future__ import annotations
@@ -39,24 +40,24 @@ SMALL_CHANGE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Hyper-parameters of one output, and how they were found.
+    """Hyper-parameters, and how they were found.
 
     Args:
-        log_parameters: (D + 2,).
-        negative_log_likelihood: nats, without the penalties.
+        log_parameters: (D + 2 E,).
+        negative_log_likelihood: nats of each output, without the penalties, (E,).
         evaluations: number of evaluations of the objective, over all starts.
         stop_reason: why the best search ended, as in ``MinimiseResult``.
     """
 
     log_parameters: Tensor
-    negative_log_likelihood: float
+    negative_log_likelihood: Tensor
     evaluations: int
     stop_reason: str
 
 
 def find_hyperparameters(
     inputs: Tensor,
-    target: Tensor,
+    targets: Tensor,
     starts: Sequence[Tensor],
     max_iterations: int,
     most_signal_to_noise: float = MOST_SIGNAL_TO_NOISE,
@@ -67,8 +68,8 @@ def find_hyperparameters(
 
     Args:
         inputs: (n, D).
-        target: one output, (n,).
-        starts: log parameters, (D + 2,) each.
+        targets: one output (n,), or E that are to have the same lengthscales, (n, E).
+        starts: log parameters, (D + 2 E,) each.
         max_iterations: limit of L-BFGS for each start.
         most_signal_to_noise: ratio of standard deviations beyond which it is penalised.
 
@@ -81,14 +82,19 @@ def find_hyperparameters(
         >>> y = x[:, 0].sin()
         >>> found = find_hyperparameters(x, y, pilco_starts(x, y), max_iterations=100)
         >>> found.negative_log_likelihood < -50
-        True
+        tensor([True])
     """
-    log_spread = _log_spread(inputs)
+    log_spread, D = _log_spread(inputs), inputs.shape[1]
+    outputs = targets.reshape(len(targets), -1).mT
 
     def objective(log_parameters: Tensor) -> tuple[float, Tensor]:
-        likelihood, slope = negative_log_likelihood(inputs, target, log_parameters)
-        penalised, penalty_slope = penalty(log_parameters, log_spread, most_signal_to_noise)
-        return likelihood + penalised, slope + penalty_slope
+        total, slopes = 0.0, []
+        for target, own in zip(outputs, of_outputs(log_parameters, D), strict=True):
+            likelihood, slope = negative_log_likelihood(inputs, target, own)
+            penalised, penalty_slope = penalty(own, log_spread, most_signal_to_noise)
+            total += likelihood + penalised
+            slopes.append(slope + penalty_slope)
+        return total, joined(torch.stack(slopes))
 
     runs: list[tuple[Tensor, MinimiseResult]] = []
     failures: list[ValueError] = []
@@ -109,19 +115,40 @@ def find_hyperparameters(
     if not runs:
         raise failures[0]
     best, result = min(runs, key=lambda run: run[1].loss)
-    likelihood = result.loss - penalty(best, log_spread, most_signal_to_noise)[0]
+    likelihood = torch.tensor(
+        [
+            negative_log_likelihood(inputs, target, own)[0]
+            for target, own in zip(outputs, of_outputs(best, D), strict=True)
+        ],
+        dtype=torch.float64,
+    )
     return Optimum(best, likelihood, sum(run.evaluations for _, run in runs), result.stop_reason)
 
 
-def pilco_starts(inputs: Tensor, target: Tensor) -> list[Tensor]:
-    """Log parameters (D + 2,) of the starting points of the search, as in PILCO.
+def of_outputs(log_parameters: Tensor, num_inputs: int) -> Tensor:
+    """Log parameters of each output, (E, D + 2), from those of all, (D + 2 E,)."""
+    lengthscales, variances = log_parameters[:num_inputs], log_parameters[num_inputs:]
+    own = variances.view(2, -1).mT
+    return torch.cat([lengthscales.expand(len(own), -1), own], -1)
 
-    The lengthscales are std(input), the signal is std(target), and the noise one of
-    ``NOISE_RATIOS`` times that. Few data have further starts with twice the lengthscales.
+
+def joined(of_output: Tensor) -> Tensor:
+    """Derivatives by the parameters of all outputs, (D + 2 E,), from those of each, (E, D + 2)."""
+    return torch.cat([of_output[:, :-2].sum(0), of_output[:, -2], of_output[:, -1]])
+
+
+def pilco_starts(inputs: Tensor, targets: Tensor) -> list[Tensor]:
+    """Log parameters (D + 2 E,) of the starting points of the search, as in PILCO.
+
+    The lengthscales are std(input), the signals std(target), and the noises one of
+    ``NOISE_RATIOS`` times these. Few data have further starts with twice the lengthscales.
+
+    Args:
+        inputs, targets: as in :func:`find_hyperparameters`.
     """
-    log_signal, log_spread = 2 * _log_spread(target), _log_spread(inputs)
+    log_signal, log_spread = 2 * _log_spread(targets).reshape(-1), _log_spread(inputs)
     variances = [
-        torch.stack([log_signal, log_signal + 2 * math.log(ratio)]) for ratio in NOISE_RATIOS
+        torch.cat([log_signal, log_signal + 2 * math.log(ratio)]) for ratio in NOISE_RATIOS
     ]
     factors = (1.0, 2.0) if len(inputs) < FEW_DATA else (1.0,)
     return [

@@ -218,6 +218,15 @@ def test_velocities_alone_leave_the_positions_to_them(experiment: Experiment) ->
     torch.testing.assert_close(after, torch.tensor([[1.22, 2.4, -1.0, -0.5]], dtype=torch.float64))
 
 
+def test_model_of_tied_lengthscales_is_a_setting(experiment: Experiment) -> None:
+    for alone in (False, True):
+        tied = replace(experiment, velocities_alone=alone, tied_lengthscales=True)
+        assert tied.make_dynamics().tied_lengthscales and tied.settings["tied_lengthscales"]
+    assert not experiment.make_dynamics().tied_lengthscales
+    with pytest.raises(ValueError, match="tied_lengthscales must be true or false, got 'yes'"):
+        replace(experiment, tied_lengthscales="yes")
+
+
 def test_velocities_alone_needs_velocities(experiment: Experiment) -> None:
     names = ("a", "b", "c", "d")
     space = replace(experiment.space, names=names)

@@ -79,6 +79,11 @@ def test_results_are_those_of_the_formulas(seed: int) -> None:
     assert Agreement(ProblemDraws(seed).problem(most_data=60)).excess < SAFETY
 
 
+@pytest.mark.parametrize("seed", range(40))
+def test_results_of_tied_outputs_are_those_of_the_formulas(seed: int) -> None:
+    assert Agreement(ProblemDraws(seed).problem(most_data=60, tied=True)).excess < SAFETY
+
+
 @pytest.mark.slow
 def test_results_of_a_thousand_problems_are_those_of_the_formulas() -> None:
     agreements = [Agreement(ProblemDraws(seed).problem(most_data=300)) for seed in range(1000)]

@@ -50,10 +50,14 @@ class Match:
         return torch.from_numpy(by_mean), torch.from_numpy(by_cov)
 
 
-def errors_over_estimates(seed: int, most_data: int) -> list[float]:
+def errors_over_estimates(seed: int, most_data: int, tied: bool = False) -> list[float]:
     """Largest errors of mean, covariance and its slope, over their estimates."""
-    data, belief = hard_problem(seed, most_data)
+    (inputs, targets, lengthscales, *variances), belief = hard_problem(seed, most_data)
+    if tied:
+        lengthscales = lengthscales[:1].expand_as(lengthscales)
+    data = inputs, targets, lengthscales, *variances
     f = KernelExpansion.from_data(*data)
+    assert functions_of(f).tied == (tied and f.num_outputs > 1)
     moments, estimates = Match(f, belief).moments, rounding_errors(f, belief)
     pairs = zip(
         (moments.mean, moments.cov, moments.inv_cov_cross_cov),
@@ -70,6 +74,11 @@ def errors_over_estimates(seed: int, most_data: int) -> list[float]:
 @pytest.mark.parametrize("seed", range(16))
 def test_errors_are_below_their_estimates(seed: int) -> None:
     assert max(errors_over_estimates(seed, most_data=40)) < 1
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_errors_of_tied_outputs_are_below_their_estimates(seed: int) -> None:
+    assert max(errors_over_estimates(seed, most_data=40, tied=True)) < 1
 
 
 @pytest.mark.slow

@@ -111,6 +111,10 @@ OF_EXPERIMENT = {
     "velocities_alone": Setting(
         "whether the model learns velocities alone, from which their positions follow", SWITCH
     ),
+    "tied_lengthscales": Setting(
+        "whether all outputs of the model have the same lengthscales, and predictions are faster",
+        SWITCH,
+    ),
     "target_scale": Setting(
         "width of a new policy's basis functions in the entries of the target",
         POSITIVE,

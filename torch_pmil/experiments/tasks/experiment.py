@@ -137,6 +137,7 @@ class Experiment:
             actions are targets, a search that begins elsewhere has no slope to follow.
         velocities_alone: whether the model learns no positions of which the velocity is an entry,
             dNAME beside NAME: they follow from it by a rule whose two numbers are fitted.
+        tied_lengthscales: whether all outputs of the model have the same lengthscales.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.
 
@@ -176,6 +177,7 @@ class Experiment:
     leaving_threshold: float = 0.05
     held_states: Tensor | None = None
     velocities_alone: bool = False
+    tied_lengthscales: bool = False
     search: SearchSettings = field(default_factory=SearchSettings)
     draws: bool = True
 
@@ -221,7 +223,7 @@ class Experiment:
                 check_tensor(name, widths, (len(self.space.feature_names),))
                 if not (widths > 0).all():
                     raise ValueError(f"{name} must be positive, got {widths.tolist()}")
-        for name in ("evaluated", "velocities_alone", "explore_demonstrated"):
+        for name in ("evaluated", "velocities_alone", "tied_lengthscales", "explore_demonstrated"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} must be true or false, got {getattr(self, name)!r}")
         if self.explore_demonstrated:
@@ -328,6 +330,7 @@ class Experiment:
             "confirmations": self.confirmations,
             "evaluated": self.evaluated,
             "velocities_alone": self.velocities_alone,
+            "tied_lengthscales": self.tied_lengthscales,
             "state_box": self.state_box and self.state_box.settings,
             "search": asdict(self.search),
         }
@@ -423,13 +426,13 @@ class Experiment:
     def make_dynamics(self) -> GPDynamics:
         """A forward model of the robot, without data."""
         actions, time_step = len(self.actions.names), self.demonstrations.time_step
-        inputs = len(self.space.feature_names) + actions
+        inputs, tied = len(self.space.feature_names) + actions, self.tied_lengthscales
         if not self.velocities_alone:
-            return GPDynamics(inputs, self.space.dim)
+            return GPDynamics(inputs, self.space.dim, tied_lengthscales=tied)
         names = self.space.names
         velocities = {names[entry]: names[rate] for rate, entry in rates_of(names).items()}
         known = KnownPart.of_velocities(names, velocities, actions, time_step)
-        return GPDynamics(inputs, known.num_outputs, known)
+        return GPDynamics(inputs, known.num_outputs, known, tied_lengthscales=tied)
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> TrajectoryLoss:
         """The loss of the policy search: the KL between demonstrated and predicted trajectories."""

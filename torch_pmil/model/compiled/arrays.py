@@ -33,6 +33,8 @@ class Functions(NamedTuple):
         variance: what a GP's variance is subtracted from, noise included, (E,); 0 for a network.
         own_weights: beta_a beta_a' - K_a^-1 with half its diagonal and zeros below, (E, n, n);
             (0, 0, 0) for a network.
+        tied: whether it is a GP whose outputs have the same lengthscales. Its weights then hold
+            the signal variances too, and log_signal is 0.
     """
 
     inputs: Array2
@@ -42,6 +44,7 @@ class Functions(NamedTuple):
     offset: Array1
     variance: Array1
     own_weights: Array3
+    tied: bool
 
 
 class Record(NamedTuple):
@@ -53,8 +56,9 @@ class Record(NamedTuple):
         total, slope: means without offsets (T, E), and Sigma^-1 cov(x, f), (T, D, E).
         pair_precision: B of the products of the kernels, (T, E, E, D, D).
         gradient, hessian: of a GP, the derivatives of E[f_a f_b] by the mean and by the covariance,
-            (T, E, E, D) and (T, E, E, D, D).
+            (T, E, E, D) and (T, E, E, D, D); not where its outputs are tied.
         products: of a network, sum_i w_i [nu_i, 1] Q_ij, (T, E, E, D + 1, n).
+        half_log_det: where outputs are tied, log|I + Sigma P| / 2 of any product of two, (T,).
     """
 
     q: Array3
@@ -65,12 +69,13 @@ class Record(NamedTuple):
     gradient: Array4
     hessian: Array5
     products: Array5
+    half_log_det: Array1
 
     @classmethod
     def of(cls, f: Functions, times: int) -> Record:
         """Room for the moments at so many beliefs."""
         (D, n), E, gp = f.inputs.shape, len(f.weights), len(f.own_weights) > 0
-        pairs_of_gp, pairs_of_network = (E, 0) if gp else (0, E)
+        pairs_of_gp, pairs_of_network = (0 if f.tied else E, 0) if gp else (0, E)
         shapes = (
             (E, n),
             (E, D, D),
@@ -80,6 +85,7 @@ class Record(NamedTuple):
             (pairs_of_gp, E, D),
             (pairs_of_gp, E, D, D),
             (pairs_of_network, E, D + 1, n),
+            (),
         )
         return cls(*(zeros(times, *shape) for shape in shapes))
 
@@ -97,6 +103,9 @@ class Workspace(NamedTuple):
         shares: of the first and the second output in a pair, and (Lambda_a + Lambda_b)^-1, (3, D).
         small: scratch, (6, D, D).
         vectors: scratch, (4, D).
+        columns, sums: of tied outputs, their weights (n, E) and sums of :func:`sum_tied_pairs`.
+        by_output: of tied outputs, sums of Q and factors of the weights, (E, n).
+        pairs: of tied outputs, weights of pairs of data, (n, n).
     """
 
     nu: Array2
@@ -112,14 +121,19 @@ class Workspace(NamedTuple):
     shares: Array2
     small: Array3
     vectors: Array2
+    columns: Array2
+    sums: Array2
+    by_output: Array2
+    pairs: Array2
 
     @classmethod
     def of(cls, f: Functions) -> Workspace:
         """Arrays for these functions."""
-        D, n = f.inputs.shape
+        (D, n), E = f.inputs.shape, len(f.weights)
+        tied = ((n, E), (E, WIDTH), (E, n), (n, n)) if f.tied else 4 * ((0, 0),)
         shapes = (
             *((D, n), (n, D + 1), (D, n), (n,), (n,), (D + 1, n), (n,), (D, n), (D, n)),
-            *((n,), (3, D), (6, D, D), (4, D)),
+            *((n,), (3, D), (6, D, D), (4, D), *tied),
         )
         return cls(*(zeros(*shape) for shape in shapes))
 

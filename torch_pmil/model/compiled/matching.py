@@ -11,7 +11,7 @@ from math import isnan, sqrt
 
 from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
 from torch_pmil.model.compiled.building import Array1, Array2, Kernel, compiled, part
-from torch_pmil.model.compiled.pair_sums import sum_own_pairs, sum_pairs
+from torch_pmil.model.compiled.pair_sums import sum_own_pairs, sum_pairs, sum_tied_pairs
 from torch_pmil.model.compiled.small_matrices import invert, product, times_vector
 from torch_pmil.model.compiled.thin_products import (
     add_multiple,
@@ -49,25 +49,21 @@ def match(
     Returns:
         Whether all I + Sigma P have Cholesky factors, as they have for a covariance Sigma.
     """
-    E, gp, totals = len(f.weights), len(f.own_weights) > 0, record.total[t]
+    totals = record.total[t]
     centre(f.inputs, mean, work.nu)
-    _write_points(work.nu, work.points)
-    for a in range(E):
+    write_points(work.nu, work.points)
+    for a in range(len(totals)):
         if not _match_one(f, a, cov, record, t, work):
             return False
-    for a in range(E):
-        for b in range(a if gp else 0, E):
-            B = record.pair_precision[t, a, b]
-            if not _write_exponents(f, a, b, cov, B, work):
-                return False
-            if gp:
-                gradient, hessian = record.gradient[t, a, b], record.hessian[t, a, b]
-                second = _match_pair_of_gp(f, a, b, B, work, gradient, hessian)
-            else:
-                second = _match_pair_of_network(f, a, b, work, record.products[t, a, b])
-            cov_of_f[a, b] = cov_of_f[b, a] = second - totals[a] * totals[b]
+    if f.tied:
+        matched = _match_tied_pairs(f, cov, record, t, work, cov_of_f)
+    else:
+        matched = _match_pairs(f, cov, record, t, work, cov_of_f)
+    for a in range(len(totals)):
+        for b in range(len(totals)):
+            cov_of_f[a, b] -= totals[a] * totals[b]
         cov_of_f[a, a] += f.variance[a]
-    return True
+    return matched
 
 
 @compiled
@@ -79,7 +75,7 @@ def centre(inputs: Array2, mean: Array1, nu: Array2) -> None:
 
 
 @compiled
-def _write_points(nu: Array2, points: Array2) -> None:
+def write_points(nu: Array2, points: Array2) -> None:
     """Write [nu_i, 1] into ``points`` (n, D + 1)."""
     D, n = nu.shape
     for i in range(n):
@@ -128,23 +124,75 @@ def regularised_precision(cov: Array2, squares: Array1, B: Array2) -> float:
 
 
 @part
-def _write_exponents(f: Functions, a: int, b: int, cov: Array2, B: Array2, work: Workspace) -> bool:
-    """Exponents of a pair of outputs into ``work``; False where the covariance is none."""
-    nu, moved, small, shares = work.nu, work.moved, work.small, work.shares
-    harmonic = work.vectors[0]
-    of_a, of_b = f.squares[a], f.squares[b]
+def _match_pairs(
+    f: Functions, cov: Array2, record: Record, t: int, work: Workspace, seconds: Array2
+) -> bool:
+    """E[f_a f_b] of all pairs of outputs; False where the covariance of the belief is none."""
+    gp = len(f.own_weights) > 0
+    for a in range(len(seconds)):
+        for b in range(a if gp else 0, len(seconds)):
+            B = record.pair_precision[t, a, b]
+            half_log_det = _pair_precision(f.squares[a], f.squares[b], cov, work, B)
+            if isnan(half_log_det):
+                return False
+            write_exponents(f, a, b, B, half_log_det, work)
+            if gp:
+                gradient, hessian = record.gradient[t, a, b], record.hessian[t, a, b]
+                second = _match_pair_of_gp(f, a, b, B, work, gradient, hessian)
+            else:
+                second = _match_pair_of_network(f, a, b, work, record.products[t, a, b])
+            seconds[a, b] = seconds[b, a] = second
+    return True
+
+
+@part
+def _match_tied_pairs(
+    f: Functions, cov: Array2, record: Record, t: int, work: Workspace, seconds: Array2
+) -> bool:
+    """:func:`_match_pairs` of a GP with one Q for all pairs; its adjoint finds the derivatives."""
+    B, columns, by_output, sums = (
+        record.pair_precision[t, 0, 0],
+        work.columns,
+        work.by_output,
+        work.sums,
+    )
+    half_log_det = _pair_precision(f.squares[0], f.squares[0], cov, work, B)
+    record.half_log_det[t] = half_log_det
+    if isnan(half_log_det):
+        return False
+    write_exponents(f, 0, 0, B, half_log_det, work)
+    for i in range(len(columns)):
+        for a in range(len(seconds)):
+            columns[i, a] = f.weights[a, i]
+    sum_tied_pairs(work.points, work.right, work.f, columns, f.own_weights, by_output, sums)
+    for a in range(len(seconds)):
+        for b in range(a):
+            seconds[a, b] = seconds[b, a] = sum_products(f.weights[a], by_output[b])
+        seconds[a, a] = 2.0 * sum_entries(sums[a])
+    return True
+
+
+@part
+def _pair_precision(of_a: Array1, of_b: Array1, cov: Array2, work: Workspace, B: Array2) -> float:
+    """:func:`regularised_precision` of a product of two kernels, whose shares go to ``work``."""
+    shares, harmonic = work.shares, work.vectors[0]
     write_shares(of_a, of_b, shares)
     for d in range(len(B)):
         harmonic[d] = of_a[d] * shares[0, d]
-    half_log_det = regularised_precision(cov, harmonic, B)
-    if isnan(half_log_det):
-        return False
+    return regularised_precision(cov, harmonic, B)
+
+
+@part
+def write_exponents(
+    f: Functions, a: int, b: int, B: Array2, half_log_det: float, work: Workspace
+) -> None:
+    """Exponents of a pair of outputs into ``work``, which has their shares."""
+    nu, moved, small, shares = work.nu, work.moved, work.small, work.shares
     constants = f.log_signal[a] - half_log_det / 2, f.log_signal[b] - half_log_det / 2
     _write_terms(shares[0], B, shares[2], constants[0], nu, small[0], moved, work.f)
     _write_terms(shares[1], B, shares[2], constants[1], nu, small[0], moved, work.g)
     cross_form(shares[0], B, shares[1], shares[2], -1.0, small[0])
     transform(small[0], nu, work.right)
-    return True
 
 
 @compiled
@@ -209,7 +257,7 @@ def _match_pair_of_gp(
 ) -> float:
     """E[f_a f_b] of a GP, with its derivatives by mean and covariance of the belief."""
     if a == b:
-        _sum_own_pair(f.own_weights[a], work)
+        sum_own_pair(f.own_weights[a], work)
     else:
         _sum_pair(f.weights[a], f.weights[b], work)
     total = sum_entries(work.rows)
@@ -219,7 +267,7 @@ def _match_pair_of_gp(
 
 
 @part
-def _sum_own_pair(weights: Array2, work: Workspace) -> None:
+def sum_own_pair(weights: Array2, work: Workspace) -> None:
     """Row sums of W into ``work.rows``, sum W nu_ij and sum W nu_ij nu_ij' into ``work``.
 
     W is Q times the weights of an output with itself, nu_ij the datum of a pair less the mean; the
@@ -238,7 +286,7 @@ def _sum_own_pair(weights: Array2, work: Workspace) -> None:
 
 @part
 def _sum_pair(w: Array1, z: Array1, work: Workspace) -> None:
-    """:func:`_sum_own_pair` for two different outputs."""
+    """:func:`sum_own_pair` for two different outputs."""
     nu, left, rows, weighted, small = work.nu, work.left, work.rows, work.weighted, work.small
     shares, vectors = work.shares, work.vectors
     sum_pairs(work.points, work.right, work.f, work.g, w, z, left, rows)

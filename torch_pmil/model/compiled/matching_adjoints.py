@@ -16,7 +16,10 @@ from torch_pmil.model.compiled.matching import (
     combine_pair,
     cross_form,
     own_form,
+    sum_own_pair,
+    write_exponents,
     write_hessian,
+    write_points,
     write_shares,
     write_squares,
 )
@@ -30,6 +33,7 @@ from torch_pmil.model.compiled.thin_products import (
     sum_entries,
     transform,
 )
+from torch_pmil.model.compiled.vectors import WIDTH
 
 
 @Kernel
@@ -57,12 +61,62 @@ def adjoint_of_gp(
     gradient, hessian = record.gradient[t], record.hessian[t]
     centre(f.inputs, mean, work.nu)
     clear_cotangents(d_mean, d_belief)
+    if f.tied:
+        _adjoint_of_tied_pairs(f, record, t, d_cov, work, d_mean, d_belief)
     for a in range(len(f.weights)):
         _adjoint_of_one(f, a, record, t, d_total, d_cov, d_slope, work, d_mean, d_belief)
-        for b in range(a, len(f.weights)):
+        for b in range(a, 0 if f.tied else len(f.weights)):
             scale = d_cov[a, b] if a == b else 2.0 * d_cov[a, b]
             add_cotangents(scale, gradient[a, b], hessian[a, b], d_mean, d_belief)
     return True
+
+
+@part
+def _adjoint_of_tied_pairs(
+    f: Functions,
+    record: Record,
+    t: int,
+    d_cov: Array2,
+    work: Workspace,
+    d_mean: Array1,
+    d_belief: Array2,
+) -> None:
+    """Adjoint of E[f_a f_b] of all pairs: one sum over pairs of data, weighted for all of them."""
+    B, moved, small = record.pair_precision[t, 0, 0], work.vectors[0], work.small
+    write_points(work.nu, work.points)
+    write_shares(f.squares[0], f.squares[0], work.shares)
+    write_exponents(f, 0, 0, B, record.half_log_det[t], work)
+    _write_weights_of_pairs(f, d_cov, work.by_output, work.pairs)
+    sum_own_pair(work.pairs, work)
+    times_vector(B, work.vectors[1], moved)
+    write_hessian(B, sum_entries(work.rows), small[3], small[0], small[2])
+    add_cotangents(1.0, moved, small[2], d_mean, d_belief)
+
+
+@compiled
+def _write_weights_of_pairs(f: Functions, d_cov: Array2, factors: Array2, out: Array2) -> None:
+    """Write what the factors Q have as weights in sum_ab d_ab E[f_a f_b] into ``out`` (n, n).
+
+    As in :func:`sum_own_pairs`, the diagonal is halved and nothing stands below. ``factors``
+    receives sum_b d_ab beta_b over the other outputs b, (E, n).
+    """
+    E, n = f.weights.shape
+    fill(factors, 0.0)
+    fill(out, 0.0)
+    for a in range(E):
+        for b in range(E):
+            if b != a:
+                add_multiple(d_cov[a, b], f.weights[b], factors[a])
+    for i in range(n):
+        first = i // WIDTH * WIDTH
+        row = out[i, first:]
+        for a in range(E):
+            add_multiple(f.weights[a, i], factors[a, first:], row)
+        for j in range(first, i):
+            out[i, j] = 0.0
+        out[i, i] /= 2.0
+        for a in range(E):
+            add_multiple(d_cov[a, a], f.own_weights[a, i, first:], row)
 
 
 @Kernel

@@ -110,7 +110,12 @@ def _packed(f: KernelExpansion) -> Functions:
     log_signal, squares = array(f.log_signal_variance), array(f.lengthscales.square())
     offsets = np.array(np.broadcast_to(np.asarray(f.offset, dtype=float), E))
     own = _own_weights(f.weights, f.gram_inverse, padded)
-    return Functions(inputs, weights, squares, log_signal, offsets, np.zeros(E), own)
+    tied = E > 1 and len(own) > 0 and bool((squares == squares[0]).all())
+    if tied:
+        signal = np.exp(log_signal)
+        weights, log_signal = weights * signal[:, None], np.zeros(E)
+        own *= np.square(signal)[:, None, None]
+    return Functions(inputs, weights, squares, log_signal, offsets, np.zeros(E), own, tied)
 
 
 def _own_weights(weights: Tensor, gram_inverse: Tensor | None, padded: int) -> Array3:

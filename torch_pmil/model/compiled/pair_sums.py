@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from torch_pmil.model.compiled.building import Array1, Array2, compiled, part
+from torch_pmil.model.compiled.building import Array1, Array2, Array3, compiled, part
 from torch_pmil.model.compiled.thin_products import fill
 from torch_pmil.model.compiled.vectors import (
     WIDTH,
@@ -96,6 +96,42 @@ def sum_pairs(
             q2, q3 = multiply(q2, spread(w, i + 2)), multiply(q3, spread(w, i + 3))
             _add_columns(points, i, j, q0, q1, q2, q3, left)
         rows[i], rows[i + 1], rows[i + 2], rows[i + 3] = total(s0), total(s1), total(s2), total(s3)
+
+
+@compiled
+def sum_tied_pairs(
+    points: Array2,
+    right: Array2,
+    f: Array1,
+    columns: Array2,
+    own_weights: Array3,
+    left: Array2,
+    sums: Array2,
+) -> None:
+    """Sums over the one Q of all pairs of outputs with the same lengthscales.
+
+    Args:
+        points, right, f: as in :func:`sum_own_pairs`.
+        columns: weights of the outputs, (n, E).
+        own_weights: of each output with itself, as in :func:`sum_own_pairs`, (E, n, n).
+        left: out, sum_i w_i Q_ij, (E, n).
+        sums: out, sums of the own weights times Q, which still have to be added, (E, 8).
+    """
+    n, size = right.shape[1], right.shape[1] * right.shape[1]
+    fill(left, 0.0)
+    fill(sums, 0.0)
+    for i in range(0, n, 4):
+        for j in range(0, n, WIDTH):
+            q0, q1, q2, q3 = _exponentials(points, right, f, f, i, j)
+            _add_columns(columns, i, j, q0, q1, q2, q3, left)
+            if j + WIDTH > i:
+                for a in range(len(sums)):
+                    at, own = a * size + i * n + j, load(sums, a * WIDTH)
+                    own = multiply_add(q0, load(own_weights, at), own)
+                    own = multiply_add(q1, load(own_weights, at + n), own)
+                    own = multiply_add(q2, load(own_weights, at + 2 * n), own)
+                    own = multiply_add(q3, load(own_weights, at + 3 * n), own)
+                    store(sums, a * WIDTH, own)
 
 
 @compiled

@@ -86,13 +86,13 @@ def test_errors_are_below_their_estimates(seed: int) -> None:
 
 
 def test_outputs_of_a_signal_that_is_not_finite_are_not_tied() -> None:
-    (inputs, targets, lengthscales, signal, noise), _ = problem(0, 10, tied=True)
+    (inputs, targets, lengthscales, signal, noise), _ = problem(2, 10, tied=True)
     f = KernelExpansion.from_data(inputs, targets, lengthscales, signal, noise)
     endless = replace(f, signal_variance=torch.full_like(signal, torch.inf))
     assert functions_of(f).tied and not functions_of(endless).tied
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", (2, 3, 6, 7, 10, 11, 14))  # of two outputs
 def test_errors_of_tied_outputs_are_below_their_estimates(seed: int) -> None:
     assert max(errors_over_estimates(seed, most_data=40, tied=True)) < 1
 
@@ -104,8 +104,9 @@ def test_errors_of_two_hundred_problems_are_below_their_estimates() -> None:
     assert ratios.max() < 1
 
 
-@pytest.mark.parametrize("tied", [False, True])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("seed", "tied"), [(0, False), (1, False), (2, False), (2, True), (3, True), (6, True)]
+)
 def test_gradients_are_those_of_exact_arithmetic(seed: int, tied: bool) -> None:
     """Errors of gradients by the mean are those of the variance over a lengthscale, and of those by
     the covariance over its square.

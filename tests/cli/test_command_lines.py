@@ -18,7 +18,7 @@ from torch_pmil.control.policy_file import save_policy
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.runs.run_folder import write_origin
 
-LONGEST = 700  # characters of a line, in which all shapes of the LASA set fit
+LONGEST = 800  # characters of a line, in which all settings and all shapes of the LASA set fit
 RECORDED = "demonstration,time,x,y\n"
 COMMANDS = "the command must be one of play, new, "
 SEED = "seed must be a whole number from 0 to 2147483647, got "

@@ -32,7 +32,9 @@ def make_parts(draws: Draws) -> tuple[RBFPolicy, GPDynamics]:
     dynamics.set_data(
         inputs, 0.1 * torch.stack([inputs[:, 0], inputs[:, 3] - 2 * inputs[:, 1]], -1)
     )
-    dynamics.gp.covar_module.base_kernel.lengthscale = torch.tensor([[3.0, 1.5, 1.5, 4.0]])
+    dynamics.gp.covar_module.base_kernel.lengthscale = torch.tensor(
+        [[[3.0, 1.5, 1.5, 4.0]], [[2.5, 1.8, 1.2, 5.0]]]
+    )
     dynamics.gp.likelihood.noise = torch.full((2, 1), 1e-3)
     policy = RBFPolicy(draws.normal(5, 3), torch.tensor([2.0]), torch.ones(3))
     policy.weights.data.copy_(0.5 * draws.normal(5, 1))

@@ -103,7 +103,7 @@ class Workspace(NamedTuple):
         shares: of the first and the second output in a pair, and (Lambda_a + Lambda_b)^-1, (3, D).
         small: scratch, (6, D, D).
         vectors: scratch, (4, D).
-        columns, sums: of tied outputs, their weights (n, E) and sums of :func:`sum_tied_pairs`.
+        columns, sums: of tied outputs, their weights (n, E) and scratch, (E, 8).
         by_output: of tied outputs, sums of Q and factors of the weights, (E, n).
         pairs: of tied outputs, weights of pairs of data, (n, n).
     """

@@ -150,12 +150,7 @@ def _match_tied_pairs(
     f: Functions, cov: Array2, record: Record, t: int, work: Workspace, seconds: Array2
 ) -> bool:
     """:func:`_match_pairs` of a GP with one Q for all pairs; its adjoint finds the derivatives."""
-    B, columns, by_output, sums = (
-        record.pair_precision[t, 0, 0],
-        work.columns,
-        work.by_output,
-        work.sums,
-    )
+    B, columns, by_output = record.pair_precision[t, 0, 0], work.columns, work.by_output
     half_log_det = _pair_precision(f.squares[0], f.squares[0], cov, work, B)
     record.half_log_det[t] = half_log_det
     if isnan(half_log_det):
@@ -164,11 +159,11 @@ def _match_tied_pairs(
     for i in range(len(columns)):
         for a in range(len(seconds)):
             columns[i, a] = f.weights[a, i]
-    sum_tied_pairs(work.points, work.right, work.f, columns, f.own_weights, by_output, sums)
+    exponents = work.points, work.right, work.f
+    sum_tied_pairs(*exponents, columns, f.own_weights, by_output, work.sums, seconds)
     for a in range(len(seconds)):
         for b in range(a):
             seconds[a, b] = seconds[b, a] = sum_products(f.weights[a], by_output[b])
-        seconds[a, a] = 2.0 * sum_entries(sums[a])
     return True
 
 

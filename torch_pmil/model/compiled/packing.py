@@ -110,9 +110,11 @@ def _packed(f: KernelExpansion) -> Functions:
     log_signal, squares = array(f.log_signal_variance), array(f.lengthscales.square())
     offsets = np.array(np.broadcast_to(np.asarray(f.offset, dtype=float), E))
     own = _own_weights(f.weights, f.gram_inverse, padded)
-    tied = E > 1 and len(own) > 0 and bool((squares == squares[0]).all())
+    signal = np.exp(log_signal)
+    tied = (
+        E > 1 and len(own) > 0 and bool((squares == squares[0]).all() & np.isfinite(signal).all())
+    )
     if tied:
-        signal = np.exp(log_signal)
         weights, log_signal = weights * signal[:, None], np.zeros(E)
         own *= np.square(signal)[:, None, None]
     return Functions(inputs, weights, squares, log_signal, offsets, np.zeros(E), own, tied)

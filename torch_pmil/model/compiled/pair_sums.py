@@ -107,6 +107,7 @@ def sum_tied_pairs(
     own_weights: Array3,
     left: Array2,
     sums: Array2,
+    seconds: Array2,
 ) -> None:
     """Sums over the one Q of all pairs of outputs with the same lengthscales.
 
@@ -115,23 +116,28 @@ def sum_tied_pairs(
         columns: weights of the outputs, (n, E).
         own_weights: of each output with itself, as in :func:`sum_own_pairs`, (E, n, n).
         left: out, sum_i w_i Q_ij, (E, n).
-        sums: out, sums of the own weights times Q, which still have to be added, (E, 8).
+        sums: scratch, (E, 8): sums over four rows, which are added at their end to lose few digits.
+        seconds: out, on its diagonal, the sums of U + U' for the own weights times Q, (E, E).
     """
     n, size = right.shape[1], right.shape[1] * right.shape[1]
     fill(left, 0.0)
-    fill(sums, 0.0)
+    for a in range(len(seconds)):
+        seconds[a, a] = 0.0
     for i in range(0, n, 4):
+        fill(sums, 0.0)
         for j in range(0, n, WIDTH):
             q0, q1, q2, q3 = _exponentials(points, right, f, f, i, j)
             _add_columns(columns, i, j, q0, q1, q2, q3, left)
             if j + WIDTH > i:
-                for a in range(len(sums)):
-                    at, own = a * size + i * n + j, load(sums, a * WIDTH)
-                    own = multiply_add(q0, load(own_weights, at), own)
-                    own = multiply_add(q1, load(own_weights, at + n), own)
-                    own = multiply_add(q2, load(own_weights, at + 2 * n), own)
-                    own = multiply_add(q3, load(own_weights, at + 3 * n), own)
-                    store(sums, a * WIDTH, own)
+                for a in range(len(seconds)):
+                    at, s = a * size + i * n + j, load(sums, a * WIDTH)
+                    s = multiply_add(q0, load(own_weights, at), s)
+                    s = multiply_add(q1, load(own_weights, at + n), s)
+                    s = multiply_add(q2, load(own_weights, at + 2 * n), s)
+                    s = multiply_add(q3, load(own_weights, at + 3 * n), s)
+                    store(sums, a * WIDTH, s)
+        for a in range(len(seconds)):
+            seconds[a, a] += 2.0 * total(load(sums, a * WIDTH))
 
 
 @compiled

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from torch_pmil.envs.history import History
 from torch_pmil.gp.checks import check_positive, check_tensor, check_whole
+
+if TYPE_CHECKING:
+    from torch_pmil.envs.history import History
 
 # weight of the trapezoidal rule beside the data, over theirs: it counts where nothing moves
 RULE_RIDGE = 1e-6

@@ -19,7 +19,7 @@ from reproduction.learned import remeasured
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.history import with_history
+from torch_pmil.experiments.tasks.with_history import with_history
 
 Tasks = Callable[[], Mapping[str, Experiment]]
 

@@ -20,6 +20,10 @@ MUCH = History(NAMES, ACTIONS, PERIOD, past=("dq1", "dq2"), past_entries=2, past
 SHOWN = [0, 1, 2, 3]
 
 
+def known_part(history: History) -> KnownPart:
+    return KnownPart.of_readings(history.shift, history.gain, history.measured)
+
+
 def resting(states: Tensor) -> Tensor:
     return torch.full((*states.shape[:-1], 2), 0.25, dtype=states.dtype)
 
@@ -74,7 +78,7 @@ def test_robot_moves_as_without_a_history() -> None:
 
 @pytest.mark.parametrize("history", [POSITIONS, MUCH], ids=["positions", "much"])
 def test_known_part_says_what_the_environment_does(history: History) -> None:
-    rollout, known = rolled_out(history), KnownPart.of_history(history)
+    rollout, known = rolled_out(history), known_part(history)
     x, after = rollout["observation"], rollout["next", "observation"]
     taken = rollout["action"].clamp(-3.5, 3.5)
     outputs = known.targets(x, taken, after)

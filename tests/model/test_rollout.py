@@ -122,7 +122,8 @@ MIXED = KnownPart(
 
 
 # of a position whose velocity is hidden, and the last action
-REMEMBERED = KnownPart.of_history(History(("q", "dq"), ("u",), 0.5, ("dq",), past_actions=1))
+PAST = History(("q", "dq"), ("u",), 0.5, ("dq",), past_actions=1)
+REMEMBERED = KnownPart.of_readings(PAST.shift, PAST.gain, PAST.measured)
 
 
 @pytest.mark.parametrize("noise", [False, True], ids=["latent", "noisy"])

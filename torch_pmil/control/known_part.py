@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from torch_pmil.gp.checks import check_positive, check_tensor, check_whole
-
-if TYPE_CHECKING:
-    from torch_pmil.envs.history import History
 
 # weight of the trapezoidal rule beside the data, over theirs: it counts where nothing moves
 RULE_RIDGE = 1e-6
@@ -132,16 +128,19 @@ class KnownPart:
         return replace(cls._of(of_state, gain, num_actions, learned), followed=followed)
 
     @classmethod
-    def of_history(cls, history: History) -> KnownPart:
-        r"""The measured entries change by what is learned; the past is known.
+    def of_readings(cls, shift: Tensor, gain: Tensor, measured: Sequence[int]) -> KnownPart:
+        r"""The measured entries y change by what is learned; the rest of the state follows.
 
         .. math:: x_{t+1} = S\,[x_t, u_t] + C\,(y_t + g(x_t, u_t))
 
-        Here y_t are the measured entries of x_t, S and C those of the :class:`History`.
+        Args:
+            shift: S, (D, D + F).
+            gain: C, (D, E).
+            measured: indices of the E entries y of the state.
         """
-        matrix, measured = history.shift.clone(), list(history.measured)
-        matrix[:, measured] += history.gain
-        return cls(matrix, history.gain, history.measured)
+        matrix = shift.clone()
+        matrix[:, list(measured)] += gain
+        return cls(matrix, gain, tuple(measured))
 
     @property
     def rule(self) -> Tensor:

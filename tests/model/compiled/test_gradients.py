@@ -34,7 +34,8 @@ MIXED = KnownPart(
     (2, 0),
 )
 # one entry is measured, the others are the last actions
-REMEMBERED = KnownPart.of_history(History(("a",), ("u", "v"), 0.5, past_actions=1))
+PAST = History(("a",), ("u", "v"), 0.5, past_actions=1)
+REMEMBERED = KnownPart.of_readings(PAST.shift, PAST.gain, PAST.measured)
 kinds_of_targets = pytest.mark.parametrize(
     "targets",
     ["difference", "successor", VELOCITY, MIXED, REMEMBERED],

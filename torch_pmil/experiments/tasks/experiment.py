@@ -140,7 +140,7 @@ class Experiment:
             dNAME beside NAME: they follow from it by a rule whose two numbers are fitted.
         tied_lengthscales: whether all outputs of the model have the same lengthscales.
         history: past readings and actions that are entries of the state, see
-            :func:`~torch_pmil.experiments.tasks.history.with_history`; None for none.
+            :func:`~torch_pmil.experiments.tasks.with_history.with_history`; None for none.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.
 
@@ -348,7 +348,7 @@ class Experiment:
         settings: dict[str, Any] = self.settings
         moved = self.pd_movements is not None
         groups = ("exploration", "search") if moved else ("search",)
-        unused = {"search", *(("random_action", "explore_demonstrated") if moved else ())}
+        unused = {"search", "history", *(("random_action", "explore_demonstrated") if moved else ())}
         if self.holding_actions is None:
             unused.add("explore_demonstrated")
         own = {entry.name for entry in fields(self)} - unused
@@ -435,7 +435,8 @@ class Experiment:
         actions, time_step = len(self.actions.names), self.demonstrations.time_step
         inputs, tied = len(self.space.feature_names) + actions, self.tied_lengthscales
         if self.history is not None:
-            known = KnownPart.of_history(self.history)
+            past = self.history
+            known = KnownPart.of_readings(past.shift, past.gain, past.measured)
             return GPDynamics(inputs, known.num_outputs, known, tied_lengthscales=tied)
         if not self.velocities_alone:
             return GPDynamics(inputs, self.space.dim, tied_lengthscales=tied)

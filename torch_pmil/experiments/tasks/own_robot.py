@@ -31,8 +31,8 @@ from torch_pmil.experiments.tasks.experiment import (
     fitting,
     independent_start,
 )
-from torch_pmil.experiments.tasks.history import with_history
 from torch_pmil.experiments.tasks.site_match import site_match
+from torch_pmil.experiments.tasks.with_history import with_history
 from torch_pmil.gp.gaussian import Gaussian
 
 STARTS = 20  # resets by which p(x_0) is estimated
@@ -95,7 +95,7 @@ def own_robot(
             site where the demonstrations have these columns
             (:func:`~torch_pmil.experiments.tasks.site_match.site_match`).
         past_entries, past_actions, positions_only: what the state holds of the past, see
-            :func:`~torch_pmil.experiments.tasks.history.with_history`; nothing by default.
+            :func:`~torch_pmil.experiments.tasks.with_history.with_history`; nothing by default.
         settings: fields of :class:`Experiment` in place of the defaults.
 
     Raises:

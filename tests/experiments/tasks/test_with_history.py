@@ -13,7 +13,7 @@ from torch_pmil.envs.rollouts import states_of
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.training import train
 from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.history import with_history
+from torch_pmil.experiments.tasks.with_history import with_history
 
 KINDS = {
     "delay": {"past_actions": 1},

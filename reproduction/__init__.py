@@ -17,6 +17,7 @@ from reproduction.handwriting import HANDWRITING
 from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.masses import MASSES
 from reproduction.reaching import REACHING
+from reproduction.remembering import DELAY, POSITIONS_ONLY
 from reproduction.robot_server import ROBOT_SERVER
 from reproduction.robustness import ROBUSTNESS
 from reproduction.servo_gains import SERVO_GAINS
@@ -47,5 +48,7 @@ PAPER = {
         WHERE_RUNS_FAIL,
         UR5E_CARRIES,
         VELOCITIES,
+        POSITIONS_ONLY,
+        DELAY,
     )
 }

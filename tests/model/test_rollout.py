@@ -16,6 +16,7 @@ from tests.helpers.memory import LargestResult
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import Controller, RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.envs.history import History
 from torch_pmil.gp import exponential_sums
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion
@@ -120,8 +121,15 @@ MIXED = KnownPart(
 )
 
 
+# of a position whose velocity is hidden, and the last action
+PAST = History(("q", "dq"), ("u",), 0.5, ("dq",), past_actions=1)
+REMEMBERED = KnownPart.of_readings(PAST.shift, PAST.gain, PAST.measured)
+
+
 @pytest.mark.parametrize("noise", [False, True], ids=["latent", "noisy"])
-@pytest.mark.parametrize("targets", ["difference", "successor", MIXED], ids=["d", "s", "mixed"])
+@pytest.mark.parametrize(
+    "targets", ["difference", "successor", MIXED, REMEMBERED], ids=["d", "s", "mixed", "history"]
+)
 def test_step_without_angles_has_the_moments_of_samples(
     draws: Draws, targets: Targets, noise: bool
 ) -> None:
@@ -135,7 +143,7 @@ def test_step_without_angles_has_the_moments_of_samples(
     dynamics.set_data(inputs, inputs[:, :E].sin() + inputs[:, 3:])
     dynamics.gp.likelihood.noise = torch.full((E, 1), 0.05, dtype=torch.float64)
 
-    x = state.sample(100_000, draws.generator)
+    x = state.sample(1_000_000, draws.generator)
     u = controller(x)
     mean, variance = dynamics.expansion.predict(torch.cat([x, u], -1))
     variance = variance + dynamics.expansion.noise_variance if noise else variance

@@ -127,6 +127,21 @@ class KnownPart:
         followed = tuple((index[position], index[rate]) for position, rate in velocities.items())
         return replace(cls._of(of_state, gain, num_actions, learned), followed=followed)
 
+    @classmethod
+    def of_readings(cls, shift: Tensor, gain: Tensor, measured: Sequence[int]) -> KnownPart:
+        r"""The measured entries y change by what is learned; the rest of the state follows.
+
+        .. math:: x_{t+1} = S\,[x_t, u_t] + C\,(y_t + g(x_t, u_t))
+
+        Args:
+            shift: S, (D, D + F).
+            gain: C, (D, E).
+            measured: indices of the E entries y of the state.
+        """
+        matrix = shift.clone()
+        matrix[:, list(measured)] += gain
+        return cls(matrix, gain, tuple(measured))
+
     @property
     def rule(self) -> Tensor:
         r"""Numbers a and b of each position that follows, :math:`q' = q + a \dot q + b \dot q'`.

@@ -20,6 +20,7 @@ from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
+from torch_pmil.envs.history import History, HistoryEnv
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.physical.physical_robot_env import PhysicalRobotEnv
@@ -31,6 +32,8 @@ __all__ = [
     "CosSin",
     "DoublePendulumEnv",
     "DoublePendulumServoEnv",
+    "History",
+    "HistoryEnv",
     "MujocoRobot",
     "MujocoRobotEnv",
     "PhysicalRobotEnv",

@@ -255,3 +255,11 @@ def test_control_period_must_be_that_of_the_robot_of_a_file() -> None:
 def test_site_of_another_robot_is_refused() -> None:
     with pytest.raises(TypeError, match="match by a site needs a MujocoRobot, got Arm"):
         own_robot(Arm(), reaches(), 0.1, match="tip")
+
+
+def test_robot_may_remember() -> None:
+    plain = own_robot(Arm(), reaches(("q",)), 0.1, state=("q", "dq"))
+    task = own_robot(Arm(), reaches(("q",)), 0.1, state=("q", "dq"), past_actions=1)
+    assert plain.history is None and task.space.names == ("q", "dq", f"{plain.actions.names[0]}@1")
+    rollouts = task.robots(3, seed=0).rollout(task.horizon)
+    assert torch.isfinite(task.error(rollouts)).all() and task.make_dynamics().num_outputs == 2

@@ -15,6 +15,7 @@ from tests.helpers.two_ways import kernels_alone
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import Controller
 from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.envs.history import History
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.model.dynamics import GPDynamics, Targets
@@ -32,8 +33,13 @@ MIXED = KnownPart(
     torch.tensor([[0.0, 1.0], [0.4, -0.3], [1.0, 0.0]], dtype=torch.float64),
     (2, 0),
 )
+# one entry is measured, the others are the last actions
+PAST = History(("a",), ("u", "v"), 0.5, past_actions=1)
+REMEMBERED = KnownPart.of_readings(PAST.shift, PAST.gain, PAST.measured)
 kinds_of_targets = pytest.mark.parametrize(
-    "targets", ["difference", "successor", VELOCITY, MIXED], ids=["d", "s", "velocity", "mixed"]
+    "targets",
+    ["difference", "successor", VELOCITY, MIXED, REMEMBERED],
+    ids=["d", "s", "velocity", "mixed", "history"],
 )
 # of one policy, of one for each belief, and with one that is exactly zero
 weights = pytest.mark.parametrize("weights", [(F, M), (N, F, M)], ids=["one policy", "targets"])

@@ -22,6 +22,7 @@ from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
+from torch_pmil.envs.history import History
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.envs.rollouts import OfStates, as_executed, states_of
 from torch_pmil.files import short
@@ -138,6 +139,8 @@ class Experiment:
         velocities_alone: whether the model learns no positions of which the velocity is an entry,
             dNAME beside NAME: they follow from it by a rule whose two numbers are fitted.
         tied_lengthscales: whether all outputs of the model have the same lengthscales.
+        history: past readings and actions that are entries of the state, see
+            :func:`~torch_pmil.experiments.tasks.with_history.with_history`; None for none.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.
 
@@ -178,6 +181,7 @@ class Experiment:
     held_states: Tensor | None = None
     velocities_alone: bool = False
     tied_lengthscales: bool = False
+    history: History | None = None
     search: SearchSettings = field(default_factory=SearchSettings)
     draws: bool = True
 
@@ -308,6 +312,8 @@ class Experiment:
         start = self.initial.mean.abs() + START_REACH * self.initial.std
         limits = torch.maximum(3 * self.demonstrated_states.abs().amax(0), start)
         limits[list(self.space.angles)] = torch.inf
+        if self.history is not None:
+            limits[self.history.dim - self.history.num_past_actions :] = torch.inf
         return limits
 
     @property
@@ -331,6 +337,7 @@ class Experiment:
             "evaluated": self.evaluated,
             "velocities_alone": self.velocities_alone,
             "tied_lengthscales": self.tied_lengthscales,
+            "history": self.history and asdict(self.history),
             "state_box": self.state_box and self.state_box.settings,
             "search": asdict(self.search),
         }
@@ -341,7 +348,7 @@ class Experiment:
         settings: dict[str, Any] = self.settings
         moved = self.pd_movements is not None
         groups = ("exploration", "search") if moved else ("search",)
-        unused = {"search", *(("random_action", "explore_demonstrated") if moved else ())}
+        unused = {"search", "history", *(("random_action", "explore_demonstrated") if moved else ())}
         if self.holding_actions is None:
             unused.add("explore_demonstrated")
         own = {entry.name for entry in fields(self)} - unused
@@ -427,6 +434,10 @@ class Experiment:
         """A forward model of the robot, without data."""
         actions, time_step = len(self.actions.names), self.demonstrations.time_step
         inputs, tied = len(self.space.feature_names) + actions, self.tied_lengthscales
+        if self.history is not None:
+            past = self.history
+            known = KnownPart.of_readings(past.shift, past.gain, past.measured)
+            return GPDynamics(inputs, known.num_outputs, known, tied_lengthscales=tied)
         if not self.velocities_alone:
             return GPDynamics(inputs, self.space.dim, tied_lengthscales=tied)
         names = self.space.names

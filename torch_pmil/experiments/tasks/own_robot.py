@@ -32,6 +32,7 @@ from torch_pmil.experiments.tasks.experiment import (
     independent_start,
 )
 from torch_pmil.experiments.tasks.site_match import site_match
+from torch_pmil.experiments.tasks.with_history import with_history
 from torch_pmil.gp.gaussian import Gaussian
 
 STARTS = 20  # resets by which p(x_0) is estimated
@@ -59,6 +60,9 @@ def own_robot(
     units: Sequence[str] = (),
     angles: Sequence[str] = (),
     match: MatchSpace | str | None = None,
+    past_entries: int = 0,
+    past_actions: int = 0,
+    positions_only: bool = False,
     **settings: Any,
 ) -> Experiment:
     """An experiment with one's own robot and recordings.
@@ -90,6 +94,8 @@ def own_robot(
             name of a site of a MuJoCo robot for the place of that site, and with it the axes of the
             site where the demonstrations have these columns
             (:func:`~torch_pmil.experiments.tasks.site_match.site_match`).
+        past_entries, past_actions, positions_only: what the state holds of the past, see
+            :func:`~torch_pmil.experiments.tasks.with_history.with_history`; nothing by default.
         settings: fields of :class:`Experiment` in place of the defaults.
 
     Raises:
@@ -153,7 +159,10 @@ def own_robot(
         **(defaults | settings),
     )
     if made.promised is None and "confirmations" not in settings:
-        return replace(made, confirmations=CONFIRMATIONS)
+        made = replace(made, confirmations=CONFIRMATIONS)
+    remembered = {"past_entries": past_entries, "past_actions": past_actions}
+    if positions_only or any(remembered.values()):
+        return with_history(made, positions_only=positions_only, **remembered)
     return made
 
 

@@ -1,0 +1,245 @@
+"""What a robot does not show, kept as entries of its state: past readings and past actions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from torch_pmil.envs.robot import RobotEnv, is_whole_number
+
+
+@dataclass(frozen=True)
+class History:
+    r"""A state that holds some of the past beside the D_0 entries that a robot shows.
+
+    Its D entries are those of the robot, then past entries and then past actions, the latest first.
+    The next state is linear in the state, the action and the next reading y of the entries that are
+    measured:
+
+    .. math:: x_{t+1} = S\,[x_t, u_t] + C\,y_{t+1}
+
+    A velocity that the sensors do not show is told by the last two positions, :math:`\dot q_t =
+    (q_t - q_{t-1}) / \Delta t`. With the action between them these say as much as position and
+    velocity do.
+
+    Args:
+        names: of the D_0 entries, those of the hidden velocities included.
+        action_names: of the F actions.
+        control_period: s.
+        hidden: velocities that the sensors do not show, dNAME beside NAME.
+        past: entries whose past values are kept, neither positions of which the velocity is an
+            entry nor angles.
+        past_entries: number of their past values.
+        past_actions: number of the past actions that are kept. An action that takes effect up to so
+            many periods late is then known to the model.
+
+    Raises:
+        ValueError: a name is no entry, or a number is no whole number from 0 on.
+
+    Example:
+        >>> history = History(("q", "dq"), ("tau",), 0.1, hidden=("dq",), past_actions=1)
+        >>> history.state_names
+        ('q', 'dq', 'tau@1')
+        >>> at_rest = history.begin(torch.tensor([1.0, 0.0]), torch.tensor([0.0]))
+        >>> history.advanced(at_rest, torch.tensor([2.0]), torch.tensor([1.5, 0.0]))
+        tensor([1.5000, 5.0000, 2.0000])
+    """
+
+    names: tuple[str, ...]
+    action_names: tuple[str, ...]
+    control_period: float
+    hidden: tuple[str, ...] = ()
+    past: tuple[str, ...] = ()
+    past_entries: int = 0
+    past_actions: int = 0
+
+    def __post_init__(self) -> None:
+        without = [name for name in self.hidden if name[1:] not in self.names]
+        unknown = [name for name in (*self.hidden, *self.past) if name not in self.names]
+        if unknown or without:
+            raise ValueError(
+                f"hidden and past must be entries of {', '.join(self.names)}, and hidden ones "
+                f"velocities dNAME beside NAME, got {', '.join(unknown or without)}"
+            )
+        for name in ("past_entries", "past_actions"):
+            if not is_whole_number(getattr(self, name)) or getattr(self, name) < 0:
+                raise ValueError(
+                    f"{name} must be a whole number from 0 on, got {getattr(self, name)!r}"
+                )
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the D entries; NAME@2 is what NAME was two periods before."""
+        entries = [f"{name}@{k + 1}" for k in range(self.past_entries) for name in self.past]
+        actions = [
+            f"{name}@{k + 1}" for k in range(self.past_actions) for name in self.action_names
+        ]
+        return (*self.names, *entries, *actions)
+
+    @property
+    def dim(self) -> int:
+        """Number of entries D."""
+        return len(self.state_names)
+
+    @property
+    def measured(self) -> tuple[int, ...]:
+        """Indices of the entries that the sensors show."""
+        return tuple(i for i, name in enumerate(self.names) if name not in self.hidden)
+
+    @property
+    def num_past_actions(self) -> int:
+        """Number of entries that are past actions, the last ones."""
+        return self.past_actions * len(self.action_names)
+
+    @cached_property
+    def shift(self) -> Tensor:
+        """S (D, D + F): what state and action make of the next state."""
+        names, inputs = self.state_names, (*self.state_names, *self.action_names)
+        matrix = torch.zeros(len(names), len(inputs), dtype=torch.float64)
+        for row, name in enumerate(names):
+            if name in self.hidden:
+                matrix[row, names.index(name[1:])] = -1 / self.control_period
+            elif row >= len(self.names):
+                matrix[row, inputs.index(self._one_before(name))] = 1.0
+        return matrix
+
+    @cached_property
+    def gain(self) -> Tensor:
+        """C (D, measured): what the next reading makes of the next state."""
+        gain = torch.zeros(self.dim, len(self.measured), dtype=torch.float64)
+        for column, entry in enumerate(self.measured):
+            gain[entry, column] = 1.0
+            if (rate := f"d{self.names[entry]}") in self.hidden:
+                gain[self.names.index(rate), column] = 1 / self.control_period
+        return gain
+
+    @cached_property
+    def resting(self) -> tuple[Tensor, Tensor]:
+        """What reading (D, D_0) and action (D, F) make of the state of a robot that has rested."""
+        of_reading = torch.zeros(self.dim, len(self.names), dtype=torch.float64)
+        of_action = torch.zeros(self.dim, len(self.action_names), dtype=torch.float64)
+        for row, name in enumerate(self.state_names):
+            known = name.partition("@")[0]
+            if row < self.dim - self.num_past_actions:
+                entry = self.names.index(known)
+                of_reading[row, entry] = float(known not in self.hidden)
+            else:
+                of_action[row, self.action_names.index(known)] = 1.0
+        return of_reading, of_action
+
+    def begin(self, reading: Tensor, action: Tensor) -> Tensor:
+        """State (*batch, D) of a robot that has rested at a reading (*batch, D_0) by an action."""
+        of_reading, of_action = (matrix.to(reading) for matrix in self.resting)
+        return reading @ of_reading.mT + action @ of_action.mT
+
+    def advanced(self, state: Tensor, action: Tensor, reading: Tensor) -> Tensor:
+        """The state after an action (*batch, F) and the next reading (*batch, D_0)."""
+        before = torch.cat([state, action], -1) @ self.shift.to(state).mT
+        return before + reading[..., list(self.measured)] @ self.gain.to(state).mT
+
+    def _one_before(self, name: str) -> str:
+        known, _, number = name.rpartition("@")
+        return known if number == "1" else f"{known}@{int(number) - 1}"
+
+
+class HistoryEnv(RobotEnv):
+    """A robot whose observation holds some of the past, as :class:`History` says.
+
+    After a reset it has rested: hidden velocities are zero, past entries are those of now, and the
+    past actions are ``resting``.
+
+    Args:
+        make_env: makes the robot, called with ``settings``.
+        history: of its state.
+        resting: action (F,) before the first one, or actions (*batch, F) at states (*batch, D_0).
+        settings: as ``num_envs``, ``from_pixels`` and ``seed``.
+
+    Example:
+        >>> from torch_pmil.envs import DoublePendulumEnv
+        >>> names, actions = ("q1", "dq1", "q2", "dq2"), ("tau1", "tau2")
+        >>> history = History(names, actions, 0.1, hidden=("dq1", "dq2"), past_actions=1)
+        >>> env = HistoryEnv(DoublePendulumEnv, history, lambda states: 0 * states[..., :2])
+        >>> env.rollout(5)["next", "observation"].shape
+        torch.Size([5, 6])
+    """
+
+    def __init__(
+        self,
+        make_env: Callable[..., RobotEnv],
+        history: History,
+        resting: Callable[[Tensor], Tensor],
+        **settings: Any,
+    ) -> None:
+        robot = make_env(**settings)
+        seed = settings.get("seed")
+        super().__init__(robot.batch_size, robot.control_period, robot.from_pixels, seed)
+        self.robot, self.history, self.resting = robot, history, resting
+        self.physical = robot.physical
+        limits, more = robot.action_spec.space, robot.observation_spec.clone()
+        del more["observation"]
+        self._set_specs(history.dim, limits.low, limits.high, dict(more.items()))
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Those of the robot."""
+        return self.robot.action_names
+
+    @property
+    def action_units(self) -> tuple[str, ...]:
+        """Those of the robot."""
+        return self.robot.action_units
+
+    @property
+    def torque_limits(self) -> Tensor | None:
+        """Those of the robot."""
+        return self.robot.torque_limits
+
+    def needed_torques(self, states: Tensor) -> Tensor | None:
+        """Those of the robot."""
+        return self.robot.needed_torques(self._shown(states))
+
+    def beyond_range(self, states: Tensor) -> Tensor | None:
+        """Those of the robot."""
+        return self.robot.beyond_range(self._shown(states))
+
+    def close(self, **kwargs: Any) -> None:
+        """Close the robot."""
+        self.robot.close(**kwargs)
+        super().close(**kwargs)
+
+    def _shown(self, states: Tensor) -> Tensor:
+        return states[..., : len(self.history.names)]
+
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
+        start = None if tensordict is None else tensordict.get("observation", None)
+        given = None
+        if start is not None:
+            given = TensorDict({"observation": self._shown(start)}, self.batch_size)
+        shown = self.robot.reset(given)
+        self.cut_short = ""
+        reading = shown["observation"]
+        self._state = self.history.begin(reading, self.resting(reading)) if start is None else start
+        return self._with_history(shown)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action = tensordict["action"]
+        shown = self.robot.step(TensorDict({"action": action}, self.batch_size))["next"]
+        limits, reading = self.action_spec.space, shown["observation"]
+        taken = shown["sent"] if "sent" in shown else action.clamp(limits.low, limits.high)
+        self._state = self.history.advanced(self._state, taken, reading)
+        self.cut_short = self.robot.cut_short
+        result = self._with_history(shown)
+        if self.cut_short or self.guard is None:
+            result["reward"], result["done"] = shown["reward"], shown["done"]
+            return result
+        return self._without_reward(result)
+
+    def _with_history(self, shown: TensorDictBase) -> TensorDict:
+        entries = {key: shown[key] for key in self.observation_spec}
+        return TensorDict({**entries, "observation": self._state}, self.batch_size)

@@ -1,11 +1,12 @@
 """The cost of hiding the motors' angles from the BioRob's model (Section 5.2.1).
 
-One step is predicted with and without them.
+One step is predicted with and without them, and without them by a state that remembers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,10 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from reproduction.reproduction import PaperExperiment, Results, Run
-from torch_pmil.envs.biorob import ROTORS, BioRobEnv
+from torch_pmil.envs.biorob import ROTORS
 from torch_pmil.envs.mujoco_model import state_columns
 from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.tasks.with_history import with_history
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.plotting import plot_errors_over_data
 
@@ -25,6 +27,30 @@ SEEDS, QUICK_SEEDS = range(5), range(1)
 ROLLOUTS = (3, 6, 12, 24)
 TESTED = 20  # further rollouts of 2 s
 TEST_SEED = 8_000_000
+KINDS = ("hidden", "known", "with_history")
+PAST_ENTRIES, PAST_ACTIONS = 2, 3  # control periods
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What was recorded of n transitions.
+
+    Args:
+        remembered: states with what came before them, (n, D).
+        motors: motors' angles and speeds, (n, 6).
+        torques: (n, 3).
+        successors: states one control period later, (n, 6).
+    """
+
+    remembered: Tensor
+    motors: Tensor
+    torques: Tensor
+    successors: Tensor
+
+    @property
+    def states(self) -> Tensor:
+        """Positions and velocities of the joints, (n, 6)."""
+        return self.remembered[:, : self.successors.shape[1]]
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
@@ -33,28 +59,30 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
-    """Errors of the predicted changes of positions and velocities, motors hidden and known."""
+    """Errors of the predicted changes of positions and velocities, by what the model sees."""
     seeds = QUICK_SEEDS if quick else SEEDS
     tested = record_movements(TEST_SEED, TESTED)
     measured = [[one_step_errors(seed, count, tested) for count in ROLLOUTS] for seed in seeds]
-    errors = np.array(measured)  # (seeds, K, 2, 6)
-    rms = np.sqrt(np.square(errors).mean(0))  # (K, 2, 6)
+    errors = np.array(measured)  # (seeds, K, 3, 6)
+    rms = np.sqrt(np.square(errors).mean(0))  # (K, 3, 6)
     names = load_experiment("biorob").space.names
     headline = {
         f"{name}_error_{kind}_{2 * count}s": value
         for count, kinds in zip(ROLLOUTS, rms, strict=True)
-        for kind, values in zip(("hidden", "known"), kinds.tolist(), strict=True)
+        for kind, values in zip(KINDS, kinds.tolist(), strict=True)
         for name, value in zip(names, values, strict=True)
     }
-    ratios = rms[:, 0] / rms[:, 1]
-    headline |= {
-        f"ratio_{2 * count}s": float(np.exp(np.log(values).mean()))
-        for count, values in zip(ROLLOUTS, ratios, strict=True)
-    }
+    for row, end in ((0, ""), (2, "_with_history")):
+        ratios = np.exp(np.log(rms[:, row] / rms[:, 1]).mean(-1))
+        headline |= {
+            f"ratio_{2 * count}s{end}": float(ratio)
+            for count, ratio in zip(ROLLOUTS, ratios, strict=True)
+        }
+    labels = ("motors hidden", "motors known", "motors hidden, with history")
     panels = {
         f"{quantity} ({unit})": {
             label: np.sqrt(np.square(errors[:, :, kind, part]).mean(-1))
-            for kind, label in enumerate(("motors hidden", "motors known"))
+            for kind, label in enumerate(labels)
         }
         for quantity, unit, part in (
             ("error of positions", "rad", slice(3)),
@@ -66,18 +94,15 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     return Results(headline, {"hidden_motors": figure}, details)
 
 
-def one_step_errors(
-    seed: int, rollouts: int, tested: tuple[Tensor, Tensor, Tensor, Tensor]
-) -> np.ndarray:
-    """Root mean square error of the predicted change of each entry of the state, (2, 6).
+def one_step_errors(seed: int, rollouts: int, tested: Recorded) -> np.ndarray:
+    """Root mean square error of the predicted change of each entry of the state, (3, 6).
 
-    The rows are with motors hidden, and with motors known.
+    The rows are those of ``KINDS``.
     """
-    learned = record_movements(seed, rollouts)
-    errors = []
-    for known in (False, True):
-        inputs, targets = model_data(*learned, known)
-        test_inputs, test_targets = model_data(*tested, known)
+    learned, errors = record_movements(seed, rollouts), []
+    for kind in KINDS:
+        inputs, targets = model_data(learned, kind)
+        test_inputs, test_targets = model_data(tested, kind)
         model = GPDynamics(inputs.shape[1], targets.shape[1])
         model.fit(inputs, targets)
         predicted, _ = model.expansion.predict(test_inputs)
@@ -85,34 +110,34 @@ def one_step_errors(
     return torch.stack(errors).numpy()
 
 
-def model_data(
-    states: Tensor, motors: Tensor, torques: Tensor, successors: Tensor, known: bool
-) -> tuple[Tensor, Tensor]:
-    """GP inputs, with the motors' angles and speeds or without, and the changes of the state."""
-    inputs = [states, motors, torques] if known else [states, torques]
-    return torch.cat(inputs, -1), successors - states
+def model_data(recorded: Recorded, kind: str) -> tuple[Tensor, Tensor]:
+    """GP inputs, by what the model sees, and the changes of the state."""
+    seen = {
+        "hidden": [recorded.states],
+        "known": [recorded.states, recorded.motors],
+        "with_history": [recorded.remembered],
+    }
+    inputs = torch.cat([*seen[kind], recorded.torques], -1)
+    return inputs, recorded.successors - recorded.states
 
 
 @torch.no_grad()
-def record_movements(seed: int, rollouts: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Record PD movements, as at the start of a learning run.
-
-    Returns:
-        States (n, 6), motors' angles and speeds (n, 6), torques (n, 3) and successors (n, 6).
-    """
-    experiment, env = load_experiment("biorob"), BioRobEnv(seed=seed)
-    movements = experiment.exploration
+def record_movements(seed: int, rollouts: int) -> Recorded:
+    """Record PD movements, as at the start of a learning run."""
+    plain = load_experiment("biorob")
+    task = with_history(plain, past_entries=PAST_ENTRIES, past_actions=PAST_ACTIONS)
+    env, dim, movements = task.make_env(seed=seed), plain.space.dim, task.exploration
     motion, recorded = movements.motion(torch.Generator().manual_seed(seed)), []
     controller = TensorDictModule(motion, in_keys=["observation"], out_keys=["action"])
-    columns = state_columns(env.model, ROTORS, positions_first=True)
+    columns = state_columns(env.robot.model, ROTORS, positions_first=True)
     for _ in range(rollouts):
         motion.begin()
         rollout = env.rollout(movements.steps, controller)
-        physics = env.replay(rollout["observation"][0], rollout["action"], 1)
-        states, successors = rollout["observation"], rollout["next", "observation"]
-        recorded.append((states, physics[:-1, columns], rollout["action"], successors))
-    states, motors, actions, successors = (torch.cat(each) for each in zip(*recorded, strict=True))
-    return states, motors, actions, successors
+        remembered, torques = rollout["observation"], rollout["action"]
+        physics = env.robot.replay(remembered[0, :dim], torques, 1)
+        successors = rollout["next", "observation"][:, :dim]
+        recorded.append((remembered, physics[:-1, columns], torques, successors))
+    return Recorded(*(torch.cat(each) for each in zip(*recorded, strict=True)))
 
 
 HIDDEN_MOTORS = PaperExperiment(

@@ -33,8 +33,7 @@ class History:
         action_names: of the F actions.
         control_period: s.
         hidden: velocities that the sensors do not show, dNAME beside NAME.
-        past: entries whose past values are kept, neither positions of which the velocity is an
-            entry nor angles.
+        past: entries whose past values are kept.
         past_entries: number of their past values.
         past_actions: number of the past actions that are kept. An action that takes effect up to so
             many periods late is then known to the model.

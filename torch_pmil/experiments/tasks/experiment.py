@@ -348,7 +348,11 @@ class Experiment:
         settings: dict[str, Any] = self.settings
         moved = self.pd_movements is not None
         groups = ("exploration", "search") if moved else ("search",)
-        unused = {"search", "history", *(("random_action", "explore_demonstrated") if moved else ())}
+        unused = {
+            "search",
+            "history",
+            *(("random_action", "explore_demonstrated") if moved else ()),
+        }
         if self.holding_actions is None:
             unused.add("explore_demonstrated")
         own = {entry.name for entry in fields(self)} - unused

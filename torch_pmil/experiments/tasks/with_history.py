@@ -37,8 +37,8 @@ def with_history(
 
     Args:
         experiment: of the robot.
-        past_entries: number of past values of all entries that are neither angles nor positions of
-            which the velocity is an entry: what is hidden, as a spring, shows in them.
+        past_entries: number of past values of all entries that are no angles, nor positions that
+            tell a velocity: what is hidden, as a spring, shows in them.
         past_actions: number of past actions: those that still act where there is a delay.
         positions_only: whether the sensors show no velocities. Those of the state are then told by
             the last two positions, which need ``past_actions=1`` beside them to say as much.
@@ -55,13 +55,13 @@ def with_history(
     if experiment.history is not None:
         raise ValueError(f"{experiment.name} has a history already")
     names, velocities = experiment.space.names, rates_of(experiment.space.names)
-    positions = set(velocities.values()) | set(experiment.space.angles)
+    told = set(velocities.values()) if positions_only else set()
     history = History(
         names,
         experiment.actions.names,
         experiment.demonstrations.time_step,
         hidden=tuple(names[rate] for rate in velocities) if positions_only else (),
-        past=tuple(name for entry, name in enumerate(names) if entry not in positions),
+        past=tuple(names[entry] for entry in experiment.space.plain if entry not in told),
         past_entries=past_entries,
         past_actions=past_actions,
     )
@@ -164,13 +164,7 @@ def _with_past(widths: Tensor, experiment: Experiment, history: History) -> Tens
     """Widths (D'_0,) of the features, and of those of the past: half the range of past actions."""
     plain = [experiment.space.names[entry] for entry in experiment.space.plain]
     known = dict(zip(plain, widths[: len(plain)], strict=True))
-    known |= dict(
-        zip(
-            experiment.actions.names,
-            float(__import__("os").environ.get("WF", "1")) * experiment.actions.half_range,
-            strict=True,
-        )
-    )
+    known |= dict(zip(experiment.actions.names, experiment.actions.half_range, strict=True))
     past = [known[name.partition("@")[0]] for name in history.state_names[len(history.names) :]]
     return torch.cat([widths[: len(plain)], widths.new_tensor(past), widths[len(plain) :]])
 

@@ -5,6 +5,7 @@ A file has the runs, the numbers and the figures of its experiment.
 
 from reproduction.ablation import ABLATION
 from reproduction.biorob import BIOROB
+from reproduction.biorob_history import BIOROB_HISTORY
 from reproduction.box import BOX
 from reproduction.delay_calibration import DELAY_CALIBRATION
 from reproduction.double_pendulum_servo import DOUBLE_PENDULUM_SERVO
@@ -50,5 +51,6 @@ PAPER = {
         VELOCITIES,
         POSITIONS_ONLY,
         DELAY,
+        BIOROB_HISTORY,
     )
 }

@@ -8,7 +8,7 @@ from itertools import cycle
 import numpy as np
 from matplotlib.figure import Figure
 
-from torch_pmil.plotting.style import BLUE, VERMILLION, check_some, draw_range, style
+from torch_pmil.plotting.style import BLUE, GREEN, VERMILLION, check_some, draw_range, style
 
 
 def plot_errors_over_data(
@@ -32,7 +32,7 @@ def plot_errors_over_data(
     figure = Figure(figsize=(0.8 + 3.2 * len(panels), 3.0), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for panel, (label, models) in zip(axes, panels.items(), strict=True):
-        looks = cycle(((VERMILLION, "s"), (BLUE, "o")))
+        looks = cycle(((VERMILLION, "s"), (BLUE, "o"), (GREEN, "^")))
         for (name, errors), (colour, marker) in zip(models.items(), looks, strict=False):
             if errors.shape[1:] != (len(seconds),):
                 raise ValueError(

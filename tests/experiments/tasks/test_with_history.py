@@ -63,6 +63,13 @@ def test_past_actions_leave_no_transition_out() -> None:
     assert limits[[1, 3]].isfinite().all() and (limits[4:] == torch.inf).all()
 
 
+def test_positions_need_velocities_to_tell() -> None:
+    plain = load_experiment("double_pendulum")
+    space = replace(plain.space, names=("a", "b", "c", "d"))
+    with pytest.raises(ValueError, match=r"positions_only needs .* got a, b, c, d"):
+        with_history(replace(plain, space=space), positions_only=True)
+
+
 def test_second_history_is_refused() -> None:
     task = with_history(load_experiment("double_pendulum"), past_actions=1)
     with pytest.raises(ValueError, match="double_pendulum has a history already"):

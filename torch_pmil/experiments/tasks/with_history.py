@@ -44,7 +44,8 @@ def with_history(
             the last two positions, which need ``past_actions=1`` beside them to say as much.
 
     Raises:
-        ValueError: it has a history already, or a number is no whole number from 0 on.
+        ValueError: it has a history already, no entry of its state is a velocity that positions
+            could tell, or a number is no whole number from 0 on.
 
     Example:
         >>> from torch_pmil import load_experiment
@@ -55,6 +56,11 @@ def with_history(
     if experiment.history is not None:
         raise ValueError(f"{experiment.name} has a history already")
     names, velocities = experiment.space.names, rates_of(experiment.space.names)
+    if positions_only and not velocities:
+        raise ValueError(
+            "positions_only needs entries of the state that are velocities of others, dNAME beside "
+            f"NAME, of any value, got {', '.join(names)}"
+        )
     told = set(velocities.values()) if positions_only else set()
     history = History(
         names,

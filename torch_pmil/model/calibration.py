@@ -27,8 +27,8 @@ def standardised_residuals(
             {\sqrt{C^2 (\sigma^2(x_t, u_t) + \sigma_\varepsilon^2)}}
 
     If the model is as sure as it is right, they are standard normal (Eqs. 6 and 7, with the noise
-    of Eq. 2). A and C are those of its known part, C^2 the squares of C's entries. An entry of which
-    nothing is learned, as a past action, has the residual 0.
+    of Eq. 2). A and C are those of its known part, C^2 the squares of C's entries. An entry of
+    which nothing is learned, as a past action, has the residual 0.
 
     Args:
         dynamics: the forward model.

@@ -137,7 +137,7 @@ def _remembering(experiment: AnyExperiment, history: History, resting: Resting) 
 def _space(experiment: Experiment, history: History) -> StateSpace:
     space, more = experiment.space, history.dim - len(history.names)
     units = dict(zip(space.names, space.units, strict=True))
-    units |= dict(zip(experiment.actions.names, experiment.actions.units, strict=True))
+    units |= dict(zip(history.labels, experiment.actions.units, strict=True))
     all_units = tuple(units[name.partition("@")[0]] for name in history.state_names)
     match, zeros = space.match_space, torch.zeros
     of_states, of_angles = match.weights.tensor_split([space.dim], -1)
@@ -170,7 +170,7 @@ def _with_past(widths: Tensor, experiment: Experiment, history: History) -> Tens
     """Widths (D'_0,) of the features, and of those of the past: half the range of past actions."""
     plain = [experiment.space.names[entry] for entry in experiment.space.plain]
     known = dict(zip(plain, widths[: len(plain)], strict=True))
-    known |= dict(zip(experiment.actions.names, experiment.actions.half_range, strict=True))
+    known |= dict(zip(history.labels, experiment.actions.half_range, strict=True))
     past = [known[name.partition("@")[0]] for name in history.state_names[len(history.names) :]]
     return torch.cat([widths[: len(plain)], widths.new_tensor(past), widths[len(plain) :]])
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -20,16 +20,14 @@ from torch_pmil.envs.rollouts import OfStates
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.gp.gaussian import Gaussian
 
-AnyExperiment = TypeVar("AnyExperiment", bound=Experiment)
-
 
 def with_history(
-    experiment: AnyExperiment,
+    experiment: Experiment,
     *,
     past_entries: int = 0,
     past_actions: int = 0,
     positions_only: bool = False,
-) -> AnyExperiment:
+) -> Experiment:
     """The same task for a robot whose sensors do not show all that its motion depends on.
 
     The model learns the measured entries alone, and the rest of the state follows from them. Policy
@@ -107,7 +105,7 @@ class OfShown:
         return self.function(shown)
 
 
-def _remembering(experiment: AnyExperiment, history: History, resting: Resting) -> AnyExperiment:
+def _remembering(experiment: Experiment, history: History, resting: Resting) -> Experiment:
     shown, error = len(history.names), experiment.error
     least = torch.tensor(experiment.settings["least_widths"], dtype=torch.float64)
     changes: dict[str, Any] = {

@@ -7,6 +7,7 @@ import torch
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.known_part import KnownPart
+from torch_pmil.envs.history import History
 
 NAMES = ("x", "q", "dx", "dq")
 CART = KnownPart.of_velocities(NAMES, {"x": "dx", "q": "dq"}, num_actions=2, time_step=0.04)
@@ -125,3 +126,10 @@ def test_rule_is_taken_as_it_is_given() -> None:
     torch.testing.assert_close(CART.with_rule(rule).rule, rule)
     with pytest.raises(ValueError, match=r"rule must have shape \(2, 2\), got \(2,\)"):
         CART.with_rule(rule[0])
+
+
+def test_past_of_a_state_is_certain() -> None:
+    past = History(("q", "dq"), ("u",), 0.1, hidden=("dq",), past_actions=1)
+    known = KnownPart.of_readings(past.shift, past.gain, past.measured)
+    assert known.uncertain.tolist() == [True, True, False]
+    assert CART.uncertain.all()

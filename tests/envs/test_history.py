@@ -121,3 +121,12 @@ def test_guard_sees_the_whole_state_and_the_robot_is_asked_about_its_own() -> No
 def test_histories_that_make_no_sense_are_refused(wrong: dict, line: str) -> None:
     with pytest.raises(ValueError, match=line):
         History(NAMES, ACTIONS, PERIOD, **wrong)
+
+
+def test_actions_with_names_of_entries_are_told_apart() -> None:
+    """As joint targets are, which have the names of their joints."""
+    history = History(("q", "dq"), ("q",), 0.5, past=("q", "dq"), past_entries=1, past_actions=1)
+    assert history.state_names == ("q", "dq", "q@1", "dq@1", "action q@1")
+    state = history.begin(torch.tensor([1.0, 2.0]), torch.tensor([3.0]))
+    after = history.advanced(state, torch.tensor([4.0]), torch.tensor([5.0, 6.0]))
+    assert state.tolist() == [1, 2, 1, 2, 3] and after.tolist() == [5, 6, 1, 2, 4]

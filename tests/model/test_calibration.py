@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from tests.helpers.draws import Draws
+from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import (
@@ -68,6 +69,15 @@ def test_residual_counts_the_uncertainty_of_the_function_and_the_noise(draws: Dr
         rtol=1e-6,
         atol=1e-6,
     )
+
+
+def test_entries_of_which_nothing_is_learned_have_no_error(draws: Draws) -> None:
+    shift = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    gain = torch.tensor([[1.0], [0.0]], dtype=torch.float64)
+    model = GPDynamics(3, 1, KnownPart.of_readings(shift, gain, [0]))
+    model.set_data(draws.normal(6, 3), draws.normal(6, 1))
+    residuals = standardised_residuals(model, SPACE, *rollouts(draws, 4, 3))
+    assert (residuals[..., 0] != 0).all() and (residuals[..., 1] == 0).all()
 
 
 def test_coverage_of_standard_normal_errors_is_the_probability(draws: Draws) -> None:

@@ -209,6 +209,11 @@ class KnownPart:
         """Number of actions F."""
         return self.matrix.shape[-1] - self.dim
 
+    @property
+    def uncertain(self) -> Tensor:
+        """Whether something of an entry of the state is learned, bool, (D,)."""
+        return self.gain.any(-1)
+
     def targets(self, states: Tensor, actions: Tensor, successors: Tensor) -> Tensor:
         """What the model had to say, (*batch, E), of x_t and x_{t+1} (*batch, D), u_t (*batch, F).
 

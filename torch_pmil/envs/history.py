@@ -76,10 +76,18 @@ class History:
     def state_names(self) -> tuple[str, ...]:
         """Names of the D entries; NAME@2 is what NAME was two periods before."""
         entries = [f"{name}@{k + 1}" for k in range(self.past_entries) for name in self.past]
-        actions = [
-            f"{name}@{k + 1}" for k in range(self.past_actions) for name in self.action_names
-        ]
+        actions = [f"{name}@{k + 1}" for k in range(self.past_actions) for name in self.labels]
         return (*self.names, *entries, *actions)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the F actions, other than those of the entries.
+
+        Example:
+            >>> History(("q", "dq"), ("q",), 0.05).labels
+            ('action q',)
+        """
+        return tuple(f"action {name}" if name in self.names else name for name in self.action_names)
 
     @property
     def dim(self) -> int:
@@ -99,7 +107,7 @@ class History:
     @cached_property
     def shift(self) -> Tensor:
         """S (D, D + F): what state and action make of the next state."""
-        names, inputs = self.state_names, (*self.state_names, *self.action_names)
+        names, inputs = self.state_names, (*self.state_names, *self.labels)
         matrix = torch.zeros(len(names), len(inputs), dtype=torch.float64)
         for row, name in enumerate(names):
             if name in self.hidden:
@@ -129,7 +137,7 @@ class History:
                 entry = self.names.index(known)
                 of_reading[row, entry] = float(known not in self.hidden)
             else:
-                of_action[row, self.action_names.index(known)] = 1.0
+                of_action[row, self.labels.index(known)] = 1.0
         return of_reading, of_action
 
     def begin(self, reading: Tensor, action: Tensor) -> Tensor:
@@ -151,12 +159,12 @@ class HistoryEnv(RobotEnv):
     """A robot whose observation holds some of the past, as :class:`History` says.
 
     After a reset it has rested: hidden velocities are zero, past entries are those of now, and the
-    past actions are ``resting``.
+    past actions are ``resting``. ``state_dict`` resumes it at the start of an episode.
 
     Args:
         make_env: makes the robot, called with ``settings``.
         history: of its state.
-        resting: action (F,) before the first one, or actions (*batch, F) at states (*batch, D_0).
+        resting: actions (*batch, F) before the first ones, in states (*batch, D_0).
         settings: as ``num_envs``, ``from_pixels`` and ``seed``.
 
     Example:
@@ -216,10 +224,10 @@ class HistoryEnv(RobotEnv):
         return states[..., : len(self.history.names)]
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
-        start = None if tensordict is None else tensordict.get("observation", None)
-        given = None
+        given = TensorDict({}, self.batch_size) if tensordict is None else tensordict.copy()
+        start = given.get("observation", None)
         if start is not None:
-            given = TensorDict({"observation": self._shown(start)}, self.batch_size)
+            given["observation"] = self._shown(start)
         shown = self.robot.reset(given)
         self.cut_short = ""
         reading = shown["observation"]

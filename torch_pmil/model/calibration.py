@@ -27,7 +27,8 @@ def standardised_residuals(
             {\sqrt{C^2 (\sigma^2(x_t, u_t) + \sigma_\varepsilon^2)}}
 
     If the model is as sure as it is right, they are standard normal (Eqs. 6 and 7, with the noise
-    of Eq. 2). A and C are those of its known part, C^2 the squares of C's entries.
+    of Eq. 2). A and C are those of its known part, C^2 the squares of C's entries. An entry of
+    which nothing is learned, as a past action, has the residual 0.
 
     Args:
         dynamics: the forward model.
@@ -54,7 +55,8 @@ def standardised_residuals(
     before, known = states[..., :-1, :], dynamics.known_part(space)
     mean, variance = dynamics.expansion.predict(torch.cat([space.features(before), actions], -1))
     error = states[..., 1:, :] - known.successors(before, actions, mean)
-    return error / ((variance + dynamics.expansion.noise) @ known.gain.square().mT).sqrt()
+    std = ((variance + dynamics.expansion.noise) @ known.gain.square().mT).sqrt()
+    return torch.where(known.uncertain, error / std, 0.0)
 
 
 def observed_coverage(residuals: Tensor, probabilities: Tensor) -> Tensor:

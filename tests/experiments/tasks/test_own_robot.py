@@ -260,6 +260,6 @@ def test_site_of_another_robot_is_refused() -> None:
 def test_robot_may_remember() -> None:
     plain = own_robot(Arm(), reaches(("q",)), 0.1, state=("q", "dq"))
     task = own_robot(Arm(), reaches(("q",)), 0.1, state=("q", "dq"), past_actions=1)
-    assert plain.history is None and task.space.names == ("q", "dq", f"{plain.actions.names[0]}@1")
+    assert plain.history is None and task.space.names == ("q", "dq", "0@1")
     rollouts = task.robots(3, seed=0).rollout(task.horizon)
     assert torch.isfinite(task.error(rollouts)).all() and task.make_dynamics().num_outputs == 2

@@ -173,10 +173,11 @@ def _calibration(experiment: Experiment, result: RunResult) -> plotting.Figure:
     """
     states = torch.cat([outcome.executed for outcome in result.outcomes])
     actions = torch.cat([outcome.rollouts["action"] for outcome in result.outcomes])
-    residuals = standardised_residuals(result.dynamics, experiment.space, states, actions)
-    return plotting.plot_calibration(
-        experiment.space.names, experiment.demonstrations.time_step, residuals
-    )
+    space, time_step = experiment.space, experiment.demonstrations.time_step
+    residuals = standardised_residuals(result.dynamics, space, states, actions)
+    learned = result.dynamics.known_part(space).uncertain
+    names = [name for name, told in zip(space.names, learned.tolist(), strict=True) if told]
+    return plotting.plot_calibration(names, time_step, residuals[..., learned])
 
 
 def _model(experiment: Experiment, result: RunResult) -> plotting.Figure:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -20,16 +20,14 @@ from torch_pmil.envs.rollouts import OfStates
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.gp.gaussian import Gaussian
 
-AnyExperiment = TypeVar("AnyExperiment", bound=Experiment)
-
 
 def with_history(
-    experiment: AnyExperiment,
+    experiment: Experiment,
     *,
     past_entries: int = 0,
     past_actions: int = 0,
     positions_only: bool = False,
-) -> AnyExperiment:
+) -> Experiment:
     """The same task for a robot whose sensors do not show all that its motion depends on.
 
     The model learns the measured entries alone, and the rest of the state follows from them. Policy
@@ -107,7 +105,7 @@ class OfShown:
         return self.function(shown)
 
 
-def _remembering(experiment: AnyExperiment, history: History, resting: Resting) -> AnyExperiment:
+def _remembering(experiment: Experiment, history: History, resting: Resting) -> Experiment:
     shown, error = len(history.names), experiment.error
     least = torch.tensor(experiment.settings["least_widths"], dtype=torch.float64)
     changes: dict[str, Any] = {
@@ -137,7 +135,7 @@ def _remembering(experiment: AnyExperiment, history: History, resting: Resting) 
 def _space(experiment: Experiment, history: History) -> StateSpace:
     space, more = experiment.space, history.dim - len(history.names)
     units = dict(zip(space.names, space.units, strict=True))
-    units |= dict(zip(experiment.actions.names, experiment.actions.units, strict=True))
+    units |= dict(zip(history.labels, experiment.actions.units, strict=True))
     all_units = tuple(units[name.partition("@")[0]] for name in history.state_names)
     match, zeros = space.match_space, torch.zeros
     of_states, of_angles = match.weights.tensor_split([space.dim], -1)
@@ -170,7 +168,7 @@ def _with_past(widths: Tensor, experiment: Experiment, history: History) -> Tens
     """Widths (D'_0,) of the features, and of those of the past: half the range of past actions."""
     plain = [experiment.space.names[entry] for entry in experiment.space.plain]
     known = dict(zip(plain, widths[: len(plain)], strict=True))
-    known |= dict(zip(experiment.actions.names, experiment.actions.half_range, strict=True))
+    known |= dict(zip(history.labels, experiment.actions.half_range, strict=True))
     past = [known[name.partition("@")[0]] for name in history.state_names[len(history.names) :]]
     return torch.cat([widths[: len(plain)], widths.new_tensor(past), widths[len(plain) :]])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from dataclasses import replace
 from functools import partialmethod
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 import torch
 
 from tests.helpers.attended import AttendedPendulum, Operator
+from tests.helpers.virtual_time import VirtualTime, virtual_time
 from torch_pmil import (
     PMIL,
     Demonstrations,
@@ -98,11 +98,11 @@ def test_a_physical_robot_moves_no_more_than_it_is_asked_to(
 class Cart:
     """A cart that moves as fast as it is told, at once."""
 
-    def __init__(self) -> None:
-        self.x, self.sent = 0.0, []
+    def __init__(self, clock: VirtualTime) -> None:
+        self.x, self.sent, self._clock = 0.0, [], clock
 
     def read_state(self) -> tuple[list[float], float]:
-        return [self.x], time.monotonic()
+        return [self.x], self._clock.monotonic()
 
     def send(self, action: torch.Tensor) -> None:
         self.x += 0.02 * action.item()
@@ -112,19 +112,19 @@ class Cart:
         pass
 
 
-def test_a_robot_in_real_time_learns_stops_goes_on_and_is_measured(
+def test_a_robot_that_keeps_time_learns_stops_goes_on_and_is_measured(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
-    cart, asked = Cart(), Operator(("", "", "q", "d"))
+    cart, asked = Cart(virtual_time(monkeypatch)), Operator(("", "", "q", "d"))
 
     def operator() -> None:
         cart.x = 0.0
         asked()
 
     env = PhysicalRobotEnv(
-        cart, dim=1, low=[-1.0], high=[2.0], control_period=0.02, operator=operator, most_late=9
+        cart, dim=1, low=[-1.0], high=[2.0], control_period=0.02, operator=operator
     )
     ways = torch.stack([torch.linspace(0, end, 11).double() for end in (0.1, 0.11)])[..., None]
     shown = Demonstrations(ways, 0.02, ("x",))

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import shlex
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -24,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from benchmarks.command_line import source_of
 from benchmarks.workloads import make_problem
-from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 from torch_pmil.model.compiled import kernels
 from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
@@ -79,7 +77,7 @@ def main() -> None:
         {"n": n, "horizon": HORIZON, "cpu_ms": measure(n, arguments.repeats)}
         for n in arguments.sizes
     ]
-    source = provenance(shlex.join(["python", "-m", "benchmarks.breakdown", *sys.argv[1:]]))
+    source = source_of("breakdown")
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     write_json(arguments.json, {**source, "parts": PARTS, "rows": rows})
     print("\n".join(table(rows)))

@@ -13,19 +13,16 @@ Example:
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import torch
 
+from benchmarks.command_line import add_json, source_of
 from benchmarks.workloads import lengthscale_factors
 from torch_pmil import Gaussian, GPDynamics, RBFPolicy, TrajectoryKLLoss
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 from torch_pmil.model.dynamics import Targets
 
@@ -47,17 +44,12 @@ def main() -> None:
     parser.add_argument("--n", type=int, default=400, help="transitions that the model knows")
     parser.add_argument("--horizon", type=int, default=25, help="T")
     parser.add_argument("--repeats", type=int, default=7, help="evaluations of each model")
-    parser.add_argument(
-        "--json",
-        type=Path,
-        default=Path("results/benchmarks/dimensions/summary.json"),
-        help="file to write",
-    )
+    add_json(parser, "dimensions")
     arguments = parser.parse_args()
     if odd := [dim for dim in arguments.dimensions if dim < 2 or dim % 2]:
         parser.error(f"dimensions must be positive and even, got {odd[0]}")
     torch.set_num_threads(1)
-    source = provenance(shlex.join(["python", "-m", "benchmarks.dimensions", *sys.argv[1:]]))
+    source = source_of("dimensions")
     size = {name: getattr(arguments, name) for name in ("n", "horizon", "repeats")}
     rows = []
     for dim in arguments.dimensions:

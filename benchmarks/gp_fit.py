@@ -16,19 +16,16 @@ from __future__ import annotations
 
 import argparse
 import copy
-import shlex
 import statistics
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import gpytorch
 import torch
 from torch import Tensor
 
+from benchmarks.command_line import add_json, source_of
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 from torch_pmil.gp.hyperparameters import pilco_starts
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
@@ -55,12 +52,7 @@ def main() -> None:
     )
     parser.add_argument("--repeats", type=int, default=7, help="fits of each kind")
     parser.add_argument("--seed", type=int, default=0, help="of the rollouts")
-    parser.add_argument(
-        "--json",
-        type=Path,
-        default=Path("results/benchmarks/gp_fit/summary.json"),
-        help="file to write",
-    )
+    add_json(parser, "gp_fit")
     arguments = parser.parse_args()
     if min(arguments.sizes) < ROLLOUT + 2 or arguments.repeats < 1:
         parser.error(
@@ -68,7 +60,7 @@ def main() -> None:
             f"and {arguments.repeats}"
         )
     torch.set_num_threads(1)
-    source = provenance(shlex.join(["python", "-m", "benchmarks.gp_fit", *sys.argv[1:]]))
+    source = source_of("gp_fit")
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     rows = [
         row

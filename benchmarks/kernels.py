@@ -12,18 +12,15 @@ Example:
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import gpytorch
 import torch
 from gpytorch.kernels import Kernel, LinearKernel, RBFKernel, ScaleKernel
 from torch import Tensor
 
+from benchmarks.command_line import add_json, source_of
 from benchmarks.gp_fit import experience
-from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 
 ITERATIONS = 150
@@ -60,12 +57,10 @@ def main() -> None:
     """Read the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--sizes", type=int, nargs="+", default=[25, 50, 100])
-    parser.add_argument(
-        "--json", type=Path, default=Path("results/benchmarks/kernels/summary.json")
-    )
+    add_json(parser, "kernels")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    source = provenance(shlex.join(["python", "-m", "benchmarks.kernels", *sys.argv[1:]]))
+    source = source_of("kernels")
     rows = [row for n in arguments.sizes for seed in SEEDS for row in measure(n, seed)]
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     write_json(arguments.json, {**source, "headline": headline(rows), "rows": rows})

@@ -11,19 +11,16 @@ Example:
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import torch
 
+from benchmarks.command_line import add_json, source_of
 from torch_pmil.control.policy_file import load_policy, save_policy
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 
 WARM_UP = 100  # steps that are not counted
@@ -33,17 +30,12 @@ def main() -> None:
     """Read the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--steps", type=int, default=10_000, help="counted for each form")
-    parser.add_argument(
-        "--json",
-        type=Path,
-        default=Path("results/benchmarks/policy_step/summary.json"),
-        help="file to write",
-    )
+    add_json(parser, "policy_step")
     arguments = parser.parse_args()
     if arguments.steps < 1:
         parser.error(f"steps must be at least 1, got {arguments.steps}")
     torch.set_num_threads(1)
-    source = provenance(shlex.join(["python", "-m", "benchmarks.policy_step", *sys.argv[1:]]))
+    source = source_of("policy_step")
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     rows = measure(arguments.steps)
     write_json(arguments.json, {**source, "steps": arguments.steps, "rows": rows})

@@ -25,6 +25,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from benchmarks.command_line import add_json
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments import Experiment, load_experiment
@@ -67,12 +68,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(5)))
     parser.add_argument("--trials", type=int, default=12)
     parser.add_argument("--runs", type=Path, default=Path("runs/quiet_motions"))
-    parser.add_argument(
-        "--json",
-        type=Path,
-        default=Path("results/benchmarks/quiet_motions/summary.json"),
-        help="file to write",
-    )
+    add_json(parser, "quiet_motions")
     arguments = parser.parse_args()
     if min(*arguments.seeds, arguments.trials - 1) < 0:
         parser.error("seeds must not be negative, and trials be at least 1")

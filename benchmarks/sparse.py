@@ -17,17 +17,15 @@ Example:
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from benchmarks.command_line import add_json, source_of
 from benchmarks.dimensions import cpu_seconds
 from benchmarks.measure import forget_peak, memory_mb
 from reproduction.arms import UR5E, arm_experiment
@@ -35,7 +33,6 @@ from torch_pmil import GPDynamics, RBFPolicy
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.control.policy_file import load_policy
 from torch_pmil.experiments import Experiment, load_experiment
-from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 from torch_pmil.model.experience import gp_data
 from torch_pmil.search.policy_search import search_policy
@@ -120,15 +117,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
     parser.add_argument("--repeats", type=int, default=7, help="evaluations of each model")
-    parser.add_argument(
-        "--json",
-        type=Path,
-        default=Path("results/benchmarks/sparse/summary.json"),
-        help="file to write",
-    )
+    add_json(parser, "sparse")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    source = provenance(shlex.join(["python", "-m", "benchmarks.sparse", *sys.argv[1:]]))
+    source = source_of("sparse")
     rows = []
     for robot in arguments.robots:
         for noise in NOISES:
@@ -153,7 +145,7 @@ def measure(problem: Problem, noise: float, repeats: int) -> dict[str, float]:
     many.fit(*problem.data(MANY, 1, noise))
     expansion = many.expansion
     fit_seconds, peak = time.process_time() - start, memory_mb("VmHWM") - before
-    tested = covered(many, *problem.data(TESTED, 2, noise))
+    others = problem.data(TESTED, 2, noise)
     few.fit(*problem.data(FEW, 3, noise))
     some.fit(*problem.data(SOME, 4, noise))
     sparse = problem.model(most_exact=SOME - 1)
@@ -166,8 +158,8 @@ def measure(problem: Problem, noise: float, repeats: int) -> dict[str, float]:
     return {
         "cost_ratio_n5000": sparse_seconds / exact_seconds,
         "kl_difference_n1000": abs(sparse_kl - exact_kl) / exact_kl,
-        "coverage_n5000": tested,
-        "coverage_exact_n1000": covered(some, *problem.data(TESTED, 2, noise)),
+        "coverage_n5000": covered(many, *others),
+        "coverage_exact_n1000": covered(some, *others),
         "fit_cpu_seconds_n5000": fit_seconds,
         "fit_peak_mb_n5000": peak,
         "kl_exact_n1000": exact_kl,

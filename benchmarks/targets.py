@@ -16,20 +16,17 @@ Example:
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
+from benchmarks.command_line import add_json, source_of
 from benchmarks.policy_step import timed
 from benchmarks.workloads import Evaluate, by_formulas, make_dynamics
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 from torch_pmil.files import write_json
 from torch_pmil.model.dynamics import GPDynamics
@@ -51,16 +48,11 @@ def main() -> None:
     )
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--repeats", type=int, default=20)
-    parser.add_argument(
-        "--json",
-        type=Path,
-        default=Path("results/benchmarks/targets/summary.json"),
-        help="file to write",
-    )
+    add_json(parser, "targets")
     arguments = parser.parse_args()
     if min(*arguments.sizes, *arguments.threads, arguments.repeats) < 1:
         parser.error("sizes, threads and repeats must be at least 1")
-    source = provenance(shlex.join(["python", "-m", "benchmarks.targets", *sys.argv[1:]]))
+    source = source_of("targets")
     rows = [
         row
         for size in arguments.sizes

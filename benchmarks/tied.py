@@ -12,14 +12,11 @@ Example:
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
-from pathlib import Path
 
 import torch
 
+from benchmarks.command_line import add_json, source_of
 from benchmarks.sparse import NOISES, ROBOTS, SOME, TESTED, Problem, covered
-from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 
 SIZES = (100, 400)  # transitions
@@ -29,15 +26,10 @@ def main() -> None:
     """Read the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
-    parser.add_argument(
-        "--json",
-        type=Path,
-        default=Path("results/benchmarks/tied/summary.json"),
-        help="file to write",
-    )
+    add_json(parser, "tied")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    source = provenance(shlex.join(["python", "-m", "benchmarks.tied", *sys.argv[1:]]))
+    source = source_of("tied")
     rows = []
     for robot in arguments.robots:
         for noise in NOISES:

@@ -22,21 +22,18 @@ Example:
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 import textwrap
 from dataclasses import dataclass
 from importlib.metadata import version
-from pathlib import Path
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import GPWorldModel as TorchRLModel
 
+from benchmarks.command_line import add_json, source_of
 from benchmarks.workloads import random_transitions, world_model
 from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 from torch_pmil.torchrl_interop import GPWorldModel
 
@@ -62,17 +59,12 @@ def main() -> None:
         "--n", type=int, default=100, help="transitions that the models are fitted to"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the transitions")
-    parser.add_argument(
-        "--json",
-        type=Path,
-        default=Path("results/benchmarks/torchrl_model/summary.json"),
-        help="file to write",
-    )
+    add_json(parser, "torchrl_model")
     arguments = parser.parse_args()
     if arguments.n < 2:
         parser.error(f"--n must be at least 2, got {arguments.n}")
     torch.set_num_threads(1)
-    source = provenance(shlex.join(["python", "-m", "benchmarks.torchrl_model", *sys.argv[1:]]))
+    source = source_of("torchrl_model")
     rows = measure(arguments.n, arguments.seed)
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     settings = {

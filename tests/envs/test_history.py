@@ -130,3 +130,11 @@ def test_actions_with_names_of_entries_are_told_apart() -> None:
     state = history.begin(torch.tensor([1.0, 2.0]), torch.tensor([3.0]))
     after = history.advanced(state, torch.tensor([4.0]), torch.tensor([5.0, 6.0]))
     assert state.tolist() == [1, 2, 1, 2, 3] and after.tolist() == [5, 6, 1, 2, 4]
+
+
+def test_names_may_hold_what_marks_the_past() -> None:
+    history = History(("q@left", "w"), ("tau@1",), 0.5, (), ("q@left",), 2, past_actions=2)
+    state = history.begin(torch.tensor([1.0, 9.0]), torch.tensor([3.0]))
+    for number in (4.0, 5.0):
+        state = history.advanced(state, torch.tensor([number]), torch.tensor([number / 2, 9.0]))
+    assert state.tolist() == [2.5, 9.0, 2.0, 1.0, 5.0, 4.0]

@@ -80,6 +80,12 @@ class History:
         return (*self.names, *entries, *actions)
 
     @property
+    def origins(self) -> tuple[str, ...]:
+        """Of which of ``names`` and ``labels`` each of the D entries is a present or past value."""
+        entries, actions = self.past_entries * self.past, self.past_actions * self.labels
+        return (*self.names, *entries, *actions)
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """Names of the F actions, other than those of the entries.
 
@@ -107,13 +113,14 @@ class History:
     @cached_property
     def shift(self) -> Tensor:
         """S (D, D + F): what state and action make of the next state."""
-        names, inputs = self.state_names, (*self.state_names, *self.labels)
-        matrix = torch.zeros(len(names), len(inputs), dtype=torch.float64)
-        for row, name in enumerate(names):
-            if name in self.hidden:
-                matrix[row, names.index(name[1:])] = -1 / self.control_period
-            elif row >= len(self.names):
-                matrix[row, inputs.index(self._one_before(name))] = 1.0
+        latest = {label: self.dim + action for action, label in enumerate(self.labels)}
+        matrix = torch.zeros(self.dim, self.dim + len(latest), dtype=torch.float64)
+        for row, name in enumerate(self.origins):
+            if row >= len(self.names):
+                matrix[row, latest[name]] = 1.0
+            elif name in self.hidden:
+                matrix[row, self.names.index(name[1:])] = -1 / self.control_period
+            latest[name] = row
         return matrix
 
     @cached_property
@@ -131,13 +138,11 @@ class History:
         """What reading (D, D_0) and action (D, F) make of the state of a robot that has rested."""
         of_reading = torch.zeros(self.dim, len(self.names), dtype=torch.float64)
         of_action = torch.zeros(self.dim, len(self.action_names), dtype=torch.float64)
-        for row, name in enumerate(self.state_names):
-            known = name.partition("@")[0]
-            if row < self.dim - self.num_past_actions:
-                entry = self.names.index(known)
-                of_reading[row, entry] = float(known not in self.hidden)
-            else:
-                of_action[row, self.labels.index(known)] = 1.0
+        for row, name in enumerate(self.origins):
+            if name in self.labels:
+                of_action[row, self.labels.index(name)] = 1.0
+            elif name not in self.hidden:
+                of_reading[row, self.names.index(name)] = 1.0
         return of_reading, of_action
 
     def begin(self, reading: Tensor, action: Tensor) -> Tensor:
@@ -149,10 +154,6 @@ class History:
         """The state after an action (*batch, F) and the next reading (*batch, D_0)."""
         before = torch.cat([state, action], -1) @ self.shift.to(state).mT
         return before + reading[..., list(self.measured)] @ self.gain.to(state).mT
-
-    def _one_before(self, name: str) -> str:
-        known, _, number = name.rpartition("@")
-        return known if number == "1" else f"{known}@{int(number) - 1}"
 
 
 class HistoryEnv(RobotEnv):

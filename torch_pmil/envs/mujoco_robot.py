@@ -76,8 +76,10 @@ class MujocoRobot:
         self.name, self.joints, self.control_period = spec.modelname, tuple(joints), 1 / rate
         _check_joints(spec, self.joints)
         _choose_actuators(spec, actions)
+        model = _compiled(spec)
+        _call_servos_as_their_joints(spec, model)
         if "front" not in [camera.name for camera in spec.cameras]:
-            _add_camera(spec)
+            _add_camera(spec, model)
         self.model = _compiled(spec)
         self.initial_mean = torch.cat([self._start(start), torch.zeros(len(self.joints)).double()])
         std = torch.as_tensor(start_std, dtype=torch.float64)
@@ -170,7 +172,7 @@ def _check_joints(spec: mujoco.MjSpec, joints: tuple[str, ...]) -> None:
 def _choose_actuators(
     spec: mujoco.MjSpec, actions: Sequence[str] | Mapping[str, tuple[float, float]] | None
 ) -> None:
-    """Leave the actuators that are actions, in their ranges, and call servos as their joints."""
+    """Leave the actuators that are actions, in their ranges."""
     known = {actuator.name: actuator for actuator in spec.actuators}
     names = list(known) if actions is None else list(actions)
     if unknown := [name for name in names if name not in known]:
@@ -182,15 +184,16 @@ def _choose_actuators(
             spec.delete(actuator)
         elif isinstance(actions, Mapping):
             actuator.ctrllimited, actuator.ctrlrange = True, actions[name]
-    kinds = actuator_kinds(_compiled(spec))
-    for actuator, kind in zip(spec.actuators, kinds, strict=True):
+
+
+def _call_servos_as_their_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    for actuator, kind in zip(spec.actuators, actuator_kinds(model), strict=True):
         if kind == "position" and actuator.trntype == OF_JOINT:
             actuator.name = actuator.target
 
 
-def _add_camera(spec: mujoco.MjSpec) -> None:
+def _add_camera(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     """A camera that sees the whole model from in front, from the left and from above."""
-    model = _compiled(spec)
     distance = CAMERA_DISTANCE * model.stat.extent
     right, up = (math.sqrt(0.5), -math.sqrt(0.5), 0.0), (-0.25, -0.25, math.sqrt(0.875))
     away = torch.linalg.cross(torch.tensor(right), torch.tensor(up)).double().numpy()

@@ -160,10 +160,11 @@ def own_robot(
     )
     if made.promised is None and "confirmations" not in settings:
         made = replace(made, confirmations=CONFIRMATIONS)
-    remembered = {"past_entries": past_entries, "past_actions": past_actions}
-    if positions_only or any(remembered.values()):
-        return with_history(made, positions_only=positions_only, **remembered)
-    return made
+    if not (past_entries or past_actions or positions_only):
+        return made
+    return with_history(
+        made, past_entries=past_entries, past_actions=past_actions, positions_only=positions_only
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -136,7 +136,7 @@ def _space(experiment: Experiment, history: History) -> StateSpace:
     space, more = experiment.space, history.dim - len(history.names)
     units = dict(zip(space.names, space.units, strict=True))
     units |= dict(zip(history.labels, experiment.actions.units, strict=True))
-    all_units = tuple(units[name.partition("@")[0]] for name in history.state_names)
+    all_units = tuple(units[name] for name in history.origins)
     match, zeros = space.match_space, torch.zeros
     of_states, of_angles = match.weights.tensor_split([space.dim], -1)
     matched = MatchSpace(
@@ -169,7 +169,7 @@ def _with_past(widths: Tensor, experiment: Experiment, history: History) -> Tens
     plain = [experiment.space.names[entry] for entry in experiment.space.plain]
     known = dict(zip(plain, widths[: len(plain)], strict=True))
     known |= dict(zip(history.labels, experiment.actions.half_range, strict=True))
-    past = [known[name.partition("@")[0]] for name in history.state_names[len(history.names) :]]
+    past = [known[name] for name in history.origins[len(history.names) :]]
     return torch.cat([widths[: len(plain)], widths.new_tensor(past), widths[len(plain) :]])
 
 

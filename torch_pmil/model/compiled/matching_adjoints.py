@@ -97,12 +97,11 @@ def _adjoint_of_tied_pairs(
 def _write_weights_of_pairs(f: Functions, d_cov: Array2, factors: Array2, out: Array2) -> None:
     """Write what the factors Q have as weights in sum_ab d_ab E[f_a f_b] into ``out`` (n, n).
 
-    As in :func:`sum_own_pairs`, the diagonal is halved and nothing stands below. ``factors``
-    receives sum_b d_ab beta_b over the other outputs b, (E, n).
+    As in :func:`sum_own_pairs`, the diagonal is halved and nothing stands below; what that does not
+    read is left as it is. ``factors`` receives sum_b d_ab beta_b over the other outputs b, (E, n).
     """
     E, n = f.weights.shape
     fill(factors, 0.0)
-    fill(out, 0.0)
     for a in range(E):
         for b in range(E):
             if b != a:
@@ -110,6 +109,7 @@ def _write_weights_of_pairs(f: Functions, d_cov: Array2, factors: Array2, out: A
     for i in range(n):
         first = i // WIDTH * WIDTH
         row = out[i, first:]
+        fill(row, 0.0)
         for a in range(E):
             add_multiple(f.weights[a, i], factors[a, first:], row)
         for j in range(first, i):

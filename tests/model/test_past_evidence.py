@@ -8,7 +8,7 @@ from torch import Tensor
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.model.past_evidence import evidence_of_past_action
+from torch_pmil.model.past_evidence import evidence_of_past_action, evidence_of_past_state
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (0,), joint_match(NAMES, UNITS))
@@ -36,6 +36,14 @@ def test_past_action_is_missed_where_it_acts(draws: Draws, late: int) -> None:
             assert nats[1] > 20
         else:
             assert nats.sum() < 5  # what further parameters gain by chance
+
+
+def test_past_state_is_missed_where_velocities_are(draws: Draws) -> None:
+    states, actions = rollouts(draws, 0)
+    angle = StateSpace(("q",), ("rad",), (0,), joint_match(("q",), ("rad",)))
+    blind = evidence_of_past_state(states[..., :1], actions, angle)
+    assert blind.shape == (1,) and blind[0] > 20
+    assert evidence_of_past_state(states, actions, SPACE).sum() < blind[0] / 4
 
 
 def test_what_does_not_fit_is_refused(draws: Draws) -> None:

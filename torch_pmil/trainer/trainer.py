@@ -308,10 +308,23 @@ class PMILTrainer(Trainer):
 
     def own_rollout(self, candidate: Candidate) -> TensorDictBase:
         """The rollout of a policy that became experience, (robots, steps)."""
+        return self._rollout_of(candidate, self.experience.transitions)
+
+    def own_rollouts(self) -> list[TensorDictBase]:
+        """Those of all policies that ran, (robots, steps) each, without those cut short."""
+        transitions = self.experience.transitions
+        return [
+            self._rollout_of(candidate, transitions)
+            for candidate in self.candidates
+            if self.trials[candidate.trial - 1].steps == self.loss_module.horizon
+        ]
+
+    def _rollout_of(self, candidate: Candidate, transitions: TensorDictBase) -> TensorDictBase:
+        """The part (robots, steps) of all transitions that a policy's rollout gave."""
         steps = [trial.steps for trial in self.trials[: candidate.trial]]
         begin = self.explored + self.num_robots * sum(steps[:-1])
-        transitions = self.experience.transitions[begin : begin + self.num_robots * steps[-1]]
-        return transitions.reshape(self.num_robots, steps[-1])
+        own = transitions[begin : begin + self.num_robots * steps[-1]]
+        return own.reshape(self.num_robots, steps[-1])
 
     @torch.no_grad()
     def _predicted_loss(self) -> float:

@@ -5,27 +5,32 @@ moved, and says who, when and how much.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from reproduction.delay_calibration import with_delay
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.after_a_run import likely_reasons
 from torch_pmil.experiments.diagnosis.before_a_run import needed_torques
-from torch_pmil.experiments.diagnosis.causes import LEARNED
+from torch_pmil.experiments.diagnosis.causes import LEARNED, check_past
+from torch_pmil.experiments.diagnosis.hidden_past import evidence_of_the_past
 from torch_pmil.experiments.runs.training import train
 from torch_pmil.experiments.tasks.experiment import actions_of
+from torch_pmil.experiments.tasks.with_history import with_history
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess, Promise
@@ -97,6 +102,7 @@ def diagnose(
     dynamics: GPDynamics,
     horizons: tuple[int, ...] = STUCK,
     starts: int = STARTS,
+    recorded: Sequence[TensorDictBase] = (),
 ) -> dict[str, str]:
     """Messages by cause, in order, of a policy that ran on the robot."""
     loss = experiment.make_loss(policy, dynamics)
@@ -105,7 +111,7 @@ def diagnose(
         outcomes = experiment.outcomes(
             loss.predict_states(experiment.initial), executed, experiment.error(executed)
         )
-    reasons = likely_reasons(experiment, loss, outcomes, horizons)
+    reasons = likely_reasons(experiment, loss, outcomes, horizons, recorded)
     assert len({reason.cause for reason in reasons}) == len(reasons)
     return {reason.cause: reason.message for reason in reasons}
 
@@ -168,6 +174,52 @@ def test_model_of_the_first_steps_alone_knows_little_of_the_others(policy: RBFPo
         found["too little experience"],
     ).groups()
     assert int(share) > 20 and float(when) >= 0.3 and int(data) == 3 * LEARNED_FROM
+
+
+@pytest.mark.parametrize(("delay", "remembered"), [(0.0, 0), (0.1, 0), (0.1, 1)])
+def test_torques_that_act_late_are_named_until_the_state_holds_them(
+    policy: RBFPolicy, dynamics: GPDynamics, delay: float, remembered: int
+) -> None:
+    """Random torques, so that one does not tell the other."""
+    late = with_delay(delay)
+    if remembered:
+        late = with_history(late, past_actions=remembered)
+    torques = torch.Generator().manual_seed(3)
+    moved = late.robots(8, 4).rollout(20, lambda state: random_torques(torques, 8))
+    evidence = evidence_of_the_past(late, late.make_dynamics().targets, [moved])
+    reason = check_past(evidence)
+    if delay and not remembered:
+        assert reason.cause == "robot acts late" and "past_actions=1" in reason.message
+        assert reason.message.startswith("the action 0.10 s before explains the motion ")
+        found = diagnose(late, policy, dynamics, recorded=[moved])
+        assert list(found).index("robot acts late") < list(found).index("search stuck")
+    else:
+        assert reason is None
+
+
+def random_torques(generator: torch.Generator, count: int) -> Tensor:
+    return 1.5 * torch.randn(count, 2, dtype=torch.float64, generator=generator)
+
+
+def test_velocity_that_is_not_measured_is_named() -> None:
+    """The angles of the double pendulum alone."""
+    torques = torch.Generator().manual_seed(3)
+    moved = swing_up().robots(8, 4).rollout(25, lambda state: random_torques(torques, 8))
+    angles = ("q1", "q2")
+    space = StateSpace(angles, ("rad", "rad"), (0, 1), joint_match(angles, ("rad", "rad")))
+    for key in ("observation", ("next", "observation")):
+        moved[key] = moved[key][..., [0, 2]]
+    blind = SimpleNamespace(
+        space=space, horizon=25, history=None, demonstrations=swing_up().demonstrations
+    )
+    reason = check_past(evidence_of_the_past(blind, "difference", [moved]))
+    assert reason.cause == "state does not show all"
+
+
+def test_too_short_rollouts_are_no_evidence() -> None:
+    assert evidence_of_the_past(swing_up(), "difference", []) is None
+    one = [swing_up().robots(2, 4).rollout(4)]
+    assert evidence_of_the_past(weak_swing_up(1.0, 5), "difference", one) is None
 
 
 def test_search_is_stuck_where_the_kl_rises(policy: RBFPolicy, dynamics: GPDynamics) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from torch_pmil.experiments.diagnosis.before_a_run import check, needed_torques
@@ -17,6 +18,7 @@ from torch_pmil.experiments.diagnosis.causes import (
     check_experience,
     check_model,
     check_motion,
+    check_past,
     check_saturation,
     check_search,
     first_mismatch,
@@ -25,6 +27,7 @@ from torch_pmil.experiments.diagnosis.causes import (
     worst_entry,
 )
 from torch_pmil.experiments.diagnosis.demonstration_checks import FEW
+from torch_pmil.experiments.diagnosis.hidden_past import evidence_of_the_past
 from torch_pmil.experiments.tasks.experiment import Experiment, Outcome
 from torch_pmil.model.calibration import standardised_residuals
 from torch_pmil.model.dynamics import GPDynamics
@@ -39,6 +42,7 @@ def likely_reasons(
     loss: TrajectoryLoss,
     outcomes: Sequence[Outcome],
     horizons: Sequence[int],
+    recorded: Sequence[TensorDictBase],
 ) -> list[Reason]:
     """Likely reasons why a run did not learn, the most likely first.
 
@@ -47,7 +51,8 @@ def likely_reasons(
     Wrong demonstrations mislead everything that follows; a robot that is too weak or does not move
     teaches nothing; a model that is wrong up to the step at which the search is stuck misleads it,
     and one that is wrong beyond it alone does not: there the policy goes where nothing leads it.
-    Few demonstrations alone seldom keep a robot from learning. Of several targets, the worst one is
+    Where the past tells more of the motion than the present, no model of the present is right. Few
+    demonstrations alone seldom keep a robot from learning. Of several targets, the worst one is
     looked at.
 
     Args:
@@ -55,6 +60,7 @@ def likely_reasons(
         loss: with the saved policy and the newest model.
         outcomes: what that policy was predicted to do, and did.
         horizons: steps up to which the search of each trial went.
+        recorded: whole rollouts that are experience, (N, T) each, in their order.
 
     Returns:
         An empty list for a run that learned, at least one reason for any other.
@@ -65,6 +71,8 @@ def likely_reasons(
         return []
     outcome = outcomes[max(range(len(outcomes)), key=lambda number: failures[number].sum())]
     found = group(check(experiment))
+    evidence = evidence_of_the_past(experiment, loss.dynamics.targets, recorded)
+    past = check_past(evidence) if evidence else None
     step_loss = loss.step_loss_for_trust(experiment.initial)
     step = first_mismatch(step_loss, experiment.search.trust_threshold)
     led = _of_the_model(experiment, loss.dynamics, outcome, step or experiment.horizon)
@@ -72,6 +80,7 @@ def likely_reasons(
     reasons = [
         *(reason for reason in found if reason.cause != FEW),
         *_of_the_robot(experiment, outcome),
+        *([past] if past else []),
         *led,
         *([_of_the_search(experiment, loss, outcomes, step_loss, horizons, step)] if step else []),
         *beyond,

@@ -410,7 +410,8 @@ def _diagnosis(
         reasons = [] if learned else [unpredictable(results["prediction_error"])]
     else:
         horizons = [trial.horizon for trial in trainer.trials]
-        reasons = likely_reasons(experiment, trainer.loss_module, outcomes, horizons)
+        recorded = trainer.own_rollouts()
+        reasons = likely_reasons(experiment, trainer.loss_module, outcomes, horizons, recorded)
     stopped = check_cut_short([trial.cut_short for trial in trainer.trials]) if reasons else None
     return [asdict(reason) for reason in (stopped, *reasons) if reason is not None]
 

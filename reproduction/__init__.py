@@ -17,6 +17,7 @@ from reproduction.figure11 import FIGURE11
 from reproduction.handwriting import HANDWRITING
 from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.masses import MASSES
+from reproduction.noise import NOISE
 from reproduction.reaching import REACHING
 from reproduction.remembering import DELAY, POSITIONS_ONLY
 from reproduction.robot_server import ROBOT_SERVER
@@ -52,5 +53,6 @@ PAPER = {
         POSITIONS_ONLY,
         DELAY,
         BIOROB_HISTORY,
+        NOISE,
     )
 }

@@ -8,7 +8,7 @@ steps of the saved policy from states of fresh rollouts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -208,8 +208,13 @@ def measured(folder: Path, experiment: Experiment, starts: int) -> dict[str, Any
     found = calibrations(folder, experiment, starts)
     return {
         **remeasured(folder, experiment, starts, START_SEED),
-        "calibration": [{"steps": steps, **asdict(of)} for steps, of in found.items()],
+        "calibration": rows_of(found),
     }
+
+
+def rows_of(found: Mapping[int, Calibration]) -> list[dict[str, float]]:
+    """Calibrations by the number of steps ahead, as a summary has them."""
+    return [{"steps": steps, **asdict(of)} for steps, of in found.items()]
 
 
 DELAY_CALIBRATION = PaperExperiment(

@@ -109,7 +109,13 @@ def remeasured(folder: Path, experiment: Experiment, starts: int, seed: int) -> 
     Raises:
         RunError, PolicyFileError, OSError: as :func:`load_learned`.
     """
-    learned = load_learned(folder, experiment)
+    return measured_anew(load_learned(folder, experiment), experiment, starts, seed)
+
+
+def measured_anew(
+    learned: Learned, experiment: Experiment, starts: int, seed: int
+) -> dict[str, Any]:
+    """:func:`remeasured` of a run that is loaded already."""
     return {
         "experiment": experiment.name,
         "seed": learned.summary["seed"],

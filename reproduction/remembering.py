@@ -53,12 +53,13 @@ def delayed() -> dict[str, Experiment]:
     }
 
 
-def _needed_runs(tasks: Tasks, root: Path, quick: bool) -> list[Run]:
+def needed_runs(tasks: Tasks, root: Path, quick: bool) -> list[Run]:
+    """Ours on each task, ten seeds each."""
     seeds, trials = size(quick, TRIALS)
     return [learning_run(root, task, seed, trials) for task in tasks().values() for seed in seeds]
 
 
-def _results(tasks: Tasks, name: str, folders: Sequence[Path], quick: bool) -> Results:
+def results_of(tasks: Tasks, name: str, folders: Sequence[Path], quick: bool) -> Results:
     """Success over experience and of the saved policies; the first task's have the plain names."""
     known = tasks()
     curves, each = success_curves(folders, list(known)), len(folders) // len(known)
@@ -82,12 +83,12 @@ def _results(tasks: Tasks, name: str, folders: Sequence[Path], quick: bool) -> R
 POSITIONS_ONLY = PaperExperiment(
     "positions_only",
     "the double pendulum without velocity sensors",
-    partial(_needed_runs, positions_only),
-    partial(_results, positions_only, "positions_only"),
+    partial(needed_runs, positions_only),
+    partial(results_of, positions_only, "positions_only"),
 )
 DELAY = PaperExperiment(
     "delay",
     "the double pendulum with a delay that its state remembers",
-    partial(_needed_runs, delayed),
-    partial(_results, delayed, "delay"),
+    partial(needed_runs, delayed),
+    partial(results_of, delayed, "delay"),
 )

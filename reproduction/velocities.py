@@ -25,7 +25,7 @@ from reproduction.figure7 import (
     success_curves,
     success_results,
 )
-from reproduction.learned import load_learned, remeasured
+from reproduction.learned import load_learned, measured_anew
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.tasks.experiment import Experiment
@@ -97,7 +97,7 @@ def _measured(folder: Path, task: Experiment, starts: int) -> dict[str, Any]:
         torch.autograd.grad(loss.per_step(task.initial).sum(), parameters)
         seconds.append(time.process_time() - begun)
     torch.set_num_threads(threads)
-    own = remeasured(folder, task, starts, START_SEED)
+    own = measured_anew(learned, task, starts, START_SEED)
     return own | {
         "transitions": len(learned.dynamics.train_inputs),
         "evaluation_cpu_s": min(seconds),

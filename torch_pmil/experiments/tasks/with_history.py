@@ -35,8 +35,9 @@ def with_history(
 
     Args:
         experiment: of the robot.
-        past_entries: number of past values of all entries that are no angles, nor positions that
-            tell a velocity: what is hidden, as a spring, shows in them.
+        past_entries: number of past values of all entries but positions that tell a velocity: what
+            is hidden, as a spring, shows in them, and the noise of sensors averages out. Angles are
+            kept as mean velocities.
         past_actions: number of past actions: those that still act where there is a delay.
         positions_only: whether the sensors show no velocities. Those of the state are then told by
             the last two positions, which need ``past_actions=1`` beside them to say as much.
@@ -65,9 +66,10 @@ def with_history(
         experiment.actions.names,
         experiment.demonstrations.time_step,
         hidden=tuple(names[rate] for rate in velocities) if positions_only else (),
-        past=tuple(names[entry] for entry in experiment.space.plain if entry not in told),
+        past=tuple(name for entry, name in enumerate(names) if entry not in told),
         past_entries=past_entries,
         past_actions=past_actions,
+        angles=tuple(names[entry] for entry in experiment.space.angles if entry not in told),
     )
     return _remembering(experiment, history, Resting(experiment))
 
@@ -136,6 +138,7 @@ def _space(experiment: Experiment, history: History) -> StateSpace:
     space, more = experiment.space, history.dim - len(history.names)
     units = dict(zip(space.names, space.units, strict=True))
     units |= dict(zip(history.labels, experiment.actions.units, strict=True))
+    units |= {f"d{name}/dt": f"{units[name]}/s" for name in history.angles}
     all_units = tuple(units[name] for name in history.origins)
     match, zeros = space.match_space, torch.zeros
     of_states, of_angles = match.weights.tensor_split([space.dim], -1)
@@ -165,10 +168,17 @@ def _demonstrated(experiment: Experiment, history: History, resting: Resting) ->
 
 
 def _with_past(widths: Tensor, experiment: Experiment, history: History) -> Tensor:
-    """Widths (D'_0,) of the features, and of those of the past: half the range of past actions."""
-    plain = [experiment.space.names[entry] for entry in experiment.space.plain]
+    """Widths (D'_0,) of the features, and of those of the past.
+
+    They are half the range of past actions, and the spread of the start, in a control period, of
+    the mean velocities of angles.
+    """
+    names = experiment.space.names
+    rates = (experiment.initial.std / history.control_period).tolist()
+    plain = [names[entry] for entry in experiment.space.plain]
     known = dict(zip(plain, widths[: len(plain)], strict=True))
     known |= dict(zip(history.labels, experiment.actions.half_range, strict=True))
+    known |= {f"d{name}/dt": rates[names.index(name)] for name in history.angles}
     past = [known[name] for name in history.origins[len(history.names) :]]
     return torch.cat([widths[: len(plain)], widths.new_tensor(past), widths[len(plain) :]])
 

@@ -132,12 +132,18 @@ def calibrations(folder: Path, experiment: Experiment, starts: int) -> dict[int,
     """Calibration of a run's model of its saved policy, by the number of steps ahead."""
     learned = load_learned(folder, experiment)
     states = states_of(learned.rollouts(experiment, starts, START_SEED))
-    return calibrations_ahead(states, learned.policy.policy, learned.dynamics, experiment.space)
+    shown = None if experiment.history is None else len(experiment.history.names)
+    robot = learned.policy.policy, learned.dynamics, experiment.space
+    return calibrations_ahead(states, *robot, shown)
 
 
 @torch.no_grad()
 def calibrations_ahead(
-    states: Tensor, policy: RBFPolicy, dynamics: GPDynamics, space: StateSpace
+    states: Tensor,
+    policy: RBFPolicy,
+    dynamics: GPDynamics,
+    space: StateSpace,
+    shown: int | None = None,
 ) -> dict[int, Calibration]:
     """Calibration of a model by the number of steps ahead, 1, 5, 10 and 25 if there are as many.
 
@@ -146,13 +152,16 @@ def calibrations_ahead(
     Args:
         states: x_0..x_T of rollouts of the policy, (N, T + 1, D).
         policy, dynamics, space: policy, forward model and state space of one robot.
+        shown: number of entries that are compared, the first ones, where others repeat the past;
+            None for all.
     """
     found = {}
     for steps in (steps for steps in AHEAD if steps < states.shape[1]):
-        begin, end = states[:, :-steps].flatten(0, 1), states[:, steps:].flatten(0, 1)
+        begin, end = states[:, :-steps].flatten(0, 1), states[:, steps:].flatten(0, 1)[:, :shown]
         certain = Gaussian(begin, torch.zeros(*begin.shape, begin.shape[-1]).to(begin))
         ahead = predict_trajectory(certain, policy, dynamics, space, steps)
-        found[steps] = Calibration.of(Gaussian(ahead.mean[:, -1], ahead.cov[:, -1]), end)
+        last = Gaussian(ahead.mean[:, -1, :shown], ahead.cov[:, -1, :shown, :shown])
+        found[steps] = Calibration.of(last, end)
     return found
 
 

@@ -1,8 +1,9 @@
 """The double pendulum with noisy sensors: 0.05 rad and 0.5 rad/s, at each step anew.
 
-Policy and model see the readings alone. Success is that of the saved policies from fresh starts, by
-the true states. The model of all experience then predicts 1, 5, 10 and 25 steps of the saved policy
-from the readings of fresh rollouts, and is compared with the readings there.
+Policy and model see the last three readings, with the torques between them, or the last reading
+alone. Success is that of the saved policies from fresh starts, by the true states. The model of all
+experience then predicts 1, 5, 10 and 25 steps of the saved policy from the states of fresh
+rollouts, and is compared with the readings there.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from statistics import fmean
 
 import numpy as np
 
@@ -20,44 +20,52 @@ from reproduction.remembering import needed_runs, results_of
 from reproduction.reproduction import PaperExperiment, Results
 from reproduction.robustness import with_noise
 from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.experiments.tasks.with_history import with_history
 from torch_pmil.plotting.calibration import plot_calibration_ahead
 
 NOISE_STD = 0.05  # rad
+PAST = 2  # readings and torques before the last ones
 
 
 def noisy() -> dict[str, Experiment]:
-    """The robot with noisy sensors, by its name in the figure.
+    """The robot with noisy sensors, with and without a history, by its name in the figure.
 
     Example:
-        >>> (task,) = noisy().values()
-        >>> task.name
-        'double_pendulum_noisy'
+        >>> [task.space.dim for task in noisy().values()]
+        [16, 4]
     """
-    return {"noisy sensors": replace(with_noise(NOISE_STD), name="double_pendulum_noisy")}
+    plain = replace(with_noise(NOISE_STD), name="double_pendulum_noisy")
+    remembering = with_history(plain, past_entries=PAST, past_actions=PAST)
+    return {
+        "three readings": replace(remembering, name="double_pendulum_noisy_remembered"),
+        "one reading": plain,
+    }
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
     """Success over experience and of the saved policies, and calibration over the steps ahead."""
-    found = results_of(noisy, "noise", folders, quick)
-    ((label, task),) = noisy().items()
-    calibrated = [calibrations(folder, task, 5 if quick else STARTS) for folder in folders]
-    values = {
-        quantity: np.array(
-            [[getattr(run[steps], quantity) for steps in AHEAD] for run in calibrated]
-        )
-        for quantity in CALIBRATION
-    }
-    means = {
-        f"{quantity}_{steps}_ahead": fmean(values[quantity][:, column])
-        for quantity in CALIBRATION
-        for column, steps in enumerate(AHEAD)
-    }
-    details = {"calibration": [rows_of(run) for run in calibrated]}
-    figure = plot_calibration_ahead(AHEAD, {label: values})
+    known, starts = noisy(), 5 if quick else STARTS
+    found, each = results_of(noisy, "noise", folders, quick), len(folders) // len(known)
+    headline, details, values = dict(found.headline), [], {}
+    for number, (label, task) in enumerate(known.items()):
+        own = folders[number * each : (number + 1) * each]
+        runs = [calibrations(folder, task, starts) for folder in own]
+        details += [rows_of(run) for run in runs]
+        values[label] = {
+            quantity: np.array([[getattr(run[steps], quantity) for steps in AHEAD] for run in runs])
+            for quantity in CALIBRATION
+        }
+        end = f"_{task.name}" if number else ""
+        headline |= {
+            f"{quantity}_{steps}_ahead{end}": of_runs[:, column].mean().item()
+            for quantity, of_runs in values[label].items()
+            for column, steps in enumerate(AHEAD)
+        }
+    figure = plot_calibration_ahead(AHEAD, values)
     return Results(
-        {**found.headline, **means},
+        headline,
         {**found.figures, "noise_calibration": figure},
-        {**found.details, **details},
+        {**found.details, "calibration": details},
     )
 
 

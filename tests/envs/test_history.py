@@ -17,8 +17,6 @@ from torch_pmil.envs.rollouts import states_of
 NAMES, ACTIONS, PERIOD = ("q1", "dq1", "q2", "dq2"), ("tau1", "tau2"), 0.1
 POSITIONS = History(NAMES, ACTIONS, PERIOD, hidden=("dq1", "dq2"), past_actions=2)
 MUCH = History(NAMES, ACTIONS, PERIOD, past=("dq1", "dq2"), past_entries=2, past_actions=1)
-WHOLE = History(NAMES, ACTIONS, PERIOD, (), NAMES, 2, 1, angles=("q1", "q2"))
-KINDS = {"positions": POSITIONS, "much": MUCH, "whole": WHOLE}
 SHOWN = [0, 1, 2, 3]
 
 
@@ -44,7 +42,7 @@ def rolled_out(history: History, steps: int = 6, **settings: object) -> TensorDi
     return env.rollout(steps, policy)
 
 
-@pytest.mark.parametrize("history", KINDS.values(), ids=KINDS)
+@pytest.mark.parametrize("history", [POSITIONS, MUCH], ids=["positions", "much"])
 @pytest.mark.parametrize("num_envs", [None, 3])
 def test_torchrl_accepts_the_environment(history: History, num_envs: int | None) -> None:
     torch.manual_seed(0)
@@ -69,23 +67,6 @@ def test_past_entries_are_those_of_the_periods_before() -> None:
     torch.testing.assert_close(states[:, 2:, 6:8], velocities[:, :-2])
 
 
-def test_past_angles_are_mean_velocities_that_no_full_turn_changes() -> None:
-    assert WHOLE.state_names[4:8] == ("dq1/dt@1", "dq1@1", "dq2/dt@1", "dq2@1")
-    rollout = rolled_out(WHOLE)
-    states = states_of(rollout)
-    rates = states[:, [0, 2]].diff(dim=0) / PERIOD
-    assert (states[0, [4, 6, 8, 10]] == 0).all()
-    torch.testing.assert_close(states[1:, [4, 6]], rates)
-    torch.testing.assert_close(states[2:, [8, 10]], rates[:-1])
-    torch.testing.assert_close(states[2:, [9, 11]], states[:-2, [1, 3]])
-    turn = torch.tensor([2 * torch.pi, 0, -4 * torch.pi, 0], dtype=torch.float64)
-    turned = WHOLE.begin(states[0, :4] + turn, rollout["action"][0])
-    for step in rollout:
-        after = step["next", "observation"]
-        turned = WHOLE.advanced(turned, step["action"].clamp(-3.5, 3.5), after[:4] + turn)
-        torch.testing.assert_close(turned[4:], after[4:], rtol=0, atol=1e-12 / PERIOD)
-
-
 def test_robot_moves_as_without_a_history() -> None:
     with_history = rolled_out(MUCH)
     env = DoublePendulumEnv(seed=3)
@@ -95,7 +76,7 @@ def test_robot_moves_as_without_a_history() -> None:
         assert torch.equal(shown, step["next", "observation"][SHOWN])
 
 
-@pytest.mark.parametrize("history", KINDS.values(), ids=KINDS)
+@pytest.mark.parametrize("history", [POSITIONS, MUCH], ids=["positions", "much"])
 def test_known_part_says_what_the_environment_does(history: History) -> None:
     rollout, known = rolled_out(history), known_part(history)
     x, after = rollout["observation"], rollout["next", "observation"]
@@ -133,7 +114,6 @@ def test_guard_sees_the_whole_state_and_the_robot_is_asked_about_its_own() -> No
         ({"hidden": ("dq3",)}, "hidden and past must be entries of q1, dq1, q2, dq2, and hidden"),
         ({"hidden": ("q1",)}, "velocities dNAME beside NAME, got q1"),
         ({"past": ("speed",)}, "got speed"),
-        ({"angles": ("q1",)}, "angles must be entries of past that the sensors show, got q1"),
         ({"past_actions": -1}, "past_actions must be a whole number from 0 on, got -1"),
         ({"past_entries": 0.5}, "past_entries must be a whole number from 0 on, got 0.5"),
     ],

@@ -26,8 +26,7 @@ class History:
 
     A velocity that the sensors do not show is told by the last two positions, :math:`\dot q_t =
     (q_t - q_{t-1}) / \Delta t`. With the action between them these say as much as position and
-    velocity do. So are the past values of angles kept, as mean velocities dNAME/dt from each
-    reading to the next: no full turn changes these.
+    velocity do.
 
     Args:
         names: of the D_0 entries, those of the hidden velocities included.
@@ -38,7 +37,6 @@ class History:
         past_entries: number of their past values.
         past_actions: number of the past actions that are kept. An action that takes effect up to so
             many periods late is then known to the model.
-        angles: those of ``past`` that are kept as mean velocities.
 
     Raises:
         ValueError: a name is no entry, or a number is no whole number from 0 on.
@@ -59,7 +57,6 @@ class History:
     past: tuple[str, ...] = ()
     past_entries: int = 0
     past_actions: int = 0
-    angles: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         without = [name for name in self.hidden if name[1:] not in self.names]
@@ -69,11 +66,6 @@ class History:
                 f"hidden and past must be entries of {', '.join(self.names)}, and hidden ones "
                 f"velocities dNAME beside NAME, got {', '.join(unknown or without)}"
             )
-        if set(self.angles) - set(self.past) or set(self.angles) & set(self.hidden):
-            raise ValueError(
-                "angles must be entries of past that the sensors show, got "
-                f"{', '.join(self.angles)}"
-            )
         for name in ("past_entries", "past_actions"):
             if not is_whole_number(getattr(self, name)) or getattr(self, name) < 0:
                 raise ValueError(
@@ -82,27 +74,16 @@ class History:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the D entries; NAME@2 is what NAME was two periods before.
-
-        dNAME/dt@2 is the mean velocity from two periods before to one before.
-        """
-        entries = [f"{name}@{k + 1}" for k in range(self.past_entries) for name in self._kept]
+        """Names of the D entries; NAME@2 is what NAME was two periods before."""
+        entries = [f"{name}@{k + 1}" for k in range(self.past_entries) for name in self.past]
         actions = [f"{name}@{k + 1}" for k in range(self.past_actions) for name in self.labels]
         return (*self.names, *entries, *actions)
 
     @property
     def origins(self) -> tuple[str, ...]:
-        """Of what each of the D entries is a present or past value.
-
-        It is one of ``names`` and ``labels``, or dNAME/dt of an angle NAME.
-        """
-        entries, actions = self.past_entries * self._kept, self.past_actions * self.labels
+        """Of which of ``names`` and ``labels`` each of the D entries is a present or past value."""
+        entries, actions = self.past_entries * self.past, self.past_actions * self.labels
         return (*self.names, *entries, *actions)
-
-    @property
-    def _kept(self) -> tuple[str, ...]:
-        """What is kept of ``past``."""
-        return tuple(f"d{name}/dt" if name in self.angles else name for name in self.past)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -130,24 +111,15 @@ class History:
         return self.past_actions * len(self.action_names)
 
     @cached_property
-    def _changes(self) -> dict[int, int]:
-        """Positions that tell a mean velocity by their last change: its row, and their entry."""
-        told = {name: name[1:] for name in self.hidden}
-        if self.past_entries:
-            told |= {f"d{name}/dt@1": name for name in self.angles}
-        rows, entries = self.state_names.index, self.names.index
-        return {rows(rate): entries(position) for rate, position in told.items()}
-
-    @cached_property
     def shift(self) -> Tensor:
         """S (D, D + F): what state and action make of the next state."""
         latest = {label: self.dim + action for action, label in enumerate(self.labels)}
         matrix = torch.zeros(self.dim, self.dim + len(latest), dtype=torch.float64)
         for row, name in enumerate(self.origins):
-            if row in self._changes:
-                matrix[row, self._changes[row]] = -1 / self.control_period
-            elif row >= len(self.names):
+            if row >= len(self.names):
                 matrix[row, latest[name]] = 1.0
+            elif name in self.hidden:
+                matrix[row, self.names.index(name[1:])] = -1 / self.control_period
             latest[name] = row
         return matrix
 
@@ -157,8 +129,8 @@ class History:
         gain = torch.zeros(self.dim, len(self.measured), dtype=torch.float64)
         for column, entry in enumerate(self.measured):
             gain[entry, column] = 1.0
-        for row, position in self._changes.items():
-            gain[row, self.measured.index(position)] = 1 / self.control_period
+            if (rate := f"d{self.names[entry]}") in self.hidden:
+                gain[self.names.index(rate), column] = 1 / self.control_period
         return gain
 
     @cached_property
@@ -169,7 +141,7 @@ class History:
         for row, name in enumerate(self.origins):
             if name in self.labels:
                 of_action[row, self.labels.index(name)] = 1.0
-            elif name in self.names and name not in self.hidden:
+            elif name not in self.hidden:
                 of_reading[row, self.names.index(name)] = 1.0
         return of_reading, of_action
 

@@ -36,8 +36,7 @@ def with_history(
     Args:
         experiment: of the robot.
         past_entries: number of past values of all entries but positions that tell a velocity: what
-            is hidden, as a spring, shows in them, and the noise of sensors averages out. Angles are
-            kept as mean velocities.
+            is hidden, as a spring, shows in them, and the noise of sensors averages out.
         past_actions: number of past actions: those that still act where there is a delay.
         positions_only: whether the sensors show no velocities. Those of the state are then told by
             the last two positions, which need ``past_actions=1`` beside them to say as much.
@@ -69,7 +68,6 @@ def with_history(
         past=tuple(name for entry, name in enumerate(names) if entry not in told),
         past_entries=past_entries,
         past_actions=past_actions,
-        angles=tuple(names[entry] for entry in experiment.space.angles if entry not in told),
     )
     return _remembering(experiment, history, Resting(experiment))
 
@@ -138,7 +136,6 @@ def _space(experiment: Experiment, history: History) -> StateSpace:
     space, more = experiment.space, history.dim - len(history.names)
     units = dict(zip(space.names, space.units, strict=True))
     units |= dict(zip(history.labels, experiment.actions.units, strict=True))
-    units |= {f"d{name}/dt": f"{units[name]}/s" for name in history.angles}
     all_units = tuple(units[name] for name in history.origins)
     match, zeros = space.match_space, torch.zeros
     of_states, of_angles = match.weights.tensor_split([space.dim], -1)
@@ -148,7 +145,13 @@ def _space(experiment: Experiment, history: History) -> StateSpace:
         torch.cat([match.angles, zeros(len(match.angles), more).to(match.angles)], -1),
         torch.cat([of_states, zeros(match.dim, more).to(of_states), of_angles], -1),
     )
-    return StateSpace(history.state_names, all_units, space.angles, matched)
+    return StateSpace(history.state_names, all_units, _angles(space, history), matched)
+
+
+def _angles(space: StateSpace, history: History) -> tuple[int, ...]:
+    """Entries of a state with history that are angles, present or past."""
+    known = {space.names[entry] for entry in space.angles}
+    return tuple(entry for entry, name in enumerate(history.origins) if name in known)
 
 
 def _initial(initial: Gaussian, history: History, resting: Resting) -> Gaussian:
@@ -168,19 +171,15 @@ def _demonstrated(experiment: Experiment, history: History, resting: Resting) ->
 
 
 def _with_past(widths: Tensor, experiment: Experiment, history: History) -> Tensor:
-    """Widths (D'_0,) of the features, and of those of the past.
-
-    They are half the range of past actions, and the spread of the start, in a control period, of
-    the mean velocities of angles.
-    """
-    names = experiment.space.names
-    rates = (experiment.initial.std / history.control_period).tolist()
-    plain = [names[entry] for entry in experiment.space.plain]
-    known = dict(zip(plain, widths[: len(plain)], strict=True))
-    known |= dict(zip(history.labels, experiment.actions.half_range, strict=True))
-    known |= {f"d{name}/dt": rates[names.index(name)] for name in history.angles}
-    past = [known[name] for name in history.origins[len(history.names) :]]
-    return torch.cat([widths[: len(plain)], widths.new_tensor(past), widths[len(plain) :]])
+    """Widths (D'_0,) of the features, and of those of the past: half the range of past actions."""
+    known = dict(zip(experiment.space.feature_names, widths.tolist(), strict=True))
+    known |= dict(zip(history.labels, experiment.actions.half_range.tolist(), strict=True))
+    origins, angles = history.origins, _angles(experiment.space, history)
+    plain = [known[name] for entry, name in enumerate(origins) if entry not in angles]
+    turns = [
+        known[f"{function} {origins[entry]}"] for function in ("sin", "cos") for entry in angles
+    ]
+    return widths.new_tensor(plain + turns)
 
 
 def _movements(movements: PDMovements, history: History) -> PDMovements:

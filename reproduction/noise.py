@@ -36,8 +36,9 @@ def noisy() -> dict[str, Experiment]:
     """
     plain = replace(with_noise(NOISE_STD), name="double_pendulum_noisy")
     remembering = with_history(plain, past_entries=PAST, past_actions=PAST)
+    name = f"{plain.name}_remembered"
     return {
-        "three readings": replace(remembering, name="double_pendulum_noisy_remembered"),
+        "three readings": replace(remembering, name=name, tied_lengthscales=True),
         "one reading": plain,
     }
 

@@ -58,15 +58,11 @@ def test_errors_are_those_of_the_states_shown() -> None:
     assert task.promised is not None
 
 
-def test_past_angles_are_angles() -> None:
+def test_past_angles_are_plain_numbers() -> None:
     task = with_history(load_experiment("double_pendulum"), past_entries=1)
     assert task.space.names[4:] == ("q1@1", "dq1@1", "q2@1", "dq2@1")
-    turn = torch.tensor([1, 0, -2, 0, 1, 0, -2, 0]).double() * 2 * torch.pi
-    states = task.demonstrated_states[:20]
-    torch.testing.assert_close(task.space.features(states + turn), task.space.features(states))
-    assert (task.limits[[0, 2, 4, 6]] == torch.inf).all()
-    least = task.settings["least_widths"]
-    assert len(least) == len(task.space.feature_names) == 12 and least[:4] == [1.5] * 4
+    assert task.space.angles == (0, 2)
+    assert task.settings["least_widths"] == [1.5, 1.5, 0.35, 1.5, 0.35, 1.5, *[0.35] * 4]
 
 
 def test_past_actions_leave_no_transition_out() -> None:

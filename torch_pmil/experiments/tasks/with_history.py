@@ -36,7 +36,8 @@ def with_history(
     Args:
         experiment: of the robot.
         past_entries: number of past values of all entries but positions that tell a velocity: what
-            is hidden, as a spring, shows in them, and the noise of sensors averages out.
+            is hidden, as a spring, shows in them, and the noise of sensors averages out. Of angles
+            they are plain numbers, in which a full turn is a difference.
         past_actions: number of past actions: those that still act where there is a delay.
         positions_only: whether the sensors show no velocities. Those of the state are then told by
             the last two positions, which need ``past_actions=1`` beside them to say as much.
@@ -145,13 +146,7 @@ def _space(experiment: Experiment, history: History) -> StateSpace:
         torch.cat([match.angles, zeros(len(match.angles), more).to(match.angles)], -1),
         torch.cat([of_states, zeros(match.dim, more).to(of_states), of_angles], -1),
     )
-    return StateSpace(history.state_names, all_units, _angles(space, history), matched)
-
-
-def _angles(space: StateSpace, history: History) -> tuple[int, ...]:
-    """Entries of a state with history that are angles, present or past."""
-    known = {space.names[entry] for entry in space.angles}
-    return tuple(entry for entry, name in enumerate(history.origins) if name in known)
+    return StateSpace(history.state_names, all_units, space.angles, matched)
 
 
 def _initial(initial: Gaussian, history: History, resting: Resting) -> Gaussian:
@@ -171,15 +166,17 @@ def _demonstrated(experiment: Experiment, history: History, resting: Resting) ->
 
 
 def _with_past(widths: Tensor, experiment: Experiment, history: History) -> Tensor:
-    """Widths (D'_0,) of the features, and of those of the past: half the range of past actions."""
-    known = dict(zip(experiment.space.feature_names, widths.tolist(), strict=True))
+    """Widths (D'_0,) of the features, and of those of the past.
+
+    They are half the range of past actions, and of past angles those of their sines.
+    """
+    space = experiment.space
+    known = dict(zip(space.feature_names, widths.tolist(), strict=True))
+    known |= {space.names[entry]: known[f"sin {space.names[entry]}"] for entry in space.angles}
     known |= dict(zip(history.labels, experiment.actions.half_range.tolist(), strict=True))
-    origins, angles = history.origins, _angles(experiment.space, history)
-    plain = [known[name] for entry, name in enumerate(origins) if entry not in angles]
-    turns = [
-        known[f"{function} {origins[entry]}"] for function in ("sin", "cos") for entry in angles
-    ]
-    return widths.new_tensor(plain + turns)
+    past = [known[name] for name in history.origins[len(history.names) :]]
+    now = len(space.plain)
+    return torch.cat([widths[:now], widths.new_tensor(past), widths[now:]])
 
 
 def _movements(movements: PDMovements, history: History) -> PDMovements:

@@ -57,8 +57,11 @@ class Peer(ABC):
     @property
     def transitions(self) -> tuple[Tensor, Tensor, Tensor]:
         """States (n, D), actions (n, F) and next states (n, D) of all rollouts so far."""
-        experience = torch.cat(self.rollouts)
-        return experience["observation"], experience["action"], experience["next", "observation"]
+        keys = "observation", "action", ("next", "observation")
+        states, actions, following = (
+            torch.cat([rollout.get(key) for rollout in self.rollouts]) for key in keys
+        )
+        return states, actions, following
 
     @property
     def demonstrated_transitions(self) -> tuple[Tensor, Tensor]:

@@ -33,26 +33,9 @@ SEEDS, TRIALS = (100, 101), 20
 EXPERIENCE_S = 12.5, 25.0, 50.0  # at which success counts
 Settings = Mapping[str, object]
 CONFIGURATIONS: dict[str, Sequence[Settings]] = {
-    "bco": (
-        {},
-        {"steps": 1500},
-        {"weight_decay": 0.1},
-        {"noise": 0.3},
-        {"learning_rate": 3e-3},
-        {"cells": 128},
-    ),
-    "gaifo": (
-        {},
-        {"penalty": 10.0},
-        {"discriminator_rate": 1e-3},
-        {"discount": 0.9},
-    ),
-    "ensemble_cem": (
-        {},
-        {"most_cost": 100.0},
-        {"plan_steps": 12},
-        {"steps": 2000},
-    ),
+    "bco": ({}, {"weight_decay": 0.1}, {"noise": 0.3}),
+    "gaifo": ({}, {"penalty": 10.0}),
+    "ensemble_cem": ({}, {"steps": 2500}),
 }
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from reproduction.baselines.ensemble_cem import EnsembleCEM, minimise_by_cem
+from reproduction.baselines.cross_entropy_method import minimise_by_cem
+from reproduction.baselines.ensemble_cem import EnsembleCEM
 from tests.reproduction.baselines.test_bco import linear_system
 from torch_pmil.experiments import load_experiment
 

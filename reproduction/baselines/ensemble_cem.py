@@ -57,7 +57,7 @@ class EnsembleCEM(Peer):
         seed: int,
         members: int = 5,
         cells: int = 64,
-        steps: int = 1000,
+        steps: int = 2500,
         learning_rate: float = 2e-3,
         weight_decay: float = 1e-2,
         plan_steps: int = 8,

@@ -24,7 +24,7 @@ def test_planner_finds_the_minimum_of_a_quadratic_for_each_robot() -> None:
 
 
 def test_model_recovers_a_linear_system() -> None:
-    peer = EnsembleCEM(load_experiment("double_pendulum"), SEED, learning_rate=3e-3)
+    peer = EnsembleCEM(load_experiment("double_pendulum"), SEED, steps=500, learning_rate=3e-3)
     peer.add(linear_system(seed=1))
     peer.fit()
     other = linear_system(seed=2)

@@ -7,9 +7,9 @@ Each configuration is the peer's own but for what :data:`CONFIGURATIONS` says. T
 largest mean success rate over seeds and over 12.5, 25 and 50 s of experience; of those that tie,
 the first.
 
-This is all that was compared so: two seeds for each of few configurations. Before it, the cost, plan
-and learning rate of the ensemble were found by hand, with the seeds 100, 101 and 150 to 152. GAIfO's
-command has not been run: its arguments are as first chosen.
+This is all that was compared so: two seeds for each of few configurations. Before it, the cost,
+plan and learning rate of the ensemble were found by hand, with the seeds 100, 101 and 150 to 152.
+GAIfO's command has not been run: its arguments are as first chosen.
 
 What was measured is written to results/paper/peers/tuning_PEER.json; runs lie in runs/tuning.
 """

@@ -37,6 +37,7 @@ SEEDS, TRIALS = (100, 101), 20
 EXPERIENCE_S = 12.5, 25.0, 50.0  # at which success counts
 Settings = Mapping[str, object]
 CONFIGURATIONS: dict[str, Sequence[Settings]] = {
+    "gp_tracker": ({}, {"action_weight": 1e-3}, {"action_weight": 0.01}, {"action_weight": 1.0}),
     "bco": ({}, {"weight_decay": 0.1}, {"noise": 0.3}),
     "gaifo": ({}, {"penalty": 10.0}),
     "ensemble_cem": ({"steps": 1000}, {"steps": 2500}),

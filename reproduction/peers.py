@@ -38,7 +38,9 @@ def methods() -> dict[str, tuple[str, Learner]]:
         >>> [name for name, _ in methods().values()]
         ['ours', 'gp_tracker', 'ensemble_cem', 'bco', 'gaifo']
     """
-    peers = {peer.label: (peer.name, partial(_peer_run, peer_class=peer)) for peer in PEERS}
+    peers = {
+        peer.label: (name, partial(_peer_run, peer_class=peer)) for name, peer in PEERS.items()
+    }
     return {OURS: ("ours", learning_run), **peers}
 
 

@@ -30,8 +30,9 @@ class GPTracker(Peer):
         + \tfrac12 \rho\, \tilde u_t^\top \tilde u_t
 
     with W_t the inverse of the demonstrated variances plus those of the start, and the actions told
-    from those that hold the robot there, if they are known, in halves of their range. A time-varying LQR with the same weights follows the plan. What the model
-    does not know is not seen: that is what our own objective adds.
+    from those that hold the robot there, if they are known, in halves of their range. A
+    time-varying LQR with the same weights follows the plan. What the model does not know is not
+    seen: that is what our own objective adds.
 
     Args:
         experiment, seed: as of :class:`Peer`.
@@ -54,7 +55,7 @@ class GPTracker(Peer):
         states = experiment.demonstrated_states.unflatten(0, positions.shape[:2])
         mean, weights = states.mean(0), 1 / (states.var(0) + experiment.initial.std.square())
         self._action_weights = action_weight / self._limit**2
-        self._guess = np.zeros((experiment.horizon, len(self._limit)))
+        self._guess: Array = np.zeros((experiment.horizon, len(self._limit)))
         if experiment.holding_actions is not None:
             self._guess = experiment.holding_actions(mean[:-1]).numpy() - self._middle
         self._cost = QuadraticCost(

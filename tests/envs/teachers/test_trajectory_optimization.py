@@ -112,7 +112,7 @@ def test_gains_about_a_plan_are_those_of_the_optimum() -> None:
     limit, weights = np.array([1e3]), COST.state_weights
     plan, other = (
         plan_trajectory(linear_dynamics, start, COST, np.zeros((STEPS, 1)), limit, tolerance=1e-14)
-        for start in (START, START + [0.2, -0.5])
+        for start in (START, START + np.array([0.2, -0.5]))
     )
     gains = tracking_gains(
         linear_dynamics, plan, weights[:-1], COST.action_weights, np.diag(weights[-1])

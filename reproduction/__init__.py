@@ -23,6 +23,7 @@ from reproduction.reaching import REACHING
 from reproduction.remembering import DELAY, POSITIONS_ONLY
 from reproduction.robot_server import ROBOT_SERVER
 from reproduction.robustness import ROBUSTNESS
+from reproduction.sensitivity import SENSITIVITY
 from reproduction.servo_gains import SERVO_GAINS
 from reproduction.ur5e import UR5E_CARRIES
 from reproduction.velocities import VELOCITIES
@@ -56,5 +57,6 @@ PAPER = {
         BIOROB_HISTORY,
         NOISE,
         PEERS_STUDY,
+        SENSITIVITY,
     )
 }

@@ -18,10 +18,12 @@ from reproduction.handwriting import HANDWRITING
 from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.masses import MASSES
 from reproduction.noise import NOISE
+from reproduction.peers import PEERS_STUDY
 from reproduction.reaching import REACHING
 from reproduction.remembering import DELAY, POSITIONS_ONLY
 from reproduction.robot_server import ROBOT_SERVER
 from reproduction.robustness import ROBUSTNESS
+from reproduction.sensitivity import SENSITIVITY
 from reproduction.servo_gains import SERVO_GAINS
 from reproduction.ur5e import UR5E_CARRIES
 from reproduction.velocities import VELOCITIES
@@ -54,5 +56,7 @@ PAPER = {
         DELAY,
         BIOROB_HISTORY,
         NOISE,
+        PEERS_STUDY,
+        SENSITIVITY,
     )
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -163,9 +163,21 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
     """Success of the saved policies, and experience up to the first own rollout that succeeded."""
+    found = results_of_variants(LABELS, "ablation", folders)
+    return replace(found, details={"particles": PARTICLES, **found.details})
+
+
+def results_of_variants(labels: Mapping[str, str], name: str, folders: Sequence[Path]) -> Results:
+    """The same of any variants with equally many runs.
+
+    Args:
+        labels: of the variants in the figure, by their names.
+        name: of the figure.
+        folders: of the runs, variant by variant.
+    """
     outcomes = [success_and_experience(read_summary(folder)) for folder in folders]
     rates, seconds, succeeded = (
-        np.array(values).reshape(len(LABELS), -1) for values in zip(*outcomes, strict=True)
+        np.array(values).reshape(len(labels), -1) for values in zip(*outcomes, strict=True)
     )
     numbers = {
         "success": rates.mean(1).tolist(),
@@ -173,18 +185,17 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         "runs_with_success": succeeded.sum(1).tolist(),
     }
     headline = {
-        f"{name}_{number}": value
+        f"{variant}_{number}": value
         for number, values in numbers.items()
-        for name, value in zip(LABELS, values, strict=True)
+        for variant, value in zip(labels, values, strict=True)
     }
-    figure = plot_variants(list(LABELS.values()), rates, np.where(succeeded, seconds, np.inf))
+    figure = plot_variants(list(labels.values()), rates, np.where(succeeded, seconds, np.inf))
     details = {
-        "particles": PARTICLES,
-        "variations": list(LABELS),
+        "variations": list(labels),
         "success": rates.tolist(),
         "first_success_s": seconds.tolist(),
     }
-    return Results(headline, {"ablation": figure}, details)
+    return Results(headline, {name: figure}, details)
 
 
 def success_and_experience(summary: dict) -> tuple[float, float, bool]:

@@ -12,6 +12,7 @@ from torch_pmil.envs.teachers.trajectory_optimization import (
     plan_trajectory,
     roll_out,
     tracking_controller,
+    tracking_gains,
 )
 
 A = np.array([[1.0, 0.1], [0.2, 1.05]])
@@ -104,3 +105,27 @@ def test_controller_holds_a_target_where_the_robot_does_not_rest_by_itself():
         pendulum, np.random.default_rng(0).normal(scale=0.05, size=(10, 2)), controller, 60
     )
     np.testing.assert_allclose(states[:, -1], np.tile(leaning, (10, 1)), rtol=0, atol=1e-3)
+
+
+def test_gains_about_a_plan_are_those_of_the_optimum() -> None:
+    """What the cheapest way from elsewhere does differs by the gains, step by step."""
+    limit, weights = np.array([1e3]), COST.state_weights
+    plan, other = (
+        plan_trajectory(linear_dynamics, start, COST, np.zeros((STEPS, 1)), limit, tolerance=1e-14)
+        for start in (START, START + np.array([0.2, -0.5]))
+    )
+    gains = tracking_gains(
+        linear_dynamics, plan, weights[:-1], COST.action_weights, np.diag(weights[-1])
+    )
+    away = np.einsum("tfd,td->tf", gains, (other.states - plan.states)[:-1])
+    np.testing.assert_allclose(other.actions, plan.actions - away, atol=1e-4)
+    assert gains.shape == (STEPS, 1, 2)
+
+
+def test_plan_follows_states_that_change() -> None:
+    reference = roll_out(linear_dynamics, START[None], lambda t, _: np.array([[np.sin(t)]]), STEPS)
+    cost = replace(COST, target=reference[0][0], action_weights=np.array([1e-9]))
+    plan = plan_trajectory(
+        linear_dynamics, START, cost, np.zeros((STEPS, 1)), np.array([10.0]), tolerance=1e-12
+    )
+    np.testing.assert_allclose(plan.actions, reference[1][0], atol=1e-3)

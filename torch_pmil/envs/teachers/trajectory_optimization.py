@@ -42,13 +42,14 @@ class QuadraticCost:
     Half the sum of state_weights (x - target)² and action_weights (u - hold_action)².
 
     Attributes:
-        target: state to reach, (D,).
+        target: state to reach, (D,), or states at steps 0..T to follow, (T+1, D).
         state_weights: for the states at steps 0..T, (T+1, D).
         action_weights: (F,), positive.
-        hold_action: that keeps the robot at the target, (F,); 0 where it rests there without any.
+        hold_action: that keeps the robot at the target, (F,) or (T, F); 0 where it rests there
+            without any.
     """
 
-    target: Array  # (D,)
+    target: Array
     state_weights: Array  # (T+1, D)
     action_weights: Array  # (F,)
     hold_action: Array | float = 0.0
@@ -189,16 +190,30 @@ def tracking_controller(
     Raises:
         numpy.linalg.LinAlgError: the dynamics about the target cannot be stabilised.
     """
-    Q, R = np.diag(state_weights), np.diag(action_weights)
     hold_gain, P = linear_regulator(dynamics, target, state_weights, action_weights, hold_action)
-    gains = []
-    derivatives = zip(*linearize(dynamics, plan.states[:-1], plan.actions), strict=True)
-    for A, B in reversed(list(derivatives)):
+    weights = np.broadcast_to(state_weights, (len(plan.actions), len(target)))
+    gains = tracking_gains(dynamics, plan, weights, action_weights, P)
+    return TrackingController(plan, gains, hold_gain, hold_from, target, action_limit, hold_action)
+
+
+def tracking_gains(
+    dynamics: Dynamics, plan: Plan, state_weights: Array, action_weights: Array, final: Array
+) -> Array:
+    """Gains (T, F, D) of a time-varying LQR about a plan.
+
+    Args:
+        dynamics: states (N, D) and actions (N, F) to next states (N, D).
+        plan: the trajectory to follow.
+        state_weights: of the deviation from the plan at steps 0..T-1, (T, D).
+        action_weights: of the deviation from the planned action, (F,).
+        final: of the deviation at step T, (D, D).
+    """
+    R, P, gains = np.diag(action_weights), final, []
+    steps = zip(state_weights, *linearize(dynamics, plan.states[:-1], plan.actions), strict=True)
+    for weights, A, B in reversed(list(steps)):
         gains.append(_lqr_gain(A, B, P, R))
-        P = Q + A.T @ P @ (A - B @ gains[-1])
-    return TrackingController(
-        plan, np.array(gains[::-1]), hold_gain, hold_from, target, action_limit, hold_action
-    )
+        P = np.diag(weights) + A.T @ P @ (A - B @ gains[-1])
+    return np.array(gains[::-1])
 
 
 def linear_regulator(

@@ -45,12 +45,13 @@ class SuccessCurve:
     upper: np.ndarray
 
     def at(self, experience_s: float) -> float:
-        """Mean success rate with that much experience.
+        """Mean success rate with that much experience."""
+        return self.mean[self.column(experience_s)].item()
 
-        It is that of the last measurement up to then, or of the first one.
-        """
+    def column(self, experience_s: float) -> int:
+        """Index of the last measurement with at most that much experience, or of the first one."""
         measured = int(np.searchsorted(self.experience_s, experience_s, side="right"))
-        return self.mean[max(measured - 1, 0)].item()
+        return max(measured - 1, 0)
 
     def experience_to(self, rate: float) -> float | None:
         """Seconds of experience with which the mean first reached a rate; None if it never did."""

@@ -1,0 +1,208 @@
+r"""Generative adversarial imitation from observation: TorchRL's GAIL loss, and its SAC as learner.
+
+A discriminator D tells demonstrated pairs of states from own ones, and what it takes for
+demonstrated is rewarded.
+
+.. math:: \max_D \; \mathbb E_{\exp}[\log D(x, x')] + \mathbb E_{\pi}[\log(1 - D(x, x'))], \qquad
+    r(x, x') = -\log(1 - D(x, x'))
+
+The paper learns the policy with TRPO, from its latest rollouts alone. At our experience that is too
+little: here an off-policy learner has all rollouts so far, and the discriminator too, as in
+discriminator-actor-critic.
+
+Sources: F. Torabi, G. Warnell, P. Stone (2018), Generative adversarial imitation from observation;
+I. Kostrikov et al. (2019), Discriminator-actor-critic, ICLR.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from tensordict import TensorDict
+from tensordict.nn import NormalParamExtractor, TensorDictModule
+from torch import Tensor, nn
+from torchrl.data import Bounded
+from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.objectives import GAILLoss, SACLoss, SoftUpdate
+
+from reproduction.baselines.networks import Scaled, from_unit, seeded, to_unit
+from reproduction.baselines.peer import Peer
+from torch_pmil.experiments.tasks.experiment import Experiment
+
+BATCH = 128  # transitions of a step
+SURE = 1e-6  # of the discriminator: a larger probability is no larger reward
+TARGET_RATE = 0.01  # of the target critics, at each step
+
+
+class Discriminator(nn.Module):
+    """Probability (*batch, 1) that a pair of features (*batch, D') was demonstrated.
+
+    Args:
+        features: D'.
+        cells: of each of its two hidden layers.
+    """
+
+    def __init__(self, features: int, cells: int) -> None:
+        super().__init__()
+        self.network = nn.Sequential(MLP(2 * features, 1, num_cells=[cells, cells]), nn.Sigmoid())
+
+    def forward(self, features: Tensor, following: Tensor) -> Tensor:
+        """Of features now and a step later."""
+        return self.network(torch.cat([features, following], -1))
+
+    @torch.no_grad()
+    def reward(self, features: Tensor, following: Tensor) -> Tensor:
+        """The reward r (*batch, 1) of a transition between features (*batch, D')."""
+        return -(1 - self(features, following)).clamp_min(SURE).log()
+
+
+class GAIfO(Peer):
+    """Generative adversarial imitation from observation.
+
+    Args:
+        experiment: what to learn.
+        seed: of the networks and the exploration.
+        cells: of each of the two hidden layers of the networks.
+        steps: of each network in a fit; as many as transitions are new, if these are more.
+        learning_rate: of Adam, of actor and critics.
+        discriminator_rate: of Adam, of the discriminator.
+        penalty: of the discriminator's gradient.
+        discount: of the rewards.
+    """
+
+    label: ClassVar[str] = "GAIfO (SAC)"
+    name: ClassVar[str] = "gaifo"
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        seed: int,
+        cells: int = 64,
+        steps: int = 500,
+        learning_rate: float = 1e-3,
+        discriminator_rate: float = 3e-4,
+        penalty: float = 1.0,
+        discount: float = 0.95,
+    ) -> None:
+        super().__init__(experiment, seed)
+        self.steps, self._learned = steps, 0
+        features = len(experiment.space.feature_names)
+        F = len(experiment.actions.names)
+        with seeded(self.generator):
+            self.discriminator = Discriminator(features, cells)
+            self.adversary = adversarial_loss(self.discriminator, penalty)
+            self.policy = nn.Sequential(
+                MLP(features, 2 * F, num_cells=[cells, cells], activation_class=nn.ReLU),
+                NormalParamExtractor(),
+            )
+            self.learner = actor_critic_loss(self.policy, features, F, cells, discount)
+        self.targets = SoftUpdate(self.learner, tau=TARGET_RATE)
+        self.optimizers = (
+            torch.optim.Adam(self.adversary.parameters(), lr=discriminator_rate),
+            torch.optim.Adam(self.learner.parameters(), lr=learning_rate),
+        )
+        self.scale = Scaled(nn.Identity(), features)
+
+    def fit(self) -> None:
+        """Learn discriminator, critics and actor from all rollouts, in turns."""
+        states, actions, following = self.transitions
+        space, shown = self.experiment.space, self.demonstrated_transitions
+        self.scale.set_scale(space.features(shown[0]))
+        demonstrated = [self.scale(space.features(part)) for part in shown]
+        own = [self.scale(space.features(part)) for part in (states, following)]
+        fractions = to_unit(actions, self.experiment.actions)
+        steps, self._learned = max(self.steps, len(states) - self._learned), len(states)
+        with seeded(self.generator):
+            for _ in range(steps):
+                rows, expert = (torch.randint(len(x), (BATCH,)) for x in (states, shown[0]))
+                pair = own[0][rows], own[1][rows]
+                self._tell_apart(pair, (demonstrated[0][expert], demonstrated[1][expert]))
+                self._improve(pair, fractions[rows])
+
+    def act(self, step: int, states: Tensor) -> Tensor:
+        """The policy's most likely actions before they are squashed."""
+        mean, _ = self._moments(states)
+        return from_unit(mean.tanh(), self.experiment.actions)
+
+    def explore(self, step: int, states: Tensor) -> Tensor:
+        """Actions drawn from the policy."""
+        mean, std = self._moments(states)
+        noise = torch.randn(mean.shape, generator=self.generator)
+        return from_unit((mean + std * noise).tanh(), self.experiment.actions)
+
+    @torch.no_grad()
+    def _moments(self, states: Tensor) -> tuple[Tensor, Tensor]:
+        return self.policy(self.scale(self.experiment.space.features(states)))
+
+    def _tell_apart(self, own: tuple[Tensor, Tensor], demonstrated: tuple[Tensor, Tensor]) -> None:
+        """A step of the discriminator on pairs of features (BATCH, D')."""
+        names = ("features", "following", "own_features", "own_following")
+        batch = TensorDict(dict(zip(names, (*demonstrated, *own), strict=True)), [BATCH])
+        _step(self.optimizers[0], self.adversary(batch)["loss"])
+
+    def _improve(self, own: tuple[Tensor, Tensor], fractions: Tensor) -> None:
+        """A step of actor, critics and temperature on transitions (BATCH, ...)."""
+        never = torch.zeros(BATCH, 1, dtype=torch.bool)
+        outcome = {
+            "observation": own[1],
+            "reward": self.discriminator.reward(*own),
+            "done": never,
+            "terminated": never,
+        }
+        batch = {"observation": own[0], "action": fractions, "next": outcome}
+        losses = self.learner(TensorDict(batch, [BATCH]))
+        total = losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]
+        _step(self.optimizers[1], total)
+        self.targets.step()
+
+
+def adversarial_loss(discriminator: Discriminator, penalty: float) -> GAILLoss:
+    """TorchRL's GAIL loss, with the following state in the place of the action.
+
+    Args:
+        discriminator: of the demonstrated pairs.
+        penalty: of its gradient.
+    """
+    module = TensorDictModule(discriminator, ["features", "following"], ["probability"])
+    loss = GAILLoss(module, use_grad_penalty=True, gp_lambda=penalty)
+    loss.set_keys(
+        expert_observation="features",
+        expert_action="following",
+        collector_observation="own_features",
+        collector_action="own_following",
+        discriminator_pred="probability",
+    )
+    return loss
+
+
+def actor_critic_loss(
+    policy: nn.Module, features: int, actions: int, cells: int, discount: float
+) -> SACLoss:
+    """TorchRL's SAC loss of a policy.
+
+    Args:
+        policy: features (*batch, D') to mean and standard deviation (*batch, F) each, of actions
+            before they are squashed to [-1, 1].
+        features: D'.
+        actions: F.
+        cells: of each of the critics' two hidden layers.
+        discount: of the rewards.
+    """
+    actor = ProbabilisticActor(
+        TensorDictModule(policy, ["observation"], ["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        spec=Bounded(-torch.ones(actions), torch.ones(actions), (actions,)),
+        distribution_class=TanhNormal,
+        return_log_prob=True,
+    )
+    critic = MLP(features + actions, 1, num_cells=[cells, cells], activation_class=nn.ReLU)
+    loss = SACLoss(actor, ValueOperator(critic, in_keys=["observation", "action"]))
+    loss.make_value_estimator(gamma=discount)
+    return loss
+
+
+def _step(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()

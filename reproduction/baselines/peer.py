@@ -1,0 +1,71 @@
+"""What a peer of our method is: a learner of a policy from state-only demonstrations."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from torch_pmil.experiments.tasks.experiment import Experiment
+
+
+class Peer(ABC):
+    """A learner that sees what ours sees: the demonstrated states, and its own motion.
+
+    :func:`~reproduction.baselines.peer_run.peer_run` gives it experience, and measures it.
+
+    Args:
+        experiment: what to learn.
+        seed: of all its random numbers; same seed, same learner up to rounding.
+
+    ``label`` names the method in figures, ``name`` in folders. ``rollouts`` are its own so far.
+    """
+
+    label: ClassVar[str]
+    name: ClassVar[str]
+
+    def __init__(self, experiment: Experiment, seed: int) -> None:
+        self.experiment = experiment
+        self.generator = torch.Generator().manual_seed(seed)
+        self.rollouts: list[TensorDictBase] = []
+
+    def add(self, rollout: TensorDictBase) -> None:
+        """Add an own rollout (T,): observation, action, and (next, observation)."""
+        self.rollouts.append(rollout.select("observation", "action", ("next", "observation")))
+
+    @abstractmethod
+    def fit(self) -> None:
+        """Learn from all rollouts so far."""
+
+    @abstractmethod
+    def act(self, step: int, states: Tensor) -> Tensor:
+        """Actions (*batch, F), within their limits, at states (*batch, D).
+
+        It is called for the steps 0, 1, ..., T - 1, one after the other; 0 begins at new starts.
+        """
+
+    def explore(self, step: int, states: Tensor) -> Tensor:
+        """Actions of the own rollouts, from which it learns: those of :meth:`act`, or around them.
+
+        The arguments are those of :meth:`act`.
+        """
+        return self.act(step, states)
+
+    @property
+    def transitions(self) -> tuple[Tensor, Tensor, Tensor]:
+        """States (n, D), actions (n, F) and next states (n, D) of all rollouts so far."""
+        keys = "observation", "action", ("next", "observation")
+        states, actions, following = (
+            torch.cat([rollout.get(key) for rollout in self.rollouts]) for key in keys
+        )
+        return states, actions, following
+
+    @property
+    def demonstrated_transitions(self) -> tuple[Tensor, Tensor]:
+        """States and next states (N T, D) that the demonstrations show, without actions."""
+        positions = self.experiment.demonstrations.positions
+        states = self.experiment.demonstrated_states.unflatten(0, positions.shape[:2])
+        return states[:, :-1].flatten(0, 1), states[:, 1:].flatten(0, 1)

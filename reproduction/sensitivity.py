@@ -1,0 +1,88 @@
+"""Sensitivity: the double pendulum with each setting halved and doubled, on held-out seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reproduction.ablation import results_of_variants
+from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
+from reproduction.soak.comparison import paired
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.tasks.experiment import Experiment
+
+SEEDS, TRIALS = range(20, 25), 10  # on which no setting was chosen
+QUICK_SEEDS, QUICK_TRIALS = range(20, 21), 2
+OURS = "ours"
+SETTINGS = (
+    "noise_std",
+    "num_centres",
+    "initial_weight_std",
+    "input_scale",
+    "random_action",
+    "search.mean_iterations",
+    "search.stage_iterations",
+    "search.final_iterations",
+    "search.first_horizon",
+    "search.horizon_step",
+    "search.trust_threshold",
+)
+FACTORS = {"halved": 0.5, "doubled": 2}
+
+
+def variants() -> dict[str, Experiment]:
+    """The double pendulum as it is, and with each setting halved and doubled, by their names.
+
+    Whole numbers stay whole: half of 5 is 2.
+
+    Example:
+        >>> tasks = variants()
+        >>> tasks["search.first_horizon halved"].search.first_horizon, len(tasks)
+        (2, 23)
+    """
+    task = load_experiment("double_pendulum")
+    known: dict[str, Any] = task.adjustable
+    changed = {
+        f"{setting} {word}": task.with_settings(
+            **{setting: type(known[setting])(factor * known[setting])}
+        )
+        for setting in SETTINGS
+        for word, factor in FACTORS.items()
+    }
+    named = {
+        label: replace(variant, name=f"{task.name}_{label.replace(' ', '_')}")
+        for label, variant in changed.items()
+    }
+    return {OURS: task, **named}
+
+
+def needed_runs(root: Path, quick: bool) -> list[Run]:
+    """Each variant with each seed."""
+    seeds, trials = (QUICK_SEEDS, QUICK_TRIALS) if quick else (SEEDS, TRIALS)
+    return [
+        learning_run(root / "sensitivity", experiment, seed, trials)
+        for experiment in variants().values()
+        for seed in seeds
+    ]
+
+
+def results(folders: Sequence[Path], quick: bool) -> Results:
+    """Success and experience of each variant, and its success less that of ours, seed by seed."""
+    labels = {label.replace(" ", "_"): label for label in variants()}
+    found = results_of_variants(labels, "sensitivity", folders)
+    ours, *others = np.array(found.details["success"]).tolist()
+    more = {
+        label: paired(list(zip(rates, ours, strict=True)))
+        for label, rates in zip(list(labels)[1:], others, strict=True)
+    }
+    seeds = list(QUICK_SEEDS if quick else SEEDS)
+    return replace(found, details={**found.details, "seeds": seeds, "more_success": more})
+
+
+SENSITIVITY = PaperExperiment(
+    "sensitivity", "what each setting does, halved and doubled", needed_runs, results
+)

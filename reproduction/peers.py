@@ -24,7 +24,7 @@ from torch_pmil.experiments.runs.summaries import SuccessCurve
 from torch_pmil.experiments.tasks.experiment import Experiment
 
 OURS = "imitation (ours)"
-TASKS = ("double_pendulum", "double_pendulum_servo", "biorob")
+TASKS = ("double_pendulum",)
 TIMES = (12.5, 25.0, 50.0)  # s of experience
 QUICK_SEEDS, QUICK_END = range(2), 5.0
 

@@ -27,6 +27,7 @@ from torch_pmil.envs import AdaptedEnv, hitting_plane
 from torch_pmil.envs.biorob import BALL, BioRobEnv, biorob_model
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
+from torch_pmil.envs.pendubot import PendubotEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.envs.teachers import reaching
 from torch_pmil.envs.teachers.gym_teachers import (
@@ -36,6 +37,7 @@ from torch_pmil.envs.teachers.gym_teachers import (
     pendulum_teacher,
 )
 from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
+from torch_pmil.envs.teachers.one_motor_teacher import PENDUBOT, one_motor_teacher
 from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.envs.teachers.trajectory_optimization import Array
 from torch_pmil.experiments import load_experiment
@@ -48,6 +50,7 @@ from torch_pmil.experiments.tasks.double_pendulum import (
 )
 from torch_pmil.experiments.tasks.gym_pendulum import gym_pendulum_space
 from torch_pmil.experiments.tasks.inverted_pendulum import inverted_pendulum_space
+from torch_pmil.experiments.tasks.one_motor import one_motor_space
 from torch_pmil.files import in_words
 
 DEMONSTRATIONS = 5  # paper
@@ -125,9 +128,16 @@ def record_gym_pendulum(seed: int, torque_noise: float) -> Demonstrations:
     return record_teacher("gym_pendulum", env, space, teacher, PENDULUM_STEPS, seed, torque_noise)
 
 
+def record_pendubot(seed: int, torque_noise: float) -> Demonstrations:
+    """Five swing-ups of the pendubot, all successful."""
+    env, space = PendubotEnv(num_envs=DEMONSTRATIONS, seed=seed), one_motor_space()
+    teacher = one_motor_teacher(PendubotEnv(), PENDUBOT)
+    return record_teacher("pendubot", env, space, teacher, PENDUBOT.steps, seed, torque_noise)
+
+
 def record_teacher(
     name: str,
-    env: AdaptedEnv,
+    env: AdaptedEnv | PendubotEnv,
     space: StateSpace,
     teacher: Teacher,
     steps: int,
@@ -207,6 +217,7 @@ RECORDERS: dict[str, Callable[..., Demonstrations]] = {
     "double_pendulum_targets": record_double_pendulum_targets,
     "gym_pendulum": record_gym_pendulum,
     "inverted_pendulum": record_inverted_pendulum,
+    "pendubot": record_pendubot,
 }
 LED_BY_HAND = {"biorob", "biorob_targets"}
 

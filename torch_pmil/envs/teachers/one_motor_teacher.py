@@ -37,7 +37,7 @@ class SwingUp:
     planned_torque: float
 
 
-PENDUBOT = SwingUp(steps=50, upright_from=36, hold_from=40, planned_torque=4.5)  # 2 s at 25 Hz
+PENDUBOT = SwingUp(steps=75, upright_from=36, hold_from=40, planned_torque=4.5)  # 3 s at 25 Hz
 
 
 def one_motor_teacher(env: PendubotEnv | AcrobotEnv, motion: SwingUp) -> TrackingController:

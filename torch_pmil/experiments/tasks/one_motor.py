@@ -45,7 +45,7 @@ def depth_below_upright(states: Tensor) -> Tensor:
 
 
 def pendubot(demonstrations: Demonstrations | None = None) -> Experiment:
-    """Swing the pendubot up as demonstrated, in 2 s at 25 Hz.
+    """Swing the pendubot up as demonstrated, in 3 s at 25 Hz.
 
     A success has the tip above the line of the AI Olympics, 0.45 m, for the last 0.5 s.
 

@@ -18,6 +18,7 @@ from reproduction.handwriting import HANDWRITING
 from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.masses import MASSES
 from reproduction.noise import NOISE
+from reproduction.pendubot import PENDUBOT
 from reproduction.reaching import REACHING
 from reproduction.remembering import DELAY, POSITIONS_ONLY
 from reproduction.robot_server import ROBOT_SERVER
@@ -54,5 +55,6 @@ PAPER = {
         DELAY,
         BIOROB_HISTORY,
         NOISE,
+        PENDUBOT,
     )
 }

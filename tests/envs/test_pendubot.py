@@ -27,7 +27,7 @@ def test_mass_matrix_and_gravity_are_the_published_ones(pose: tuple[float, float
     data.qpos[:] = pose
     mujoco.mj_forward(model, data)
     matrix = np.zeros((2, 2))
-    mujoco.mj_fullM(model, matrix, data.qM)
+    mujoco.mj_fullM(model, data, matrix)
     coupled = M2 * L1 * R2 * math.cos(pose[1])
     across = I2 + coupled
     expected = [[I1 + I2 + M2 * L1**2 + 2 * coupled, across], [across, I2]]

@@ -60,9 +60,7 @@ def one_motor_teacher(env: PendubotEnv | AcrobotEnv, motion: SwingUp) -> Trackin
     cost = QuadraticCost(upright, state_weights, action_weights=np.full(1, 0.1))
     guess = np.random.default_rng(0).normal(size=(motion.steps // 5, 1)).repeat(5, axis=0)
     planned_torque = np.full(1, motion.planned_torque)
-    plan = plan_trajectory(
-        dynamics, np.array(HANGING), cost, guess, planned_torque, tolerance=1e-4
-    )
+    plan = plan_trajectory(dynamics, np.array(HANGING), cost, guess, planned_torque, tolerance=1e-4)
     away = np.abs(plan.states[motion.hold_from]).max()
     if away > REACHED:
         raise RuntimeError(

@@ -35,7 +35,13 @@ FINAL_STEPS = 250  # 0.5 s, of which the tip is above the line
 PUSHES = 6  # of a profile, at least 1 s apart
 TORQUE_LIMIT = 6.0  # N·m
 FACTORS = {"m1r1", "I1", "m2r2", "m2", "I2"}  # varied by 25 %
-RANGES = {"Ir": (0.0, 1e-4), "b1": 0.1, "cf1": 0.2, "b2": 0.1, "cf2": 0.2}
+RANGES = {  # of the others, N·m·s/rad and N·m of friction
+    "Ir": (0.0, 1e-4),
+    "b1": (-0.1, 0.1),
+    "cf1": (-0.2, 0.2),
+    "b2": (-0.1, 0.1),
+    "cf2": (-0.2, 0.2),
+}
 MOST_VELOCITY_NOISE = 0.5  # rad/s, standard deviation
 MOST_TORQUE_NOISE = 1.1  # N·m, standard deviation
 RESPONSES = (0.1, 2.0)
@@ -98,8 +104,7 @@ def varied_plants() -> list[Plant]:
         if entry.name in FACTORS:
             low, high = 0.75 * value, 1.25 * value
         else:
-            most = RANGES[entry.name]
-            low, high = most if isinstance(most, tuple) else (-most, most)
+            low, high = RANGES[entry.name]
         levels = np.linspace(low, high, LEVELS).tolist()
         plants += [replace(nominal, **{entry.name: level}) for level in levels]
     return plants

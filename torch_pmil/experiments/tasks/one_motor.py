@@ -7,7 +7,13 @@ from torch import Tensor
 
 from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
-from torch_pmil.envs.pendubot import CONTROL_PERIOD, LINK_LENGTHS, PendubotEnv, tip_height
+from torch_pmil.envs.pendubot import (
+    CONTROL_PERIOD,
+    LINK_LENGTHS,
+    AcrobotEnv,
+    PendubotEnv,
+    tip_height,
+)
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.experiments.tasks.double_pendulum import states_from_positions
 from torch_pmil.experiments.tasks.experiment import (
@@ -57,6 +63,11 @@ def pendubot(demonstrations: Demonstrations | None = None) -> Experiment:
         DemonstrationError: they hold something else, or at another rate.
     """
     return _one_motor("pendubot", PendubotEnv, demonstrations)
+
+
+def acrobot(demonstrations: Demonstrations | None = None) -> Experiment:
+    """Swing the acrobot up as demonstrated, in 3 s at 25 Hz; all else is as of :func:`pendubot`."""
+    return _one_motor("acrobot", AcrobotEnv, demonstrations)
 
 
 def _one_motor(

@@ -1,4 +1,4 @@
-"""The pendubot of the AI Olympics with RealAIGym, learned from positions of its two links.
+"""Pendubot and acrobot of the AI Olympics with RealAIGym, learned from positions of two links.
 
 One motor moves two links: what a controller that tracks joint angles cannot do. A success has the
 tip above the line at 0.45 m for the last 0.5 s of a trial of 3 s; the saved policies then act for
@@ -10,7 +10,7 @@ beside that of the teacher, which is told the exact model.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -18,30 +18,68 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from reproduction.figure7 import GOAL, size, success_curves, success_results
+from reproduction.figure7 import GOAL, size, success_results
 from reproduction.learned import load_learned, measured_anew
 from reproduction.pendubot_robustness import CRITERIA, PUBLISHED, robustness
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.control.state_policy import StatePolicy
-from torch_pmil.envs.pendubot import PendubotEnv, tip_height
+from torch_pmil.envs.pendubot import AcrobotEnv, PendubotEnv, tip_height
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.envs.teachers.one_motor_teacher import PENDUBOT as MOTION, one_motor_teacher
+from torch_pmil.envs.teachers import one_motor_teacher as teachers
 from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.runs.summaries import (
+    SuccessCurve,
+    read_summary,
+    success_over_experience,
+)
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.experiments.tasks.one_motor import LINE
 
-LABEL = "imitation (ours)"
 TRIALS = 9  # the last one with 30 s of experience
 STARTS, START_SEED = 20, 11_000_000  # no start that a run has seen
 LONG = 10.0  # s, of the AI Olympics
-MOTOR = 0  # the joint that it moves
 SCORE_SEED = 0  # of noise and pushes
 
 
+@dataclass(frozen=True)
+class Robot:
+    """A robot with one motor.
+
+    Args:
+        name: of its experiment.
+        make_env: makes it.
+        joint: that its motor moves.
+        motion: of its teacher.
+        most_seeds: that learn it.
+        ending: of its entries of the headline.
+    """
+
+    name: str
+    make_env: type[PendubotEnv]
+    joint: int
+    motion: teachers.SwingUp
+    most_seeds: int
+    ending: str
+
+    def seeds(self, quick: bool) -> Sequence[int]:
+        """Seeds of its runs."""
+        return size(quick, TRIALS)[0][: self.most_seeds]
+
+
+ROBOTS = (
+    Robot("pendubot", PendubotEnv, 0, teachers.PENDUBOT, 10, ""),
+    Robot("acrobot", AcrobotEnv, 1, teachers.ACROBOT, 3, "_acrobot"),
+)
+
+
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """Ten seeds of the pendubot."""
-    seeds, trials = size(quick, TRIALS)
-    return [learning_run(root, load_experiment("pendubot"), seed, trials) for seed in seeds]
+    """Ten seeds of the pendubot, then three of the acrobot."""
+    trials = size(quick, TRIALS)[1]
+    return [
+        learning_run(root, load_experiment(robot.name), seed, trials)
+        for robot in ROBOTS
+        for seed in robot.seeds(quick)
+    ]
 
 
 @torch.no_grad()
@@ -53,43 +91,55 @@ def held_rate(policy: StatePolicy, experiment: Experiment, starts: int) -> float
     return (tip_height(states[:, experiment.horizon :]) > LINE).all(-1).double().mean().item()
 
 
-def teacher_robustness() -> dict[str, float]:
+def teacher_robustness(robot: Robot) -> dict[str, float]:
     """The robustness of the teacher, that the demonstrations are of."""
-    teacher = one_motor_teacher(PendubotEnv(), MOTION)
+    teacher = teachers.one_motor_teacher(robot.make_env(), robot.motion)
 
     def acts(step: int, states: Tensor) -> Tensor:
         return torch.from_numpy(teacher(step, states.numpy()))
 
-    return robustness(acts, MOTOR, SCORE_SEED)
+    return robustness(acts, robot.joint, SCORE_SEED)
 
 
-def measured(folder: Path, experiment: Experiment) -> dict[str, Any]:
+def measured(folder: Path, robot: Robot) -> dict[str, Any]:
     """The numbers of one run: of its experience and of its saved policy."""
+    experiment = load_experiment(robot.name)
     learned = load_learned(folder, experiment)
     policy = learned.policy
     return measured_anew(learned, experiment, STARTS, START_SEED) | {
         "held_10s": held_rate(policy, experiment, STARTS),
-        "robustness": robustness(lambda step, states: policy(states), MOTOR, SCORE_SEED),
+        "robustness": robustness(lambda step, states: policy(states), robot.joint, SCORE_SEED),
     }
+
+
+def headline_of(robot: Robot, runs: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+    """The main numbers of a robot's runs."""
+    rates = [run["success_rate"] for run in runs]
+    numbers: dict[str, float | None] = {
+        "seeds": len(runs),
+        "seeds_at_95": sum(rate >= GOAL for rate in rates),
+        "seeds_held_10s": sum(run["held_10s"] >= GOAL for run in runs),
+        "max_experience_s": max(run["experience_s"] for run in runs),
+        "mean_saved_success_rate": fmean(rates),
+        "mean_held_10s": fmean(run["held_10s"] for run in runs),
+    }
+    for name in ("score", *CRITERIA):
+        numbers[f"robustness_{name}"] = fmean(run["robustness"][name] for run in runs)
+    return {f"{name}{robot.ending}": value for name, value in numbers.items()}
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
     """Success over experience, over 10 s and over the cases of the robustness score."""
-    experiment, curves = load_experiment("pendubot"), success_curves(folders, [LABEL])
-    runs = [measured(folder, experiment) for folder in folders]
-    rates = [run["success_rate"] for run in runs]
-    headline: dict[str, float | None] = {
-        "seeds": len(runs),
-        "seeds_at_95": sum(rate >= GOAL for rate in rates),
-        "seeds_held_10s": sum(run["held_10s"] == 1 for run in runs),
-        "max_experience_s": max(run["experience_s"] for run in runs),
-        "mean_saved_success_rate": fmean(rates),
-        "mean_held_10s": fmean(run["held_10s"] for run in runs),
-        "experience_to_95": curves[LABEL].experience_to(GOAL),
-    }
-    for name in ("score", *CRITERIA):
-        key = "robustness_score" if name == "score" else f"robustness_{name}"
-        headline[key] = fmean(run["robustness"][name] for run in runs)
+    left = list(folders)
+    headline, runs = dict[str, float | None](), list[dict[str, Any]]()
+    curves = dict[str, SuccessCurve]()
+    for robot in ROBOTS:
+        count = len(robot.seeds(quick))
+        own, left = left[:count], left[count:]
+        found = [measured(folder, robot) for folder in own]
+        headline |= headline_of(robot, found)
+        curves[robot.name] = success_over_experience([read_summary(folder) for folder in own])
+        runs += found
     made = success_results(curves, headline, "pendubot")
     published = {
         name: dict(zip(CRITERIA, values, strict=True)) | {"score": fmean(values) / 100}
@@ -98,12 +148,15 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     details = {
         "starts": STARTS,
         "published_robustness_percent": published,
-        "teacher_robustness": teacher_robustness(),
+        "teacher_robustness": {robot.name: teacher_robustness(robot) for robot in ROBOTS},
         "measured": runs,
     }
     return replace(made, details={**made.details, **details})
 
 
 PENDUBOT = PaperExperiment(
-    "pendubot", "the pendubot of the AI Olympics, one motor for two links", needed_runs, results
+    "pendubot",
+    "pendubot and acrobot of the AI Olympics, one motor for two links",
+    needed_runs,
+    results,
 )

@@ -90,6 +90,7 @@ def tip_height(states: Tensor) -> Tensor:
     """Height (*batch) of the end of link 2 above the base, m, in states (*batch, 4).
 
     Example:
+        >>> import torch
         >>> tip_height(torch.zeros(4))
         tensor(0.5000)
     """

@@ -19,6 +19,7 @@ from reproduction.hidden_motors import HIDDEN_MOTORS
 from reproduction.masses import MASSES
 from reproduction.noise import NOISE
 from reproduction.peers import PEERS_STUDY
+from reproduction.pendubot import ACROBOT, PENDUBOT
 from reproduction.reaching import REACHING
 from reproduction.remembering import DELAY, POSITIONS_ONLY
 from reproduction.robot_server import ROBOT_SERVER
@@ -58,5 +59,7 @@ PAPER = {
         NOISE,
         PEERS_STUDY,
         SENSITIVITY,
+        PENDUBOT,
+        ACROBOT,
     )
 }

@@ -10,6 +10,7 @@ import itertools
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import hydra
@@ -27,6 +28,7 @@ from torch_pmil.envs import AdaptedEnv, hitting_plane
 from torch_pmil.envs.biorob import BALL, BioRobEnv, biorob_model
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
+from torch_pmil.envs.pendubot import AcrobotEnv, PendubotEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.envs.teachers import reaching
 from torch_pmil.envs.teachers.gym_teachers import (
@@ -36,6 +38,12 @@ from torch_pmil.envs.teachers.gym_teachers import (
     pendulum_teacher,
 )
 from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
+from torch_pmil.envs.teachers.one_motor_teacher import (
+    ACROBOT,
+    PENDUBOT,
+    SwingUp,
+    one_motor_teacher,
+)
 from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.envs.teachers.trajectory_optimization import Array
 from torch_pmil.experiments import load_experiment
@@ -48,6 +56,7 @@ from torch_pmil.experiments.tasks.double_pendulum import (
 )
 from torch_pmil.experiments.tasks.gym_pendulum import gym_pendulum_space
 from torch_pmil.experiments.tasks.inverted_pendulum import inverted_pendulum_space
+from torch_pmil.experiments.tasks.one_motor import one_motor_space
 from torch_pmil.files import in_words
 
 DEMONSTRATIONS = 5  # paper
@@ -125,9 +134,18 @@ def record_gym_pendulum(seed: int, torque_noise: float) -> Demonstrations:
     return record_teacher("gym_pendulum", env, space, teacher, PENDULUM_STEPS, seed, torque_noise)
 
 
+def record_one_motor(
+    name: str, make_env: type[PendubotEnv], motion: SwingUp, seed: int, torque_noise: float
+) -> Demonstrations:
+    """Five swing-ups of pendubot or acrobot, all successful."""
+    env, space = make_env(num_envs=DEMONSTRATIONS, seed=seed), one_motor_space()
+    teacher = one_motor_teacher(make_env(), motion)
+    return record_teacher(name, env, space, teacher, motion.steps, seed, torque_noise)
+
+
 def record_teacher(
     name: str,
-    env: AdaptedEnv,
+    env: AdaptedEnv | PendubotEnv,
     space: StateSpace,
     teacher: Teacher,
     steps: int,
@@ -201,12 +219,14 @@ def record_strikes(seed: int, balls: Tensor) -> Demonstrations:
 
 
 RECORDERS: dict[str, Callable[..., Demonstrations]] = {
+    "acrobot": partial(record_one_motor, "acrobot", AcrobotEnv, ACROBOT),
     "biorob": record_biorob,
     "biorob_targets": record_biorob_targets,
     "double_pendulum": record_double_pendulum,
     "double_pendulum_targets": record_double_pendulum_targets,
     "gym_pendulum": record_gym_pendulum,
     "inverted_pendulum": record_inverted_pendulum,
+    "pendubot": partial(record_one_motor, "pendubot", PendubotEnv, PENDUBOT),
 }
 LED_BY_HAND = {"biorob", "biorob_targets"}
 

@@ -72,12 +72,14 @@ def test_unknown_experiment_is_refused(record, tmp_path):
     with pytest.raises(SystemExit) as stop:
         record("experiment=triple", f"out={tmp_path / 'recorded.npz'}")
     known = [
+        "acrobot",
         "biorob",
         "biorob_targets",
         "double_pendulum",
         "double_pendulum_targets",
         "gym_pendulum",
         "inverted_pendulum",
+        "pendubot",
     ]
     assert stop.value.code == f"experiment must be one of {known}, got triple"
 
@@ -91,8 +93,8 @@ def test_path_that_is_a_folder_is_refused_without_leftovers(record, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["gym_pendulum", "inverted_pendulum"])
-def test_seed_0_records_the_shipped_demonstrations_of_gymnasium(record, tmp_path, capsys, name):
+@pytest.mark.parametrize("name", ["gym_pendulum", "inverted_pendulum", "pendubot", "acrobot"])
+def test_seed_0_records_the_other_shipped_demonstrations(record, tmp_path, capsys, name):
     record(f"experiment={name}", "seed=0", f"out={tmp_path / 'recorded.npz'}")
     recorded, shipped = load_demonstrations(tmp_path / "recorded.npz"), shipped_demonstrations(name)
     torch.testing.assert_close(recorded.positions, shipped.positions, rtol=0, atol=1e-6)

@@ -19,7 +19,10 @@ def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
             tip, their targets [x, y] in m, positions and times as those of the swing-ups;
             ``"gym_pendulum"``: five swing-ups of gymnasium's Pendulum-v1, its tip [x, y] in m, at
             10 Hz from 0 to 4 s; ``"inverted_pendulum"``: ten recoveries of gymnasium's
-            InvertedPendulum-v5, [x_cart, x_tip, z_tip] in m, at 25 Hz from 0 to 2 s; ``"biorob"``:
+            InvertedPendulum-v5, [x_cart, x_tip, z_tip] in m, at 25 Hz from 0 to 2 s;
+            ``"pendubot"``: five swing-ups by the motor in the shoulder, positions [x1, y1, x2, y2]
+            in m, at 25 Hz from 0 to 3 s; ``"acrobot"``: the same by the motor in the elbow;
+            ``"biorob"``:
             three strikes of the BioRob, led by hand and aligned in time, [q, dq] of yaw, shoulder
             and elbow in rad and rad/s, at 10 Hz from 0 to 1.8 s; ``"biorob_targets"``: six strikes
             of the BioRob, two at each of three balls, all led by hand and aligned in time, as

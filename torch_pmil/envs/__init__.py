@@ -23,10 +23,12 @@ from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.envs.history import History, HistoryEnv
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.envs.mujoco_robot import MujocoRobot
+from torch_pmil.envs.pendubot import AcrobotEnv, PendubotEnv
 from torch_pmil.envs.physical.physical_robot_env import PhysicalRobotEnv
 from torch_pmil.envs.registration import register_robots
 
 __all__ = [
+    "AcrobotEnv",
     "AdaptedEnv",
     "BioRobEnv",
     "CosSin",
@@ -36,6 +38,7 @@ __all__ = [
     "HistoryEnv",
     "MujocoRobot",
     "MujocoRobotEnv",
+    "PendubotEnv",
     "PhysicalRobotEnv",
 ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
+from torch_pmil.envs.pendubot import AcrobotEnv, PendubotEnv
 
 try:
     import gymnasium
@@ -16,6 +17,8 @@ ROBOTS = {
     "DoublePendulum-v0": (DoublePendulumEnv, 25),
     "DoublePendulumServo-v0": (DoublePendulumServoEnv, 25),
     "BioRob-v0": (BioRobEnv, 18),
+    "Pendubot-v0": (PendubotEnv, 250),
+    "Acrobot-v0": (AcrobotEnv, 250),
 }
 
 

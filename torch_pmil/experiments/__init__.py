@@ -12,9 +12,11 @@ from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.experiments.tasks.gym_pendulum import gym_pendulum
 from torch_pmil.experiments.tasks.handwriting import handwriting, handwriting_name
 from torch_pmil.experiments.tasks.inverted_pendulum import inverted_pendulum
+from torch_pmil.experiments.tasks.one_motor import acrobot, pendubot
 from torch_pmil.experiments.tasks.pilco import double_pendulum_pilco
 
 EXPERIMENTS = {
+    "acrobot": acrobot,
     "biorob": biorob,
     "biorob_targets": biorob_targets,
     "double_pendulum": double_pendulum,
@@ -24,6 +26,7 @@ EXPERIMENTS = {
     "gym_pendulum": gym_pendulum,
     "handwriting": handwriting,
     "inverted_pendulum": inverted_pendulum,
+    "pendubot": pendubot,
 }
 
 

@@ -1,0 +1,112 @@
+"""The double pendulum of the AI Olympics with RealAIGym, with one motor: pendubot and acrobot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import resources
+from typing import ClassVar
+
+import mujoco
+from torch import Tensor
+
+from torch_pmil.envs.double_pendulum import HANGING, PICTURE, START_STD
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+
+LINK_LENGTHS = (0.2, 0.3)  # m, published
+MOTORS = ("tau1", "tau2")
+CONTROL_PERIOD = 0.04  # s
+
+
+class PendubotEnv(MujocoRobotEnv):
+    """Two links on a fixed base with a motor in the shoulder alone, in MuJoCo, at 25 Hz.
+
+    The state is x = [q1, dq1, q2, dq2] (rad, rad/s): q1 is the angle of link 1 from upright (0 up,
+    pi hanging), q2 the angle of link 2 relative to link 1. The action is the torque of the motor in
+    N·m.
+
+    Published: lengths, masses, centres of mass and inertias of the links, no friction, torque
+    limit, integration by Runge-Kutta at 2 ms (AI Olympics with RealAIGym, design C.1, model 1.0).
+    Chosen here: the control rate, and that the start hangs with standard deviations of 0.05 rad
+    and 0.1 rad/s.
+
+    Args:
+        torque_limit: largest absolute torque in N·m.
+        initial_mean: mean of the start state, length 4.
+        initial_std: standard deviations of the start state, length 4.
+        control_period: seconds between two actions; a whole number of 2 ms steps.
+        num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
+        from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
+        seed: of the generator of starts; None takes entropy from the system.
+
+    Raises:
+        ValueError: a setting has the wrong shape or range; the message says what was expected and
+            what came.
+
+    Example:
+        >>> env = PendubotEnv(seed=0)
+        >>> env.action_names, env.rollout(10)["next", "observation"].shape
+        (('tau1',), torch.Size([10, 4]))
+    """
+
+    motor: ClassVar[str] = "tau1"
+
+    def __init__(
+        self,
+        *,
+        torque_limit: float = 6.0,
+        initial_mean: Sequence[float] | Tensor = HANGING,
+        initial_std: Sequence[float] | Tensor = START_STD,
+        control_period: float = CONTROL_PERIOD,
+        num_envs: int | None = None,
+        from_pixels: bool = False,
+        seed: int | None = None,
+    ) -> None:
+        super().__init__(
+            one_motor_model(self.motor),
+            joints=("q1", "q2"),
+            initial_mean=initial_mean,
+            initial_std=initial_std,
+            torque_limit=torque_limit,
+            control_period=control_period,
+            num_envs=num_envs,
+            from_pixels=from_pixels,
+            pixel_size=PICTURE,
+            seed=seed,
+        )
+
+
+class AcrobotEnv(PendubotEnv):
+    """The links of :class:`PendubotEnv` with a motor in the elbow alone.
+
+    Example:
+        >>> AcrobotEnv(seed=0).action_names
+        ('tau2',)
+    """
+
+    motor: ClassVar[str] = "tau2"
+
+
+def tip_height(states: Tensor) -> Tensor:
+    """Height (*batch) of the end of link 2 above the base, m, in states (*batch, 4).
+
+    Example:
+        >>> import torch
+        >>> tip_height(torch.zeros(4))
+        tensor(0.5000)
+    """
+    inner, outer = states[..., 0], states[..., 0] + states[..., 2]
+    return LINK_LENGTHS[0] * inner.cos() + LINK_LENGTHS[1] * outer.cos()
+
+
+def one_motor_model(motor: str) -> mujoco.MjModel:
+    """The MuJoCo model with one motor, ``"tau1"`` in the shoulder or ``"tau2"`` in the elbow.
+
+    Example:
+        >>> one_motor_model("tau2").nu
+        1
+    """
+    asset = resources.files("torch_pmil.envs").joinpath("assets", "pendubot.xml")
+    spec = mujoco.MjSpec.from_string(asset.read_text(encoding="utf-8"))
+    for other in set(MOTORS) - {motor}:
+        spec.delete(spec.actuator(other))
+    return spec.compile()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import product
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -16,30 +15,33 @@ from matplotlib.figure import Figure
 from reproduction.baselines.peer import Peer
 from reproduction.baselines.peer_run import peer_run
 from reproduction.baselines.run_peer import PEERS
-from reproduction.figure7 import GOAL, SEEDS, success_curves, success_results
+from reproduction.figure7 import GOAL, OURS, SEEDS, success_curves, success_results
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.summaries import SuccessCurve
 from torch_pmil.experiments.tasks.experiment import Experiment
 
-OURS = "imitation (ours)"
-TASKS = ("double_pendulum",)
+TASKS = {  # with the peers that learn them
+    "double_pendulum": ("gp_tracker", "ensemble_cem", "bco"),
+    "pendubot": ("gp_tracker",),
+}
 TIMES = (12.5, 25.0, 50.0)  # s of experience
 QUICK_SEEDS, QUICK_END = range(2), 5.0
 
 Learner = Callable[[Path, Experiment, int, int], Run]
 
 
-def methods() -> dict[str, tuple[str, Learner]]:
-    """Name and runs of each method, by its name in the figures.
+def methods(task: str) -> dict[str, tuple[str, Learner]]:
+    """Name and runs of each method that learns a task, by its name in the figures.
 
     Example:
-        >>> [name for name, _ in methods().values()]
-        ['ours', 'gp_tracker', 'ensemble_cem', 'bco', 'gaifo']
+        >>> [name for name, _ in methods("pendubot").values()]
+        ['ours', 'gp_tracker']
     """
     peers = {
-        peer.label: (name, partial(_peer_run, peer_class=peer)) for name, peer in PEERS.items()
+        PEERS[name].label: (name, partial(_peer_run, peer_class=PEERS[name]))
+        for name in TASKS[task]
     }
     return {OURS: ("ours", learning_run), **peers}
 
@@ -47,10 +49,12 @@ def methods() -> dict[str, tuple[str, Learner]]:
 def needed_runs(root: Path, quick: bool) -> list[Run]:
     """Those of each task, by each method, of each seed."""
     seeds, end = (QUICK_SEEDS, QUICK_END) if quick else (SEEDS, TIMES[-1])
-    experiments = [load_experiment(task) for task in TASKS]
+    experiments = {task: load_experiment(task) for task in TASKS}
     return [
         learn(root, experiment, seed, trials_until(end, experiment))
-        for experiment, (_, learn), seed in product(experiments, methods().values(), seeds)
+        for task, experiment in experiments.items()
+        for _, learn in methods(task).values()
+        for seed in seeds
     ]
 
 
@@ -68,22 +72,25 @@ def trials_until(end: float, experiment: Experiment) -> int:
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
     """Success over experience of each method on each task, and by how much ours is ahead."""
-    labels = list(methods())
-    headline: dict[str, float | None] = {}
+    seeds = len(QUICK_SEEDS if quick else SEEDS)
+    headline: dict[str, float | None] = {"seeds": seeds}
     figures: dict[str, Figure] = {}
     details: dict[str, object] = {}
-    each = len(folders) // len(TASKS)
-    for number, task in enumerate(TASKS):
-        curves = success_curves(folders[number * each : (number + 1) * each], labels)
+    left = list(folders)
+    for task in TASKS:
+        known = methods(task)
+        count = seeds * len(known)
+        own, left = left[:count], left[count:]
+        curves = success_curves(own, list(known))
         headline |= {
             f"{quantity}_{task}_{name}": value
-            for (name, _), curve in zip(methods().values(), curves.values(), strict=True)
+            for (name, _), curve in zip(known.values(), curves.values(), strict=True)
             for quantity, value in _numbers(curve).items()
         }
         made = success_results(curves, {}, f"peers_{task}")
         figures |= made.figures
         details[task] = {**made.details, "ahead": _ahead(curves)}
-    return Results({"seeds": each // len(labels), **headline}, figures, details)
+    return Results(headline, figures, details)
 
 
 def _peer_run(

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from reproduction.baselines.known_peers import PEERS
 from reproduction.baselines.peer import Peer
 from reproduction.baselines.peer_run import peer_run
-from reproduction.baselines.run_peer import PEERS
 from reproduction.figure7 import GOAL, OURS, SEEDS, success_curves, success_results
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired

@@ -15,17 +15,12 @@ from pathlib import Path
 
 import torch
 
-from reproduction.baselines.bco import BCO
-from reproduction.baselines.ensemble_cem import EnsembleCEM
-from reproduction.baselines.gaifo import GAIfO
-from reproduction.baselines.gp_tracker import GPTracker
+from reproduction.baselines.known_peers import PEERS
 from reproduction.baselines.peer_run import peer_run
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.summaries import read_summary
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.experiments.tasks.handwriting import handwriting
-
-PEERS = {peer.name: peer for peer in (GPTracker, EnsembleCEM, BCO, GAIfO)}
 
 
 def main() -> None:

@@ -25,8 +25,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from reproduction.baselines.known_peers import PEERS
 from reproduction.baselines.peer_run import peer_run
-from reproduction.baselines.run_peer import PEERS
 from reproduction.reproduction import Run, finish
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.run_folder import provenance

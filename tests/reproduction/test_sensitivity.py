@@ -30,6 +30,9 @@ def test_numbers_are_those_of_the_runs_seed_by_seed(tmp_path: Path) -> None:
         trial = {"experience_s": 5.0, "success_rate": 1.0, "own_success": True}
         summary = {
             "saved_success_rate": 1.0 if number < len(SEEDS) else 0.75,
+            "wall_seconds": 1.0,
+            "saved_trial": 1,
+            "stop_reason": "limit of trials",
             "experience_s": 10.0,
             "experiment": "any",
             "seed": 20,

@@ -380,12 +380,14 @@ def test_shipped_demonstrations_with_targets_hold_the_tip_at_each_target_and_sta
 
 def test_unknown_shipped_demonstrations_are_refused():
     shipped = [
+        "acrobot",
         "biorob",
         "biorob_targets",
         "double_pendulum",
         "double_pendulum_targets",
         "gym_pendulum",
         "inverted_pendulum",
+        "pendubot",
     ]
     assert f"must be one of {shipped}, got triple" in refused(shipped_demonstrations, "triple")
 

@@ -1211,10 +1211,12 @@ DEMONSTRATIONS = {
 }
 EXPERIMENTS = {
     "load_experiment, an unknown name": misuse(
-        lambda: load_experiment("triple"), "experiment must be one of acrobot, biorob, biorob_targets, "
+        lambda: load_experiment("triple"),
+        "experiment must be one of acrobot, biorob, biorob_targets, ",
     ),
     "load_experiment, a list": misuse(
-        lambda: load_experiment(["a"]), "experiment must be one of acrobot, biorob, biorob_targets, "
+        lambda: load_experiment(["a"]),
+        "experiment must be one of acrobot, biorob, biorob_targets, ",
     ),
     "load_experiment, a shape of another task": misuse(
         lambda: load_experiment("biorob", shape="Sine"), "shape and robot are settings of"

@@ -239,7 +239,8 @@ def plot_success_of_methods(curves: Mapping[str, Sequence[np.ndarray]]) -> Figur
     panel.set(xlabel="experience (s)")
     panel.set_xlim(left=0)
     style(panel)
-    figure.legend(loc="outside upper center", ncols=len(curves), frameon=False)
+    columns = len(curves) if len(curves) < 4 else 2
+    figure.legend(loc="outside upper center", ncols=columns, frameon=False)
     return figure
 
 

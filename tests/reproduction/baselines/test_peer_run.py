@@ -37,9 +37,9 @@ class Still(Peer):
 @pytest.mark.parametrize("name", ["double_pendulum", "double_pendulum_servo", "biorob"])
 def test_first_experience_and_later_starts_are_those_of_our_learner(name: str) -> None:
     experiment = load_experiment(name)
-    collector = make_trainer(experiment, SEED, 2, False, lambda trial: None).collector
-    batches = iter(collector)
-    collector.steps = experiment.exploration.steps
+    trainer = make_trainer(experiment, SEED, 2, False, lambda trial: None)
+    batches = iter(trainer.collector)
+    trainer.collector.steps = experiment.exploration.steps
     ours = [next(batches) for _ in range(experiment.exploration.rollouts + 1)]
     peer = Still(experiment, SEED)
     practice = Practice(experiment, peer, SEED, factor=1)

@@ -61,10 +61,10 @@ class Robot:
         return size(quick, TRIALS)[0][: self.most_seeds]
 
 
-ROBOTS = {
-    "pendubot": Robot("pendubot", PendubotEnv, 0, teachers.PENDUBOT, 10),
-    "acrobot": Robot("acrobot", AcrobotEnv, 1, teachers.ACROBOT, 3),
-}
+ROBOTS = (
+    Robot("pendubot", PendubotEnv, 0, teachers.PENDUBOT, 10),
+    Robot("acrobot", AcrobotEnv, 1, teachers.ACROBOT, 3),
+)
 
 
 def needed_runs(robot: Robot, root: Path, quick: bool) -> list[Run]:
@@ -145,5 +145,5 @@ PENDUBOT, ACROBOT = (
         partial(needed_runs, robot),
         partial(results, robot),
     )
-    for robot in ROBOTS.values()
+    for robot in ROBOTS
 )

@@ -47,7 +47,6 @@ class GPTracker(Peer):
     def __init__(self, experiment: Experiment, seed: int, action_weight: float = 0.1) -> None:
         super().__init__(experiment, seed)
         self.dynamics, self.experience = experiment.make_dynamics(), Experience(CAPACITY)
-        self.known = self.dynamics.known_part(experiment.space)
         self._explored = 0
         actions = experiment.actions
         self._middle, self._limit = actions.middle.numpy(), actions.half_range.numpy()
@@ -77,7 +76,7 @@ class GPTracker(Peer):
         transitions = experience.within(limits)
         dynamics.fit_known_part(transitions[0], transitions[2])
         dynamics.fit(*gp_data(*transitions, self.experiment.space, dynamics.targets))
-        self.known = dynamics.known_part(self.experiment.space)
+        self._known = dynamics.known_part(self.experiment.space)
         start = self.experiment.initial.mean.numpy()
         self._plan = plan_trajectory(self._next, start, self._cost, self._guess, self._limit)
         weights, self._guess = self._cost.state_weights, self._plan.actions
@@ -96,4 +95,4 @@ class GPTracker(Peer):
         """Next states (N, D) by the mean of the model; actions (N, F) are around their middle."""
         x, u = torch.from_numpy(states), torch.from_numpy(self._middle + actions)
         inputs = torch.cat([self.experiment.space.features(x), u], -1)
-        return self.known.successors(x, u, self.dynamics.expansion.mean(inputs)).numpy()
+        return self._known.successors(x, u, self.dynamics.expansion.mean(inputs)).numpy()

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
+
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from reproduction.baselines.peer import Peer
+from torch_pmil.control.recovered_states import without_turns
 from torch_pmil.envs.robot import Array
 from torch_pmil.envs.teachers.trajectory_optimization import (
     QuadraticCost,
@@ -18,6 +21,7 @@ from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.model.experience import Experience, gp_data, widened
 
 CAPACITY = 10_000  # transitions
+TURN = 2 * np.pi  # rad
 
 
 class GPTracker(Peer):
@@ -51,14 +55,16 @@ class GPTracker(Peer):
         actions = experiment.actions
         self._middle, self._limit = actions.middle.numpy(), actions.half_range.numpy()
         positions = experiment.demonstrations.positions
-        states = experiment.demonstrated_states.unflatten(0, positions.shape[:2])
+        turned = experiment.demonstrated_states.unflatten(0, positions.shape[:2])
+        states = without_turns(turned, experiment.initial.mean, experiment.space.angles)
         mean, weights = states.mean(0), 1 / (states.var(0) + experiment.initial.std.square())
         self._action_weights = action_weight / self._limit**2
-        self._guess: Array = np.zeros((experiment.horizon, len(self._limit)))
+        self._first_guess: Array = np.zeros((experiment.horizon, len(self._limit)))
         if experiment.holding_actions is not None:
-            self._guess = experiment.holding_actions(mean[:-1]).numpy() - self._middle
+            self._first_guess = experiment.holding_actions(mean[:-1]).numpy() - self._middle
+        self._guesses: tuple[Array, ...] = (self._first_guess,)
         self._cost = QuadraticCost(
-            mean.numpy(), weights.numpy(), self._action_weights, self._guess.copy()
+            mean.numpy(), weights.numpy(), self._action_weights, self._first_guess
         )
 
     def add(self, rollout: TensorDictBase) -> None:
@@ -69,7 +75,7 @@ class GPTracker(Peer):
             self._explored = len(self.experience)
 
     def fit(self) -> None:
-        """Fit the model to all transitions, plan on it from the last plan on, and find gains."""
+        """Fit the model to all transitions, plan on it, and find gains about the plan."""
         dynamics, experience = self.dynamics, self.experience
         explored = experience.transitions["observation"][: self._explored]
         limits = widened(self.experiment.limits, explored, fewest=dynamics.num_inputs)
@@ -78,8 +84,12 @@ class GPTracker(Peer):
         dynamics.fit(*gp_data(*transitions, self.experiment.space, dynamics.targets))
         self._known = dynamics.known_part(self.experiment.space)
         start = self.experiment.initial.mean.numpy()
-        self._plan = plan_trajectory(self._next, start, self._cost, self._guess, self._limit)
-        weights, self._guess = self._cost.state_weights, self._plan.actions
+        plans = [
+            plan_trajectory(self._next, start, self._cost, guess, self._limit)
+            for guess in self._guesses
+        ]
+        self._plan = min(plans, key=attrgetter("cost"))
+        weights, self._guesses = self._cost.state_weights, (self._first_guess, self._plan.actions)
         self._gains = tracking_gains(
             self._next, self._plan, weights[:-1], self._action_weights, np.diag(weights[-1])
         )
@@ -87,6 +97,8 @@ class GPTracker(Peer):
     def act(self, step: int, states: Tensor) -> Tensor:
         """The planned action, and feedback on the distance from the planned state."""
         away = states.numpy() - self._plan.states[step]
+        angles = list(self.experiment.space.angles)
+        away[..., angles] -= TURN * np.round(away[..., angles] / TURN)
         actions = self._plan.actions[step] - away @ self._gains[step].T
         return torch.from_numpy(self._middle + actions.clip(-self._limit, self._limit))
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -65,6 +66,30 @@ def recover_states(
         if rate not in shown:
             states[..., rate] = torch.gradient(states[..., position], spacing=time_step, dim=-1)[0]
     return states
+
+
+def without_turns(states: Tensor, start: Tensor, angles: Sequence[int]) -> Tensor:
+    """Trajectories of states (N, T, D) whose first angles are those nearest to a start (D,).
+
+    What is observed tells angles but for whole turns. Two trajectories that are a turn apart have
+    no mean, and a servo's target is another one a turn further.
+
+    Args:
+        states: each trajectory is moved by whole turns.
+        start: near which the first state is.
+        angles: indices of the entries that are angles, rad.
+
+    Example:
+        >>> turned = torch.tensor([[[-3.0, 0.0, 6.28, 0.0], [-2.5, 0.0, 7.28, 0.0]]])
+        >>> start = torch.tensor([3.14, 0.0, 0.0, 0.0])
+        >>> without_turns(turned, start, (0, 2)).round(decimals=2) + 0.0
+        tensor([[[3.2800, 0.0000, 0.0000, 0.0000],
+                 [3.7800, 0.0000, 1.0000, 0.0000]]])
+    """
+    turns = torch.zeros_like(states[:, :1])
+    chosen = list(angles)
+    turns[..., chosen] = ((states[:, :1] - start)[..., chosen] / (2 * math.pi)).round()
+    return states - 2 * math.pi * turns
 
 
 def _solved(match_space: MatchSpace, observed: Tensor, start: Tensor) -> Tensor:

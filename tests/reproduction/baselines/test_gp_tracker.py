@@ -45,3 +45,21 @@ def test_costly_actions_are_those_that_hold(
         tracker.fit()
         efforts.append(np.abs(tracker._plan.actions - tracker._cost.hold_action).max())
     assert efforts[1] < 0.01 < efforts[0]
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "pendubot"])
+def test_whole_turns_of_a_joint_change_neither_target_nor_feedback(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick_fits(monkeypatch)
+    experiment = load_experiment(name)
+    tracker = GPTracker(experiment, seed=100)
+    start, angles = experiment.initial.mean, list(experiment.space.angles)
+    away = torch.from_numpy(tracker._cost.target)[0, angles] - start[angles]
+    assert (away.abs() < 5 * experiment.initial.std[angles]).all()
+    Practice(experiment, tracker, seed=100, factor=1)
+    tracker.fit()
+    state = torch.from_numpy(tracker._plan.states[3]) + 0.01
+    turned = state.clone()
+    turned[angles] += 2 * torch.pi * torch.tensor([1.0, -1.0]).double()
+    torch.testing.assert_close(tracker.act(3, turned[None]), tracker.act(3, state[None]))

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
-from torch import Tensor
-
+from torch_pmil.control.recovered_states import without_turns
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.experiments.tasks.double_pendulum import double_pendulum
@@ -32,7 +30,7 @@ def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Exper
     """
     task, env = double_pendulum(demonstrations), DoublePendulumServoEnv()
     states = task.demonstrated_states.unflatten(0, task.demonstrations.positions.shape[:2])
-    states = without_turns(states, env.initial_mean).flatten(0, 1)
+    states = without_turns(states, env.initial_mean, task.space.angles).flatten(0, 1)
     return replace(
         task,
         name="double_pendulum_servo",
@@ -43,20 +41,3 @@ def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Exper
         holding_actions=env.holding_actions,
         held_states=states,
     )
-
-
-def without_turns(states: Tensor, start: Tensor) -> Tensor:
-    """States [q1, dq1, q2, dq2], (N, T, 4), whose first angles are those nearest to a start (4,).
-
-    Positions tell angles but for whole turns, which a servo's target does not.
-
-    Example:
-        >>> import torch
-        >>> turned = torch.tensor([[[-3.0, 0.0, 6.28, 0.0], [-2.5, 0.0, 7.28, 0.0]]])
-        >>> without_turns(turned, torch.tensor([3.14, 0.0, 0.0, 0.0])).round(decimals=2) + 0.0
-        tensor([[[3.2800, 0.0000, 0.0000, 0.0000],
-                 [3.7800, 0.0000, 1.0000, 0.0000]]])
-    """
-    turns = ((states[:, :1] - start) / (2 * math.pi)).round()
-    turns[..., 1::2] = 0
-    return states - 2 * math.pi * turns

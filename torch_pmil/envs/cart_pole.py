@@ -32,7 +32,7 @@ class CartPoleEnv(MujocoRobotEnv):
     2 ms, and exact sensors.
 
     Args:
-        force_limit: largest absolute force in N.
+        torque_limit: largest absolute force of the motor in N.
         initial_mean: mean of the start state, length 4.
         initial_std: standard deviations of the start state, length 4.
         control_period: seconds between two actions; a whole number of 2 ms steps.
@@ -53,7 +53,7 @@ class CartPoleEnv(MujocoRobotEnv):
     def __init__(
         self,
         *,
-        force_limit: float = 10.0,
+        torque_limit: float = 10.0,
         initial_mean: Sequence[float] | Tensor = HANGING,
         initial_std: Sequence[float] | Tensor = START_STD,
         control_period: float = CONTROL_PERIOD,
@@ -66,7 +66,7 @@ class CartPoleEnv(MujocoRobotEnv):
             joints=("x", "q"),
             initial_mean=initial_mean,
             initial_std=initial_std,
-            torque_limit=force_limit,
+            torque_limit=torque_limit,
             control_period=control_period,
             num_envs=num_envs,
             from_pixels=from_pixels,

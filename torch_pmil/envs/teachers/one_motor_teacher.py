@@ -27,7 +27,7 @@ CART_STEPS = 30  # 3 s at 10 Hz
 BEND, STIFFNESS, DAMPING = 1.55, 4.1347, 0.1588
 KICK, KICK_STEPS = 3.0, 3  # N·m at its begin
 SWING_STEPS, SWING_LIMIT = 44, 5.0  # N·m
-REACHED = 0.1  # in the units of the state, largest distance of the plan from upright where it is held
+REACHED = 0.1  # of any entry of the state, largest distance of the plan from upright when held
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,8 @@ def cart_and_tip(state: Sequence[str], length: float) -> MatchSpace:
     """Positions x_cart, x_tip, z_tip of a cart and of the tip of its pole.
 
     Args:
-        state: names of the D entries of the state: ``"x"`` is the place of the cart (m), ``"q"`` the
-            angle of the pole from upright (rad).
+        state: names of the D entries of the state: ``"x"`` is the place of the cart (m), ``"q"``
+            the angle of the pole from upright (rad).
         length: of the pole, m.
 
     Example:

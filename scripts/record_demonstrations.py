@@ -24,8 +24,9 @@ import torch_pmil.demonstrations
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.demonstrations.preparation.alignment import align
-from torch_pmil.envs import AdaptedEnv, hitting_plane
+from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv, hitting_plane
 from torch_pmil.envs.biorob import BALL, BioRobEnv, biorob_model
+from torch_pmil.envs.cart_pole import CartPoleEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
 from torch_pmil.envs.pendubot import AcrobotEnv, PendubotEnv
@@ -40,6 +41,7 @@ from torch_pmil.envs.teachers.gym_teachers import (
 from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
 from torch_pmil.envs.teachers.one_motor_teacher import (
     ACROBOT,
+    CART_POLE,
     PENDUBOT,
     SwingUp,
     one_motor_teacher,
@@ -48,6 +50,7 @@ from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.envs.teachers.trajectory_optimization import Array
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.tasks.biorob import biorob_space
+from torch_pmil.experiments.tasks.cart_pole import cart_pole_space
 from torch_pmil.experiments.tasks.double_pendulum import (
     REACH_DISTANCE,
     SUCCESS_DISTANCE,
@@ -135,17 +138,22 @@ def record_gym_pendulum(seed: int, torque_noise: float) -> Demonstrations:
 
 
 def record_one_motor(
-    name: str, make_env: type[PendubotEnv], motion: SwingUp, seed: int, torque_noise: float
+    name: str,
+    make_env: Callable[..., MujocoRobotEnv],
+    space: StateSpace,
+    motion: SwingUp,
+    seed: int,
+    torque_noise: float,
 ) -> Demonstrations:
-    """Five swing-ups of pendubot or acrobot, all successful."""
-    env, space = make_env(num_envs=DEMONSTRATIONS, seed=seed), one_motor_space()
+    """Five swing-ups of a robot with two joints and one motor, all successful."""
+    env = make_env(num_envs=DEMONSTRATIONS, seed=seed)
     teacher = one_motor_teacher(make_env(), motion)
     return record_teacher(name, env, space, teacher, motion.steps, seed, torque_noise)
 
 
 def record_teacher(
     name: str,
-    env: AdaptedEnv | PendubotEnv,
+    env: AdaptedEnv | MujocoRobotEnv,
     space: StateSpace,
     teacher: Teacher,
     steps: int,
@@ -219,14 +227,15 @@ def record_strikes(seed: int, balls: Tensor) -> Demonstrations:
 
 
 RECORDERS: dict[str, Callable[..., Demonstrations]] = {
-    "acrobot": partial(record_one_motor, "acrobot", AcrobotEnv, ACROBOT),
+    "acrobot": partial(record_one_motor, "acrobot", AcrobotEnv, one_motor_space(), ACROBOT),
     "biorob": record_biorob,
     "biorob_targets": record_biorob_targets,
+    "cart_pole": partial(record_one_motor, "cart_pole", CartPoleEnv, cart_pole_space(), CART_POLE),
     "double_pendulum": record_double_pendulum,
     "double_pendulum_targets": record_double_pendulum_targets,
     "gym_pendulum": record_gym_pendulum,
     "inverted_pendulum": record_inverted_pendulum,
-    "pendubot": partial(record_one_motor, "pendubot", PendubotEnv, PENDUBOT),
+    "pendubot": partial(record_one_motor, "pendubot", PendubotEnv, one_motor_space(), PENDUBOT),
 }
 LED_BY_HAND = {"biorob", "biorob_targets"}
 

@@ -51,7 +51,13 @@ PURE = {  # of rooms at the edge of TorchRL, the files that compute
 }
 MOST_FILES, MOST_FOLDERS = 4, 11  # of the package's top level
 # a robot, and the task on it
-SAME_NAME = {"__init__.py", "biorob.py", "double_pendulum.py", "double_pendulum_servo.py"}
+SAME_NAME = {
+    "__init__.py",
+    "biorob.py",
+    "cart_pole.py",
+    "double_pendulum.py",
+    "double_pendulum_servo.py",
+}
 
 
 def name_of(path: Path) -> str:

@@ -383,6 +383,7 @@ def test_unknown_shipped_demonstrations_are_refused():
         "acrobot",
         "biorob",
         "biorob_targets",
+        "cart_pole",
         "double_pendulum",
         "double_pendulum_targets",
         "gym_pendulum",

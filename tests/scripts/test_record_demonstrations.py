@@ -75,6 +75,7 @@ def test_unknown_experiment_is_refused(record, tmp_path):
         "acrobot",
         "biorob",
         "biorob_targets",
+        "cart_pole",
         "double_pendulum",
         "double_pendulum_targets",
         "gym_pendulum",
@@ -93,7 +94,9 @@ def test_path_that_is_a_folder_is_refused_without_leftovers(record, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["gym_pendulum", "inverted_pendulum", "pendubot", "acrobot"])
+@pytest.mark.parametrize(
+    "name", ["gym_pendulum", "inverted_pendulum", "pendubot", "acrobot", "cart_pole"]
+)
 def test_seed_0_records_the_other_shipped_demonstrations(record, tmp_path, capsys, name):
     record(f"experiment={name}", "seed=0", f"out={tmp_path / 'recorded.npz'}")
     recorded, shipped = load_demonstrations(tmp_path / "recorded.npz"), shipped_demonstrations(name)

@@ -22,6 +22,8 @@ def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
             InvertedPendulum-v5, [x_cart, x_tip, z_tip] in m, at 25 Hz from 0 to 2 s;
             ``"pendubot"``: five swing-ups by the motor in the shoulder, positions [x1, y1, x2, y2]
             in m, at 25 Hz from 0 to 3 s; ``"acrobot"``: the same by the motor in the elbow;
+            ``"cart_pole"``: five swing-ups of a pole on a cart, [x_cart, x_tip, z_tip] in m, at 10
+            Hz from 0 to 3 s;
             ``"biorob"``:
             three strikes of the BioRob, led by hand and aligned in time, [q, dq] of yaw, shoulder
             and elbow in rad and rad/s, at 10 Hz from 0 to 1.8 s; ``"biorob_targets"``: six strikes

@@ -18,6 +18,7 @@ except (RuntimeError, AttributeError, OSError):
 
 from torch_pmil.envs.adapter import AdaptedEnv, CosSin
 from torch_pmil.envs.biorob import BioRobEnv
+from torch_pmil.envs.cart_pole import CartPoleEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.envs.history import History, HistoryEnv
@@ -31,6 +32,7 @@ __all__ = [
     "AcrobotEnv",
     "AdaptedEnv",
     "BioRobEnv",
+    "CartPoleEnv",
     "CosSin",
     "DoublePendulumEnv",
     "DoublePendulumServoEnv",

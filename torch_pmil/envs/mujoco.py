@@ -69,8 +69,8 @@ class MujocoRobotEnv(RobotEnv):
         positions_first: whether the state vector has all positions before all velocities.
         observation_std: standard deviations of the sensors' noise, length D; None for exact
             sensors.
-        torque_limit: largest absolute torque of its motors in N·m, one for all or one each; None
-            for the ctrlrange of the model.
+        torque_limit: largest absolute torque of its motors in N·m, or force of those that pull in
+            N, one for all or one each; None for the ctrlrange of the model.
         control_period: seconds between two actions; a whole number of simulation time steps.
         targets: what each robot is to do, as where its ball hangs, (num_envs, K) or (K,) for one
             robot; None for nothing.
@@ -237,7 +237,7 @@ class MujocoRobotEnv(RobotEnv):
 
     @property
     def torque_limits(self) -> Tensor:
-        """Largest torques (F,) of the motors and servos; infinite where there is no limit."""
+        """Largest torques or forces (F,) of motors and servos; infinite where there is no limit."""
         return torch.from_numpy(force_limits(self.model))
 
     def holding_actions(self, states: Tensor) -> Tensor:

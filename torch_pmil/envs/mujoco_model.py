@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import os
 from collections.abc import Sequence
 
@@ -11,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_pmil.envs.actuators import actuator_kinds, actuator_names
+from torch_pmil.envs.actuators import actuator_kinds, actuator_names, actuator_units
 
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
@@ -80,9 +81,10 @@ def _limit_motors(model: mujoco.MjModel, torque_limit: float | Sequence[float]) 
     motors = [kind == "motor" for kind in actuator_kinds(model)]
     limit = np.asarray(torque_limit, dtype=np.float64)
     if limit.shape not in ((), (sum(motors),)) or not (np.isfinite(limit) & (limit > 0)).all():
+        units = dict.fromkeys(itertools.compress(actuator_units(model), motors)) or ("N·m",)
         raise ValueError(
-            f"torque_limit must be one or {sum(motors)} positive finite numbers in N·m, got "
-            f"{torque_limit}"
+            f"torque_limit must be one or {sum(motors)} positive finite numbers in "
+            f"{' and '.join(units)}, got {torque_limit}"
         )
     model.actuator_ctrllimited[motors] = 1
     model.actuator_ctrlrange[motors] = np.broadcast_to(limit, sum(motors))[:, None] * [-1, 1]

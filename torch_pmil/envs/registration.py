@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from torch_pmil.envs.biorob import BioRobEnv
+from torch_pmil.envs.cart_pole import CartPoleEnv
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.envs.pendubot import AcrobotEnv, PendubotEnv
@@ -19,6 +20,7 @@ ROBOTS = {
     "BioRob-v0": (BioRobEnv, 18),
     "Pendubot-v0": (PendubotEnv, 250),
     "Acrobot-v0": (AcrobotEnv, 250),
+    "CartPole-v0": (CartPoleEnv, 40),
 }
 
 

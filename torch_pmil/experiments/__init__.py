@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.tasks.biorob import biorob
 from torch_pmil.experiments.tasks.biorob_targets import biorob_targets
+from torch_pmil.experiments.tasks.cart_pole import cart_pole
 from torch_pmil.experiments.tasks.double_pendulum import double_pendulum
 from torch_pmil.experiments.tasks.double_pendulum_servo import double_pendulum_servo
 from torch_pmil.experiments.tasks.double_pendulum_targets import double_pendulum_targets
@@ -19,6 +20,7 @@ EXPERIMENTS = {
     "acrobot": acrobot,
     "biorob": biorob,
     "biorob_targets": biorob_targets,
+    "cart_pole": cart_pole,
     "double_pendulum": double_pendulum,
     "double_pendulum_pilco": double_pendulum_pilco,
     "double_pendulum_servo": double_pendulum_servo,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -28,13 +30,29 @@ def inverted_pendulum_space() -> StateSpace:
         >>> inverted_pendulum_space().observe(torch.zeros(4, dtype=torch.float64))
         tensor([0.0000, 0.0000, 0.6000], dtype=torch.float64)
     """
-    pole = torch.tensor([[0.0, 1.0, 0.0, 0.0]], dtype=torch.float64)
+    names, units = ("x", "q", "dx", "dq"), ("m", "rad", "m/s", "rad/s")
+    return StateSpace(names, units, (), cart_and_tip(names, POLE_LENGTH))
+
+
+def cart_and_tip(state: Sequence[str], length: float) -> MatchSpace:
+    """Positions x_cart, x_tip, z_tip of a cart and of the tip of its pole.
+
+    Args:
+        state: names of the D entries of the state: ``"x"`` is the place of the cart (m), ``"q"``
+            the angle of the pole from upright (rad).
+        length: of the pole, m.
+
+    Example:
+        >>> cart_and_tip(("x", "q"), 0.6)(torch.tensor([1.0, 0.0], dtype=torch.float64))
+        tensor([1.0000, 1.0000, 0.6000], dtype=torch.float64)
+    """
+    D = len(state)
+    x, pole = torch.eye(D, dtype=torch.float64)[[state.index("x"), state.index("q")]]
     # columns: state, sin and cos of the pole's angle
-    positions = torch.zeros(3, 6, dtype=torch.float64)
-    positions[0, 0] = positions[1, 0] = 1.0
-    positions[1, 4] = positions[2, 5] = POLE_LENGTH
-    match_space = MatchSpace(("x_cart", "x_tip", "z_tip"), ("m",) * 3, pole, positions)
-    return StateSpace(("x", "q", "dx", "dq"), ("m", "rad", "m/s", "rad/s"), (), match_space)
+    positions = torch.zeros(3, D + 2, dtype=torch.float64)
+    positions[:2, :D] = x
+    positions[1, D] = positions[2, D + 1] = length
+    return MatchSpace(("x_cart", "x_tip", "z_tip"), ("m",) * 3, pole[None], positions)
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:

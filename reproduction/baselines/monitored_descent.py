@@ -46,10 +46,13 @@ class Monitor:
 
     Example:
         >>> monitor = Monitor(smoothing=0.5)
-        >>> for cost in (4.0, 2.0, 1.0, 1.0, 1.0):
-        ...     monitor.watch(cost, threshold=0.5)
+        >>> for cost in (2.0, 2.0, 2.0):
+        ...     monitor.watch(cost, threshold=0.1)
         >>> monitor.quiet
-        2
+        3
+        >>> monitor.watch(1.0, threshold=0.1)
+        >>> monitor.quiet
+        0
     """
 
     def __init__(self, smoothing: float) -> None:

@@ -15,8 +15,8 @@ with dropout; the numbers of the descent and when it ends; one Gaussian process 
 from which the position follows; and that a search goes on from the last policy. Departures:
 
 - At each step a particle's slope is bounded by ``most_slope``, so the gradient is biased. The
-  double pendulum is chaotic: otherwise a few particles have slopes of many orders, their mean is
-  noise, and nothing is learned. The published gradient is that of ``most_slope`` None.
+  double pendulum is chaotic: otherwise a few particles have slopes of many orders, and their mean
+  is noise. ``most_slope`` None is the published gradient, which ``tune_peers`` measures too.
 - A search has at most ``most_steps`` steps of Adam, for the time they take; published are more.
 - The model is fitted as ours is, its lengthscales, penalties and limits of the data included, and
   its noise is part of each step. How positions follow from velocities is fitted too, in place of

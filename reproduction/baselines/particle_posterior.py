@@ -1,10 +1,11 @@
-r"""The posterior of a Gaussian process at many particles, with a gradient by hand.
+r"""The posterior of a Gaussian process at many particles, with its slopes in one go.
 
 ``KernelExpansion.predict`` leaves the gradient to autograd, which multiplies by :math:`K_a^{-1}`
-anew. Here the one product of the value, :math:`v = K_a^{-1} k`, serves the gradient too:
+anew and keeps all kernel values. Here the one product :math:`K_a^{-1} k` gives value and slope:
 
-.. math:: \frac{\partial \mu_a}{\partial k} = \beta_a, \qquad
-    \frac{\partial \sigma_a^2}{\partial k} = -2 v
+.. math:: \frac{\partial \mu_a}{\partial x} = \sum_i \beta_{ai} k_{ai} \Lambda_a^{-1} (x_i - x),
+    \qquad \frac{\partial \sigma_a^2}{\partial x}
+    = -2 \sum_i (K_a^{-1} k_a)_i \, k_{ai} \Lambda_a^{-1} (x_i - x)
 """
 
 from __future__ import annotations
@@ -44,51 +45,56 @@ class ParticlePosterior:
         return predicted
 
     @cached_property
-    def scaled_inputs(self) -> Tensor:
+    def _precision(self) -> Tensor:
+        return self.expansion.lengthscales.square().reciprocal()  # (E, D)
+
+    @cached_property
+    def _scaled_inputs(self) -> Tensor:
         """Inputs times the precision of the kernel, and a last column of ones, (E, n, D + 1)."""
         scaled = self.expansion.inputs * self._precision[:, None, :]
         return torch.cat([scaled, torch.ones_like(scaled[..., :1])], -1)
 
     @cached_property
-    def _precision(self) -> Tensor:
-        return self.expansion.lengthscales.square().reciprocal()  # (E, D)
+    def _weighted_inputs(self) -> Tensor:
+        """The same times the weights beta, (E, n, D + 1)."""
+        return self.expansion.weights[..., None] * self._scaled_inputs
 
     @cached_property
     def _exponents(self) -> Tensor:
         """Coefficients of [x, x^2, 1] in the logarithms of the kernels, (E, 2 D + 1, n)."""
-        f, linear = self.expansion, self.scaled_inputs[..., :-1]  # (E, n, D)
+        f, linear = self.expansion, self._scaled_inputs[..., :-1]  # (E, n, D)
         squares = -self._precision[..., None].expand(-1, -1, len(f.inputs)) / 2
         constant = f.signal_variance.log()[:, None] - (linear * f.inputs).sum(-1) / 2
         return torch.cat([linear.mT, squares, constant[:, None, :]], 1)
 
-    def kernel(self, x: Tensor) -> Tensor:
-        """Kernel values (E, N, n) at points (N, D)."""
+    def with_slopes(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Mean and variance (N, E) at points (N, D), and their slopes (E, N, D)."""
+        f = self.expansion
+        assert f.gram_inverse is not None
         terms = torch.cat([x, x.square(), torch.ones_like(x[:, :1])], -1)
-        return (terms @ self._exponents).exp_()
+        k = (terms @ self._exponents).exp_()  # (E, N, n)
+        explained = (k @ f.gram_inverse).mul_(k)
+        mean, of_mean = self._sums(k @ self._weighted_inputs, x)
+        reduction, of_reduction = self._sums(explained @ self._scaled_inputs, x)
+        variance = f.signal_variance - reduction.mT
+        return mean.mT + f.offset, variance, of_mean, -2 * of_reduction
 
-    def slope(self, x: Tensor, of_exponents: Tensor) -> Tensor:
-        """Gradient (N, D) at points of a function, given that of the exponents (E, N, n)."""
-        sums = of_exponents @ self.scaled_inputs  # (E, N, D + 1)
-        return (sums[..., :-1] - sums[..., -1:] * self._precision[:, None, :] * x).sum(0)
+    def _sums(self, weighted: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Sums of weights (E, N), and of weights times Lambda^-1 (x_i - x), (E, N, D)."""
+        total = weighted[..., -1]
+        return total, weighted[..., :-1] - total[..., None] * self._precision[:, None, :] * x
 
 
 class _Predict(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, posterior: ParticlePosterior) -> tuple[Tensor, Tensor]:
-        f = posterior.expansion
-        assert f.gram_inverse is not None
-        k = posterior.kernel(x)
-        v = k @ f.gram_inverse  # (E, N, n)
-        mean = (k @ f.weights[..., None])[..., 0].mT + f.offset
-        variance = f.signal_variance - torch.linalg.vecdot(k, v).mT
-        ctx.save_for_backward(x, k, v)
-        ctx.posterior = posterior
+        mean, variance, *slopes = posterior.with_slopes(x)
+        ctx.save_for_backward(*slopes)
         return mean, variance
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, of_mean: Tensor, of_variance: Tensor) -> tuple[Tensor, None]:
-        x, k, v = ctx.saved_tensors
-        beta = ctx.posterior.expansion.weights[:, None, :]
-        of_k = torch.addcmul(of_mean.mT[..., None] * beta, of_variance.mT[..., None], v, value=-2)
-        return ctx.posterior.slope(x, of_k.mul_(k)), None
+        mean_slope, variance_slope = ctx.saved_tensors
+        slopes = of_mean.mT[..., None] * mean_slope + of_variance.mT[..., None] * variance_slope
+        return slopes.sum(0), None

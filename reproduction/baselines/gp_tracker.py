@@ -6,10 +6,9 @@ from operator import attrgetter
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 
-from reproduction.baselines.peer import Peer
+from reproduction.baselines.model_peer import ModelPeer
 from torch_pmil.control.recovered_states import without_turns
 from torch_pmil.envs.robot import Array
 from torch_pmil.envs.teachers.trajectory_optimization import (
@@ -18,13 +17,11 @@ from torch_pmil.envs.teachers.trajectory_optimization import (
     tracking_gains,
 )
 from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.model.experience import Experience, gp_data, widened
 
-CAPACITY = 10_000  # transitions
 TURN = 2 * np.pi  # rad
 
 
-class GPTracker(Peer):
+class GPTracker(ModelPeer):
     r"""Plans on the mean of our Gaussian process, and follows the plan by linear feedback.
 
     The model learns from all transitions as ours does. Control-limited iterative LQR finds the
@@ -39,7 +36,7 @@ class GPTracker(Peer):
     seen: that is what our own objective adds.
 
     Args:
-        experiment, seed: as of :class:`Peer`.
+        experiment, seed: as of :class:`ModelPeer`.
         action_weight: rho.
 
     Source: Y. Tassa, N. Mansard and E. Todorov (2014), Control-limited differential dynamic
@@ -50,8 +47,6 @@ class GPTracker(Peer):
 
     def __init__(self, experiment: Experiment, seed: int, action_weight: float = 0.1) -> None:
         super().__init__(experiment, seed)
-        self.dynamics, self.experience = experiment.make_dynamics(), Experience(CAPACITY)
-        self._explored = 0
         actions = experiment.actions
         self._middle, self._limit = actions.middle.numpy(), actions.half_range.numpy()
         positions = experiment.demonstrations.positions
@@ -67,22 +62,10 @@ class GPTracker(Peer):
             mean.numpy(), weights.numpy(), self._action_weights, self._first_guess
         )
 
-    def add(self, rollout: TensorDictBase) -> None:
-        """Add an own rollout (T,)."""
-        super().add(rollout)
-        self.experience.extend(rollout)
-        if len(self.rollouts) <= self.experiment.exploration.rollouts:
-            self._explored = len(self.experience)
-
     def fit(self) -> None:
         """Fit the model to all transitions, plan on it, and find gains about the plan."""
-        dynamics, experience = self.dynamics, self.experience
-        explored = experience.transitions["observation"][: self._explored]
-        limits = widened(self.experiment.limits, explored, fewest=dynamics.num_inputs)
-        transitions = experience.within(limits)
-        dynamics.fit_known_part(transitions[0], transitions[2])
-        dynamics.fit(*gp_data(*transitions, self.experiment.space, dynamics.targets))
-        self._known = dynamics.known_part(self.experiment.space)
+        self.fit_model()
+        self._known = self.dynamics.known_part(self.experiment.space)
         start = self.experiment.initial.mean.numpy()
         plans = [
             plan_trajectory(self._next, start, self._cost, guess, self._limit)

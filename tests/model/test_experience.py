@@ -10,7 +10,9 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from tests.helpers.draws import Draws
+from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.state_space import StateSpace, joint_match
+from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import Experience, widened
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
@@ -122,6 +124,37 @@ def test_limits_that_leave_too_little_leave_all_of_the_exploration(
 def test_limits_never_shrink(draws: Draws) -> None:
     explored, limits = draws.normal(20, 2), torch.tensor([9.0, 1e-3], dtype=torch.float64)
     assert widened(limits, explored, fewest=8)[0] == 9
+
+
+@pytest.mark.parametrize("explored", [4, 7])
+def test_data_of_a_model_are_those_within_limits_widened_by_the_exploration(
+    transitions: TensorDict, explored: int
+) -> None:
+    transitions["observation"][:, 1] = torch.tensor([0.0, 0.1, 0.2, 2.0, 3.0, 1.5, 0.3])
+    dynamics = GPDynamics(num_inputs=4, num_outputs=2)
+    limits = torch.tensor([torch.inf, 1.0], dtype=torch.float64)
+    inputs, targets = filled(transitions).data_for(dynamics, SPACE, limits, explored)
+    # three of the first four transitions are too few for a model of four inputs, four of seven not
+    kept = [0, 1, 2, 3, 5, 6] if explored == 4 else [0, 1, 2, 6]
+    assert torch.equal(inputs[:, 0], transitions["observation"][kept, 1])
+    moved = transitions["next", "observation"] - transitions["observation"]
+    assert torch.equal(targets, moved[kept])
+
+
+def test_known_part_of_a_model_learns_from_its_data(transitions: TensorDict) -> None:
+    known = KnownPart.of_velocities(NAMES, {"q": "dq"}, num_actions=1, time_step=0.1)
+    dynamics, states = GPDynamics(4, 1, known), transitions["observation"]
+    successors = transitions["next", "observation"]
+    successors[:, 0] = states[:, 0] + 0.02 * states[:, 1] + 0.07 * successors[:, 1]
+    _, targets = filled(transitions).data_for(dynamics, SPACE, NO_LIMITS, explored=7)
+    expected = torch.tensor([[0.02, 0.07]], dtype=torch.float64)
+    torch.testing.assert_close(dynamics.known_part(SPACE).rule, expected, rtol=0, atol=1e-5)
+    assert torch.equal(targets, (successors - states)[:, 1:])
+
+
+def test_no_transitions_are_no_data_of_a_model() -> None:
+    with pytest.raises(ValueError, match="a transition at least, got none"):
+        Experience(3).data_for(GPDynamics(4, 2), SPACE, NO_LIMITS, explored=0)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])

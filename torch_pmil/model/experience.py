@@ -15,7 +15,7 @@ from torchrl.data import LazyMemmapStorage, TensorDictReplayBuffer
 
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.checks import check_tensor, check_whole
-from torch_pmil.model.dynamics import Targets, known_part
+from torch_pmil.model.dynamics import GPDynamics, Targets, known_part
 
 FEWEST_TRANSITIONS = 2  # of which a model can be made
 KEYS = ("observation", "action", ("next", "observation"))
@@ -127,17 +127,45 @@ class Experience:
         check_limits_of_state(limits, space.dim)
         return gp_data(*self.within(limits), space, targets)
 
+    def data_for(
+        self, dynamics: GPDynamics, space: StateSpace, limits: Tensor, explored: int
+    ) -> tuple[Tensor, Tensor]:
+        """Inputs (n, D' + F) and targets (n, E) of a model of all transitions within limits.
+
+        The model's known part learns from the same transitions first, since the targets are what it
+        leaves to learn.
+
+        Args:
+            dynamics: the model, which is not fitted yet.
+            space: the robot's state space.
+            limits: largest absolute values of the state (D,), as in :meth:`training_data`; they are
+                :func:`widened` where they would leave too few of the exploration's transitions.
+            explored: number of transitions, the first ones, that are of the exploration.
+
+        Raises ValueError where there is no transition at all.
+        """
+        self._check_any()
+        first = self.transitions["observation"][:explored]
+        # fewer transitions than inputs do not tell how the robot moves, not even if it is linear
+        limits = widened(limits, first, fewest=dynamics.num_inputs)
+        states, actions, successors = self.within(limits)
+        dynamics.fit_known_part(states, successors)
+        return gp_data(states, actions, successors, space, dynamics.targets)
+
     def within(self, limits: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """States (n, D), actions (n, F) and successors (n, D) that start within limits (D,).
 
         Raises ValueError where there is no transition at all.
         """
-        if not len(self):
-            raise ValueError("experience must hold a transition at least, got none")
+        self._check_any()
         transitions = self.transitions
         states, successors = transitions["observation"], transitions["next", "observation"]
         inside = (states.abs() <= limits).all(-1)
         return states[inside], transitions["action"][inside], successors[inside]
+
+    def _check_any(self) -> None:
+        if not len(self):
+            raise ValueError("experience must hold a transition at least, got none")
 
 
 def check_limits_of_state(limits: Tensor, dim: int) -> None:

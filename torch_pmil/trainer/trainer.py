@@ -33,8 +33,6 @@ from torch_pmil.model.experience import (
     FEWEST_TRANSITIONS,
     Experience,
     check_limits_of_state,
-    gp_data,
-    widened,
 )
 from torch_pmil.model.rollout import PredictionError, check_start_belief
 from torch_pmil.search.policy_search import SearchSettings
@@ -245,13 +243,8 @@ class PMILTrainer(Trainer):
         if self._fitted == len(self.experience):
             return
         dynamics, experience = self.loss_module.dynamics, self.experience
-        explored = experience.transitions["observation"][: self.explored]
-        # fewer transitions than inputs do not tell how the robot moves, not even if it is linear
-        limits = widened(self.limits, explored, fewest=dynamics.num_inputs)
-        states, actions, successors = experience.within(limits)
-        dynamics.fit_known_part(states, successors)
         space = self.loss_module.space
-        data = gp_data(states, actions, successors, space, dynamics.targets)
+        data = experience.data_for(dynamics, space, self.limits, self.explored)
         self._say(f"fitting the model to {len(data[0])} transitions")
         was_exact = not dynamics.sparse
         self._fit, self._fitted = dynamics.fit(*data), len(experience)

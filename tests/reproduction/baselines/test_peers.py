@@ -21,6 +21,7 @@ SEED = 104
 QUICK = {
     "gp_tracker": {},
     "ensemble_cem": {"steps": 3, "candidates": 9},
+    "mc_pilco": {"most_steps": 2, "particles": 5, "centres": 10},
     "bco": {"steps": 3},
     "gaifo": {"steps": 2},
 }

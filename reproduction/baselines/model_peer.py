@@ -1,0 +1,41 @@
+"""What peers share that learn our own forward model."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+
+from reproduction.baselines.peer import Peer
+from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.experience import Experience
+
+CAPACITY = 10_000  # transitions
+
+
+class ModelPeer(Peer):
+    """A peer with a Gaussian process as ours, which learns from all transitions as ours does.
+
+    Args:
+        experiment, seed: as of :class:`Peer`.
+        dynamics: the model; that of the experiment if None.
+    """
+
+    def __init__(
+        self, experiment: Experiment, seed: int, dynamics: GPDynamics | None = None
+    ) -> None:
+        super().__init__(experiment, seed)
+        self.dynamics = experiment.make_dynamics() if dynamics is None else dynamics
+        self.experience, self._explored = Experience(CAPACITY), 0
+
+    def add(self, rollout: TensorDictBase) -> None:
+        """Add an own rollout (T,)."""
+        super().add(rollout)
+        self.experience.extend(rollout)
+        if len(self.rollouts) <= self.experiment.exploration.rollouts:
+            self._explored = len(self.experience)
+
+    def fit_model(self) -> None:
+        """Fit the model to all transitions so far."""
+        space, limits = self.experiment.space, self.experiment.limits
+        data = self.experience.data_for(self.dynamics, space, limits, self._explored)
+        self.dynamics.fit(*data)

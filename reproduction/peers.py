@@ -2,72 +2,130 @@
 
 All see the same exploration, starts and demonstrations, act at the same rate, and are measured from
 the same fresh starts. What is compared is the success rate with so many seconds of experience.
+
+Settings of the peers are those of ``results/paper/peers/tuning_PEER_TASK.json``, where there is
+one, and else their own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from reproduction.baselines.known_peers import PEERS
-from reproduction.baselines.peer import Peer
+from reproduction.baselines.known_peers import PEERS, named, trials_until
 from reproduction.baselines.peer_run import peer_run
 from reproduction.figure7 import GOAL, OURS, SEEDS, success_curves, success_results
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
-from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.summaries import SuccessCurve
 from torch_pmil.experiments.tasks.experiment import Experiment
 
-TASKS = {  # with the peers that learn them
-    "double_pendulum": ("gp_tracker", "ensemble_cem", "bco"),
-    "pendubot": ("gp_tracker",),
-}
 TIMES = (12.5, 25.0, 50.0)  # s of experience
 QUICK_SEEDS, QUICK_END = range(2), 5.0
 
-Learner = Callable[[Path, Experiment, int, int], Run]
+
+@dataclass(frozen=True)
+class Method:
+    """A learner of a task.
+
+    Args:
+        name: in the numbers, and of its folders.
+        label: in the figures.
+        plan_weight: of our searches that start from plans, None for those that do not.
+        settings: of a peer, other than its own.
+        factor: rollouts of a peer in place of each one of ours.
+        end: seconds of our experience with which it is compared at most.
+    """
+
+    name: str
+    label: str
+    plan_weight: float | None = None
+    settings: Mapping[str, object] = field(default_factory=dict)
+    factor: int = 1
+    end: float = TIMES[-1]
+
+    def run(self, root: Path, task: str, seed: int, end: float) -> Run:
+        """Its run of a task, over ``end`` seconds of our experience or as long as it is compared.
+
+        Example:
+            >>> str(OURS_ALONE.run(Path("runs"), "double_pendulum", 3, 50.0).out)
+            'runs/double_pendulum/seed_3'
+        """
+        experiment = self.experiment(task)
+        trials = trials_until(min(end, self.end), experiment)
+        if self.name in (OURS_ALONE.name, "ours_planned"):
+            return learning_run(root, experiment, seed, trials)
+        peer = PEERS[self.name.removesuffix(f"_{self.factor}x")]
+        return peer_run(root, experiment, peer, seed, trials, self.factor, self.settings)
+
+    def experiment(self, task: str) -> Experiment:
+        """The task as it learns it."""
+        experiment = named(task)
+        if self.plan_weight is None:
+            return experiment
+        planned = experiment.with_settings(plan_weight=self.plan_weight)
+        return replace(planned, name=f"{experiment.name}_planned")
 
 
-def methods(task: str) -> dict[str, tuple[str, Learner]]:
-    """Name and runs of each method that learns a task, by its name in the figures.
+OURS_ALONE = Method("ours", OURS)
+
+
+def planned(weight: float) -> Method:
+    """Ours, with plans as other starts of its searches."""
+    return Method("ours_planned", "ours, with plans", weight)
+
+
+def peer(name: str, end: float = TIMES[-1], factor: int = 1, **settings: object) -> Method:
+    """A peer, with settings other than its own, or with so many times our experience.
 
     Example:
-        >>> [name for name, _ in methods("pendubot").values()]
-        ['ours', 'gp_tracker']
+        >>> peer("bco", factor=100).name, peer("bco", factor=100).label
+        ('bco_100x', 'BCO, 100 times the experience')
     """
-    peers = {
-        PEERS[name].label: (name, partial(_peer_run, peer_class=PEERS[name]))
-        for name in TASKS[task]
-    }
-    return {OURS: ("ours", learning_run), **peers}
+    label = PEERS[name].label
+    if factor > 1:
+        name, label = f"{name}_{factor}x", f"{label}, {factor} times the experience"
+    return Method(name, label, None, settings, factor, end)
+
+
+TASKS: dict[str, tuple[Method, ...]] = {
+    "double_pendulum": (
+        OURS_ALONE,
+        planned(10.0),
+        peer("gp_tracker"),
+        peer("ensemble_cem"),
+        peer("mc_pilco", end=25.0),
+        peer("bco"),
+        peer("gaifo"),
+        peer("bco", factor=100),
+        peer("gaifo", factor=100),
+    ),
+    "double_pendulum_servo": (
+        OURS_ALONE,
+        planned(100.0),
+        peer("gp_tracker", action_weight=100.0),
+        peer("ensemble_cem"),
+        peer("bco"),
+    ),
+    "biorob": (OURS_ALONE, planned(10.0), peer("gp_tracker"), peer("bco")),
+    "Sshape": (OURS_ALONE, planned(100.0), peer("gp_tracker", action_weight=100.0), peer("bco")),
+    "pendubot": (OURS_ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
+    "cart_pole": (OURS_ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
+}
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:
     """Those of each task, by each method, of each seed."""
     seeds, end = (QUICK_SEEDS, QUICK_END) if quick else (SEEDS, TIMES[-1])
-    experiments = {task: load_experiment(task) for task in TASKS}
     return [
-        learn(root, experiment, seed, trials_until(end, experiment))
-        for task, experiment in experiments.items()
-        for _, learn in methods(task).values()
+        method.run(root, task, seed, end)
+        for task, methods in TASKS.items()
+        for method in methods
         for seed in seeds
     ]
-
-
-def trials_until(end: float, experiment: Experiment) -> int:
-    """Trials of which the last one learns from ``end`` seconds of experience, or a little less.
-
-    Example:
-        >>> trials_until(50.0, load_experiment("double_pendulum"))
-        20
-    """
-    period, exploration = experiment.demonstrations.time_step, experiment.exploration
-    steps = round(end / period) - exploration.rollouts * exploration.steps
-    return 1 + max(0, steps // experiment.horizon)
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
@@ -77,53 +135,56 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     figures: dict[str, Figure] = {}
     details: dict[str, object] = {}
     left = list(folders)
-    for task in TASKS:
-        known = methods(task)
-        count = seeds * len(known)
+    for task, methods in TASKS.items():
+        count = seeds * len(methods)
         own, left = left[:count], left[count:]
-        curves = success_curves(own, list(known))
+        curves = success_curves(own, [method.label for method in methods])
         headline |= {
-            f"{quantity}_{task}_{name}": value
-            for (name, _), curve in zip(known.values(), curves.values(), strict=True)
-            for quantity, value in _numbers(curve).items()
+            f"{quantity}_{task}_{method.name}": value
+            for method in methods
+            for quantity, value in _numbers(method, curves[method.label]).items()
         }
-        made = success_results(curves, {}, f"peers_{task}")
+        drawn = {method.label: curves[method.label] for method in methods if method.factor == 1}
+        made = success_results(drawn, {}, f"peers_{task}")
         figures |= made.figures
-        details[task] = {**made.details, "ahead": _ahead(curves)}
+        details[task] = {**made.details, "ahead": _ahead(methods, curves)}
     return Results(headline, figures, details)
 
 
-def _peer_run(
-    root: Path, experiment: Experiment, seed: int, trials: int, peer_class: type[Peer]
-) -> Run:
-    return peer_run(root, experiment, peer_class, seed, trials)
+def _numbers(method: Method, curve: SuccessCurve) -> dict[str, float | None]:
+    """Success at ``TIMES`` with its 95 % interval, and the experience to 95 %.
 
-
-def _numbers(curve: SuccessCurve) -> dict[str, float | None]:
-    """Success at ``TIMES`` with its 95 % interval, and the experience to 95 %."""
+    Of a method with more experience they are at as many times ``TIMES``.
+    """
     found: dict[str, float | None] = {"experience_to_95": curve.experience_to(GOAL)}
-    for time in TIMES:
-        column = curve.column(time)
+    for time in _compared(method):
+        column = curve.column(method.factor * time)
         found[f"success_{time:g}s"] = curve.mean[column].item()
         found[f"lower_{time:g}s"] = curve.lower[column].item()
         found[f"upper_{time:g}s"] = curve.upper[column].item()
     return found
 
 
-def _ahead(curves: Mapping[str, SuccessCurve]) -> dict[str, dict[str, object]]:
-    """Success of ours less that of each peer on the same seeds, with the bootstrap's intervals."""
-    ours, *peers = curves
-    rates = {
-        (label, time): curve.rates[:, curve.column(time)].tolist()
-        for label, curve in curves.items()
-        for time in TIMES
-    }
+def _compared(method: Method) -> tuple[float, ...]:
+    return tuple(time for time in TIMES if time <= method.end)
+
+
+def _ahead(
+    methods: Sequence[Method], curves: Mapping[str, SuccessCurve]
+) -> dict[str, dict[str, object]]:
+    """Success of ours less that of each other on the same seeds, with the bootstrap's intervals."""
+
+    def rates(method: Method, time: float) -> list[float]:
+        curve = curves[method.label]
+        return curve.rates[:, curve.column(method.factor * time)].tolist()
+
+    ours, *others = methods
     return {
-        peer: {
-            f"{time:g}s": paired(list(zip(rates[ours, time], rates[peer, time], strict=True)))
-            for time in TIMES
+        other.label: {
+            f"{time:g}s": paired(list(zip(rates(ours, time), rates(other, time), strict=True)))
+            for time in _compared(other)
         }
-        for peer in peers
+        for other in others
     }
 
 

@@ -1,4 +1,4 @@
-"""All peers of our method, by their names."""
+"""All peers of our method, and the experiments that they learn, by their names."""
 
 from __future__ import annotations
 
@@ -8,7 +8,32 @@ from reproduction.baselines.gaifo import GAIfO
 from reproduction.baselines.gp_tracker import GPTracker
 from reproduction.baselines.mc_pilco import MCPilco
 from reproduction.baselines.peer import Peer
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.experiments.tasks.handwriting import handwriting
 
 PEERS: dict[str, type[Peer]] = {
-    peer.name: peer for peer in (GPTracker, EnsembleCEM, MCPilco, BCO, GAIfO)
+    peer.name: peer for peer in (GPTracker, EnsembleCEM, BCO, GAIfO, MCPilco)
 }
+
+
+def named(name: str) -> Experiment:
+    """The experiment of a name: one of the package, or a shape that the double pendulum writes.
+
+    Example:
+        >>> named("double_pendulum").name
+        'double_pendulum'
+    """
+    return handwriting(shape=name) if name[0].isupper() else load_experiment(name)
+
+
+def trials_until(end: float, experiment: Experiment) -> int:
+    """Trials of which the last one learns from ``end`` seconds of experience, or a little less.
+
+    Example:
+        >>> trials_until(50.0, load_experiment("double_pendulum"))
+        20
+    """
+    period, exploration = experiment.demonstrations.time_step, experiment.exploration
+    steps = round(end / period) - exploration.rollouts * exploration.steps
+    return 1 + max(0, steps // experiment.horizon)

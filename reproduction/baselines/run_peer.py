@@ -15,12 +15,9 @@ from pathlib import Path
 
 import torch
 
-from reproduction.baselines.known_peers import PEERS
+from reproduction.baselines.known_peers import PEERS, named
 from reproduction.baselines.peer_run import peer_run
-from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.summaries import read_summary
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.handwriting import handwriting
 
 
 def main() -> None:
@@ -47,16 +44,6 @@ def main() -> None:
         f"{summary['experience_s']:8.1f} s: {summary['saved_success_rate']:.0%}\n"
         f"{summary['cpu_seconds']:.0f} s of computing, see {run.out}"
     )
-
-
-def named(name: str) -> Experiment:
-    """The experiment of a name: one of the package, or a shape that the double pendulum writes.
-
-    Example:
-        >>> named("double_pendulum").name
-        'double_pendulum'
-    """
-    return handwriting(shape=name) if name[0].isupper() else load_experiment(name)
 
 
 if __name__ == "__main__":

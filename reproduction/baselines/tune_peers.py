@@ -1,21 +1,18 @@
-"""Choose the settings of a peer on the double pendulum, on seeds that no result is told of.
+"""Choose the settings of a peer for a task, on seeds that no result is told of.
 
 Example:
-    python -m reproduction.baselines.tune_peers ensemble_cem
+    python -m reproduction.baselines.tune_peers ensemble_cem double_pendulum
 
 Each configuration is the peer's own but for what :data:`CONFIGURATIONS` says. The best one has the
 largest mean success rate over seeds and over 12.5, 25 and 50 s of experience; of those that tie,
 the first.
 
-This is all that was compared so: two seeds for each of few configurations. Before it, the cost,
-plan and learning rate of the ensemble were found by hand, with the seeds 100, 101 and 150 to 152.
-GAIfO's command has not been run: its arguments are as first chosen.
+This is all that was compared so: two seeds for each of few configurations. Before it, on the double
+pendulum, the cost, plan and learning rate of the ensemble were found by hand, with the seeds 100,
+101 and 150 to 152, and the limit of the particles' slopes with the seeds 100 and 101. Particles
+have half the experience of the others, since their searches take longest.
 
-The cost's scale and the bound of the particles' slopes were first found by hand, with seed 100. A
-trial of particles takes about a minute: they have fewer of them, and success after the last one
-counts at 50 s too.
-
-What was measured is written to results/paper/peers/tuning_PEER.json; runs lie in runs/tuning.
+What was measured is written to results/paper/peers/tuning_PEER_TASK.json; runs lie in runs/tuning.
 """
 
 from __future__ import annotations
@@ -29,22 +26,21 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from reproduction.baselines.known_peers import PEERS
+from reproduction.baselines.known_peers import PEERS, named, trials_until
 from reproduction.baselines.peer_run import peer_run
 from reproduction.reproduction import Run, finish
-from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.experiments.runs.summaries import read_summary, success_over_experience
 from torch_pmil.files import write_json
 
-SEEDS, TRIALS = (100, 101), 20
-FEWER_TRIALS = {"mc_pilco": 10}
+SEEDS = 100, 101
 EXPERIENCE_S = 12.5, 25.0, 50.0  # at which success counts
+LESS_EXPERIENCE = {"mc_pilco": 25.0}
 Settings = Mapping[str, object]
 CONFIGURATIONS: dict[str, Sequence[Settings]] = {
-    "gp_tracker": ({}, {"action_weight": 1e-3}, {"action_weight": 0.01}, {"action_weight": 1.0}),
+    "gp_tracker": tuple({"action_weight": weight} for weight in (1.0, 10.0, 100.0, 1000.0)),
     "bco": ({}, {"weight_decay": 0.1}, {"noise": 0.3}),
-    "gaifo": ({}, {"penalty": 10.0}),
+    "gaifo": ({}, {"penalty": 10.0}, {"steps": 2000}),
     "ensemble_cem": ({"steps": 1000}, {"steps": 2500}),
     "mc_pilco": ({}, {"scale": 30.0}, {"scale": 400.0}, {"most_slope": None}),
 }
@@ -54,45 +50,36 @@ def main() -> None:
     """Learn with every configuration, choose, write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("peer", choices=CONFIGURATIONS)
-    name = parser.parse_args().peer
+    parser.add_argument("task", help="name of an experiment, or a shape of handwriting")
+    given = parser.parse_args()
+    peer, task = given.peer, given.task
     command = shlex.join(["python", "-m", "reproduction.baselines.tune_peers", *sys.argv[1:]])
-    source, runs = provenance(command), needed_runs(Path("runs", "tuning"), name)
+    source, runs = provenance(command), needed_runs(Path("runs", "tuning"), peer, task)
     finish([run for of_one in runs for run in of_one], command)
     measured = [
         {"settings": dict(settings), **success(of_one)}
-        for settings, of_one in zip(CONFIGURATIONS[name], runs, strict=True)
+        for settings, of_one in zip(CONFIGURATIONS[peer], runs, strict=True)
     ]
     scores = [one["score"] for one in measured]
     best = measured[scores.index(max(scores))]
-    tried = {"seeds": SEEDS, "trials": trials(name), "best": best, "configurations": measured}
-    out = Path("results", "paper", "peers")
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / f"tuning_{name}.json", {"peer": name, **source, **tried})
-    print(f"{json.dumps(best)}\nsee {out / f'tuning_{name}.json'}")
+    tried = {"seeds": SEEDS, "best": best, "configurations": measured}
+    out = Path("results", "paper", "peers", f"tuning_{peer}_{task}.json")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_json(out, {"peer": peer, "task": task, **source, **tried})
+    print(f"{json.dumps(best)}\nsee {out}")
 
 
-def needed_runs(root: Path, name: str) -> list[list[Run]]:
+def needed_runs(root: Path, peer: str, task: str) -> list[list[Run]]:
     """The runs of each configuration, one for each seed."""
-    experiment = load_experiment("double_pendulum")
+    experiment = named(task)
+    trials = trials_until(LESS_EXPERIENCE.get(peer, EXPERIENCE_S[-1]), experiment)
     return [
         [
-            peer_run(
-                root / folder(settings), experiment, PEERS[name], seed, trials(name), 1, settings
-            )
+            peer_run(root / folder(settings), experiment, PEERS[peer], seed, trials, 1, settings)
             for seed in SEEDS
         ]
-        for settings in CONFIGURATIONS[name]
+        for settings in CONFIGURATIONS[peer]
     ]
-
-
-def trials(name: str) -> int:
-    """Trials of each run of a peer.
-
-    Example:
-        >>> trials("bco"), trials("mc_pilco")
-        (20, 10)
-    """
-    return FEWER_TRIALS.get(name, TRIALS)
 
 
 def folder(settings: Settings) -> str:

@@ -13,6 +13,7 @@ from torchrl.trainers import OptimizationStepper, Trainer
 
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.search.plan_tracking import PlanTracking
 from torch_pmil.search.policy_search import (
     SearchResult,
     SearchSettings,
@@ -36,6 +37,9 @@ class PolicySearchStepper(OptimizationStepper):
     policies if the settings say so. The best one is kept. After a rollout that failed it does not
     suffice to match the whole horizon: an optimum far above others may do so too.
 
+    With ``tracking`` each step makes another search, from a policy that follows a plan on the mean
+    of the model, and the better one is kept.
+
     A policy that then matches the whole horizon, and yet is predicted to fail from too many starts,
     is searched on (:func:`search_for_success`), from random policies only after a rollout that
     succeeded: before, what is predicted to fail may be what the model does not know yet.
@@ -46,6 +50,7 @@ class PolicySearchStepper(OptimizationStepper):
         make_policy: returns a new random policy of the same shape.
         generator: source of the random states of :func:`refit_policy`.
         report: called with the name and the loss of each run of L-BFGS.
+        tracking: how to plan on the mean of the model; None for no such start.
     """
 
     result: SearchResult  # outcome of the last step
@@ -57,9 +62,11 @@ class PolicySearchStepper(OptimizationStepper):
         make_policy: Callable[[], RBFPolicy],
         generator: torch.Generator,
         report: Callable[[str, float], None],
+        tracking: PlanTracking | None = None,
     ) -> None:
         self.settings, self.promise, self.make_policy = settings, promise, make_policy
         self.generator, self.report = generator, report
+        self.tracking, self._planned = tracking, None
         self.refitted = False
         self._least, self._restarts_left = math.inf, RESTARTS
 
@@ -77,8 +84,13 @@ class PolicySearchStepper(OptimizationStepper):
         def restart() -> None:
             loss.actor_network.load_state_dict(self.make_policy().state_dict())
 
+        def plan() -> None:
+            loss.actor_network.load_state_dict(self._planned_policy(loss).state_dict())
+
         first = self._least == math.inf
         self.result = search_policy(loss, initial, self.settings, self.report, random=first)
+        if self.tracking is not None:
+            self._search_also(loss, initial, plan)
         failed = not all(trial.own_success for trial in trainer.trials[-1:])
         self.refitted = not self._enough(failed)
         if self.refitted:
@@ -107,6 +119,15 @@ class PolicySearchStepper(OptimizationStepper):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` gave."""
         self._least, self._restarts_left = state_dict["least"], state_dict["restarts_left"]
+
+    def _planned_policy(self, loss: TrajectoryLoss) -> RBFPolicy:
+        """A new policy that follows a plan on the mean of the model."""
+        tracking = self.tracking
+        guesses = [tracking.first_guess, *([] if self._planned is None else [self._planned])]
+        tracked, policy = tracking.plan(loss.dynamics, guesses), self.make_policy()
+        tracking.fit_policy(policy, tracked, self.generator)
+        self._planned = tracked.plan.actions
+        return policy
 
     def _random_policies(self) -> Iterator[RBFPolicy]:
         """New policies, as many as this run may still begin searches for success with."""

@@ -35,6 +35,7 @@ from torch_pmil.model.experience import (
     check_limits_of_state,
 )
 from torch_pmil.model.rollout import PredictionError, check_start_belief
+from torch_pmil.search.plan_tracking import PlanTracking
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess, Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -85,6 +86,8 @@ class PMILTrainer(Trainer):
         generator: generator of the exploration, and of the states at which policies are refitted.
         promise: success rate from fresh starts that the policy shall keep; None where no success
             can be predicted, and the confirmations alone end the training.
+        tracking: how to plan on the mean of the model, which is another start of each search; None
+            for none.
         box: limits of the motion. ``env`` stops where it leaves them, the exploration begins small
             (:class:`CautiousMotion`), and a policy that is likely to leave them is refused, or runs
             for its first steps alone (:func:`admit`). None for no limits.
@@ -122,6 +125,7 @@ class PMILTrainer(Trainer):
         policy_generator: torch.Generator,
         generator: torch.Generator,
         promise: Promise | None = None,
+        tracking: PlanTracking | None = None,
         box: StateBox | None = None,
         on_trial: Callable[[Trial], None] = lambda trial: None,
         progress_bar: bool = True,
@@ -158,7 +162,12 @@ class PMILTrainer(Trainer):
             optim_steps_per_batch=1,
             loss_module=loss_module,
             optimization_stepper=PolicySearchStepper(
-                search, promise, lambda: make_policy(policy_generator), generator, self._report
+                search,
+                promise,
+                lambda: make_policy(policy_generator),
+                generator,
+                self._report,
+                tracking,
             ),
             progress_bar=progress_bar and sys.stderr.isatty(),
             logger=logger,

@@ -283,6 +283,7 @@ def make_trainer(
         error=experiment.error,
         tolerance=experiment.tolerance,
         promise=experiment.promised,
+        tracking=experiment.tracking,
         confirmations=experiment.confirmations,
         trials=trials,
         search=experiment.search,

@@ -15,7 +15,7 @@ from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.control.recovered_states import rates_of
+from torch_pmil.control.recovered_states import rates_of, without_turns
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace
@@ -31,6 +31,7 @@ from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import FEWEST_TRANSITIONS
 from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.search.plan_tracking import PlanTracking
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import Promise, check_rate
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -141,6 +142,9 @@ class Experiment:
         tied_lengthscales: whether all outputs of the model have the same lengthscales.
         history: past readings and actions that are entries of the state, see
             :func:`~torch_pmil.experiments.tasks.with_history.with_history`; None for none.
+        plan_weight: weight of the actions in a plan on the mean of the model
+            (:class:`~torch_pmil.search.plan_tracking.PlanTracking`), from which each search starts
+            besides; None for no plan.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.
 
@@ -182,6 +186,7 @@ class Experiment:
     velocities_alone: bool = False
     tied_lengthscales: bool = False
     history: History | None = None
+    plan_weight: float | None = None
     search: SearchSettings = field(default_factory=SearchSettings)
     draws: bool = True
 
@@ -273,6 +278,30 @@ class Experiment:
         return None if error is None else Promise(self.promise, error, self.tolerance)
 
     @property
+    def tracking(self) -> PlanTracking | None:
+        """How to plan on the mean of the model; None if no search starts so."""
+        return None if self.plan_weight is None else self.plan_tracking(self.plan_weight)
+
+    def plan_tracking(self, action_weight: float) -> PlanTracking:
+        """How to plan on the mean of the model towards the mean demonstrated states.
+
+        Args:
+            action_weight: weight of the actions.
+        """
+        turned = self.demonstrated_states.unflatten(0, self.demonstrations.positions.shape[:2])
+        states = without_turns(turned, self.initial.mean, self.space.angles)
+        mean, held = states.mean(0), self.holding_actions
+        return PlanTracking(
+            self.space,
+            self.actions,
+            self.initial.mean,
+            mean,
+            states.var(0) + self.initial.std.square(),
+            None if held is None else held(mean[:-1]),
+            action_weight,
+        )
+
+    @property
     def horizon(self) -> int:
         """T, number of control steps."""
         return self.demonstrations.positions.shape[1] - 1
@@ -337,6 +366,7 @@ class Experiment:
             "evaluated": self.evaluated,
             "velocities_alone": self.velocities_alone,
             "tied_lengthscales": self.tied_lengthscales,
+            "plan_weight": self.plan_weight,
             "history": self.history and asdict(self.history),
             "state_box": self.state_box and self.state_box.settings,
             "search": asdict(self.search),

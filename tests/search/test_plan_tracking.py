@@ -1,0 +1,140 @@
+"""A plan on the mean of a model: optimal for a linear one, and followed within the limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import minimize
+from torch import Tensor
+
+from tests.helpers.short_run import quick_fits
+from torch_pmil.experiments import load_experiment
+from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.search.plan_tracking import PlanTracking
+
+NAMES = ["double_pendulum", "pendubot", "double_pendulum_servo"]
+
+
+def fitted(experiment: Experiment) -> GPDynamics:
+    """The model of an experiment, of random transitions near the start."""
+    generator = torch.Generator().manual_seed(0)
+    n, D, actions = 40, experiment.space.dim, experiment.actions
+    states = experiment.initial.mean + torch.randn(n, D, generator=generator).double()
+    u = actions.middle + actions.half_range * (
+        2 * torch.rand(n, len(actions.names), generator=generator).double() - 1
+    )
+    dynamics = experiment.make_dynamics()
+    drift = 0.1 * torch.sin(states) + 0.05 * u.sum(-1, keepdim=True)
+    dynamics.set_data(torch.cat([experiment.space.features(states), u], -1), drift)
+    return dynamics
+
+
+def successors(experiment: Experiment, dynamics: GPDynamics, x: Tensor, u: Tensor) -> Tensor:
+    inputs = torch.cat([experiment.space.features(x), u], -1)
+    with torch.no_grad():
+        outputs = dynamics.expansion.mean(inputs)
+    return dynamics.known_part(experiment.space).successors(x, u, outputs)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_target_begins_at_the_start_whatever_turns_were_shown(name: str) -> None:
+    experiment = load_experiment(name)
+    start, angles = experiment.initial.mean, list(experiment.space.angles)
+    turned = experiment.demonstrated_states.unflatten(
+        0, experiment.demonstrations.positions.shape[:2]
+    ).clone()
+    turned[0, :, angles] += 2 * torch.pi
+    tracking = replace(experiment, demonstrated_states=turned.flatten(0, 1)).plan_tracking(1.0)
+    away = tracking.target[0, angles] - start[angles]
+    assert (away.abs() < 5 * experiment.initial.std[angles]).all()
+    torch.testing.assert_close(tracking.target, experiment.plan_tracking(1.0).target)
+    torch.testing.assert_close(tracking.variance, experiment.plan_tracking(1.0).variance)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_plan_is_a_trajectory_of_the_mean(name: str) -> None:
+    experiment = load_experiment(name)
+    dynamics, tracking = fitted(experiment), experiment.plan_tracking(1.0)
+    tracked = tracking.plan(dynamics, [tracking.first_guess])
+    x = torch.from_numpy(tracked.plan.states)
+    u = experiment.actions.middle + torch.from_numpy(tracked.plan.actions)
+    torch.testing.assert_close(x[0], experiment.initial.mean)
+    following = successors(experiment, dynamics, x[:-1], u)
+    torch.testing.assert_close(x[1:], following, rtol=0, atol=1e-9)
+    torch.testing.assert_close(tracked.act(3, x[3][None])[0], u[3])
+
+
+def test_plan_costs_no_more_than_what_a_general_minimiser_finds() -> None:
+    experiment = load_experiment("double_pendulum")
+    dynamics, whole = fitted(experiment), experiment.plan_tracking(10.0)
+    tracking = replace(whole, target=whole.target[:4], variance=whole.variance[:4])
+    limit = experiment.actions.half_range
+
+    def cost(flat: np.ndarray) -> float:
+        u, x, total = torch.from_numpy(flat).reshape(3, 2), experiment.initial.mean, 0.0
+        for step in range(3):
+            total += 5.0 * (u[step] / limit).square().sum().item()
+            x = successors(experiment, dynamics, x[None], u[step][None])[0]
+            away = (x - tracking.target[step + 1]).square() / tracking.variance[step + 1]
+            total += 0.5 * away.sum().item()
+        return total
+
+    first = 0.5 * ((experiment.initial.mean - tracking.target[0]) ** 2 / tracking.variance[0]).sum()
+    best = minimize(cost, np.zeros(6), bounds=[(-limit[0].item(), limit[0].item())] * 6)
+    plan = tracking.plan(dynamics, [tracking.first_guess]).plan
+    assert plan.cost - first.item() == pytest.approx(cost(plan.actions.flatten()), rel=1e-9)
+    assert plan.cost - first.item() <= best.fun * (1 + 1e-3)
+
+
+def test_cheapest_of_several_guesses_is_taken() -> None:
+    experiment = load_experiment("double_pendulum")
+    dynamics, tracking = fitted(experiment), experiment.plan_tracking(1.0)
+    other = np.random.default_rng(0).normal(size=tracking.first_guess.shape)
+    costs = [tracking.plan(dynamics, [guess]).plan.cost for guess in (tracking.first_guess, other)]
+    both = tracking.plan(dynamics, [tracking.first_guess, other])
+    assert both.plan.cost == pytest.approx(min(costs), rel=1e-9)
+
+
+def test_feedback_stays_within_limits_and_takes_no_notice_of_whole_turns() -> None:
+    experiment = load_experiment("double_pendulum")
+    tracking = experiment.plan_tracking(1.0)
+    tracked = tracking.plan(fitted(experiment), [tracking.first_guess])
+    state = torch.from_numpy(tracked.plan.states[3]) + 0.01
+    turned = state + 2 * torch.pi * torch.tensor([1.0, 0.0, -1.0, 0.0]).double()
+    torch.testing.assert_close(tracked.act(3, turned[None]), tracked.act(3, state[None]))
+    far = tracked.act(3, state + 1e6 * torch.eye(4).double())
+    assert (far <= experiment.actions.high + 1e-12).all()
+    assert (far >= experiment.actions.low - 1e-12).all()
+
+
+def test_costly_actions_are_those_that_hold() -> None:
+    experiment = load_experiment("double_pendulum_servo")
+    dynamics, away = fitted(experiment), []
+    for weight in (0.1, 1e10):
+        tracking: PlanTracking = experiment.plan_tracking(weight)
+        tracked = tracking.plan(dynamics, [tracking.first_guess])
+        away.append(np.abs(tracked.plan.actions - tracking.first_guess).max())
+    assert away[1] < 1e-3 < away[0]
+
+
+def test_fitted_policy_acts_as_the_plan_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    quick_fits(monkeypatch)
+    experiment = load_experiment("double_pendulum")
+    tracking = experiment.plan_tracking(1e4)  # calm, so that a smooth network can follow
+    tracked = tracking.plan(fitted(experiment), [tracking.first_guess])
+    generator = torch.Generator().manual_seed(0)
+    policy = experiment.make_policy(generator)
+    planned = torch.from_numpy(tracked.plan.states[:-1])
+    wanted = torch.cat([tracked.act(step, x[None]) for step, x in enumerate(planned)])
+
+    def apart() -> float:
+        with torch.no_grad():
+            return (policy(experiment.space.features(planned)) - wanted).abs().mean().item()
+
+    before = apart()
+    tracking.fit_policy(policy, tracked, generator)
+    assert apart() < 0.5 * before

@@ -16,6 +16,7 @@ from reproduction.figure9 import FIGURE9
 from reproduction.figure11 import FIGURE11
 from reproduction.handwriting import HANDWRITING
 from reproduction.hidden_motors import HIDDEN_MOTORS
+from reproduction.imperfect import IMPERFECT
 from reproduction.masses import MASSES
 from reproduction.noise import NOISE
 from reproduction.peers import PEERS_STUDY
@@ -61,5 +62,6 @@ PAPER = {
         SENSITIVITY,
         PENDUBOT,
         ACROBOT,
+        IMPERFECT,
     )
 }

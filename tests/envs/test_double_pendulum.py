@@ -22,25 +22,25 @@ GRAVITY, LENGTH = 9.81, 0.5
 NOISE = (0.02, 0.3, 0.0, 0.1)  # rad, rad/s
 
 
-def lagrange_equations(_, x, masses, torques):
+def lagrange_equations(_, x, masses, torques, lengths=(LENGTH, LENGTH)):
     """Time derivative of [q1, dq1, q2, dq2] of two uniform rods, in absolute angles a1 = q1, a2 =
     q1 + q2.
     """
-    (m1, m2), (tau1, tau2), half = masses, torques, LENGTH / 2
+    (m1, m2), (tau1, tau2), (l1, l2) = masses, torques, lengths
     a1, v1, a2, v2 = x[0], x[1], x[0] + x[2], x[1] + x[3]
-    coupling = m2 * LENGTH * half
+    coupling = m2 * l1 * l2 / 2
     mass_matrix = np.array(
         [
-            [m1 * LENGTH**2 / 3 + m2 * LENGTH**2, coupling * np.cos(a1 - a2)],
-            [coupling * np.cos(a1 - a2), m2 * LENGTH**2 / 3],
+            [m1 * l1**2 / 3 + m2 * l1**2, coupling * np.cos(a1 - a2)],
+            [coupling * np.cos(a1 - a2), m2 * l2**2 / 3],
         ]
     )
     force = [
         tau1
         - tau2
         - coupling * np.sin(a1 - a2) * v2**2
-        + (m1 * half + m2 * LENGTH) * GRAVITY * np.sin(a1),
-        tau2 + coupling * np.sin(a1 - a2) * v1**2 + m2 * half * GRAVITY * np.sin(a2),
+        + (m1 * l1 / 2 + m2 * l1) * GRAVITY * np.sin(a1),
+        tau2 + coupling * np.sin(a1 - a2) * v1**2 + m2 * l2 / 2 * GRAVITY * np.sin(a2),
     ]
     acceleration1, acceleration2 = np.linalg.solve(mass_matrix, force)
     return [v1, acceleration1, v2 - v1, acceleration2 - acceleration1]
@@ -85,13 +85,26 @@ def test_torchrl_accepts_the_environment(num_envs, noise):
     check_env_specs(DoublePendulumEnv(num_envs=num_envs, observation_std=noise, seed=0))
 
 
-@pytest.mark.parametrize("masses", [(0.5, 0.5), (0.5, 0.15), (0.5, 1.0)])
+@pytest.mark.parametrize(
+    ("masses", "lengths"),
+    [
+        ((0.5, 0.5), (0.5, 0.5)),
+        ((0.5, 0.15), (0.5, 0.5)),
+        ((0.5, 1.0), (0.5, 0.5)),
+        ((0.5, 0.5), (0.4, 0.6)),
+        ((0.4, 0.6), (0.55, 0.3)),
+    ],
+)
 @pytest.mark.parametrize("torque", [(0.0, 0.0), (0.5, -0.1)])
-def test_motion_agrees_with_lagrange_equations(masses, torque):
+def test_motion_agrees_with_lagrange_equations(masses, lengths, torque):
     start = [math.pi - 0.6, 0.3, 0.4, -0.2]
-    simulated = run(
-        DoublePendulumEnv(masses, seed=0), start, torch.tensor([torque] * 25, dtype=torch.float64)
-    )
+    env = DoublePendulumEnv(masses, seed=0)
+    if lengths != (LENGTH, LENGTH):
+        model = double_pendulum_model(masses, lengths)
+        env = MujocoRobotEnv(
+            model, ("q1", "q2"), initial_mean=start, initial_std=(0.0,) * 4, torque_limit=3.5
+        )
+    simulated = run(env, start, torch.tensor([torque] * 25, dtype=torch.float64))
     times = np.linspace(0, 2.5, 26)
     exact = solve_ivp(
         lagrange_equations,
@@ -99,11 +112,26 @@ def test_motion_agrees_with_lagrange_equations(masses, torque):
         start,
         "DOP853",
         times,
-        args=(masses, torque),
+        args=(masses, torque, lengths),
         rtol=1e-12,
         atol=1e-12,
     ).y.T
     np.testing.assert_allclose(simulated.numpy(), exact, rtol=0, atol=1e-6)
+
+
+def test_sites_of_other_links_are_at_their_ends():
+    model = double_pendulum_model(link_lengths=(0.4, 0.6))
+    data = mujoco.MjData(model)
+    data.qpos[:] = math.pi / 2, -math.pi / 2  # the first to the right, the second up
+    mujoco.mj_forward(model, data)
+    assert np.allclose(data.site("elbow").xpos, [0.4, 0, 0], atol=1e-12)
+    assert np.allclose(data.site("tip").xpos[[0, 2]], [0.4, 0.6], atol=1e-12)
+    assert np.allclose(data.geom("rod2").xpos[[0, 2]], [0.4, 0.3], atol=1e-12)
+
+
+def test_link_lengths_are_two_positive_numbers():
+    with pytest.raises(ValueError, match=r"^link_lengths must be two positive finite numbers in m"):
+        double_pendulum_model(link_lengths=(0.5, 0.0))
 
 
 @pytest.mark.parametrize("masses", [(0.5, 0.5), (0.5, 1.0)])

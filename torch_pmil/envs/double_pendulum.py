@@ -9,6 +9,7 @@ from importlib import resources
 import mujoco
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torch_pmil.envs.mujoco import MujocoRobotEnv
@@ -109,37 +110,53 @@ def link_positions(state: Tensor) -> Tensor:
     )
 
 
-def double_pendulum_model(link_masses: Sequence[float] = (0.5, 0.5)) -> mujoco.MjModel:
+def double_pendulum_model(
+    link_masses: Sequence[float] = (0.5, 0.5),
+    link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH),
+) -> mujoco.MjModel:
     """The MuJoCo model of the double pendulum with the given rods.
 
     Args:
         link_masses: masses of the two rods in kg; their inertia about the centre is m l²/12.
+        link_lengths: their lengths in m.
 
     Returns:
         The compiled model, Runge-Kutta at 2 ms.
 
     Raises:
-        ValueError: not two positive finite masses.
+        ValueError: not two positive finite masses or lengths.
 
     Example:
         >>> double_pendulum_model((0.5, 0.15)).body("link2").mass
         array([0.15])
+        >>> double_pendulum_model(link_lengths=(0.4, 0.6)).body("link2").pos
+        array([0. , 0. , 0.4])
     """
-    return double_pendulum_spec(link_masses).compile()
+    return double_pendulum_spec(link_masses, link_lengths).compile()
 
 
-def double_pendulum_spec(link_masses: Sequence[float]) -> mujoco.MjSpec:
+def double_pendulum_spec(
+    link_masses: Sequence[float], link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH)
+) -> mujoco.MjSpec:
     """The MuJoCo model of :func:`double_pendulum_model` before it is compiled."""
-    masses = np.asarray(link_masses, dtype=np.float64)
-    if masses.shape != (2,) or not (np.isfinite(masses) & (masses > 0)).all():
-        raise ValueError(
-            f"link_masses must be two positive finite numbers in kg, got {link_masses}"
-        )
+    masses = _two_positive("link_masses", link_masses, "kg")
+    lengths = _two_positive("link_lengths", link_lengths, "m")
     asset = resources.files("torch_pmil.envs").joinpath("assets", "double_pendulum.xml")
     spec = mujoco.MjSpec.from_string(asset.read_text(encoding="utf-8"))
-    for name, mass in zip(("link1", "link2"), masses, strict=True):
-        inertia = mass * LINK_LENGTH**2 / 12
-        spec.body(name).mass = mass
+    for number, (mass, length) in enumerate(zip(masses, lengths, strict=True), start=1):
+        inertia, link = mass * length**2 / 12, spec.body(f"link{number}")
+        link.mass = mass
         # the third is about the rod's own axis, around which it never turns: any number
-        spec.body(name).inertia = [inertia, inertia, inertia / 100]
+        link.inertia = [inertia, inertia, inertia / 100]
+        link.ipos = [0, 0, length / 2]
+        spec.geom(f"rod{number}").fromto[5] = length
+    spec.body("link2").pos = spec.site("elbow").pos = [0, 0, lengths[0]]
+    spec.site("tip").pos = [0, 0, lengths[1]]
     return spec
+
+
+def _two_positive(name: str, numbers: Sequence[float], unit: str) -> NDArray[np.float64]:
+    values = np.asarray(numbers, dtype=np.float64)
+    if values.shape != (2,) or not (np.isfinite(values) & (values > 0)).all():
+        raise ValueError(f"{name} must be two positive finite numbers in {unit}, got {numbers}")
+    return values

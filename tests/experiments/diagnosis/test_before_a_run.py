@@ -19,14 +19,17 @@ from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
 from torch_pmil.experiments.diagnosis.before_a_run import TORQUE_STEPS, check, needed_torques
 from torch_pmil.experiments.diagnosis.demonstration_checks import (
+    check_body,
     check_jumps,
     check_length,
+    check_modes,
     check_start,
 )
 from torch_pmil.experiments.diagnosis.modes import DRAWS, SIMULATIONS, _uniform_ratios
 from torch_pmil.gp.gaussian import Gaussian
 
 SETS = 400
+MIRROR = torch.tensor([-1.0, 1.0, -1.0, 1.0])
 
 
 def messages(positions: Tensor, name: str = "double_pendulum") -> list[str]:
@@ -42,10 +45,11 @@ def swing_ups() -> Tensor:
     return shipped_demonstrations("double_pendulum").positions
 
 
-def of_angles(q1: Tensor, q2: Tensor) -> Tensor:
+def of_angles(q1: Tensor, q2: Tensor, lengths: tuple[float, float] = (0.5, 0.5)) -> Tensor:
     """Link positions of angles from upright, independently of the package."""
-    inner = torch.stack([q1.sin(), q1.cos()], -1) / 2
-    return torch.cat([inner, inner + torch.stack([(q1 + q2).sin(), (q1 + q2).cos()], -1) / 2], -1)
+    inner = lengths[0] * torch.stack([q1.sin(), q1.cos()], -1)
+    outer = lengths[1] * torch.stack([(q1 + q2).sin(), (q1 + q2).cos()], -1)
+    return torch.cat([inner, inner + outer], -1)
 
 
 @pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"handwriting"}))
@@ -70,11 +74,73 @@ def test_motion_of_more_steps_than_a_model_can_take_is_named(steps: int, fatal: 
 
 
 def test_two_ways_up_are_named() -> None:
-    mirror = torch.tensor([-1.0, 1.0, -1.0, 1.0])
-    both = torch.cat([swing_ups()[:3], swing_ups() * mirror])
+    both = torch.cat([swing_ups()[:3], swing_ups() * MIRROR])
     (found,) = messages(both)
     assert found.startswith("demonstrations 0, 1, 2 and 3, 4, 5, 6, 7 are two different ways (")
     assert found.endswith("their mean is neither: train on one of them alone")
+
+
+def wrong(kind: str) -> Tensor:
+    """A swing-up that is none, one that is late, or one to the other side."""
+    own = swing_ups()[2]
+    if kind == "hangs":
+        return own[:1].expand(26, -1)
+    return torch.cat([own[:1].expand(3, -1), own[:-3]]) if kind == "late" else own * MIRROR
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("hangs", "at 1.80 s its y2 is -0.999, theirs 1 ± "),
+        ("late", "at 1.20 s its y2 is -0.0339, theirs 0.601 ± "),
+        ("mirrored", "at 1.10 s its x2 is -0.509, theirs 0.501 ± "),
+    ],
+)
+def test_one_demonstration_unlike_the_others_is_named_where_it_is_farthest(
+    kind: str, said: str
+) -> None:
+    positions = swing_ups().clone()
+    positions[2] = wrong(kind)
+    shipped = shipped_demonstrations("double_pendulum")
+    task = load_experiment("double_pendulum", replace(shipped, positions=positions))
+    (found,) = (each for each in check(task) if each.cause == "one demonstration unlike the others")
+    assert found.message.startswith(f"demonstration 2 is unlike the others: {said}")
+    assert not found.fatal
+
+
+def test_one_wrong_demonstration_of_a_target_has_its_number_in_the_file() -> None:
+    shipped = shipped_demonstrations("double_pendulum")
+    both = torch.cat([swing_ups(), swing_ups() + 0.001])
+    both[7] *= MIRROR
+    targets = torch.arange(2.0).repeat_interleave(5)[:, None]
+    given = Demonstrations(both, shipped.time_step, shipped.names, targets, ("place",))
+    _, sets = given.by_target()
+    (found,) = check_modes(sets, [range(5), range(5, 10)], torch.tensor(0.05))
+    assert found.message.startswith("demonstration 7 is unlike the others: ")
+
+
+@pytest.mark.parametrize("lengths", [(0.45, 0.55), (0.55, 0.55)])
+def test_links_of_other_lengths_are_told_though_no_sample_leaves_the_workspace(
+    lengths: tuple[float, float],
+) -> None:
+    """By the mean of all: each sample is within two standard deviations of the noise, 0.1 m."""
+    q1, _, q2, _ = (
+        load_experiment("double_pendulum").demonstrated_states.unflatten(0, (5, 26)).mT.unbind(-2)
+    )
+    (found,) = messages(of_angles(q1, q2, lengths))
+    assert found.startswith("the demonstrations show positions that this robot cannot reach: ")
+    # of which the inner end is off by 0.05 m, the tip by 0.1 m where the links point the same way
+    off = float(found.split("up to ")[1].split(" off")[0])
+    assert 0.05 < off <= 0.1 and ", in y2 at " in found
+
+
+def test_noise_of_observation_is_seldom_another_body() -> None:
+    draws, alarms = torch.Generator().manual_seed(0), 0
+    for _ in range(SETS):
+        noise = 0.05 * torch.randn(3, 26, 4, generator=draws, dtype=torch.float64)
+        shown = Demonstrations(noise, 0.1, ("a", "b", "c", "d"))
+        alarms += bool(check_body(shown, torch.zeros_like(noise), torch.tensor(0.05)))
+    assert alarms <= 0.01 * SETS + 3 * math.sqrt(0.01 * SETS)
 
 
 def test_links_of_another_length_leave_the_workspace() -> None:

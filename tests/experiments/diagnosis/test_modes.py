@@ -36,6 +36,14 @@ def two_ways(count: int, sets: int, separation: float, seed: int) -> Tensor:
     return smooth_sets(count, sets, 0.3, seed) + separation * side * bump
 
 
+def one_apart(count: int, sets: int, separation: float, seed: int) -> Tensor:
+    """The second one goes around on the other side, the others do not."""
+    apart = two_ways(2, 1, separation, seed)[0] - smooth_sets(2, 1, 0.3, seed)[0]
+    moved = smooth_sets(count, sets, 0.3, seed)
+    moved[:, 1] += apart[1]
+    return moved
+
+
 def share_of_alarms(sets: Tensor, level: float) -> float:
     return sum(split_in_two(each).p_value < level for each in sets) / len(sets)
 
@@ -69,6 +77,17 @@ def test_two_ways_are_told_apart_with_their_members(
     assert sum(told) >= found * len(told)
     members = (tuple(range(0, count, 2)), tuple(range(1, count, 2)))
     assert all(split.parts == members for split, clear in zip(splits, told, strict=True) if clear)
+
+
+@pytest.mark.parametrize(
+    ("count", "separation", "found"),
+    [(4, 50.0, 0.95), (5, 20.0, 0.95), (7, 12.0, 0.9), (10, 10.0, 0.95)],
+)
+def test_one_unlike_the_others_is_found_alone(count: int, separation: float, found: float) -> None:
+    splits = [split_in_two(each) for each in one_apart(count, 200, separation, seed=1)]
+    told = [split.p_value < 0.01 and split.explained > 0.75 for split in splits]
+    assert sum(told) >= found * len(told)
+    assert all((1,) in split.parts for split, clear in zip(splits, told, strict=True) if clear)
 
 
 def test_split_of_points_on_a_line_is_the_best_of_all() -> None:

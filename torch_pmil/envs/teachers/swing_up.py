@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 
-from torch_pmil.envs.double_pendulum import DoublePendulumEnv, double_pendulum_model
+from torch_pmil.envs.double_pendulum import LINK_LENGTH, double_pendulum_model
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 from torch_pmil.envs.teachers.trajectory_optimization import (
     Array,
@@ -31,13 +31,16 @@ PLANNING_TIMESTEP = 0.01  # s; five times the simulation's, exact enough to plan
 
 
 def swing_up_teacher(
-    link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5
+    link_masses: Sequence[float] = (0.5, 0.5),
+    torque_limit: float = 3.5,
+    link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH),
 ) -> TrackingController:
     """Plan the swing-up from hanging and a controller that follows the plan, then balances.
 
     Args:
         link_masses: masses of the two rods in kg.
         torque_limit: largest absolute torque of plan and feedback together, in N·m.
+        link_lengths: of the rods in m.
 
     Returns:
         The controller, a function of step (0..24) and states (N, 4) that returns torques (N, 2) in
@@ -51,7 +54,7 @@ def swing_up_teacher(
     state_weights = np.tile([0.001, 0.05, 0.001, 0.05], (STEPS + 1, 1))
     state_weights[UPRIGHT_FROM:] = [100.0, 10.0, 100.0, 10.0]
     cost = QuadraticCost(UPRIGHT, state_weights, action_weights=np.full(2, 0.2))
-    return teacher_for(cost, guess, link_masses, torque_limit)
+    return teacher_for(cost, guess, link_masses, torque_limit, link_lengths)
 
 
 def teacher_for(
@@ -59,6 +62,7 @@ def teacher_for(
     guess: Array,
     link_masses: Sequence[float] = (0.5, 0.5),
     torque_limit: float = 3.5,
+    link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH),
 ) -> TrackingController:
     """Plan the motion from hanging to a pose, and a controller that tracks it and holds there.
 
@@ -68,11 +72,12 @@ def teacher_for(
         guess: torques to plan from, (25, 2), in N·m.
         link_masses: masses of the two rods in kg.
         torque_limit: largest absolute torque of plan and feedback together, in N·m.
+        link_lengths: of the rods in m.
 
     Raises:
         RuntimeError: the plan does not reach the pose within the torque limit.
     """
-    dynamics = planning_dynamics(link_masses, torque_limit)
+    dynamics = planning_dynamics(link_masses, torque_limit, link_lengths)
     planned_torque = np.full(2, min(PLANNED_TORQUE, torque_limit))
     plan = plan_trajectory(dynamics, HANGING, cost, guess, planned_torque)
     if np.abs(plan.states[HOLD_FROM] - cost.target).max() > 0.1:
@@ -93,7 +98,7 @@ def teacher_for(
 
 
 def demonstrate(
-    env: DoublePendulumEnv,
+    env: MujocoRobotEnv,
     teacher: Callable[[int, Array], Array],
     seed: int,
     torque_noise: float = TORQUE_NOISE,
@@ -123,10 +128,12 @@ def demonstrate(
 
 
 def planning_dynamics(
-    link_masses: Sequence[float] = (0.5, 0.5), torque_limit: float = 3.5
+    link_masses: Sequence[float] = (0.5, 0.5),
+    torque_limit: float = 3.5,
+    link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH),
 ) -> Dynamics:
     """The double pendulum at a coarser simulation step, as a function of arrays."""
-    model = double_pendulum_model(link_masses)
+    model = double_pendulum_model(link_masses, link_lengths)
     model.opt.timestep = PLANNING_TIMESTEP
     env = MujocoRobotEnv(
         model,

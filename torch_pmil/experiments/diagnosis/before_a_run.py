@@ -9,6 +9,7 @@ import torch
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.experiments.diagnosis.demonstration_checks import (
     Finding,
+    check_body,
     check_box,
     check_count,
     check_duplicates,
@@ -71,7 +72,9 @@ def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Findin
         return []
     states = experiment.demonstrated_states.reshape(N, samples, -1)
     env = experiment.first_robot(seed=0)
-    findings = check_reach(demonstrations, experiment.space.observe(states), noise_std)
+    shown = experiment.space.observe(states)
+    findings = check_reach(demonstrations, shown, noise_std)
+    findings = findings or check_body(demonstrations, shown, noise_std)
     if experiment.state_box is not None:
         findings += check_box(experiment.state_box, states)
     if (excess := env.beyond_range(states)) is not None:

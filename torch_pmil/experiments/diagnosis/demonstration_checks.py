@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.experiments.diagnosis.modes import split_in_two
+from torch_pmil.experiments.diagnosis.modes import Split, split_in_two
 from torch_pmil.gp.gaussian import Gaussian
 
 SIGNIFICANCE = 0.01  # of two modes: false alarms
@@ -52,7 +52,7 @@ class Finding:
 def check_modes(
     sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
 ) -> list[Finding]:
-    """Find two modes in the demonstrations of one target.
+    """Find two modes in the demonstrations of one target, or one demonstration unlike the others.
 
     Args:
         sets: demonstrations of each target.
@@ -71,18 +71,39 @@ def check_modes(
     for demonstrations, known in zip(sets, numbers, strict=True):
         split = split_in_two(demonstrations.positions / noise_std)
         if split and split.p_value < SIGNIFICANCE and split.explained > LEAST_EXPLAINED:
-            first, second = (
-                ", ".join(str(known[member]) for member in part) for part in split.parts
-            )
+            lone = min(split.parts, key=len)
             findings.append(
-                Finding(
-                    "contradictory demonstrations",
-                    f"demonstrations {first} and {second} are two different ways "
-                    f"({100 * split.explained:.0f} % of the spread is between them, p = "
-                    f"{split.p_value:.4f}); their mean is neither: train on one of them alone",
-                )
+                _two_ways(split, known)
+                if len(lone) > 1
+                else _unlike(demonstrations, lone[0], known[lone[0]], noise_std)
             )
     return findings
+
+
+def _two_ways(split: Split, known: Sequence[int]) -> Finding:
+    first, second = (", ".join(str(known[member]) for member in part) for part in split.parts)
+    return Finding(
+        "contradictory demonstrations",
+        f"demonstrations {first} and {second} are two different ways "
+        f"({100 * split.explained:.0f} % of the spread is between them, p = {split.p_value:.4f}); "
+        "their mean is neither: train on one of them alone",
+    )
+
+
+def _unlike(demonstrations: Demonstrations, lone: int, number: int, noise_std: Tensor) -> Finding:
+    """One demonstration beside the others, where it is farthest from their mean."""
+    positions = demonstrations.positions
+    others = torch.cat([positions[:lone], positions[lone + 1 :]])
+    mean, std = others.mean(0), others.std(0)
+    apart = ((positions[lone] - mean) / noise_std).abs()
+    step, entry = divmod(int(apart.argmax()), apart.shape[1])
+    return Finding(
+        "one demonstration unlike the others",
+        f"demonstration {number} is unlike the others: at {step * demonstrations.time_step:.2f} s "
+        f"its {demonstrations.names[entry]} is {positions[lone, step, entry]:.3g}, theirs "
+        f"{mean[step, entry]:.3g} ± {std[step, entry]:.2g}; look at it: leave it out if it went "
+        "wrong, align it (pmil align) if it is late",
+    )
 
 
 def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
@@ -226,6 +247,40 @@ def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor
             fatal=True,
         )
         for number, step, entry in _worst(apart / noise_std, OUT_OF_REACH)
+    ]
+
+
+def check_body(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor) -> list[Finding]:
+    r"""Find places where the robot cannot be, a little off in all demonstrations alike.
+
+    The observation noise of N demonstrations leaves their mean with a standard deviation of
+    :math:`\sigma_{\mathrm{obs}} / \sqrt N`. A mean that is farther from all that the robot can show
+    (by :math:`\chi^2` over all entries and times), and more than the noise somewhere, is that of
+    another body or another base.
+
+    Args:
+        demonstrations, shown, noise_std: as for :func:`check_reach`.
+
+    Example:
+        >>> at = torch.zeros(5, 10, 1)
+        >>> check_body(Demonstrations(at + 0.08, 0.1, ("x",)), at, torch.tensor(0.05))[0].cause
+        'demonstrations out of reach'
+    """
+    positions = demonstrations.positions
+    off = (positions - shown).mean(0)  # (T + 1, M)
+    size = off.abs() / noise_std
+    bound = chdtri(size.numel(), SIGNIFICANCE)
+    if len(positions) * size.square().sum() <= bound or size.amax() <= 1:
+        return []
+    step, entry = divmod(int(size.argmax()), size.shape[1])
+    return [
+        Finding(
+            UNREACHABLE,
+            "the demonstrations show positions that this robot cannot reach: their mean is up to "
+            f"{off[step, entry].abs():.2g} off, in {demonstrations.names[entry]} at "
+            f"{step * demonstrations.time_step:.2f} s; measure the links and the base of the body "
+            "that showed them, or match only what both bodies can show",
+        )
     ]
 
 

@@ -37,7 +37,8 @@ class Method:
         plan_weight: of our searches that start from plans, None for those that do not.
         settings: of a peer, other than its own.
         factor: rollouts of a peer in place of each one of ours.
-        end: seconds of our experience with which it is compared at most.
+        confirmations: successes of own rollouts in a row that end a run of a peer, as a promise
+            does ours; None for none.
     """
 
     name: str
@@ -45,21 +46,23 @@ class Method:
     plan_weight: float | None = None
     settings: Mapping[str, object] = field(default_factory=dict)
     factor: int = 1
-    end: float = TIMES[-1]
+    confirmations: int | None = None
 
     def run(self, root: Path, task: str, seed: int, end: float) -> Run:
-        """Its run of a task, over ``end`` seconds of our experience or as long as it is compared.
+        """Its run of a task, over ``end`` seconds of our experience at most.
 
         Example:
             >>> str(OURS_ALONE.run(Path("runs"), "double_pendulum", 3, 50.0).out)
             'runs/double_pendulum/seed_3'
         """
         experiment = self.experiment(task)
-        trials = trials_until(min(end, self.end), experiment)
+        trials = trials_until(end, experiment)
         if self.name in (OURS_ALONE.name, "ours_planned"):
             return learning_run(root, experiment, seed, trials)
         peer = PEERS[self.name.removesuffix(f"_{self.factor}x")]
-        return peer_run(root, experiment, peer, seed, trials, self.factor, self.settings)
+        return peer_run(
+            root, experiment, peer, seed, trials, self.factor, self.settings, self.confirmations
+        )
 
     def experiment(self, task: str) -> Experiment:
         """The task as it learns it."""
@@ -78,7 +81,9 @@ def planned(weight: float) -> Method:
     return Method("ours_planned", "ours, with plans", weight)
 
 
-def peer(name: str, end: float = TIMES[-1], factor: int = 1, **settings: object) -> Method:
+def peer(
+    name: str, factor: int = 1, confirmations: int | None = None, **settings: object
+) -> Method:
     """A peer, with settings other than its own, or with so many times our experience.
 
     Example:
@@ -88,7 +93,7 @@ def peer(name: str, end: float = TIMES[-1], factor: int = 1, **settings: object)
     label = PEERS[name].label
     if factor > 1:
         name, label = f"{name}_{factor}x", f"{label}, {factor} times the experience"
-    return Method(name, label, None, settings, factor, end)
+    return Method(name, label, None, settings, factor, confirmations)
 
 
 TASKS: dict[str, tuple[Method, ...]] = {
@@ -97,7 +102,7 @@ TASKS: dict[str, tuple[Method, ...]] = {
         planned(10.0),
         peer("gp_tracker"),
         peer("ensemble_cem"),
-        peer("mc_pilco", end=25.0),
+        peer("mc_pilco", confirmations=2),
         peer("bco"),
         peer("gaifo"),
         peer("bco", factor=100),
@@ -157,16 +162,12 @@ def _numbers(method: Method, curve: SuccessCurve) -> dict[str, float | None]:
     Of a method with more experience they are at as many times ``TIMES``.
     """
     found: dict[str, float | None] = {"experience_to_95": curve.experience_to(GOAL)}
-    for time in _compared(method):
+    for time in TIMES:
         column = curve.column(method.factor * time)
         found[f"success_{time:g}s"] = curve.mean[column].item()
         found[f"lower_{time:g}s"] = curve.lower[column].item()
         found[f"upper_{time:g}s"] = curve.upper[column].item()
     return found
-
-
-def _compared(method: Method) -> tuple[float, ...]:
-    return tuple(time for time in TIMES if time <= method.end)
 
 
 def _ahead(
@@ -182,7 +183,7 @@ def _ahead(
     return {
         other.label: {
             f"{time:g}s": paired(list(zip(rates(ours, time), rates(other, time), strict=True)))
-            for time in _compared(other)
+            for time in TIMES
         }
         for other in others
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -43,6 +43,7 @@ def peer_run(
     trials: int,
     factor: int = 1,
     settings: Mapping[str, object] | None = None,
+    confirmations: int | None = None,
 ) -> Run:
     """A run of a peer, in its folder below ``root``.
 
@@ -56,6 +57,7 @@ def peer_run(
         trials: number of trials.
         factor: rollouts in place of each one of ours, for as many times our experience.
         settings: other arguments of the peer than its own.
+        confirmations: successes of own rollouts in a row that end the run before; None for none.
 
     Example:
         >>> from reproduction.baselines.bco import BCO
@@ -76,6 +78,7 @@ def peer_run(
         trials=trials,
         factor=factor,
         settings=settings or {},
+        confirmations=confirmations,
     )
     return Run(root / name / f"seed_{seed}", learn)
 
@@ -89,6 +92,7 @@ def _learn(
     trials: int,
     factor: int,
     settings: Mapping[str, object],
+    confirmations: int | None,
 ) -> None:
     begun, source = (time.perf_counter(), time.process_time()), provenance(command)
     clear_folder(out, overwrite=True)
@@ -96,25 +100,39 @@ def _learn(
     practice = Practice(experiment, peer_class(experiment, seed, **settings), seed, factor)
     rows: list[Measurement] = []
     write_metrics(out / "metrics.csv", Measurement, rows)
-    for _ in range(trials):
+    while len(rows) < trials and not _confirmed(rows, confirmations):
         rows.append(practice.trial(len(rows) + 1))
         write_metrics(out / "metrics.csv", Measurement, rows)
-    practice.peer.fit()
+    confirmed = _confirmed(rows, confirmations)
+    if not confirmed:
+        practice.peer.fit()
     summary = {
         "experiment": out.parent.name,
         "seed": seed,
         **source,
-        "settings": {"trials": trials, "factor": factor, **settings},
+        "settings": {
+            "trials": trials,
+            "factor": factor,
+            "confirmations": confirmations,
+            **settings,
+        },
         "wall_seconds": round(time.perf_counter() - begun[0], 2),
         "cpu_seconds": round(time.process_time() - begun[1], 2),
-        "stop_reason": LIMIT,
+        "stop_reason": "the own rollouts succeeded" if confirmed else LIMIT,
         "experience_s": practice.experience_s,
-        "saved_trial": trials,
+        "saved_trial": len(rows),
         "saved_success_rate": practice.measured(),
         "saved_n_eval": EVALUATION_STARTS,
         "trials": [_plain(row) for row in rows],
     }
     write_json(out / "summary.json", summary)
+
+
+def _confirmed(rows: Sequence[Measurement], confirmations: int | None) -> bool:
+    """Whether so many of the last own rollouts have succeeded, one after the other."""
+    if confirmations is None or len(rows) < confirmations:
+        return False
+    return all(row.own_success for row in rows[-confirmations:])
 
 
 class Practice:

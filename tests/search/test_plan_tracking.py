@@ -16,7 +16,7 @@ from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.plan_tracking import PlanTracking
 
-NAMES = ["double_pendulum", "pendubot", "double_pendulum_servo"]
+NAMES = ["double_pendulum", "pendubot"]
 
 
 def fitted(experiment: Experiment) -> GPDynamics:

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from reproduction.robustness import with_noise
 from tests.helpers.short_run import (
+    COMMAND,
     PD_MOVEMENTS,
     SEED,
     STEPS,
@@ -23,12 +24,14 @@ from tests.helpers.short_run import (
     Stopped,
     quick_fits,
     run,
+    short_experiment,
     stop,
     stop_in,
     stopped_run,
 )
 from torch_pmil.experiments import EXPERIMENTS, load_experiment
 from torch_pmil.experiments.runs.run_folder import FinishedRunError, UnfinishedRunError
+from torch_pmil.experiments.runs.training import train
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.collector import RolloutCollector
 
@@ -310,3 +313,21 @@ def test_robot_moves_as_often_as_in_a_run_without_stops(
     )
     run(stopped_run(tmp_path / "run", "search", 5), resume=True)
     assert len(rollouts) == TRIALS + 1
+
+
+def test_run_with_plans_goes_on_from_its_last_plan(tmp_path: Path) -> None:
+    states = load_experiment("double_pendulum").demonstrated_states.unflatten(0, (5, -1))
+    experiment = short_experiment(
+        demonstrated_states=states[:, : STEPS + 1].flatten(0, 1), plan_weight=1.0
+    )
+
+    def learn(folder: Path, resume: bool = False) -> None:
+        train(experiment, SEED, TRIALS, folder, COMMAND, progress_bar=False, resume=resume)
+
+    learn(tmp_path / "whole")
+    with pytest.MonkeyPatch.context() as patch:
+        stop_in(patch, "collection", 3 * STEPS + 2, stop)  # in the second own rollout
+        with pytest.raises(Stopped):
+            learn(tmp_path / "stopped")
+    learn(tmp_path / "stopped", resume=True)
+    assert_same_end(tmp_path / "stopped", tmp_path / "whole")

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -475,6 +476,7 @@ class ScriptedSearches:
         monkeypatch: pytest.MonkeyPatch,
         results: list[tuple[float, int, bool]],
         restarts: int = 0,
+        tracking: SimpleNamespace | None = None,
     ) -> None:
         self.loss = make(trials=1)[0].loss_module
         self.refitted_from: list[int] = []  # numbers of the searches whose policies were refitted
@@ -491,6 +493,7 @@ class ScriptedSearches:
             self._random,
             torch.Generator(),
             lambda *_: None,
+            tracking,
         )
 
     def _random(self) -> RBFPolicy:
@@ -547,6 +550,23 @@ def test_search_that_makes_progress_is_the_only_one(
         [1],
         False,
     )
+
+
+@pytest.mark.parametrize(("planned", "kept"), [(50.0, 2), (150.0, 1)], ids=["better", "worse"])
+def test_search_from_a_plan_is_made_too_and_the_better_is_kept(
+    monkeypatch: pytest.MonkeyPatch, planned: float, kept: int
+) -> None:
+    guesses: list[list[float]] = []
+
+    def plan(dynamics: object, starts: list[np.ndarray]) -> SimpleNamespace:
+        guesses.append([start.item() for start in starts])
+        return SimpleNamespace(plan=SimpleNamespace(actions=np.ones((1, 1))))
+
+    tracking = SimpleNamespace(first_guess=np.zeros((1, 1)), plan=plan, fit_policy=lambda *_: None)
+    searches = [(100.0, 4, True), (planned, 4, True), (1.0, 4, True), (2.0, 4, True)]
+    scripted = ScriptedSearches(monkeypatch, searches, tracking=tracking)
+    assert [scripted.step(), scripted.step()] == [kept, 3]
+    assert (scripted.random_at, guesses) == ([1], [[0.0], [0.0, 1.0]])
 
 
 def test_matching_the_whole_horizon_is_not_enough_after_a_rollout_that_failed(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import torch
@@ -12,6 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.envs.robot import Array
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.plan_tracking import PlanTracking
 from torch_pmil.search.policy_search import (
@@ -66,8 +68,8 @@ class PolicySearchStepper(OptimizationStepper):
     ) -> None:
         self.settings, self.promise, self.make_policy = settings, promise, make_policy
         self.generator, self.report = generator, report
-        self.tracking, self._planned = tracking, None
-        self.refitted = False
+        self.refitted, self.tracking = False, tracking
+        self._planned: Array | None = None  # actions of the last plan
         self._least, self._restarts_left = math.inf, RESTARTS
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
@@ -84,13 +86,10 @@ class PolicySearchStepper(OptimizationStepper):
         def restart() -> None:
             loss.actor_network.load_state_dict(self.make_policy().state_dict())
 
-        def plan() -> None:
-            loss.actor_network.load_state_dict(self._planned_policy(loss).state_dict())
-
         first = self._least == math.inf
         self.result = search_policy(loss, initial, self.settings, self.report, random=first)
         if self.tracking is not None:
-            self._search_also(loss, initial, plan)
+            self._search_also(loss, initial, partial(self._plan, loss, self.tracking))
         failed = not all(trial.own_success for trial in trainer.trials[-1:])
         self.refitted = not self._enough(failed)
         if self.refitted:
@@ -114,20 +113,26 @@ class PolicySearchStepper(OptimizationStepper):
 
     def state_dict(self) -> dict[str, Any]:
         """State on which the next search depends, besides policy and model."""
-        return {"least": self._least, "restarts_left": self._restarts_left}
+        planned = None if self._planned is None else torch.from_numpy(self._planned)
+        return {
+            "least": self._least,
+            "restarts_left": self._restarts_left,
+            "planned": planned,
+        }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` gave."""
         self._least, self._restarts_left = state_dict["least"], state_dict["restarts_left"]
+        planned = state_dict["planned"]
+        self._planned = None if planned is None else planned.numpy()
 
-    def _planned_policy(self, loss: TrajectoryLoss) -> RBFPolicy:
-        """A new policy that follows a plan on the mean of the model."""
-        tracking = self.tracking
+    def _plan(self, loss: TrajectoryLoss, tracking: PlanTracking) -> None:
+        """Let the policy follow a plan on the mean of the model, from the last plan on or anew."""
         guesses = [tracking.first_guess, *([] if self._planned is None else [self._planned])]
         tracked, policy = tracking.plan(loss.dynamics, guesses), self.make_policy()
         tracking.fit_policy(policy, tracked, self.generator)
+        loss.actor_network.load_state_dict(policy.state_dict())
         self._planned = tracked.plan.actions
-        return policy
 
     def _random_policies(self) -> Iterator[RBFPolicy]:
         """New policies, as many as this run may still begin searches for success with."""

@@ -15,6 +15,7 @@ from torch_pmil.control.exploration import RandomActions
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
 from torch_pmil.experiments.runs.training import make_trainer, train
+from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.policy_search import SearchSettings
 
 WIDTHS = torch.tensor([2.0, 3.0, 0.5, 0.6, 0.7, 0.8], dtype=torch.float64)
@@ -238,6 +239,27 @@ def test_velocities_alone_needs_velocities(experiment: Experiment) -> None:
         replace(experiment, space=space, velocities_alone=True)
     with pytest.raises(ValueError, match="velocities_alone must be true or false, got 1"):
         replace(experiment, velocities_alone=1)
+
+
+def test_plans_are_a_setting(experiment: Experiment) -> None:
+    assert experiment.tracking is None and experiment.settings["plan_weight"] is None
+    planned = experiment.with_settings(plan_weight=10.0)
+    assert planned.tracking is not None and planned.tracking.action_weight == 10.0
+    assert planned.settings["plan_weight"] == 10.0
+    with pytest.raises(ValueError, match="plan_weight must be a positive finite number, got 0"):
+        experiment.with_settings(plan_weight=0)
+
+
+def test_plan_needs_states_of_one_task_that_vary(experiment: Experiment) -> None:
+    with pytest.raises(ValueError, match=r"all 5 times 26 samples, got 129 states$"):
+        replace(experiment, demonstrated_states=experiment.demonstrated_states[1:], plan_weight=1.0)
+    with pytest.raises(ValueError, match=r"got 234 states of several targets$"):
+        load_experiment("double_pendulum_targets").with_settings(plan_weight=1.0)
+    still = torch.zeros(130, 4).double()
+    still[:, :1] = torch.randn(130, 1, generator=torch.Generator().manual_seed(0))
+    certain = Gaussian(experiment.initial.mean, torch.zeros(4, 4).double())
+    with pytest.raises(ValueError, match=r"got no variance of dq1, q2, dq2$"):
+        replace(experiment, demonstrated_states=still, initial=certain, plan_weight=1.0)
 
 
 def test_run_learns_velocities_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

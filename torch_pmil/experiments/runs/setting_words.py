@@ -115,6 +115,11 @@ OF_EXPERIMENT = {
         "whether all outputs of the model have the same lengthscales, and predictions are faster",
         SWITCH,
     ),
+    "plan_weight": Setting(
+        "weight of the actions in a plan on the mean of the model, from which each search starts "
+        "besides",
+        f"{POSITIVE}; null: no plan",
+    ),
     "target_scale": Setting(
         "width of a new policy's basis functions in the entries of the target",
         POSITIVE,

@@ -237,6 +237,8 @@ class Experiment:
                 raise ValueError(f"{name} must be true or false, got {getattr(self, name)!r}")
         if self.explore_demonstrated:
             self._check_demonstrated_way()
+        if self.plan_weight is not None:
+            self._check_plan(self.plan_weight)
         if self.velocities_alone and not rates_of(self.space.names):
             raise ValueError(
                 "velocities_alone needs entries of the state that are velocities of others, dNAME "
@@ -260,6 +262,30 @@ class Experiment:
                 "explore_demonstrated needs holding_actions, and demonstrated_states of all "
                 f"{count} times {samples} samples, got {states} states"
                 f"{'' if held else ' and no holding_actions'}"
+            )
+
+    def _check_plan(self, weight: float) -> None:
+        """Raise ValueError unless the demonstrations tell states that a plan can be near to."""
+        check_positive("plan_weight", weight)
+        count, samples = self.demonstrations.positions.shape[:2]
+        if self.demonstrations.targets is not None or len(self.demonstrated_states) != (
+            count * samples
+        ):
+            raise ValueError(
+                "plan_weight needs demonstrations of one task, and demonstrated_states of all "
+                f"{count} times {samples} samples, got {len(self.demonstrated_states)} states"
+                f"{'' if self.demonstrations.targets is None else ' of several targets'}"
+            )
+        variance = self.plan_tracking(weight).variance
+        still = [
+            name
+            for name, least in zip(self.space.names, variance.amin(0).tolist(), strict=True)
+            if not least > 0
+        ]
+        if still:
+            raise ValueError(
+                "plan_weight needs states that vary, between demonstrations or starts, got no "
+                f"variance of {', '.join(still)}"
             )
 
     @property

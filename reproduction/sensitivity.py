@@ -71,16 +71,26 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
 
 
 def results(folders: Sequence[Path], quick: bool) -> Results:
-    """Success and experience of each variant, and its success less that of ours, seed by seed."""
+    """Success and experience of each variant, and both less those of ours, seed by seed."""
     labels = {label.replace(" ", "_"): label for label in variants()}
     found = results_of_variants(labels, "sensitivity", folders)
-    ours, *others = np.array(found.details["success"]).tolist()
-    more = {
-        label: paired(list(zip(rates, ours, strict=True)))
-        for label, rates in zip(list(labels)[1:], others, strict=True)
-    }
     seeds = list(QUICK_SEEDS if quick else SEEDS)
-    return replace(found, details={**found.details, "seeds": seeds, "more_success": more})
+    more = {
+        f"more_{quantity}": _less_ours(list(labels), np.array(found.details[quantity]).tolist())
+        for quantity in ("success", "first_success_s")
+    }
+    return replace(found, details={**found.details, "seeds": seeds, **more})
+
+
+def _less_ours(
+    labels: Sequence[str], values: Sequence[Sequence[float]]
+) -> dict[str, dict[str, float | None]]:
+    """A quantity of each variant less that of ours, which comes first, with the intervals."""
+    ours, *others = values
+    return {
+        label: paired(list(zip(theirs, ours, strict=True)))
+        for label, theirs in zip(labels[1:], others, strict=True)
+    }
 
 
 SENSITIVITY = PaperExperiment(

@@ -115,7 +115,7 @@ TASKS: dict[str, tuple[Method, ...]] = {
         peer("ensemble_cem"),
         peer("bco"),
     ),
-    "biorob": (OURS_ALONE, planned(10.0), peer("gp_tracker"), peer("bco")),
+    "biorob": (OURS_ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
     "Sshape": (OURS_ALONE, planned(1000.0), peer("gp_tracker", action_weight=1000.0), peer("bco")),
     "pendubot": (OURS_ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
     "cart_pole": (OURS_ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),

@@ -12,7 +12,7 @@ class GPTracker(ModelPeer):
     """Plans on the mean of our Gaussian process, and follows the plan by linear feedback.
 
     The model learns from all transitions as ours does; the plan is that of
-    :class:`~torch_pmil.search.plan_tracking.PlanTracking`, sought from the last one on, and anew.
+    :class:`~torch_pmil.trainer.plan_tracking.PlanTracking`, sought from the last one on, and anew.
     What the model does not know is not seen: that is what our own objective adds.
 
     Args:

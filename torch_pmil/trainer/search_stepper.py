@@ -13,9 +13,8 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.envs.robot import Array
+from torch_pmil.envs.teachers.trajectory_optimization import Array
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.search.plan_tracking import PlanTracking
 from torch_pmil.search.policy_search import (
     SearchResult,
     SearchSettings,
@@ -25,6 +24,7 @@ from torch_pmil.search.policy_search import (
 from torch_pmil.search.promise import Promise
 from torch_pmil.search.success_search import search_for_success
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.plan_tracking import PlanTracking
 
 RESTARTS = 6  # of the searches for success of a run
 PROGRESS = 0.8  # a search should come to this fraction of the least loss so far

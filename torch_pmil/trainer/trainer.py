@@ -35,7 +35,6 @@ from torch_pmil.model.experience import (
     check_limits_of_state,
 )
 from torch_pmil.model.rollout import PredictionError, check_start_belief
-from torch_pmil.search.plan_tracking import PlanTracking
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess, Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
@@ -44,6 +43,7 @@ from torch_pmil.trainer.archive import SavedRun
 from torch_pmil.trainer.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
 from torch_pmil.trainer.ending import why_ended
+from torch_pmil.trainer.plan_tracking import PlanTracking
 from torch_pmil.trainer.resumption import restore
 from torch_pmil.trainer.search_stepper import PolicySearchStepper
 from torch_pmil.trainer.trials import Candidate, Trial, own_error, success_rate

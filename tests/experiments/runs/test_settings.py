@@ -96,7 +96,7 @@ def test_each_setting_can_be_set_and_is_told_and_no_other_changes(name: str) -> 
     own = task_with(name)
     present = own.adjustable[name]
     value = other([1.0] * len(own.space.feature_names) if present is None else present)
-    value = {"random_action": 1, "promise": 0.5}.get(name, value)
+    value = {"random_action": 1, "promise": 0.5, "plan_weight": 2.0}.get(name, value)
     changed = own.with_settings(**{name: value})
     assert told(changed, name) == value
     assert {**changed.adjustable, name: None} == {**own.adjustable, name: None}

@@ -80,3 +80,24 @@ def test_rollout_that_is_cut_short_is_a_failure(tmp_path: Path) -> None:
     assert trial["own_error"] is None and not trial["own_success"]
     assert "inf" in (run.out / "metrics.csv").read_text()
     assert trial["experience_s"] < 0.4 and math.isfinite(trial["experience_s"])
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "confirmations", "trials", "fits"),
+    [(1e3, 2, 2, 2), (1e3, None, 3, 4), (0, 2, 3, 4)],
+)
+def test_run_ends_when_its_rollouts_succeed_and_keeps_the_policy_that_did(
+    tmp_path: Path, tolerance: float, confirmations: int | None, trials: int, fits: int
+) -> None:
+    counted: list[int] = []
+
+    class Counting(Still):
+        def fit(self) -> None:
+            counted.append(len(self.rollouts))
+
+    experiment = replace(short_experiment(), tolerance=tolerance)
+    run = peer_run(tmp_path, experiment, Counting, SEED, 3, confirmations=confirmations)
+    run.learn(run.out, "")
+    summary = read_summary(run.out)
+    assert (len(summary["trials"]), summary["saved_trial"], len(counted)) == (trials, trials, fits)
+    assert (summary["stop_reason"] == "limit of trials") == (trials == 3)

@@ -31,10 +31,10 @@ from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import FEWEST_TRANSITIONS
 from torch_pmil.search.losses import TrajectoryKLLoss
-from torch_pmil.search.plan_tracking import PlanTracking
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import Promise, check_rate
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.plan_tracking import PlanTracking
 from torch_pmil.trainer.trials import own_error
 
 HELD_STARTS = 200  # at which a new policy is told to hold the robot
@@ -143,7 +143,7 @@ class Experiment:
         history: past readings and actions that are entries of the state, see
             :func:`~torch_pmil.experiments.tasks.with_history.with_history`; None for none.
         plan_weight: weight of the actions in a plan on the mean of the model
-            (:class:`~torch_pmil.search.plan_tracking.PlanTracking`), from which each search starts
+            (:class:`~torch_pmil.trainer.plan_tracking.PlanTracking`), from which each search starts
             besides; None for no plan.
         search: budget and horizon of the policy search.
         draws: whether the environment gives pictures, for the video.

@@ -21,8 +21,8 @@ from torch import Tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.envs.robot import Array
 from torch_pmil.envs.teachers.trajectory_optimization import (
+    Array,
     Plan,
     QuadraticCost,
     plan_trajectory,

@@ -14,7 +14,7 @@ from tests.helpers.short_run import quick_fits
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.search.plan_tracking import PlanTracking
+from torch_pmil.trainer.plan_tracking import PlanTracking
 
 NAMES = ["double_pendulum", "pendubot"]
 

@@ -16,12 +16,12 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from reproduction.baselines.known_peers import PEERS, named, trials_until
+from reproduction.baselines.peer import Peer
 from reproduction.baselines.peer_run import peer_run
 from reproduction.figure7 import GOAL, OURS, SEEDS, success_curves, success_results
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
 from torch_pmil.experiments.runs.summaries import SuccessCurve
-from torch_pmil.experiments.tasks.experiment import Experiment
 
 TIMES = (12.5, 25.0, 50.0)  # s of experience
 QUICK_SEEDS, QUICK_END = range(2), 5.0
@@ -32,10 +32,10 @@ class Method:
     """A learner of a task.
 
     Args:
-        name: in the numbers, and of its folders.
+        name: in the numbers; that of ours begins with "ours".
         label: in the figures.
-        plan_weight: of our searches that start from plans, None for those that do not.
-        settings: of a peer, other than its own.
+        peer: the learner, None for ours.
+        settings: of a peer other than its own, or of ours other than the task's.
         factor: rollouts of a peer in place of each one of ours.
         confirmations: successes of own rollouts in a row that end a run of a peer, as a promise
             does ours; None for none.
@@ -43,7 +43,7 @@ class Method:
 
     name: str
     label: str
-    plan_weight: float | None = None
+    peer: type[Peer] | None = None
     settings: Mapping[str, object] = field(default_factory=dict)
     factor: int = 1
     confirmations: int | None = None
@@ -52,33 +52,22 @@ class Method:
         """Its run of a task, over ``end`` seconds of our experience at most.
 
         Example:
-            >>> str(OURS_ALONE.run(Path("runs"), "double_pendulum", 3, 50.0).out)
-            'runs/double_pendulum/seed_3'
+            >>> str(planned(10.0).run(Path("runs"), "double_pendulum", 3, 50.0).out)
+            'runs/double_pendulum_planned/seed_3'
         """
-        experiment = self.experiment(task)
-        trials = trials_until(end, experiment)
-        if self.name in (OURS_ALONE.name, "ours_planned"):
-            return learning_run(root, experiment, seed, trials)
-        peer = PEERS[self.name.removesuffix(f"_{self.factor}x")]
-        return peer_run(
-            root, experiment, peer, seed, trials, self.factor, self.settings, self.confirmations
-        )
-
-    def experiment(self, task: str) -> Experiment:
-        """The task as it learns it."""
         experiment = named(task)
-        if self.plan_weight is None:
-            return experiment
-        planned = experiment.with_settings(plan_weight=self.plan_weight)
-        return replace(planned, name=f"{experiment.name}_planned")
-
-
-OURS_ALONE = Method("ours", OURS)
+        trials = trials_until(end, experiment)
+        if self.peer is not None:
+            rest = seed, trials, self.factor, self.settings, self.confirmations
+            return peer_run(root, experiment, self.peer, *rest)
+        name = experiment.name + self.name.removeprefix("ours")
+        ours = replace(experiment.with_settings(**self.settings), name=name)
+        return learning_run(root, ours, seed, trials)
 
 
 def planned(weight: float) -> Method:
     """Ours, with plans as other starts of its searches."""
-    return Method("ours_planned", "ours, with plans", weight)
+    return Method("ours_planned", "ours, with plans", settings={"plan_weight": weight})
 
 
 def peer(
@@ -90,15 +79,17 @@ def peer(
         >>> peer("bco", factor=100).name, peer("bco", factor=100).label
         ('bco_100x', 'BCO, 100 times the experience')
     """
-    label = PEERS[name].label
+    learner = PEERS[name]
+    label = learner.label
     if factor > 1:
         name, label = f"{name}_{factor}x", f"{label}, {factor} times the experience"
-    return Method(name, label, None, settings, factor, confirmations)
+    return Method(name, label, learner, settings, factor, confirmations)
 
 
+ALONE = Method("ours", OURS)
 TASKS: dict[str, tuple[Method, ...]] = {
     "double_pendulum": (
-        OURS_ALONE,
+        ALONE,
         planned(10.0),
         peer("gp_tracker"),
         peer("ensemble_cem"),
@@ -109,16 +100,16 @@ TASKS: dict[str, tuple[Method, ...]] = {
         peer("gaifo", factor=100),
     ),
     "double_pendulum_servo": (
-        OURS_ALONE,
+        ALONE,
         planned(100.0),
         peer("gp_tracker", action_weight=100.0),
         peer("ensemble_cem"),
         peer("bco"),
     ),
-    "biorob": (OURS_ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
-    "Sshape": (OURS_ALONE, planned(1000.0), peer("gp_tracker", action_weight=1000.0), peer("bco")),
-    "pendubot": (OURS_ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
-    "cart_pole": (OURS_ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
+    "biorob": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
+    "Sshape": (ALONE, planned(1000.0), peer("gp_tracker", action_weight=1000.0), peer("bco")),
+    "pendubot": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
+    "cart_pole": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
 }
 
 

@@ -566,7 +566,7 @@ def test_search_from_a_plan_is_made_too_and_the_better_is_kept(
     searches = [(100.0, 4, True), (planned, 4, True), (1.0, 4, True), (2.0, 4, True)]
     scripted = ScriptedSearches(monkeypatch, searches, tracking=tracking)
     assert [scripted.step(), scripted.step()] == [kept, 3]
-    assert (scripted.random_at, guesses) == ([1], [[0.0], [0.0, 1.0]])
+    assert (scripted.random_at, guesses) == ([1], [[0.0, 0.0], [0.0, 1.0]])
 
 
 def test_matching_the_whole_horizon_is_not_enough_after_a_rollout_that_failed(

@@ -13,7 +13,6 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.envs.teachers.trajectory_optimization import Array
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.policy_search import (
     SearchResult,
@@ -69,7 +68,8 @@ class PolicySearchStepper(OptimizationStepper):
         self.settings, self.promise, self.make_policy = settings, promise, make_policy
         self.generator, self.report = generator, report
         self.refitted, self.tracking = False, tracking
-        self._planned: Array | None = None  # actions of the last plan
+        guess = None if tracking is None else torch.from_numpy(tracking.first_guess)
+        self._planned = torch.empty(0) if guess is None else guess  # actions of the last plan
         self._least, self._restarts_left = math.inf, RESTARTS
 
     def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
@@ -113,26 +113,24 @@ class PolicySearchStepper(OptimizationStepper):
 
     def state_dict(self) -> dict[str, Any]:
         """State on which the next search depends, besides policy and model."""
-        planned = None if self._planned is None else torch.from_numpy(self._planned)
         return {
             "least": self._least,
             "restarts_left": self._restarts_left,
-            "planned": planned,
+            "planned": self._planned,
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore what :meth:`state_dict` gave."""
         self._least, self._restarts_left = state_dict["least"], state_dict["restarts_left"]
-        planned = state_dict["planned"]
-        self._planned = None if planned is None else planned.numpy()
+        self._planned = state_dict["planned"]
 
     def _plan(self, loss: TrajectoryLoss, tracking: PlanTracking) -> None:
         """Let the policy follow a plan on the mean of the model, from the last plan on or anew."""
-        guesses = [tracking.first_guess, *([] if self._planned is None else [self._planned])]
+        guesses = tracking.first_guess, self._planned.numpy()
         tracked, policy = tracking.plan(loss.dynamics, guesses), self.make_policy()
         tracking.fit_policy(policy, tracked, self.generator)
         loss.actor_network.load_state_dict(policy.state_dict())
-        self._planned = tracked.plan.actions
+        self._planned = torch.from_numpy(tracked.plan.actions)
 
     def _random_policies(self) -> Iterator[RBFPolicy]:
         """New policies, as many as this run may still begin searches for success with."""

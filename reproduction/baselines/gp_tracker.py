@@ -25,13 +25,13 @@ class GPTracker(ModelPeer):
     def __init__(self, experiment: Experiment, seed: int, action_weight: float = 10.0) -> None:
         super().__init__(experiment, seed)
         self.tracking = experiment.plan_tracking(action_weight)
-        self._guesses = [self.tracking.first_guess]
+        self._last = self.tracking.first_guess
 
     def fit(self) -> None:
         """Fit the model to all transitions, plan on it, and find gains about the plan."""
         self.fit_model()
-        self.tracked = self.tracking.plan(self.dynamics, self._guesses)
-        self._guesses = [self.tracking.first_guess, self.tracked.plan.actions]
+        self.tracked = self.tracking.plan(self.dynamics, self._last)
+        self._last = self.tracked.plan.actions
 
     def act(self, step: int, states: Tensor) -> Tensor:
         """The planned action, and feedback on the distance from the planned state."""

@@ -556,17 +556,17 @@ def test_search_that_makes_progress_is_the_only_one(
 def test_search_from_a_plan_is_made_too_and_the_better_is_kept(
     monkeypatch: pytest.MonkeyPatch, planned: float, kept: int
 ) -> None:
-    guesses: list[list[float]] = []
+    guesses: list[float] = []
 
-    def plan(dynamics: object, starts: list[np.ndarray]) -> SimpleNamespace:
-        guesses.append([start.item() for start in starts])
+    def plan(dynamics: object, last: np.ndarray) -> SimpleNamespace:
+        guesses.append(last.item())
         return SimpleNamespace(plan=SimpleNamespace(actions=np.ones((1, 1))))
 
     tracking = SimpleNamespace(first_guess=np.zeros((1, 1)), plan=plan, fit_policy=lambda *_: None)
     searches = [(100.0, 4, True), (planned, 4, True), (1.0, 4, True), (2.0, 4, True)]
     scripted = ScriptedSearches(monkeypatch, searches, tracking=tracking)
     assert [scripted.step(), scripted.step()] == [kept, 3]
-    assert (scripted.random_at, guesses) == ([1], [[0.0, 0.0], [0.0, 1.0]])
+    assert (scripted.random_at, guesses) == ([1], [0.0, 1.0])
 
 
 def test_matching_the_whole_horizon_is_not_enough_after_a_rollout_that_failed(

@@ -10,7 +10,6 @@ programming, ICRA.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
@@ -23,9 +22,12 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs.teachers.trajectory_optimization import (
     Array,
+    Dynamics,
     Plan,
     QuadraticCost,
+    linearize,
     plan_trajectory,
+    roll_out,
     tracking_gains,
 )
 from torch_pmil.gp.gaussian import normal
@@ -92,19 +94,24 @@ class PlanTracking:
     action_weight: float
 
     @property
+    def limit(self) -> Array:
+        """Half the range of the actions, (F,)."""
+        return self.actions.half_range.numpy()
+
+    @property
+    def effort(self) -> Array:
+        """Weights (F,) of the actions around their middle."""
+        return self.action_weight / self.limit**2
+
+    @property
     def first_guess(self) -> Array:
         """Actions (T, F) around the middle of their range that hold the robot, or the middle."""
         if self.held is None:
             return np.zeros((len(self.target) - 1, len(self.actions.names)))
         return (self.held - self.actions.middle).numpy()
 
-    def plan(self, dynamics: GPDynamics, guesses: Sequence[Array]) -> TrackedPlan:
-        """The cheapest plan on the mean of a fitted model, and its feedback.
-
-        Args:
-            dynamics: the model.
-            guesses: actions (T, F) around the middle of their range, to plan from.
-        """
+    def plan(self, dynamics: GPDynamics, last: Array) -> TrackedPlan:
+        """The cheapest plan on the mean of a fitted model, see :meth:`plan_on`."""
         known, middle = dynamics.known_part(self.space), self.actions.middle
 
         @torch.no_grad()
@@ -113,14 +120,49 @@ class PlanTracking:
             inputs = torch.cat([self.space.features(x), u], -1)
             return known.successors(x, u, dynamics.expansion.mean(inputs)).numpy()
 
-        limit, weights = self.actions.half_range.numpy(), (1 / self.variance).numpy()
-        effort = self.action_weight / limit**2
-        cost = QuadraticCost(self.target.numpy(), weights, effort, self.first_guess)
-        start = self.start.numpy()
+        return self.plan_on(successors, last)
+
+    def plan_on(self, successors: Dynamics, last: Array) -> TrackedPlan:
+        """The cheapest plan that is found, and its feedback.
+
+        It is sought from several guesses: what holds the robot, feedback towards the demonstrated
+        states, and the last plan.
+
+        Args:
+            successors: next states (N, D) of states and of actions around their middle (N, F).
+            last: actions (T, F) of the last plan, around their middle; without one, those of
+                :attr:`first_guess`.
+        """
+        limit, weights, start = self.limit, (1 / self.variance).numpy(), self.start.numpy()
+        cost = QuadraticCost(self.target.numpy(), weights, self.effort, self.first_guess)
+        guesses = self.first_guess, self._towards_the_demonstrated(successors, weights), last
         plans = [plan_trajectory(successors, start, cost, guess, limit) for guess in guesses]
         plan = min(plans, key=attrgetter("cost"))
-        gains = tracking_gains(successors, plan, weights[:-1], effort, np.diag(weights[-1]))
-        return TrackedPlan(plan, gains, self.space, self.actions)
+        return TrackedPlan(plan, self._gains(successors, plan, weights), self.space, self.actions)
+
+    def _towards_the_demonstrated(self, successors: Dynamics, weights: Array) -> Array:
+        """Actions (T, F) of feedback towards the mean demonstrated states, all the way.
+
+        Its feedforward is what comes nearest to the next demonstrated state from the one before.
+        """
+        target, held = self.target.numpy(), self.first_guess
+        _, B = linearize(successors, target[:-1], held)
+        missed = weights[1:] * (target[1:] - successors(target[:-1], held))
+        hessian = B.mT @ (weights[1:, :, None] * B) + np.diag(self.effort)
+        change = np.linalg.solve(hessian, B.mT @ missed[..., None])[..., 0]
+        shown = Plan(target, (held + change).clip(-self.limit, self.limit), np.inf, False)
+        tracked = TrackedPlan(
+            shown, self._gains(successors, shown, weights), self.space, self.actions
+        )
+
+        def act(step: int, states: Array) -> Array:
+            return (tracked.act(step, torch.from_numpy(states)) - self.actions.middle).numpy()
+
+        _, actions = roll_out(successors, self.start.numpy()[None], act, len(held))
+        return actions[0]
+
+    def _gains(self, successors: Dynamics, plan: Plan, weights: Array) -> Array:
+        return tracking_gains(successors, plan, weights[:-1], self.effort, np.diag(weights[-1]))
 
     def fit_policy(
         self, policy: RBFPolicy, tracked: TrackedPlan, generator: torch.Generator

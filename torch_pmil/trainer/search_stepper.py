@@ -126,8 +126,8 @@ class PolicySearchStepper(OptimizationStepper):
 
     def _plan(self, loss: TrajectoryLoss, tracking: PlanTracking) -> None:
         """Let the policy follow a plan on the mean of the model, from the last plan on or anew."""
-        guesses = tracking.first_guess, self._planned.numpy()
-        tracked, policy = tracking.plan(loss.dynamics, guesses), self.make_policy()
+        last, policy = self._planned.numpy(), self.make_policy()
+        tracked = tracking.plan(loss.dynamics, last)
         tracking.fit_policy(policy, tracked, self.generator)
         loss.actor_network.load_state_dict(policy.state_dict())
         self._planned = torch.from_numpy(tracked.plan.actions)

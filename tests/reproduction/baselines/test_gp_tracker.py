@@ -29,16 +29,3 @@ def test_tracker_follows_a_plan_on_its_own_model(
     torch.testing.assert_close(x[1:], following, rtol=0, atol=1e-9)
     for step in (0, experiment.horizon - 1):
         torch.testing.assert_close(tracker.act(step, x[step][None])[0], u[step])
-
-
-def test_later_plans_cost_no_more_than_from_the_first_guess(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    quick_fits(monkeypatch)
-    experiment = load_experiment("double_pendulum")
-    tracker = GPTracker(experiment, seed=100)
-    Practice(experiment, tracker, seed=100, factor=1)
-    for _ in range(2):
-        tracker.fit()
-    anew = tracker.tracking.plan(tracker.dynamics, [tracker.tracking.first_guess])
-    assert tracker.tracked.plan.cost <= anew.plan.cost

@@ -90,8 +90,8 @@ ALONE = Method("ours", OURS)
 TASKS: dict[str, tuple[Method, ...]] = {
     "double_pendulum": (
         ALONE,
-        planned(10.0),
-        peer("gp_tracker"),
+        planned(1.0),
+        peer("gp_tracker", action_weight=1.0),
         peer("ensemble_cem"),
         peer("mc_pilco", confirmations=2),
         peer("bco"),
@@ -109,7 +109,7 @@ TASKS: dict[str, tuple[Method, ...]] = {
     "biorob": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
     "Sshape": (ALONE, planned(1000.0), peer("gp_tracker", action_weight=1000.0), peer("bco")),
     "pendubot": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
-    "cart_pole": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
+    "cart_pole": (ALONE, planned(10.0), peer("gp_tracker", action_weight=10.0), peer("bco")),
 }
 
 

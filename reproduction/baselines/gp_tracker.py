@@ -22,7 +22,7 @@ class GPTracker(ModelPeer):
 
     label, name = "GP + iLQR, TVLQR", "gp_tracker"
 
-    def __init__(self, experiment: Experiment, seed: int, action_weight: float = 10.0) -> None:
+    def __init__(self, experiment: Experiment, seed: int, action_weight: float = 1.0) -> None:
         super().__init__(experiment, seed)
         self.tracking = experiment.plan_tracking(action_weight)
         self._last = self.tracking.first_guess

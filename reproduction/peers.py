@@ -106,10 +106,10 @@ TASKS: dict[str, tuple[Method, ...]] = {
         peer("ensemble_cem"),
         peer("bco"),
     ),
-    "biorob": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
-    "Sshape": (ALONE, planned(1000.0), peer("gp_tracker", action_weight=1000.0), peer("bco")),
-    "pendubot": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
-    "cart_pole": (ALONE, planned(10.0), peer("gp_tracker", action_weight=10.0), peer("bco")),
+    "Sshape": (ALONE, planned(1000.0), peer("gp_tracker", action_weight=1000.0)),
+    "biorob": (ALONE, peer("gp_tracker", action_weight=1.0)),
+    "pendubot": (ALONE, peer("gp_tracker", action_weight=10.0)),
+    "cart_pole": (ALONE, peer("gp_tracker", action_weight=10.0)),
 }
 
 

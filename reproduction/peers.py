@@ -106,7 +106,7 @@ TASKS: dict[str, tuple[Method, ...]] = {
         peer("ensemble_cem"),
         peer("bco"),
     ),
-    "Sshape": (ALONE, planned(1000.0), peer("gp_tracker", action_weight=1000.0)),
+    "Sshape": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0)),
     "biorob": (ALONE, peer("gp_tracker", action_weight=1.0)),
     "pendubot": (ALONE, peer("gp_tracker", action_weight=10.0)),
     "cart_pole": (ALONE, peer("gp_tracker", action_weight=10.0)),

@@ -69,7 +69,7 @@ def test_peers_have_the_settings_that_are_tried(name: str) -> None:
 
 
 def test_configurations_have_runs_of_their_own_on_development_seeds(tmp_path: Path) -> None:
-    folders = [run.out for runs in needed_runs(tmp_path, "bco") for run in runs]
+    folders = [run.out for runs in needed_runs(tmp_path, "bco", "Sshape") for run in runs]
     assert len(set(folders)) == len(folders) == len(CONFIGURATIONS["bco"]) * len(tune_peers.SEEDS)
     assert all(100 <= seed < 200 for seed in tune_peers.SEEDS)
 

@@ -92,6 +92,7 @@ TASKS: dict[str, tuple[Method, ...]] = {
         ALONE,
         planned(1.0),
         peer("gp_tracker", action_weight=1.0),
+        peer("ensemble_cem"),
         peer("bco"),
     ),
     "double_pendulum_servo": (
@@ -100,6 +101,7 @@ TASKS: dict[str, tuple[Method, ...]] = {
         peer("gp_tracker", action_weight=100.0),
     ),
     "Sshape": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0)),
+    "biorob": (ALONE, peer("gp_tracker", action_weight=1.0)),
     "pendubot": (ALONE, peer("gp_tracker", action_weight=10.0)),
     "cart_pole": (ALONE, peer("gp_tracker", action_weight=10.0)),
 }

@@ -35,7 +35,7 @@ class BCO(Peer):
         experiment: what to learn.
         seed: of the networks and the exploration.
         cells: of each of the two hidden layers.
-        steps: of Adam for each network in each fit.
+        steps: of Adam for each network in a fit; as many as transitions are new, if these are more.
         learning_rate: of Adam.
         weight_decay: of the networks.
         noise: standard deviation of the exploration, as a fraction of half the action's range.
@@ -72,12 +72,12 @@ class BCO(Peer):
 
     def fit(self) -> None:
         """Learn the inverse model from all rollouts, then clone the demonstrations."""
-        states, actions, following = self.transitions
+        steps, (states, actions, following) = self.begin_fit(self.steps), self.transitions
         inputs = self._inverse_inputs(states, following)
-        self._regress(self.inverse, inputs, to_unit(actions, self.experiment.actions))
+        self._regress(self.inverse, inputs, to_unit(actions, self.experiment.actions), steps)
         shown, next_shown = self.demonstrated_transitions
         labels = self.infer(shown, next_shown)
-        self._regress(self.policy, self.experiment.space.features(shown), labels)
+        self._regress(self.policy, self.experiment.space.features(shown), labels, steps)
 
     @torch.no_grad()
     def infer(self, states: Tensor, following: Tensor) -> Tensor:
@@ -101,12 +101,12 @@ class BCO(Peer):
     def _inverse_inputs(self, states: Tensor, following: Tensor) -> Tensor:
         return torch.cat([self.experiment.space.features(states), following - states], -1)
 
-    def _regress(self, network: Scaled, inputs: Tensor, targets: Tensor) -> None:
-        """Go on to fit a network to pairs (n, I) and (n, F) by least squares."""
+    def _regress(self, network: Scaled, inputs: Tensor, targets: Tensor, steps: int) -> None:
+        """Go on to fit a network to pairs (n, I) and (n, F) by steps of least squares."""
         network.set_scale(inputs)
 
         def loss(rows: Tensor) -> Tensor:
             return (network(inputs[rows]) - targets[rows]).square().mean()
 
         optimizer = self.optimizers[network]
-        descend(loss, optimizer, len(inputs), BATCH, self.steps, self.generator)
+        descend(loss, optimizer, len(inputs), BATCH, steps, self.generator)

@@ -86,7 +86,7 @@ class GAIfO(Peer):
         discount: float = 0.95,
     ) -> None:
         super().__init__(experiment, seed)
-        self.steps, self._learned = steps, 0
+        self.steps = steps
         features = len(experiment.space.feature_names)
         F = len(experiment.actions.names)
         with seeded(self.generator):
@@ -112,9 +112,8 @@ class GAIfO(Peer):
         demonstrated = [self.scale(space.features(part)) for part in shown]
         own = [self.scale(space.features(part)) for part in (states, following)]
         fractions = to_unit(actions, self.experiment.actions)
-        steps, self._learned = max(self.steps, len(states) - self._learned), len(states)
         with seeded(self.generator):
-            for _ in range(steps):
+            for _ in range(self.begin_fit(self.steps)):
                 rows, expert = (torch.randint(len(x), (BATCH,)) for x in (states, shown[0]))
                 pair = own[0][rows], own[1][rows]
                 self._tell_apart(pair, (demonstrated[0][expert], demonstrated[1][expert]))

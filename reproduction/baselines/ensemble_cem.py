@@ -42,7 +42,7 @@ class EnsembleCEM(Peer):
         steps: of Adam in each fit.
         learning_rate: of Adam.
         weight_decay: of the networks.
-        plan_steps: H, how far a plan goes, or up to the end of the demonstrations.
+        plan_seconds: how far a plan goes, or up to the end of the demonstrations.
         candidates, elites, iterations: of the cross-entropy method.
         plan_std: of its first draws, as a fraction of half the action's range.
         most_cost: c, which the cost of a step does not exceed.
@@ -60,7 +60,7 @@ class EnsembleCEM(Peer):
         steps: int = 2500,
         learning_rate: float = 2e-3,
         weight_decay: float = 1e-2,
-        plan_steps: int = 8,
+        plan_seconds: float = 0.8,
         candidates: int = 64,
         elites: int = 8,
         iterations: int = 3,
@@ -71,7 +71,8 @@ class EnsembleCEM(Peer):
         self.model = EnsembleModel(
             experiment, members, cells, steps, learning_rate, weight_decay, self.generator
         )
-        self.plan_steps, self.plan_std = plan_steps, plan_std
+        self.plan_steps = round(plan_seconds / experiment.demonstrations.time_step)
+        self.plan_std = plan_std
         self.candidates, self.elites, self.iterations = candidates, elites, iterations
         self.most_cost = most_cost
         demonstrated = experiment.demonstrated

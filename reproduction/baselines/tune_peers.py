@@ -41,7 +41,7 @@ CONFIGURATIONS: dict[str, Sequence[Settings]] = {
     "gp_tracker": tuple({"action_weight": weight} for weight in (1.0, 10.0, 100.0, 1000.0)),
     "bco": ({}, {"weight_decay": 0.1}, {"noise": 0.3}),
     "gaifo": ({}, {"penalty": 10.0}, {"steps": 2000}),
-    "ensemble_cem": ({"steps": 1000}, {"steps": 2500}),
+    "ensemble_cem": ({}, {"steps": 1000}, {"plan_seconds": 1.6}),
     "mc_pilco": ({}, {"scale": 30.0}, {"scale": 400.0}, {"most_slope": None}),
 }
 

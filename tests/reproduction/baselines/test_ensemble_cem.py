@@ -46,7 +46,7 @@ def test_cost_of_the_demonstrated_states_is_small_and_that_of_others_saturates()
 
 def test_actions_are_within_the_limits_up_to_the_last_step() -> None:
     experiment = load_experiment("double_pendulum")
-    peer = EnsembleCEM(experiment, SEED, candidates=8, elites=2, iterations=1, plan_steps=3)
+    peer = EnsembleCEM(experiment, SEED, candidates=8, elites=2, iterations=1, plan_seconds=0.3)
     starts = experiment.initial.mean.expand(5, -1)
     for step in range(experiment.horizon):
         actions = peer.act(step, starts)

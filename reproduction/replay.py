@@ -29,7 +29,7 @@ from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.calibration import standardised_residuals, two_sigma_coverage
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.model.experience import Experience, widened
+from torch_pmil.model.experience import Experience
 from torch_pmil.model.particles import sample_rollouts
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.kl import gaussian_kl_terms
@@ -118,8 +118,10 @@ def replayed(folder: Path, experiment: Experiment, samples: int) -> dict[str, An
     Raises:
         RunError: the run is not finished, or left no checkpoint.
     """
-    recorded, model = recording(folder, experiment), _GrowingModel(experiment)
-    model.learn(recorded.explored.flatten())
+    recorded = recording(folder, experiment)
+    explored = recorded.explored.flatten()
+    model = _GrowingModel(experiment, len(explored))
+    model.learn(explored)
     policies = recorded.policies(experiment)
     rows = zip(recorded.trials, recorded.rollouts, policies, strict=True)
     trials = [_replayed_trial(experiment, model, *row, samples) for row in rows]
@@ -133,20 +135,23 @@ def replayed(folder: Path, experiment: Experiment, samples: int) -> dict[str, An
 
 
 class _GrowingModel:
-    """The model of a run, which learns one motion after the other."""
+    """The model of a run, which learns one motion after the other.
 
-    def __init__(self, experiment: Experiment) -> None:
-        self.experiment, self.dynamics = experiment, experiment.make_dynamics()
-        self.experience, self.limits = Experience(LARGEST), experiment.limits
+    Args:
+        experiment: of the run.
+        explored: transitions of its first motion.
+    """
+
+    def __init__(self, experiment: Experiment, explored: int) -> None:
+        self.experiment, self.explored = experiment, explored
+        self.dynamics, self.experience = experiment.make_dynamics(), Experience(LARGEST)
 
     def learn(self, transitions: TensorDictBase) -> None:
         """Fit the model to these transitions (n,) too; the first ones are the first motion's."""
-        if not len(self.experience):
-            explored, fewest = transitions["observation"], self.dynamics.num_inputs
-            self.limits = widened(self.limits, explored, fewest)
         self.experience.extend(transitions)
-        space, targets = self.experiment.space, self.dynamics.targets
-        self.dynamics.fit(*self.experience.training_data(space, targets, self.limits))
+        experiment, model = self.experiment, self.dynamics
+        data = self.experience.data_for(model, experiment.space, experiment.limits, self.explored)
+        model.fit(*data)
 
 
 def _replayed_trial(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reproduction.baselines.bco import BCO
+from reproduction.baselines.bco import BCO, ToldBCO
 from reproduction.baselines.ensemble_cem import EnsembleCEM
 from reproduction.baselines.gaifo import GAIfO
 from reproduction.baselines.gp_tracker import GPTracker
@@ -13,7 +13,7 @@ from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.experiments.tasks.handwriting import handwriting
 
 PEERS: dict[str, type[Peer]] = {
-    peer.name: peer for peer in (GPTracker, EnsembleCEM, BCO, GAIfO, MCPilco)
+    peer.name: peer for peer in (GPTracker, EnsembleCEM, BCO, ToldBCO, GAIfO, MCPilco)
 }
 
 

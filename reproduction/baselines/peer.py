@@ -71,8 +71,13 @@ class Peer(ABC):
         return states, actions, following
 
     @property
-    def demonstrated_transitions(self) -> tuple[Tensor, Tensor]:
-        """States and next states (N T, D) that the demonstrations show, without actions."""
+    def demonstrated_states(self) -> Tensor:
+        """States (N, T + 1, D) that the demonstrations show."""
         positions = self.experiment.demonstrations.positions
-        states = self.experiment.demonstrated_states.unflatten(0, positions.shape[:2])
+        return self.experiment.demonstrated_states.unflatten(0, positions.shape[:2])
+
+    @property
+    def demonstrated_transitions(self) -> tuple[Tensor, Tensor]:
+        """States and next states (N T, D) of the demonstrations, without actions."""
+        states = self.demonstrated_states
         return states[:, :-1].flatten(0, 1), states[:, 1:].flatten(0, 1)

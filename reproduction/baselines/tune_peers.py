@@ -39,7 +39,8 @@ LESS_EXPERIENCE = {"mc_pilco": 25.0}
 Settings = Mapping[str, object]
 CONFIGURATIONS: dict[str, Sequence[Settings]] = {
     "gp_tracker": tuple({"action_weight": weight} for weight in (1.0, 10.0, 100.0, 1000.0)),
-    "bco": ({}, {"weight_decay": 0.1}, {"noise": 0.3}),
+    "bco": ({}, {"noise": 0.03}, {"noise": 0.3}),
+    "bco_told": ({}, {"noise": 0.03}, {"noise": 0.3}),
     "gaifo": ({}, {"penalty": 10.0}, {"steps": 2000}),
     "ensemble_cem": ({}, {"steps": 1000}, {"plan_seconds": 1.6}),
     "mc_pilco": ({}, {"scale": 30.0}, {"scale": 400.0}, {"most_slope": None}),

@@ -1,10 +1,13 @@
 r"""Generative adversarial imitation from observation: TorchRL's GAIL loss, and its SAC as learner.
 
-A discriminator D tells demonstrated pairs of states from own ones, and what it takes for
+A discriminator D tells demonstrated pairs of observations from own ones, and what it takes for
 demonstrated is rewarded.
 
-.. math:: \max_D \; \mathbb E_{\exp}[\log D(x, x')] + \mathbb E_{\pi}[\log(1 - D(x, x'))], \qquad
-    r(x, x') = -\log(1 - D(x, x'))
+.. math:: \max_D \; \mathbb E_{\exp}[\log D(z, z')] + \mathbb E_{\pi}[\log(1 - D(z, z'))], \qquad
+    r(z, z') = -\log(1 - D(z, z'))
+
+Both see the match space alone: the states that demonstrations show have velocities of differences,
+by which D would tell them from own ones.
 
 The paper learns the policy with TRPO, from its latest rollouts alone. At our experience that is too
 little: here an off-policy learner has all rollouts so far, and the discriminator too, as in
@@ -33,28 +36,29 @@ from torch_pmil.experiments.tasks.experiment import Experiment
 BATCH = 128  # transitions of a step
 SURE = 1e-6  # of the discriminator: a larger probability is no larger reward
 TARGET_RATE = 0.01  # of the target critics, at each step
+Pair = tuple[Tensor, Tensor]  # now and a step later
 
 
 class Discriminator(nn.Module):
-    """Probability (*batch, 1) that a pair of features (*batch, D') was demonstrated.
+    """Probability (*batch, 1) that a pair of observations (*batch, M) was demonstrated.
 
     Args:
-        features: D'.
+        entries: M.
         cells: of each of its two hidden layers.
     """
 
-    def __init__(self, features: int, cells: int) -> None:
+    def __init__(self, entries: int, cells: int) -> None:
         super().__init__()
-        self.network = nn.Sequential(MLP(2 * features, 1, num_cells=[cells, cells]), nn.Sigmoid())
+        self.network = nn.Sequential(MLP(2 * entries, 1, num_cells=[cells, cells]), nn.Sigmoid())
 
-    def forward(self, features: Tensor, following: Tensor) -> Tensor:
-        """Of features now and a step later."""
-        return self.network(torch.cat([features, following], -1))
+    def forward(self, observed: Tensor, following: Tensor) -> Tensor:
+        """Of observations now and a step later."""
+        return self.network(torch.cat([observed, following], -1))
 
     @torch.no_grad()
-    def reward(self, features: Tensor, following: Tensor) -> Tensor:
-        """The reward r (*batch, 1) of a transition between features (*batch, D')."""
-        return -(1 - self(features, following)).clamp_min(SURE).log()
+    def reward(self, observed: Tensor, following: Tensor) -> Tensor:
+        """The reward r (*batch, 1) of a transition between observations (*batch, M)."""
+        return -(1 - self(observed, following)).clamp_min(SURE).log()
 
 
 class GAIfO(Peer):
@@ -86,11 +90,12 @@ class GAIfO(Peer):
         discount: float = 0.95,
     ) -> None:
         super().__init__(experiment, seed)
-        self.steps = steps
-        features = len(experiment.space.feature_names)
+        self.steps, self._learned = steps, 0
+        space = experiment.space
+        features, entries = len(space.feature_names), space.match_space.dim
         F = len(experiment.actions.names)
         with seeded(self.generator):
-            self.discriminator = Discriminator(features, cells)
+            self.discriminator = Discriminator(entries, cells)
             self.adversary = adversarial_loss(self.discriminator, penalty)
             self.policy = nn.Sequential(
                 MLP(features, 2 * F, num_cells=[cells, cells], activation_class=nn.ReLU),
@@ -103,21 +108,26 @@ class GAIfO(Peer):
             torch.optim.Adam(self.learner.parameters(), lr=learning_rate),
         )
         self.scale = Scaled(nn.Identity(), features)
+        self.seen = Scaled(nn.Identity(), entries)
 
     def fit(self) -> None:
         """Learn discriminator, critics and actor from all rollouts, in turns."""
         states, actions, following = self.transitions
-        space, shown = self.experiment.space, self.demonstrated_transitions
-        self.scale.set_scale(space.features(shown[0]))
-        demonstrated = [self.scale(space.features(part)) for part in shown]
-        own = [self.scale(space.features(part)) for part in (states, following)]
+        space, shown = self.experiment.space, self.experiment.demonstrations.positions
+        self.seen.set_scale(shown.flatten(0, 1))
+        self.scale.set_scale(space.features(self.demonstrated_transitions[0]))
+        demonstrated = [self.seen(part.flatten(0, 1)) for part in (shown[:, :-1], shown[:, 1:])]
+        observed = [self.seen(space.observe(part)) for part in (states, following)]
+        features = [self.scale(space.features(part)) for part in (states, following)]
         fractions = to_unit(actions, self.experiment.actions)
+        steps, self._learned = max(self.steps, len(states) - self._learned), len(states)
         with seeded(self.generator):
-            for _ in range(self.begin_fit(self.steps)):
-                rows, expert = (torch.randint(len(x), (BATCH,)) for x in (states, shown[0]))
-                pair = own[0][rows], own[1][rows]
+            for _ in range(steps):
+                rows, expert = (torch.randint(len(x), (BATCH,)) for x in (states, demonstrated[0]))
+                pair = observed[0][rows], observed[1][rows]
                 self._tell_apart(pair, (demonstrated[0][expert], demonstrated[1][expert]))
-                self._improve(pair, fractions[rows])
+                reward = self.discriminator.reward(*pair)
+                self._improve(features[0][rows], fractions[rows], reward, features[1][rows])
 
     def act(self, step: int, states: Tensor) -> Tensor:
         """The policy's most likely actions before they are squashed."""
@@ -134,22 +144,17 @@ class GAIfO(Peer):
     def _moments(self, states: Tensor) -> tuple[Tensor, Tensor]:
         return self.policy(self.scale(self.experiment.space.features(states)))
 
-    def _tell_apart(self, own: tuple[Tensor, Tensor], demonstrated: tuple[Tensor, Tensor]) -> None:
-        """A step of the discriminator on pairs of features (BATCH, D')."""
-        names = ("features", "following", "own_features", "own_following")
+    def _tell_apart(self, own: Pair, demonstrated: Pair) -> None:
+        """A step of the discriminator on pairs of observations (BATCH, M)."""
+        names = ("observed", "following", "own_observed", "own_following")
         batch = TensorDict(dict(zip(names, (*demonstrated, *own), strict=True)), [BATCH])
         _step(self.optimizers[0], self.adversary(batch)["loss"])
 
-    def _improve(self, own: tuple[Tensor, Tensor], fractions: Tensor) -> None:
+    def _improve(self, features: Tensor, fractions: Tensor, reward: Tensor, after: Tensor) -> None:
         """A step of actor, critics and temperature on transitions (BATCH, ...)."""
         never = torch.zeros(BATCH, 1, dtype=torch.bool)
-        outcome = {
-            "observation": own[1],
-            "reward": self.discriminator.reward(*own),
-            "done": never,
-            "terminated": never,
-        }
-        batch = {"observation": own[0], "action": fractions, "next": outcome}
+        outcome = {"observation": after, "reward": reward, "done": never, "terminated": never}
+        batch = {"observation": features, "action": fractions, "next": outcome}
         losses = self.learner(TensorDict(batch, [BATCH]))
         total = losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]
         _step(self.optimizers[1], total)
@@ -163,12 +168,12 @@ def adversarial_loss(discriminator: Discriminator, penalty: float) -> GAILLoss:
         discriminator: of the demonstrated pairs.
         penalty: of its gradient.
     """
-    module = TensorDictModule(discriminator, ["features", "following"], ["probability"])
+    module = TensorDictModule(discriminator, ["observed", "following"], ["probability"])
     loss = GAILLoss(module, use_grad_penalty=True, gp_lambda=penalty)
     loss.set_keys(
-        expert_observation="features",
+        expert_observation="observed",
         expert_action="following",
-        collector_observation="own_features",
+        collector_observation="own_observed",
         collector_action="own_following",
         discriminator_pred="probability",
     )

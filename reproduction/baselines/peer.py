@@ -31,7 +31,6 @@ class Peer(ABC):
         self.experiment = experiment
         self.generator = torch.Generator().manual_seed(seed)
         self.rollouts: list[TensorDictBase] = []
-        self._fitted = 0  # transitions of the fits so far
 
     def add(self, rollout: TensorDictBase) -> None:
         """Add an own rollout (T,): observation, action, and (next, observation)."""
@@ -54,12 +53,6 @@ class Peer(ABC):
         The arguments are those of :meth:`act`.
         """
         return self.act(step, states)
-
-    def begin_fit(self, least: int) -> int:
-        """Steps of a fit that begins: as many as transitions are new, but ``least`` at least."""
-        count = sum(len(rollout) for rollout in self.rollouts)
-        steps, self._fitted = max(least, count - self._fitted), count
-        return steps
 
     @property
     def transitions(self) -> tuple[Tensor, Tensor, Tensor]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.objectives import SoftUpdate
@@ -13,31 +14,43 @@ from torch_pmil.experiments import load_experiment
 SEED = 100
 
 
-def test_reward_tells_demonstrated_transitions_from_own_ones() -> None:
-    peer = GAIfO(load_experiment("double_pendulum"), SEED, steps=100, discriminator_rate=3e-3)
+def test_reward_tells_demonstrated_observations_from_own_ones() -> None:
+    experiment = load_experiment("double_pendulum")
+    peer = GAIfO(experiment, SEED, steps=100, discriminator_rate=3e-3)
     own = linear_system(seed=1, steps=60)
     peer.add(own)
     peer.fit()
-    shown = peer.demonstrated_transitions
+    shown, observe = experiment.demonstrations.positions, experiment.space.observe
+    demonstrated = shown[:, :-1].flatten(0, 1), shown[:, 1:].flatten(0, 1)
+    seen = observe(own["observation"]), observe(own["next", "observation"])
     rewards = [
-        peer.discriminator.reward(
-            *(peer.scale(peer.experiment.space.features(states)) for states in pair)
-        )
-        for pair in (shown, (own["observation"], own["next", "observation"]))
+        peer.discriminator.reward(*(peer.seen(part) for part in pair))
+        for pair in (demonstrated, seen)
     ]
     assert rewards[0].mean() > 2 * rewards[1].mean()
 
 
+def test_a_fit_has_as_many_steps_as_transitions_are_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    peer = GAIfO(load_experiment("double_pendulum"), SEED, steps=3)
+    steps: list[int] = []
+    monkeypatch.setattr(peer, "_improve", lambda *batch: steps.append(len(batch)))
+    for new, expected in ((7, 7), (2, 3)):
+        peer.add(linear_system(seed=1, steps=new))
+        peer.fit()
+        assert len(steps) == expected
+        steps.clear()
+
+
 def test_reward_grows_with_the_probability_and_is_finite() -> None:
-    discriminator = Discriminator(features=1, cells=4)
+    discriminator = Discriminator(entries=1, cells=4)
     for parameter in discriminator.parameters():
         torch.nn.init.zeros_(parameter)
-    features = torch.zeros(2, 1)
+    observed = torch.zeros(2, 1)
     torch.testing.assert_close(
-        discriminator.reward(features, features), torch.full((2, 1), 2.0).log()
+        discriminator.reward(observed, observed), torch.full((2, 1), 2.0).log()
     )
     torch.nn.init.constant_(list(discriminator.parameters())[-1], 100.0)
-    assert 10 < discriminator.reward(features, features)[0].item() < 20
+    assert 10 < discriminator.reward(observed, observed)[0].item() < 20
 
 
 def test_learner_finds_the_action_that_is_rewarded() -> None:

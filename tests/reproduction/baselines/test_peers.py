@@ -10,7 +10,7 @@ import torch
 
 from reproduction.baselines import tune_peers
 from reproduction.baselines.known_peers import PEERS
-from reproduction.baselines.peer_run import Practice, peer_run, rollout
+from reproduction.baselines.peer_run import Practice, peer_run
 from reproduction.baselines.run_peer import named
 from reproduction.baselines.tune_peers import CONFIGURATIONS, needed_runs, success
 from tests.helpers.short_run import short_experiment
@@ -60,17 +60,6 @@ def test_same_seed_is_the_same_run(tmp_path: Path, name: str) -> None:
         run.learn(run.out, "")
         outcomes.append([row["own_error"] for row in read_json(run.out / "summary.json")["trials"]])
     assert outcomes[0] == pytest.approx(outcomes[1], rel=1e-4)
-
-
-def test_a_fit_has_as_many_steps_as_transitions_are_new() -> None:
-    experiment = short_imitation()
-    peer = PEERS["bco"](experiment, SEED, **QUICK["bco"])
-    practice = Practice(experiment, peer, SEED, factor=1)
-    explored = sum(len(rollout) for rollout in peer.rollouts)
-    assert peer.begin_fit(least=1) == explored
-    assert peer.begin_fit(least=3) == 3
-    peer.add(rollout(practice.robot, peer.act, experiment.horizon))
-    assert peer.begin_fit(least=1) == experiment.horizon
 
 
 @pytest.mark.parametrize("name", CONFIGURATIONS)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from reproduction.reproduction import Results, Run, learning_run
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.runs.summaries import (
@@ -47,15 +49,25 @@ def success_results(
     curves: Mapping[str, SuccessCurve], headline: dict[str, float | None], name: str
 ) -> Results:
     """The figure of this name, and the curves as JSON has them."""
-    drawn = {
-        method: (curve.experience_s, curve.mean, curve.lower, curve.upper)
-        for method, curve in curves.items()
-    }
-    details = {
+    return Results(headline, {name: success_figure(curves)}, {"curves": success_numbers(curves)})
+
+
+def success_figure(curves: Mapping[str, SuccessCurve]) -> Figure:
+    """The curves with their intervals."""
+    return plot_success_of_methods(
+        {
+            method: (curve.experience_s, curve.mean, curve.lower, curve.upper)
+            for method, curve in curves.items()
+        }
+    )
+
+
+def success_numbers(curves: Mapping[str, SuccessCurve]) -> dict[str, dict[str, list[float]]]:
+    """The curves as JSON has them."""
+    return {
         method: {
             key: getattr(curve, key).tolist()
             for key in ("experience_s", "mean", "lower", "upper", "rates")
         }
         for method, curve in curves.items()
     }
-    return Results(headline, {name: plot_success_of_methods(drawn)}, {"curves": details})

@@ -18,12 +18,20 @@ from matplotlib.figure import Figure
 from reproduction.baselines.known_peers import PEERS, named, trials_until
 from reproduction.baselines.peer import Peer
 from reproduction.baselines.peer_run import peer_run
-from reproduction.figure7 import GOAL, OURS, SEEDS, success_curves, success_results
+from reproduction.figure7 import (
+    GOAL,
+    OURS,
+    SEEDS,
+    success_curves,
+    success_figure,
+    success_numbers,
+)
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
 from torch_pmil.experiments.runs.summaries import SuccessCurve
 
 TIMES = (12.5, 25.0, 50.0)  # s of experience
+OTHERS = 4  # curves beside ours for which a figure has room
 QUICK_SEEDS, QUICK_END = range(2), 5.0
 
 
@@ -92,18 +100,31 @@ TASKS: dict[str, tuple[Method, ...]] = {
         ALONE,
         planned(1.0),
         peer("gp_tracker", action_weight=1.0),
+        peer("mc_pilco", confirmations=2),
         peer("ensemble_cem"),
+        peer("bco_told"),
         peer("bco"),
+        peer("gaifo"),
+        peer("bco_told", factor=100),
+        peer("bco", factor=100),
+        peer("gaifo", factor=100),
     ),
     "double_pendulum_servo": (
         ALONE,
         planned(100.0),
         peer("gp_tracker", action_weight=100.0),
+        peer("bco_told"),
+        peer("bco"),
     ),
-    "Sshape": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0)),
-    "biorob": (ALONE, peer("gp_tracker", action_weight=1.0)),
-    "pendubot": (ALONE, peer("gp_tracker", action_weight=10.0)),
-    "cart_pole": (ALONE, peer("gp_tracker", action_weight=10.0)),
+    "Sshape": (ALONE, planned(1.0), peer("gp_tracker", action_weight=1.0), peer("bco")),
+    "biorob": (ALONE, peer("gp_tracker", action_weight=1.0), peer("bco")),
+    "pendubot": (
+        ALONE,
+        peer("gp_tracker", action_weight=10.0),
+        peer("ensemble_cem"),
+        peer("bco"),
+    ),
+    "cart_pole": (ALONE, peer("gp_tracker", action_weight=10.0), peer("bco")),
 }
 
 
@@ -135,10 +156,20 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
             for quantity, value in _numbers(method, curves[method.label]).items()
         }
         drawn = {method.label: curves[method.label] for method in methods if method.factor == 1}
-        made = success_results(drawn, {}, f"peers_{task}")
-        figures |= made.figures
-        details[task] = {**made.details, "ahead": _ahead(methods, curves)}
+        figures |= _figures(task, drawn)
+        details[task] = {"curves": success_numbers(curves), "ahead": _ahead(methods, curves)}
     return Results(headline, figures, details)
+
+
+def _figures(task: str, curves: Mapping[str, SuccessCurve]) -> dict[str, Figure]:
+    """Figures of a task, each with ours and with some of the others."""
+    ours, *others = curves
+    return {
+        f"peers_{task}" + (f"_{begin // OTHERS + 1}" if begin else ""): success_figure(
+            {label: curves[label] for label in (ours, *others[begin : begin + OTHERS])}
+        )
+        for begin in range(0, len(others), OTHERS)
+    }
 
 
 def _numbers(method: Method, curve: SuccessCurve) -> dict[str, float | None]:

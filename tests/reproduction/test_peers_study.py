@@ -79,4 +79,10 @@ def test_numbers_are_those_of_the_runs(tmp_path: Path) -> None:
     ahead = found.details["pendubot"]["ahead"][label]["25s"]
     assert ahead["difference"] == pytest.approx(0.75) and ahead["pairs"] == 10
     assert ahead["lower"] < 0.75 < ahead["upper"]
-    assert set(found.figures) == {f"peers_{task}" for task in TASKS}
+    assert set(found.figures) == {f"peers_{task}" for task in TASKS} | {"peers_double_pendulum_2"}
+    drawn = [
+        [text.get_text() for text in found.figures[name].legends[0].get_texts()]
+        for name in ("peers_double_pendulum", "peers_double_pendulum_2")
+    ]
+    ours, *others = (one.label for one in TASKS["double_pendulum"] if one.factor == 1)
+    assert drawn == [[ours, *others[:4]], [ours, *others[4:]]]

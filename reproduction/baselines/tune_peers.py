@@ -9,7 +9,8 @@ the first.
 
 This is all that was compared so: two seeds for each of few configurations. Before it, on the double
 pendulum, the cost, plan and learning rate of the ensemble were found by hand, with the seeds 100,
-101 and 150 to 152, and the limit of the particles' slopes with the seeds 100 and 101. Particles
+101 and 150 to 152, and with the seeds 100 and 101 the limit of the particles' slopes, that Gaussian
+processes clone better than networks, and that a discriminator is to see the match space. Particles
 have half the experience of the others, since their searches take longest.
 
 What was measured is written to results/paper/peers/tuning_PEER_TASK.json; runs lie in runs/tuning.

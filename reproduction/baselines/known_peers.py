@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from reproduction.baselines.bco import BCO, ToldBCO
+from reproduction.baselines.bco import BCO
 from reproduction.baselines.ensemble_cem import EnsembleCEM
 from reproduction.baselines.gaifo import GAIfO
 from reproduction.baselines.gp_tracker import GPTracker
 from reproduction.baselines.mc_pilco import MCPilco
 from reproduction.baselines.peer import Peer
+from reproduction.baselines.told_bco import ToldBCO
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.experiments.tasks.handwriting import handwriting

@@ -22,7 +22,7 @@ QUICK = {
     "gp_tracker": {},
     "ensemble_cem": {"steps": 3, "candidates": 9},
     "mc_pilco": {"most_steps": 2, "particles": 5, "centres": 10},
-    "bco": {},
+    "bco": {"steps": 3},
     "bco_told": {},
     "gaifo": {"steps": 2},
 }

@@ -107,33 +107,31 @@ TASKS: dict[str, tuple[Method, ...]] = {
         peer("gaifo"),
         peer("bco_told", factor=100, noise=0.3),
         peer("bco", factor=100),
-        peer("gaifo", factor=100),
     ),
     "double_pendulum_servo": (
         ALONE,
         planned(100.0),
         peer("gp_tracker", action_weight=100.0),
         peer("bco_told", noise=0.03),
-        peer("bco"),
+        peer("bco", noise=0.03),
     ),
     "Sshape": (
         ALONE,
         planned(1.0),
         peer("gp_tracker", action_weight=1.0),
-        peer("bco"),
+        peer("bco", noise=0.03),
     ),
-    "biorob": (ALONE, peer("gp_tracker", action_weight=1.0), peer("bco")),
+    "biorob": (ALONE, peer("gp_tracker", action_weight=1.0), peer("bco", noise=0.03)),
     "pendubot": (
         ALONE,
         peer("gp_tracker", action_weight=10.0),
         peer("ensemble_cem"),
-        peer("bco"),
+        peer("bco", noise=0.03),
     ),
     "cart_pole": (
         ALONE,
         peer("gp_tracker", action_weight=10.0),
-        peer("mc_pilco", confirmations=2),
-        peer("bco"),
+        peer("bco", noise=0.3),
     ),
 }
 

@@ -9,6 +9,9 @@ import pytest
 
 from reproduction.baselines.known_peers import named, trials_until
 from reproduction.peers import TASKS, TIMES, needed_runs, results
+from torch_pmil.files import read_json
+
+TUNING = Path(__file__).parents[2] / "results" / "paper" / "peers"
 
 
 def test_all_methods_learn_each_task_on_the_same_seeds(tmp_path: Path) -> None:
@@ -22,6 +25,17 @@ def test_methods_of_a_task_have_names_and_labels_of_their_own_and_ours_is_the_fi
         assert methods[0].name == "ours"
         for attribute in ("name", "label"):
             assert len({getattr(method, attribute) for method in methods}) == len(methods)
+
+
+def test_peers_have_the_settings_that_were_best_on_other_seeds() -> None:
+    compared = 0
+    for task, methods in TASKS.items():
+        for method in filter(lambda method: method.peer, methods):
+            tuning = TUNING / f"tuning_{method.peer.name}_{task}.json"
+            if tuning.exists():
+                assert read_json(tuning)["best"]["settings"] == method.settings, (task, method.name)
+                compared += 1
+    assert compared > 10
 
 
 @pytest.mark.parametrize("name", ["double_pendulum", "pendubot", "biorob", "Sshape"])

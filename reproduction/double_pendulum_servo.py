@@ -9,7 +9,7 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
-from reproduction.cloning import FIRST_LINK
+from reproduction.baselines.cloning import FIRST_LINK
 from reproduction.figure7 import GOAL, OUR_TRIALS, size, success_curves, success_results
 from reproduction.learned import remeasured
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
-from reproduction.cloning import (
+from reproduction.baselines.cloning import (
     DEMONSTRATED,
     FIRST_LINK,
     clone_double_pendulum,

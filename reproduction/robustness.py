@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from reproduction.cloning import record_pairs
+from reproduction.baselines.cloning import record_pairs
 from reproduction.learned import remeasured
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from reproduction.baselines.bco import ClonesFromObservation
 from reproduction.baselines.behavioral_cloning import clone_behavior
+from reproduction.baselines.cloning import record_pairs
 from reproduction.baselines.learned_inverse_dynamics import PILCO_SIGNAL_TO_NOISE
-from reproduction.cloning import record_pairs
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.experiments import load_experiment
 from torch_pmil.experiments.tasks.experiment import Experiment

@@ -7,7 +7,11 @@ from __future__ import annotations
 import pytest
 import torch
 
-from reproduction.cloning import clone_double_pendulum, peak_tracking_torques, record_pairs
+from reproduction.baselines.cloning import (
+    clone_double_pendulum,
+    peak_tracking_torques,
+    record_pairs,
+)
 from reproduction.learned import measured_success
 from reproduction.masses import with_second_link
 from tests.helpers.draws import Draws

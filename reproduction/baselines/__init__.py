@@ -1,1 +1,1 @@
-"""The baselines of Section 5.1: behavioural cloning, movement primitives, separate policies."""
+"""Baselines of Section 5.1, and the peers that are told no actions either."""

@@ -107,6 +107,7 @@ TASKS: dict[str, tuple[Method, ...]] = {
         peer("gaifo"),
         peer("bco_told", factor=100, noise=0.3),
         peer("bco", factor=100),
+        peer("gaifo", factor=100),
     ),
     "double_pendulum_servo": (
         ALONE,

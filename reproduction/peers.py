@@ -113,6 +113,7 @@ TASKS: dict[str, tuple[Method, ...]] = {
         ALONE,
         planned(100.0),
         peer("gp_tracker", action_weight=100.0),
+        peer("ensemble_cem"),
         peer("bco_told", noise=0.03),
         peer("bco", noise=0.03),
     ),

@@ -31,7 +31,7 @@ from reproduction.soak.comparison import paired
 from torch_pmil.experiments.runs.summaries import SuccessCurve
 
 TIMES = (12.5, 25.0, 50.0)  # s of experience
-OTHERS = 4  # curves beside ours for which a figure has room
+OTHERS = 5  # curves beside ours for which a figure has room
 QUICK_SEEDS, QUICK_END = range(2), 5.0
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from reproduction.baselines.known_peers import named, trials_until
-from reproduction.peers import TASKS, TIMES, needed_runs, results
+from reproduction.peers import OTHERS, TASKS, TIMES, needed_runs, results
 from torch_pmil.files import read_json
 
 TUNING = Path(__file__).parents[2] / "results" / "paper" / "peers"
@@ -99,4 +99,4 @@ def test_numbers_are_those_of_the_runs(tmp_path: Path) -> None:
         for name in ("peers_double_pendulum", "peers_double_pendulum_2")
     ]
     ours, *others = (one.label for one in TASKS["double_pendulum"] if one.factor == 1)
-    assert drawn == [[ours, *others[:4]], [ours, *others[4:]]]
+    assert drawn == [[ours, *others[:OTHERS]], [ours, *others[OTHERS:]]]

@@ -117,43 +117,58 @@ class BCO(ClonesFromObservation):
         noise: float = 0.1,
     ) -> None:
         super().__init__(experiment, seed, noise)
-        self.least_steps, self.steps, self._learned = steps, steps, 0
+        self.least_steps = self.steps = steps
         features = len(experiment.space.feature_names)
         F = len(experiment.actions.names)
         with seeded(self.generator):
-            self.networks = tuple(
-                Scaled(MLP(inputs, F, num_cells=[cells, cells], activation_class=nn.Tanh), inputs)
+            self.inferring, self.cloning = (
+                Regression(inputs, F, cells, learning_rate, weight_decay)
                 for inputs in (self.inverse_width, features)
             )
-        self.optimizers = [
-            torch.optim.AdamW(network.parameters(), lr=learning_rate, weight_decay=weight_decay)
-            for network in self.networks
-        ]
 
     def learn_inverse(self, inputs: Tensor, fractions: Tensor) -> None:
         """Go on to fit the first network."""
-        new, self._learned = len(inputs) - self._learned, len(inputs)
-        self.steps = max(self.least_steps, new)
-        self._regress(0, inputs, fractions)
+        self.steps = self.steps_of_fit(self.least_steps)
+        self.inferring.fit(inputs, fractions, self.steps, self.generator)
 
     def learn_policy(self, states: Tensor, fractions: Tensor) -> None:
         """Go on to fit the second network."""
-        self._regress(1, self.experiment.space.features(states), fractions)
+        features = self.experiment.space.features(states)
+        self.cloning.fit(features, fractions, self.steps, self.generator)
 
     def inverse(self, inputs: Tensor) -> Tensor:
         """Outputs of the first network."""
-        return self.networks[0](inputs)
+        return self.inferring.network(inputs)
 
     def policy(self, states: Tensor) -> Tensor:
         """Outputs of the second network."""
-        return self.networks[1](self.experiment.space.features(states))
+        return self.cloning.network(self.experiment.space.features(states))
 
-    def _regress(self, which: int, inputs: Tensor, targets: Tensor) -> None:
-        """Steps of least squares of a network on pairs (n, I) and (n, F)."""
-        network = self.networks[which]
-        network.set_scale(inputs)
+
+class Regression:
+    """A network of pairs (n, I) and (n, F), by least squares.
+
+    Args:
+        inputs: I.
+        outputs: F.
+        cells: of each of its two hidden layers.
+        learning_rate, weight_decay: of AdamW.
+    """
+
+    def __init__(
+        self, inputs: int, outputs: int, cells: int, learning_rate: float, weight_decay: float
+    ) -> None:
+        layers = MLP(inputs, outputs, num_cells=[cells, cells], activation_class=nn.Tanh)
+        self.network = Scaled(layers, inputs)
+        self.optimizer = torch.optim.AdamW(
+            self.network.parameters(), lr=learning_rate, weight_decay=weight_decay
+        )
+
+    def fit(self, inputs: Tensor, targets: Tensor, steps: int, generator: torch.Generator) -> None:
+        """Go on with so many steps on these pairs."""
+        self.network.set_scale(inputs)
 
         def loss(rows: Tensor) -> Tensor:
-            return (network(inputs[rows]) - targets[rows]).square().mean()
+            return (self.network(inputs[rows]) - targets[rows]).square().mean()
 
-        descend(loss, self.optimizers[which], len(inputs), BATCH, self.steps, self.generator)
+        descend(loss, self.optimizer, len(inputs), BATCH, steps, generator)

@@ -30,7 +30,7 @@ from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import GAILLoss, SACLoss, SoftUpdate
 
 from reproduction.baselines.networks import Scaled, from_unit, seeded, to_unit
-from reproduction.baselines.peer import Peer
+from reproduction.baselines.peer import Peer, consecutive
 from torch_pmil.experiments.tasks.experiment import Experiment
 
 BATCH = 128  # transitions of a step
@@ -90,7 +90,7 @@ class GAIfO(Peer):
         discount: float = 0.95,
     ) -> None:
         super().__init__(experiment, seed)
-        self.steps, self._learned = steps, 0
+        self.steps = steps
         space = experiment.space
         features, entries = len(space.feature_names), space.match_space.dim
         F = len(experiment.actions.names)
@@ -116,13 +116,12 @@ class GAIfO(Peer):
         space, shown = self.experiment.space, self.experiment.demonstrations.positions
         self.seen.set_scale(shown.flatten(0, 1))
         self.scale.set_scale(space.features(self.demonstrated_transitions[0]))
-        demonstrated = [self.seen(part.flatten(0, 1)) for part in (shown[:, :-1], shown[:, 1:])]
+        demonstrated = [self.seen(part) for part in consecutive(shown)]
         observed = [self.seen(space.observe(part)) for part in (states, following)]
         features = [self.scale(space.features(part)) for part in (states, following)]
         fractions = to_unit(actions, self.experiment.actions)
-        steps, self._learned = max(self.steps, len(states) - self._learned), len(states)
         with seeded(self.generator):
-            for _ in range(steps):
+            for _ in range(self.steps_of_fit(self.steps)):
                 rows, expert = (torch.randint(len(x), (BATCH,)) for x in (states, demonstrated[0]))
                 pair = observed[0][rows], observed[1][rows]
                 self._tell_apart(pair, (demonstrated[0][expert], demonstrated[1][expert]))

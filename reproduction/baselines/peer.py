@@ -31,6 +31,7 @@ class Peer(ABC):
         self.experiment = experiment
         self.generator = torch.Generator().manual_seed(seed)
         self.rollouts: list[TensorDictBase] = []
+        self._fitted = 0  # transitions of the last fit
 
     def add(self, rollout: TensorDictBase) -> None:
         """Add an own rollout (T,): observation, action, and (next, observation)."""
@@ -54,6 +55,12 @@ class Peer(ABC):
         """
         return self.act(step, states)
 
+    def steps_of_fit(self, least: int) -> int:
+        """Steps of a fit that begins: as many as transitions are new, but ``least`` at least."""
+        count = sum(map(len, self.rollouts))
+        new, self._fitted = count - self._fitted, count
+        return max(least, new)
+
     @property
     def transitions(self) -> tuple[Tensor, Tensor, Tensor]:
         """States (n, D), actions (n, F) and next states (n, D) of all rollouts so far."""
@@ -72,5 +79,15 @@ class Peer(ABC):
     @property
     def demonstrated_transitions(self) -> tuple[Tensor, Tensor]:
         """States and next states (N T, D) of the demonstrations, without actions."""
-        states = self.demonstrated_states
-        return states[:, :-1].flatten(0, 1), states[:, 1:].flatten(0, 1)
+        return consecutive(self.demonstrated_states)
+
+
+def consecutive(trajectories: Tensor) -> tuple[Tensor, Tensor]:
+    """Entries of trajectories (N, T + 1, D) and those a step later, both (N T, D).
+
+    Example:
+        >>> now, later = consecutive(torch.arange(6.0).reshape(2, 3, 1))
+        >>> now.flatten().tolist(), later.flatten().tolist()
+        ([0.0, 1.0, 3.0, 4.0], [1.0, 2.0, 4.0, 5.0])
+    """
+    return trajectories[:, :-1].flatten(0, 1), trajectories[:, 1:].flatten(0, 1)

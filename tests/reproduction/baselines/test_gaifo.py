@@ -8,6 +8,7 @@ from tensordict import TensorDict
 from torchrl.objectives import SoftUpdate
 
 from reproduction.baselines.gaifo import BATCH, Discriminator, GAIfO, actor_critic_loss
+from reproduction.baselines.peer import consecutive
 from tests.reproduction.baselines.test_bco import linear_system
 from torch_pmil.experiments import load_experiment
 
@@ -21,7 +22,7 @@ def test_reward_tells_demonstrated_observations_from_own_ones() -> None:
     peer.add(own)
     peer.fit()
     shown, observe = experiment.demonstrations.positions, experiment.space.observe
-    demonstrated = shown[:, :-1].flatten(0, 1), shown[:, 1:].flatten(0, 1)
+    demonstrated = consecutive(shown)
     seen = observe(own["observation"]), observe(own["next", "observation"])
     rewards = [
         peer.discriminator.reward(*(peer.seen(part) for part in pair))

@@ -11,8 +11,8 @@ This is all that was compared so: two seeds for each of few configurations. Befo
 pendulum, the cost, plan and learning rate of the ensemble were found by hand, with the seeds 100,
 101 and 150 to 152, and with the seeds 100 and 101 the limit of the particles' slopes, and that a
 discriminator is to see the match space; on handwriting, with seed 100, that more candidates and
-iterations of the ensemble's planner are worth a try. Particles have half the experience of the others, since
-their searches take longest.
+iterations of the ensemble's planner are worth a try. Particles have half the experience of the
+others, since their searches take longest.
 
 What was measured is written to results/paper/peers/tuning_PEER_TASK.json; runs lie in runs/tuning.
 """

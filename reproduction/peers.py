@@ -95,6 +95,7 @@ def peer(
 
 
 ALONE = Method("ours", OURS)
+LARGE_PLANNER = {"candidates": 256, "elites": 26, "iterations": 5}
 TASKS: dict[str, tuple[Method, ...]] = {
     "double_pendulum": (
         ALONE,
@@ -113,22 +114,32 @@ TASKS: dict[str, tuple[Method, ...]] = {
         ALONE,
         planned(100.0),
         peer("gp_tracker", action_weight=100.0),
-        peer("ensemble_cem"),
+        peer("ensemble_cem", **LARGE_PLANNER),
         peer("bco_told", noise=0.03),
         peer("bco", noise=0.03),
+        peer("gaifo"),
     ),
     "Sshape": (
         ALONE,
         planned(1.0),
         peer("gp_tracker", action_weight=1.0),
+        peer("ensemble_cem", **LARGE_PLANNER),
         peer("bco", noise=0.03),
+        peer("gaifo"),
     ),
-    "biorob": (ALONE, peer("gp_tracker", action_weight=1.0), peer("bco", noise=0.03)),
+    "biorob": (
+        ALONE,
+        peer("gp_tracker", action_weight=1.0),
+        peer("ensemble_cem", **LARGE_PLANNER),
+        peer("bco", noise=0.03),
+        peer("gaifo", penalty=10.0),
+    ),
     "pendubot": (
         ALONE,
         peer("gp_tracker", action_weight=10.0),
         peer("ensemble_cem"),
         peer("bco", noise=0.03),
+        peer("gaifo"),
     ),
     "cart_pole": (
         ALONE,

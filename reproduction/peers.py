@@ -15,6 +15,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from reproduction.baselines.ensemble_cem import LARGE_PLANNER
 from reproduction.baselines.known_peers import PEERS, named, trials_until
 from reproduction.baselines.peer import Peer
 from reproduction.baselines.peer_run import peer_run
@@ -95,7 +96,6 @@ def peer(
 
 
 ALONE = Method("ours", OURS)
-LARGE_PLANNER = {"candidates": 256, "elites": 26, "iterations": 5}
 TASKS: dict[str, tuple[Method, ...]] = {
     "double_pendulum": (
         ALONE,

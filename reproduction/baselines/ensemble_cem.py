@@ -30,6 +30,8 @@ from reproduction.baselines.networks import from_unit
 from reproduction.baselines.peer import Peer
 from torch_pmil.experiments.tasks.experiment import Experiment
 
+LARGE_PLANNER = {"candidates": 256, "elites": 26, "iterations": 5}  # for precise plans
+
 
 class EnsembleCEM(Peer):
     """An ensemble of networks, and a planner that tracks the demonstrations.

@@ -28,6 +28,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from reproduction.baselines.ensemble_cem import LARGE_PLANNER
 from reproduction.baselines.known_peers import PEERS, named, trials_until
 from reproduction.baselines.peer_run import peer_run
 from reproduction.reproduction import Run, finish
@@ -44,12 +45,7 @@ CONFIGURATIONS: dict[str, Sequence[Settings]] = {
     "bco": ({}, {"noise": 0.03}, {"noise": 0.3}, {"weight_decay": 0.1}),
     "bco_told": ({}, {"noise": 0.03}, {"noise": 0.3}),
     "gaifo": ({}, {"penalty": 10.0}, {"steps": 2000}),
-    "ensemble_cem": (
-        {},
-        {"steps": 1000},
-        {"plan_seconds": 1.6},
-        {"candidates": 256, "elites": 26, "iterations": 5},
-    ),
+    "ensemble_cem": ({}, {"steps": 1000}, {"plan_seconds": 1.6}, LARGE_PLANNER),
     "mc_pilco": ({}, {"scale": 30.0}, {"scale": 400.0}, {"most_slope": None}),
 }
 

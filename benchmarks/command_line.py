@@ -7,7 +7,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from torch_pmil.experiments.runs.run_folder import provenance
+from torch_pmil.runs.run_folder import provenance
 
 
 def add_json(parser: argparse.ArgumentParser, name: str) -> None:

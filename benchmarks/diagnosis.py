@@ -21,21 +21,21 @@ from reproduction.ablation import variations
 from reproduction.learned import load_learned
 from reproduction.masses import SECOND_LINKS, with_second_link
 from reproduction.robustness import varied_experiments
-from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
-from torch_pmil.experiments.diagnosis.after_a_run import known_steps, likely_reasons
-from torch_pmil.experiments.diagnosis.causes import (
+from torch_pmil.files import write_json
+from torch_pmil.model.calibration import standardised_residuals, two_sigma_coverage
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.runs.diagnosis.after_a_run import known_steps, likely_reasons
+from torch_pmil.runs.diagnosis.causes import (
     FEWEST_STEPS,
     LEARNED,
     covered_fraction,
     moved_fraction,
     saturated_fraction,
 )
-from torch_pmil.experiments.runs.run_folder import provenance
-from torch_pmil.experiments.runs.summaries import read_summary
-from torch_pmil.experiments.tasks.experiment import Outcome
-from torch_pmil.files import write_json
-from torch_pmil.model.calibration import standardised_residuals, two_sigma_coverage
-from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.summaries import read_summary
+from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
+from torch_pmil.tasks.task import Experiment, Outcome
 from torch_pmil.trainer.trials import success_rate
 
 STARTS, START_SEED = 20, 7_000_000  # no start that a run has seen

@@ -25,12 +25,12 @@ import torch
 from torch import Tensor
 
 from benchmarks.command_line import add_json, source_of
-from torch_pmil.experiments import load_experiment
 from torch_pmil.files import write_json
 from torch_pmil.gp.hyperparameters import pilco_starts
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import Experience
+from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.trainer.collector import RobotActor
 
 ROLLOUT = 25  # transitions

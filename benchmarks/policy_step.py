@@ -20,8 +20,8 @@ import torch
 
 from benchmarks.command_line import add_json, source_of
 from torch_pmil.control.policy_file import load_policy, save_policy
-from torch_pmil.experiments import load_experiment
 from torch_pmil.files import write_json
+from torch_pmil.tasks.registry import load_experiment
 
 WARM_UP = 100  # steps that are not counted
 

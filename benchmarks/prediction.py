@@ -29,10 +29,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from benchmarks.workloads import make_problem, signal_to_noise
-from torch_pmil.experiments.runs.run_folder import provenance
 from torch_pmil.files import write_json
 from torch_pmil.plotting import BLUE, GREY, VERMILLION, save_figure
 from torch_pmil.plotting.style import GREEN, style
+from torch_pmil.runs.run_folder import provenance
 
 ROOT = Path(__file__).parents[1]
 OURS, FORMULAS, FITTED = "torch_pmil", "torch_pmil_formulas", "torch_pmil_fitted"

@@ -28,11 +28,12 @@ from torch import Tensor
 from benchmarks.command_line import add_json
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.experiments import Experiment, load_experiment
-from torch_pmil.experiments.diagnosis.causes import LEARNED
-from torch_pmil.experiments.runs.run_folder import provenance
-from torch_pmil.experiments.runs.training import train
 from torch_pmil.files import write_json
+from torch_pmil.runs.diagnosis.causes import LEARNED
+from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.training import train
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 AMPLITUDE = 0.3  # rad
 STEPS = {"double_pendulum": 25, "gym_pendulum": 25, "biorob": 18}

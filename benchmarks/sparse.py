@@ -32,15 +32,16 @@ from reproduction.arms import UR5E, arm_experiment
 from torch_pmil import GPDynamics, RBFPolicy
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.control.policy_file import load_policy
-from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.files import write_json
 from torch_pmil.model.experience import gp_data
 from torch_pmil.search.policy_search import search_policy
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 FEW, SOME, MANY, TESTED = 200, 1000, 5000, 3000  # transitions
 NOISES = (0.03, 0.0)  # of what the model is to say, in its standard deviations
 RANDOM_TORQUE = 0.3  # of half the range
-LEARNED = "experiments/runs/learned/double_pendulum/policy.pt"
+LEARNED = "runs/learned/double_pendulum/policy.pt"
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,11 +26,11 @@ from benchmarks.command_line import add_json, source_of
 from benchmarks.policy_step import timed
 from benchmarks.workloads import Evaluate, by_formulas, make_dynamics
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 from torch_pmil.files import write_json
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.targets import TargetExperiment
 
 SEED, STEPS = 0, 20  # steps of a rollout of exploration
 COUNTS = (1, 3)  # of targets

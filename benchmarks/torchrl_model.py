@@ -33,8 +33,8 @@ from torchrl.modules import GPWorldModel as TorchRLModel
 
 from benchmarks.command_line import add_json, source_of
 from benchmarks.workloads import random_transitions, world_model
-from torch_pmil.experiments import load_experiment
 from torch_pmil.files import write_json
+from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.torchrl_interop import GPWorldModel
 
 POINTS = 20  # at which posterior and moments are compared

@@ -36,8 +36,9 @@ from torch import Tensor
 from torchrl.modules import GPWorldModel, RBFController
 
 from torch_pmil import Gaussian, GPDynamics, RBFPolicy, TrajectoryKLLoss, trajectory_kl
-from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.model import compiled
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 SEED = 0
 ROLLOUT_STEPS = 25  # of the rollouts that the data are taken from

@@ -12,18 +12,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from reproduction.plots.variants import plot_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.summaries import read_summary
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.pilco import VELOCITY_STD, random_states
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.particles import ParticlePrediction
 from torch_pmil.model.rollout import predict_trajectory
-from torch_pmil.plotting import plot_variants
+from torch_pmil.runs.summaries import read_summary
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.trajectory_loss import Prediction
+from torch_pmil.tasks.pilco import VELOCITY_STD, random_states
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 SEEDS, TRIALS = range(3), 10
 QUICK_SEEDS, QUICK_TRIALS = range(1), 2

@@ -24,16 +24,16 @@ from scipy.interpolate import BPoly
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
+from reproduction.teachers.hand import Hand, lead_by_hand
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.demonstrations.distribution import demonstration_spread
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.rollouts import of_states, states_of
-from torch_pmil.envs.teachers.hand import Hand, lead_by_hand
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.own_robot import own_robot
-from torch_pmil.experiments.tasks.pilco import PilcoExperiment
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.own_robot import own_robot
+from torch_pmil.tasks.pilco import PilcoExperiment
+from torch_pmil.tasks.task import Experiment
 
 INSTALL = "pip install --no-deps robosuite==1.5.2"
 RATE, DURATION, COUNT = 20.0, 3.0, 5  # Hz and s of a motion, and number of demonstrations

@@ -13,19 +13,19 @@ from tensordict import TensorDictBase
 
 from reproduction.learned import load_learned
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
+from reproduction.teachers.kinesthetic_teaching import Strike, Variation, record_strike
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.summaries import read_summary, success_over_experience
-from torch_pmil.experiments.runs.training import EVALUATION_STARTS
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.plotting import (
     Figure,
     plot_distributions,
     plot_photo_series,
     plot_success_over_experience,
 )
+from torch_pmil.runs.summaries import read_summary, success_over_experience
+from torch_pmil.runs.training import EVALUATION_STARTS
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 SEEDS, TRIALS = range(10), 4
 QUICK_SEEDS, QUICK_TRIALS = range(1), 2

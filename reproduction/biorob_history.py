@@ -21,12 +21,12 @@ from reproduction.biorob import (
     measured,
 )
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.summaries import read_summary, success_over_experience
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.with_history import with_history
-from torch_pmil.model.sampling_frequency import Interval
+from reproduction.sampling_frequency import Interval
 from torch_pmil.plotting import plot_success_of_methods
+from torch_pmil.runs.summaries import read_summary, success_over_experience
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.with_history import with_history
 
 PLAIN, REMEMBERING = "joints now", "joints and torques before, too"
 

@@ -17,12 +17,12 @@ import torch
 from torch import Tensor
 
 from reproduction.learned import remeasured
+from reproduction.plots.excursions import plot_excursions
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.control.state_box import StateBox
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.plotting.excursions import plot_excursions
+from torch_pmil.runs.summaries import RunError
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in
 
 SPEED_FACTOR = 1.3  # largest speed of a joint, in largest demonstrated ones

@@ -25,12 +25,12 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_trajectory
 from torch_pmil.plotting.calibration import plot_calibration_ahead
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 DELAYS = (0.0, 0.02, 0.05, 0.1)  # s
 AHEAD = (1, 5, 10, 25)  # control steps

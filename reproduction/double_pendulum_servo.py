@@ -15,8 +15,8 @@ from reproduction.learned import remeasured
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.robustness import with_noise
 from torch_pmil.envs import DoublePendulumServoEnv
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 LABEL = "imitation with position servos"
 NOISE = 0.05  # rad, of the angles

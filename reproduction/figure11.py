@@ -14,7 +14,7 @@ from reproduction.reproduction import PaperExperiment, Results, Run
 from reproduction.target_picture import draw_targets
 from reproduction.target_study import TargetStudy
 from torch_pmil.envs.hitting_plane import COLUMNS, ROWS
-from torch_pmil.experiments.tasks.biorob_targets import biorob_targets
+from torch_pmil.tasks.biorob_targets import biorob_targets
 
 
 def least_distance(rollouts: TensorDictBase) -> Tensor:

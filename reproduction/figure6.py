@@ -12,9 +12,6 @@ from reproduction import one_dimension
 from reproduction.learned import load_learned
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.training import EVALUATION_STARTS
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import two_sigma_coverage
 from torch_pmil.plotting import (
@@ -25,7 +22,10 @@ from torch_pmil.plotting import (
     plot_moment_matching,
     plot_poses,
 )
+from torch_pmil.runs.training import EVALUATION_STARTS
 from torch_pmil.search.kl import trajectory_kl
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.trials import success_rate
 
 SEED = 0

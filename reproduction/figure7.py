@@ -8,13 +8,13 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from reproduction.reproduction import Results, Run, learning_run
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.summaries import (
+from torch_pmil.plotting import plot_success_of_methods
+from torch_pmil.runs.summaries import (
     SuccessCurve,
     read_summary,
     success_over_experience,
 )
-from torch_pmil.plotting import plot_success_of_methods
+from torch_pmil.tasks.registry import load_experiment
 
 SEEDS = range(10)  # each with its own random rollout of 2.5 s, the same for all methods
 OURS = "imitation (ours)"

@@ -15,7 +15,7 @@ from reproduction.figure7 import (
     success_results,
 )
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 PILCO = "PILCO"
 

@@ -17,7 +17,7 @@ from reproduction.figure7 import (
     success_results,
 )
 from reproduction.reproduction import PaperExperiment, Results, Run, tell_trial
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 # s, of the feedback; by folder
 PERIODS = {"double_pendulum_dmp": FEEDBACK_PERIOD, "double_pendulum_dmp_10hz": 0.1}

@@ -10,19 +10,20 @@ from pathlib import Path
 import torch
 from tensordict import TensorDict
 
+from reproduction.plots.frequencies import plot_frequencies
 from reproduction.reproduction import PaperExperiment, Results, Run
-from torch_pmil.envs.biorob import BioRobEnv
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.run_folder import provenance
-from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.files import read_json, write_json
-from torch_pmil.model.sampling_frequency import (
+from reproduction.sampling_frequency import (
     FrequencyScore,
     Interval,
     Recording,
     score_frequencies,
 )
-from torch_pmil.plotting import Figure, plot_frequencies
+from torch_pmil.envs.biorob import BioRobEnv
+from torch_pmil.files import read_json, write_json
+from torch_pmil.plotting import Figure
+from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.summaries import RunError
+from torch_pmil.tasks.registry import load_experiment
 
 SEEDS = range(3)  # of recordings
 FREQUENCIES = (2.0, 2.5, 4.0, 5.0, 6.25, 10.0, 12.5, 20.0, 25.0, 50.0)  # Hz

@@ -13,10 +13,10 @@ import torch
 from reproduction.learned import load_learned
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.experiments.runs.summaries import read_summary
-from torch_pmil.experiments.tasks.handwriting import Handwriting, Writing, handwriting
-from torch_pmil.experiments.tasks.strokes import distance_from_mean, distance_spread
 from torch_pmil.plotting import plot_writing
+from torch_pmil.runs.summaries import read_summary
+from torch_pmil.tasks.handwriting import Handwriting, Writing, handwriting
+from torch_pmil.tasks.strokes import distance_from_mean, distance_spread
 
 # the shapes that the experiment was developed on
 SHAPES = {"double_pendulum": ("Angle", "Sshape", "GShape", "Sine"), "biorob": ("Angle", "GShape")}

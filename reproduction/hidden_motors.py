@@ -14,13 +14,13 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
+from reproduction.plots.errors import plot_errors_over_data
 from reproduction.reproduction import PaperExperiment, Results, Run
 from torch_pmil.envs.biorob import ROTORS
 from torch_pmil.envs.mujoco_model import state_columns
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.with_history import with_history
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.plotting import plot_errors_over_data
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.with_history import with_history
 
 SEEDS, QUICK_SEEDS = range(5), range(1)
 # rollouts of 2 s that the model learns from; the first number is that of a run's exploration

@@ -19,8 +19,10 @@ from torch import Tensor
 
 from reproduction.ablation import success_and_experience
 from reproduction.learned import load_learned, measured_success
+from reproduction.plots.variants import plot_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
+from reproduction.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.control.recovered_states import rates_of, recover_states
 from torch_pmil.control.state_space import MatchSpace
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
@@ -32,20 +34,19 @@ from torch_pmil.envs.double_pendulum import (
     link_positions,
 )
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
-from torch_pmil.experiments.diagnosis.before_a_run import check
-from torch_pmil.experiments.tasks.double_pendulum import double_pendulum
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.handwriting import (
+from torch_pmil.plotting import Figure
+from torch_pmil.runs.diagnosis.before_a_run import check
+from torch_pmil.tasks.double_pendulum import double_pendulum
+from torch_pmil.tasks.handwriting import (
     SUCCESS_RATIO,
     Handwriting,
     distance_of_tip,
     handwriting,
     input_widths,
 )
-from torch_pmil.experiments.tasks.strokes import distance_spread
-from torch_pmil.experiments.tasks.writers import pendulum_writer, states_of_strokes
-from torch_pmil.plotting import Figure, plot_variants
+from torch_pmil.tasks.strokes import distance_spread
+from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.writers import pendulum_writer, states_of_strokes
 
 SEEDS, TRIALS = range(5), 10
 QUICK_SEEDS, QUICK_TRIALS = range(1), 2

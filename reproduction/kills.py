@@ -14,7 +14,7 @@ from examples.robot_server.client import RemoteRobot
 from examples.robot_server.launch import ServerProcess
 from examples.robot_server.messages import State, Status
 from reproduction.served_robot import DISTURBANCE, learn_hastily
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 PERIOD = load_experiment("double_pendulum").demonstrations.time_step
 PATIENCE = 60.0  # s until the robot moves

@@ -13,10 +13,10 @@ from torch_pmil.control.policy_file import load_policy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.tensor_file import load_tensors
 from torch_pmil.envs.rollouts import without_sensor_noise
-from torch_pmil.experiments.runs.summaries import RunError, read_summary
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.runs.summaries import RunError, read_summary
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.state_checks import check_model, check_state
 from torch_pmil.trainer.trials import success_rate
 

@@ -25,9 +25,9 @@ from reproduction.reproduction import PaperExperiment, Results, Run, learning_ru
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.plotting import plot_success_over_mass
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 SECOND_LINKS = (0.15, 0.3, 0.4, 0.5, 0.57, 0.65, 0.8, 1.0)  # kg, second link of the robots
 SEEDS = range(3)  # of our runs on each robot

@@ -19,9 +19,9 @@ from reproduction.delay_calibration import AHEAD, CALIBRATION, STARTS, calibrati
 from reproduction.remembering import needed_runs, results_of
 from reproduction.reproduction import PaperExperiment, Results
 from reproduction.robustness import with_noise
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.with_history import with_history
 from torch_pmil.plotting.calibration import plot_calibration_ahead
+from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.with_history import with_history
 
 NOISE_STD = 0.05  # rad
 PAST = 2  # readings and torques before the last ones

@@ -29,7 +29,7 @@ from reproduction.figure7 import (
 )
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
-from torch_pmil.experiments.runs.summaries import SuccessCurve
+from torch_pmil.runs.summaries import SuccessCurve
 
 TIMES = (12.5, 25.0, 50.0)  # s of experience
 OTHERS = 5  # curves beside ours for which a figure has room

@@ -24,13 +24,13 @@ from reproduction.figure7 import GOAL, OURS, size, success_curves, success_resul
 from reproduction.learned import load_learned, measured_anew
 from reproduction.pendubot_robustness import CRITERIA, PUBLISHED, robustness
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
+from reproduction.teachers import one_motor_teacher as teachers
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs.pendubot import AcrobotEnv, PendubotEnv, tip_height
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.envs.teachers import one_motor_teacher as teachers
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.one_motor import LINE
+from torch_pmil.tasks.one_motor import LINE
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 TRIALS = 9  # the last one with 30 s of experience
 STARTS, START_SEED = 20, 11_000_000  # no start that a run has seen

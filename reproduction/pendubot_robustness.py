@@ -26,7 +26,7 @@ from torch import Tensor
 from reproduction.pendubot_plant import STEPS, TIME_STEP, Plant, simulated, stacked
 from torch_pmil.envs.double_pendulum import HANGING
 from torch_pmil.envs.pendubot import CONTROL_PERIOD, tip_height
-from torch_pmil.experiments.tasks.one_motor import LINE
+from torch_pmil.tasks.one_motor import LINE
 
 LEVELS = 21
 REPETITIONS = 10  # of each level of a noise

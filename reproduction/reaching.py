@@ -8,12 +8,12 @@ from pathlib import Path
 
 from reproduction.reproduction import PaperExperiment, Results, Run
 from reproduction.target_study import TargetStudy
-from torch_pmil.envs.teachers.reaching import COLUMNS, ROWS
-from torch_pmil.experiments.tasks.double_pendulum_targets import (
+from reproduction.teachers.reaching import COLUMNS, ROWS
+from torch_pmil.tasks.double_pendulum_targets import (
     distance_of_tip,
     double_pendulum_targets,
 )
-from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
+from torch_pmil.tasks.targets import TargetExperiment
 
 NARROW = 0.5  # target_scale
 

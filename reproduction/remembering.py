@@ -17,9 +17,9 @@ from reproduction.delay_calibration import with_delay
 from reproduction.figure7 import GOAL, size, success_curves, success_results
 from reproduction.learned import remeasured
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.with_history import with_history
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.with_history import with_history
 
 Tasks = Callable[[], Mapping[str, Experiment]]
 

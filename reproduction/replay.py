@@ -22,17 +22,17 @@ from reproduction.delay_calibration import calibrations_ahead
 from reproduction.failure_causes import ReplayedTrial
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments.diagnosis.after_a_run import known_steps
-from torch_pmil.experiments.diagnosis.causes import covered_fraction, first_mismatch, moved_fraction
-from torch_pmil.experiments.runs.summaries import RunError, read_summary
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.calibration import standardised_residuals, two_sigma_coverage
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import Experience
 from torch_pmil.model.particles import sample_rollouts
 from torch_pmil.model.rollout import PredictionError
+from torch_pmil.runs.diagnosis.after_a_run import known_steps
+from torch_pmil.runs.diagnosis.causes import covered_fraction, first_mismatch, moved_fraction
+from torch_pmil.runs.summaries import RunError, read_summary
 from torch_pmil.search.kl import gaussian_kl_terms
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in
 from torch_pmil.trainer.trials import success_rate
 

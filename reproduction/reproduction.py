@@ -12,12 +12,12 @@ import joblib
 import torch
 from tqdm import tqdm
 
-from torch_pmil.experiments.runs.run_folder import provenance
-from torch_pmil.experiments.runs.summaries import RunError, is_finished
-from torch_pmil.experiments.runs.training import train
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.files import in_words, read_json, write_json
 from torch_pmil.plotting import Figure, save_figure
+from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.summaries import RunError, is_finished
+from torch_pmil.runs.training import train
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.trials import Measurement
 
 # entries of each run's summary that results repeat
@@ -65,8 +65,8 @@ class PaperExperiment:
             fewer samples if quick.
 
     Example:
-        >>> from torch_pmil.experiments import load_experiment
-        >>> from torch_pmil.experiments.runs.summaries import read_summary
+        >>> from torch_pmil.tasks.registry import load_experiment
+        >>> from torch_pmil.runs.summaries import read_summary
         >>> def runs(root: Path, quick: bool) -> list[Run]:
         ...     experiment, trials = load_experiment("double_pendulum"), 3 if quick else 12
         ...     return [learning_run(root, experiment, seed, trials) for seed in range(2)]
@@ -95,7 +95,7 @@ def learning_run(root: Path, experiment: Experiment, seed: int, trials: int = 12
         trials: largest number of trials.
 
     Example:
-        >>> from torch_pmil.experiments import load_experiment
+        >>> from torch_pmil.tasks.registry import load_experiment
         >>> str(learning_run(Path("runs"), load_experiment("double_pendulum"), seed=3).out)
         'runs/double_pendulum/seed_3'
     """

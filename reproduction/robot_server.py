@@ -18,10 +18,10 @@ from reproduction.served_robot import DISTURBANCE, connected, served_experiment
 from torch_pmil.control.policy_file import load_policy
 from torch_pmil.envs import DoublePendulumEnv, DoublePendulumServoEnv
 from torch_pmil.envs.robot import RobotEnv
-from torch_pmil.experiments.runs.run_folder import provenance
-from torch_pmil.experiments.runs.summaries import is_finished, read_summary
-from torch_pmil.experiments.runs.training import train
 from torch_pmil.files import read_json, write_json
+from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.summaries import is_finished, read_summary
+from torch_pmil.runs.training import train
 
 SEEDS = range(3)
 TRIALS = 12

@@ -12,8 +12,8 @@ import numpy as np
 from reproduction.ablation import results_of_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 SEEDS, TRIALS = range(20, 25), 10  # on which no setting was chosen
 QUICK_SEEDS, QUICK_TRIALS = range(20, 21), 2

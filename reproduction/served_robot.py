@@ -14,9 +14,9 @@ from examples.robot_server.client import RemoteRobot, served_env
 from torch_pmil.envs import DoublePendulumEnv, PhysicalRobotEnv
 from torch_pmil.envs.operator import RobotError
 from torch_pmil.envs.robot import RobotEnv
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.training import train
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.runs.training import train
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 DISTURBANCE = ("--delay", "0.005", "--jitter", "0.002")  # s
 Addresses = tuple[str, str]  # of states and commands

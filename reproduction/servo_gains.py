@@ -11,10 +11,10 @@ from torch import Tensor
 
 from reproduction.double_pendulum_servo import with_servos
 from reproduction.figure7 import GOAL
+from reproduction.plots.gains import plot_gains
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
-from torch_pmil.experiments.runs.summaries import read_summary
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.plotting import plot_gains
+from torch_pmil.runs.summaries import read_summary
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.trials import success_rate
 
 STIFFNESSES = (3.0, 10.0, 30.0, 100.0)  # N·m/rad

@@ -18,13 +18,13 @@ from reproduction.baselines.separate_policies import SeparatePolicies
 from reproduction.learned import Learned, load_learned
 from reproduction.reproduction import Results, Run, learning_run
 from torch_pmil.control.state_policy import StatePolicy
-from torch_pmil.experiments.runs.run_folder import provenance
-from torch_pmil.experiments.runs.summaries import RunError, is_finished
-from torch_pmil.experiments.tasks.target_experiment import TargetExperiment
 from torch_pmil.files import read_json, write_json
 from torch_pmil.plotting import Figure, plot_heat_map
+from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.summaries import RunError, is_finished
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import search_policy
+from torch_pmil.tasks.targets import TargetExperiment
 
 START_SEED = 8_000_000  # no start that a run has seen
 METHODS = {

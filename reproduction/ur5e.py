@@ -33,11 +33,11 @@ from reproduction.arms import (
 from reproduction.learned import Learned, load_learned
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run, tell_trial
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments.runs.pictures import steps_of
-from torch_pmil.experiments.runs.telling import tell
-from torch_pmil.experiments.runs.training import EVALUATION_STARTS, train
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.plotting import Figure, plot_distributions, plot_photo_series
+from torch_pmil.runs.pictures import steps_of
+from torch_pmil.runs.telling import tell
+from torch_pmil.runs.training import EVALUATION_STARTS, train
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.trials import success_rate
 
 SEEDS = {"ur5e": range(10), "panda": range(5), "pilco": range(3)}

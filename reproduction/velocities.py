@@ -27,9 +27,9 @@ from reproduction.figure7 import (
 )
 from reproduction.learned import load_learned, measured_anew
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.model.sampling_frequency import Interval
+from reproduction.sampling_frequency import Interval
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 ALONE = "velocities alone"
 STARTS, START_SEED = 100, 9_000_000  # no start that a run has seen

@@ -21,6 +21,22 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 import torch_pmil.demonstrations
+from reproduction.teachers import reaching
+from reproduction.teachers.gym_teachers import (
+    CART_STEPS,
+    PENDULUM_STEPS,
+    balancing_teacher,
+    pendulum_teacher,
+)
+from reproduction.teachers.kinesthetic_teaching import Strike, Variation, record_strike
+from reproduction.teachers.one_motor_teacher import (
+    ACROBOT,
+    CART_POLE,
+    PENDUBOT,
+    SwingUp,
+    one_motor_teacher,
+)
+from reproduction.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.demonstrations.preparation.alignment import align
@@ -31,36 +47,20 @@ from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
 from torch_pmil.envs.pendubot import AcrobotEnv, PendubotEnv
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.envs.teachers import reaching
-from torch_pmil.envs.teachers.gym_teachers import (
-    CART_STEPS,
-    PENDULUM_STEPS,
-    balancing_teacher,
-    pendulum_teacher,
-)
-from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
-from torch_pmil.envs.teachers.one_motor_teacher import (
-    ACROBOT,
-    CART_POLE,
-    PENDUBOT,
-    SwingUp,
-    one_motor_teacher,
-)
-from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
-from torch_pmil.envs.teachers.trajectory_optimization import Array
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.biorob import biorob_space
-from torch_pmil.experiments.tasks.cart_pole import cart_pole_space
-from torch_pmil.experiments.tasks.double_pendulum import (
+from torch_pmil.files import in_words
+from torch_pmil.search.trajectory_optimization import Array
+from torch_pmil.tasks.biorob import biorob_space
+from torch_pmil.tasks.cart_pole import cart_pole_space
+from torch_pmil.tasks.double_pendulum import (
     REACH_DISTANCE,
     SUCCESS_DISTANCE,
     distance_from_target,
     distance_from_upright,
 )
-from torch_pmil.experiments.tasks.gym_pendulum import gym_pendulum_space
-from torch_pmil.experiments.tasks.inverted_pendulum import inverted_pendulum_space
-from torch_pmil.experiments.tasks.one_motor import one_motor_space
-from torch_pmil.files import in_words
+from torch_pmil.tasks.gym_pendulum import gym_pendulum_space
+from torch_pmil.tasks.inverted_pendulum import inverted_pendulum_space
+from torch_pmil.tasks.one_motor import one_motor_space
+from torch_pmil.tasks.registry import load_experiment
 
 DEMONSTRATIONS = 5  # paper
 STRIKES = 3  # paper

@@ -11,7 +11,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from torch_pmil.experiments.runs.playing import SHIPPED, load_player
+from torch_pmil.runs.playing import SHIPPED, load_player
 
 
 def main() -> None:

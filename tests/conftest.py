@@ -16,18 +16,17 @@ BROWSER = next(
 
 ROOT = Path(__file__).parents[1]
 PARTS = {  # by folder; the first that fits
-    "tests/experiments/runs/report/test_report_in_a_browser.py": "browser",
+    "tests/runs/report/test_report_in_a_browser.py": "browser",
     "tests/benchmarks": "docs",
     "tests/docs": "docs",
     "docs": "docs",
     "notebooks": "docs",
     "README.md": "docs",
-    "tests/envs/teachers/test_trajectory_optimization.py": "",  # knows no robot
     "tests/envs": "robot",
     "tests/cli/test_train_gym.py": "robot",
-    "tests/experiments/diagnosis/test_after_a_run.py": "robot",
-    "tests/experiments/diagnosis/test_before_a_run.py": "robot",
-    "tests/experiments/tasks": "robot",
+    "tests/runs/diagnosis/test_after_a_run.py": "robot",
+    "tests/runs/diagnosis/test_before_a_run.py": "robot",
+    "tests/tasks": "robot",
     "tests/reproduction": "robot",
     "tests/scripts": "robot",
 }

@@ -15,6 +15,10 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from reproduction.plots.errors import plot_errors_over_data
+from reproduction.plots.frequencies import plot_frequencies
+from reproduction.plots.variants import plot_variants
+from reproduction.sampling_frequency import Recording, score_frequencies
 from tests.helpers.draws import Draws
 from tests.helpers.losses import SPACE, make_cost, make_kl, make_parts, start
 from tests.helpers.short_run import short_experiment
@@ -37,7 +41,6 @@ from torch_pmil import (
     PolicyFileError,
     PredictionError,
     RBFPolicy,
-    Recording,
     SearchSettings,
     StatePolicy,
     StateSpace,
@@ -55,7 +58,6 @@ from torch_pmil import (
     predict_step,
     predict_trajectory,
     sample_trajectories,
-    score_frequencies,
     search_policy,
     shipped_demonstrations,
     trajectory_kl,
@@ -69,12 +71,12 @@ from torch_pmil.demonstrations.preparation.alignment import resample
 from torch_pmil.demonstrations.preparation.camera import plane_coordinates
 from torch_pmil.demonstrations.preparation.jumps import without_jumps
 from torch_pmil.envs import AdaptedEnv, CosSin, DoublePendulumEnv
-from torch_pmil.experiments.runs.training import train
 from torch_pmil.model.calibration import (
     observed_coverage,
     two_sigma_coverage,
 )
 from torch_pmil.plotting.video import write_video
+from torch_pmil.runs.training import train
 from torch_pmil.torchrl_interop import BeliefPolicy, GPWorldModel, ImaginedEnv
 
 Misuse = tuple[Callable[[], object], str, type[Exception]]
@@ -1402,7 +1404,7 @@ PICTURES = {
         "plain must hold 1 levels, one",
     ),
     "plot_variants of none": misuse(
-        lambda: plotting.plot_variants([], np.zeros((0, 1)), np.zeros((0, 1))),
+        lambda: plot_variants([], np.zeros((0, 1)), np.zeros((0, 1))),
         "labels must hold one at",
     ),
     "plot_writing of nothing": misuse(
@@ -1436,10 +1438,10 @@ PICTURES = {
         "there must be a trajectory before",
     ),
     "plot_errors_over_data of none": misuse(
-        lambda: plotting.plot_errors_over_data([1.0], {}), "panels must hold one at least, got none"
+        lambda: plot_errors_over_data([1.0], {}), "panels must hold one at least, got none"
     ),
     "plot_frequencies of none": misuse(
-        lambda: plotting.plot_frequencies([1.0], {}), "scores must hold one at least, got none"
+        lambda: plot_frequencies([1.0], {}), "scores must hold one at least, got none"
     ),
     "plot_photo_series of none": misuse(
         lambda: plotting.plot_photo_series({}, []), "rows must hold one at least, got none"

@@ -15,6 +15,7 @@ import torch_pmil
 PACKAGE = Path(torch_pmil.__file__).parent
 ROOMS = (  # bottom first
     ("files",),
+    ("checks",),
     ("envs",),  # knows no mathematics
     ("gp",),
     ("control",),
@@ -25,10 +26,9 @@ ROOMS = (  # bottom first
     ("torchrl_interop",),
     ("trainer",),
     ("plotting",),  # draws numbers, and knows no experiment
-    ("experiments", "tasks"),
-    ("experiments",),  # names the tasks
-    ("experiments", "diagnosis"),
-    ("experiments", "runs"),
+    ("tasks",),  # what is learned
+    ("runs", "diagnosis"),
+    ("runs",),  # how a run goes
     ("cli",),
     ("__main__",),
 )
@@ -43,13 +43,12 @@ PURE = {  # of rooms at the edge of TorchRL, the files that compute
     "model/rollout.py",
     "model/particles.py",
     "model/calibration.py",
-    "model/sampling_frequency.py",
     "search/kl.py",
     "search/saturating_cost.py",
     "search/reparameterisation.py",
     "search/policy_search.py",
 }
-MOST_FILES, MOST_FOLDERS = 4, 11  # of the package's top level
+MOST_FILES, MOST_FOLDERS = 5, 12  # of the package's top level
 # a robot, and the task on it
 SAME_NAME = {
     "__init__.py",
@@ -65,7 +64,7 @@ def name_of(path: Path) -> str:
 
 
 FILES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py")) if path.parent != PACKAGE}
-FILES |= {name: PACKAGE / name for name in ("files.py", "__main__.py")}
+FILES |= {name: PACKAGE / name for name in ("files.py", "checks.py", "__main__.py")}
 
 
 def room_of(module: str) -> tuple[str, ...]:
@@ -252,5 +251,5 @@ def test_public_mathematics_loads_neither_simulator_nor_torchrl() -> None:
 
 
 def test_importing_the_experiments_draws_nothing() -> None:
-    assert "torchrl" in loaded_statically("experiments.tasks.experiment")
-    assert "matplotlib" not in loaded_statically("experiments")
+    assert "torchrl" in loaded_statically("tasks.task")
+    assert "matplotlib" not in loaded_statically("tasks.registry")

@@ -20,7 +20,7 @@ import yaml
 
 import torch_pmil
 from tests.helpers.run_script import ROOT
-from torch_pmil.experiments.runs.sweep import EXTRAS
+from torch_pmil.runs.sweep import EXTRAS
 
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
 CHANGES = (ROOT / "CHANGELOG.md").read_text()

@@ -54,8 +54,6 @@ if TYPE_CHECKING:
         AlignmentError as AlignmentError,
         align as align,
     )
-    from torch_pmil.experiments import Experiment as Experiment, load_experiment as load_experiment
-    from torch_pmil.experiments.runs.pmil import PMIL as PMIL
     from torch_pmil.gp.gaussian import (
         Gaussian as Gaussian,
         NotPositiveDefiniteError as NotPositiveDefiniteError,
@@ -78,11 +76,7 @@ if TYPE_CHECKING:
         predict_step as predict_step,
         predict_trajectory as predict_trajectory,
     )
-    from torch_pmil.model.sampling_frequency import (
-        FrequencyScore as FrequencyScore,
-        Recording as Recording,
-        score_frequencies as score_frequencies,
-    )
+    from torch_pmil.runs.pmil import PMIL as PMIL
     from torch_pmil.search.kl import gaussian_kl as gaussian_kl, trajectory_kl as trajectory_kl
     from torch_pmil.search.losses import (
         ExpectedSaturatingCost as ExpectedSaturatingCost,
@@ -97,6 +91,8 @@ if TYPE_CHECKING:
     from torch_pmil.search.saturating_cost import (
         expected_saturating_cost as expected_saturating_cost,
     )
+    from torch_pmil.tasks.registry import load_experiment as load_experiment
+    from torch_pmil.tasks.task import Experiment as Experiment
     from torch_pmil.trainer.lbfgs_stepper import LBFGSStepper as LBFGSStepper
     from torch_pmil.trainer.trainer import PMILTrainer as PMILTrainer
     from torch_pmil.trainer.trials import Trial as Trial
@@ -107,8 +103,7 @@ MODULES = {
     "Demonstrations": "demonstrations",
     "ExpectedSaturatingCost": "search.losses",
     "Experience": "model.experience",
-    "Experiment": "experiments",
-    "FrequencyScore": "model.sampling_frequency",
+    "Experiment": "tasks.task",
     "GPDynamics": "model.dynamics",
     "Gaussian": "gp.gaussian",
     "InaccurateMomentsError": "gp.moment_accuracy",
@@ -119,13 +114,12 @@ MODULES = {
     "Moments": "gp.moments",
     "MultiTargetKLLoss": "search.multi_target_loss",
     "NotPositiveDefiniteError": "gp.gaussian",
-    "PMIL": "experiments.runs.pmil",
+    "PMIL": "runs.pmil",
     "PMILTrainer": "trainer.trainer",
     "ParticlePrediction": "model.particles",
     "PolicyFileError": "control.policy_file",
     "PredictionError": "model.rollout",
     "RBFPolicy": "control.rbf_policy",
-    "Recording": "model.sampling_frequency",
     "SearchResult": "search.policy_search",
     "SearchSettings": "search.policy_search",
     "StatePolicy": "control.state_policy",
@@ -138,7 +132,7 @@ MODULES = {
     "gaussian_kl": "search.kl",
     "joint_match": "control.state_space",
     "load_demonstrations": "demonstrations",
-    "load_experiment": "experiments",
+    "load_experiment": "tasks.registry",
     "load_policy": "control.policy_file",
     "load_recordings": "demonstrations",
     "moment_match": "gp.moment_matching",
@@ -147,7 +141,6 @@ MODULES = {
     "rounding_errors": "gp.moment_accuracy",
     "sample_trajectories": "model.particles",
     "save_policy": "control.policy_file",
-    "score_frequencies": "model.sampling_frequency",
     "search_policy": "search.policy_search",
     "shipped_demonstrations": "demonstrations",
     "trajectory_kl": "search.kl",

@@ -16,11 +16,11 @@ from pathlib import Path
 import torch
 from PIL import Image
 
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.figures import figures_of
-from torch_pmil.experiments.runs.training import train
+from torch_pmil import load_experiment
 from torch_pmil.files import replacing
 from torch_pmil.plotting import Figure
+from torch_pmil.runs.figures import figures_of
+from torch_pmil.runs.training import train
 
 SEED = 0
 TRIALS = {"early": 2, "learned": 12}

@@ -24,7 +24,7 @@ from torchrl.modules import MLP
 
 from reproduction.baselines.networks import Scaled, descend, from_unit, seeded, to_unit
 from reproduction.baselines.peer import Peer
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.tasks.task import Experiment
 
 BATCH = 256  # rows of a step
 

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from reproduction.baselines.behavioral_cloning import clone_behavior
+from reproduction.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, double_pendulum_model
-from torch_pmil.envs.teachers.exact_tracking import motion_of, tracking_torques
-from torch_pmil.envs.teachers.swing_up import demonstrate, swing_up_teacher
-from torch_pmil.experiments import load_experiment
+from torch_pmil.envs.exact_tracking import motion_of, tracking_torques
+from torch_pmil.tasks.registry import load_experiment
 
 FIRST_LINK = 0.5  # kg, of all robots
 DEMONSTRATED = 0.5  # kg, second link of the demonstrator

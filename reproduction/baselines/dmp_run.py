@@ -20,19 +20,19 @@ from reproduction.baselines.dmp_learning import (
     random_torques,
 )
 from reproduction.baselines.learned_inverse_dynamics import POSITION_GAIN, VELOCITY_GAIN
+from torch_pmil.checks import check_whole
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.envs.rollouts import rollout_of
-from torch_pmil.experiments.runs.run_folder import (
+from torch_pmil.files import write_json
+from torch_pmil.runs.run_folder import (
     clear_folder,
     prepare_folder,
     provenance,
     write_metrics,
 )
-from torch_pmil.experiments.runs.training import EVALUATION_STARTS
-from torch_pmil.experiments.tasks.double_pendulum import states_from_positions
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.files import write_json
-from torch_pmil.gp.checks import check_whole
+from torch_pmil.runs.training import EVALUATION_STARTS
+from torch_pmil.tasks.double_pendulum import states_from_positions
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.ending import LIMIT
 from torch_pmil.trainer.trials import Measurement, success_rate
 

@@ -28,7 +28,7 @@ from reproduction.baselines.cross_entropy_method import minimise_by_cem
 from reproduction.baselines.network_ensemble import EnsembleModel
 from reproduction.baselines.networks import from_unit
 from reproduction.baselines.peer import Peer
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.tasks.task import Experiment
 
 LARGE_PLANNER = {"candidates": 256, "elites": 26, "iterations": 5}  # for precise plans
 

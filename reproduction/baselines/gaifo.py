@@ -31,7 +31,7 @@ from torchrl.objectives import GAILLoss, SACLoss, SoftUpdate
 
 from reproduction.baselines.networks import Scaled, from_unit, seeded, to_unit
 from reproduction.baselines.peer import Peer, consecutive
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.tasks.task import Experiment
 
 BATCH = 128  # transitions of a step
 SURE = 1e-6  # of the discriminator: a larger probability is no larger reward

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from reproduction.baselines.model_peer import ModelPeer
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.tasks.task import Experiment
 
 
 class GPTracker(ModelPeer):

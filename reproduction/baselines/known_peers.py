@@ -9,9 +9,9 @@ from reproduction.baselines.gp_tracker import GPTracker
 from reproduction.baselines.mc_pilco import MCPilco
 from reproduction.baselines.peer import Peer
 from reproduction.baselines.told_bco import ToldBCO
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.handwriting import handwriting
+from torch_pmil.tasks.handwriting import handwriting
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 PEERS: dict[str, type[Peer]] = {
     peer.name: peer for peer in (GPTracker, EnsembleCEM, BCO, ToldBCO, GAIfO, MCPilco)

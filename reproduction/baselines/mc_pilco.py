@@ -46,10 +46,10 @@ from reproduction.baselines.monitored_descent import DescentSettings, descend
 from reproduction.baselines.particle_posterior import ParticlePosterior
 from reproduction.baselines.squashed_network import SquashedNetwork
 from torch_pmil.control.recovered_states import rates_of
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.gp.gaussian import normal
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.saturating_cost import saturating_cost
+from torch_pmil.tasks.task import Experiment
 
 
 class MCPilco(ModelPeer):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 
 from reproduction.baselines.peer import Peer
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import Experience
+from torch_pmil.tasks.task import Experiment
 
 CAPACITY = 10_000  # transitions
 

@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.tasks.task import Experiment
 
 
 class Peer(ABC):

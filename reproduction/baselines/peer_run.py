@@ -15,19 +15,19 @@ from torch import Tensor
 
 from reproduction.baselines.peer import Peer
 from reproduction.reproduction import Run
+from torch_pmil.checks import check_whole
 from torch_pmil.control.exploration import Motion
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.envs.rollouts import as_executed
-from torch_pmil.experiments.runs.run_folder import (
+from torch_pmil.files import write_json
+from torch_pmil.runs.run_folder import (
     clear_folder,
     prepare_folder,
     provenance,
     write_metrics,
 )
-from torch_pmil.experiments.runs.training import EVALUATION_STARTS
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.files import write_json
-from torch_pmil.gp.checks import check_whole
+from torch_pmil.runs.training import EVALUATION_STARTS
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.ending import LIMIT
 from torch_pmil.trainer.trials import Measurement, own_error, success_rate
 
@@ -61,7 +61,7 @@ def peer_run(
 
     Example:
         >>> from reproduction.baselines.bco import BCO
-        >>> from torch_pmil.experiments import load_experiment
+        >>> from torch_pmil.tasks.registry import load_experiment
         >>> experiment = load_experiment("double_pendulum")
         >>> str(peer_run(Path("runs"), experiment, BCO, seed=3, trials=20).out)
         'runs/double_pendulum_bco/seed_3'

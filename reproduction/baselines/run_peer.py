@@ -17,7 +17,7 @@ import torch
 
 from reproduction.baselines.known_peers import PEERS, named
 from reproduction.baselines.peer_run import peer_run
-from torch_pmil.experiments.runs.summaries import read_summary
+from torch_pmil.runs.summaries import read_summary
 
 
 def main() -> None:

@@ -18,9 +18,9 @@ from reproduction.baselines.behavioral_cloning import clone_behavior
 from reproduction.baselines.cloning import record_pairs
 from reproduction.baselines.learned_inverse_dynamics import PILCO_SIGNAL_TO_NOISE
 from torch_pmil.control.state_policy import StatePolicy
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 
 class ToldBCO(ClonesFromObservation):

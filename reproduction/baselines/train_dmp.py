@@ -17,10 +17,10 @@ from omegaconf import DictConfig
 
 from reproduction.baselines.dmp_run import DMPTrial, run_dmp
 from torch_pmil.demonstrations import load_demonstrations
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.report import write_report
 from torch_pmil.files import in_words
 from torch_pmil.plotting import plot_learning_curve, save_figure
+from torch_pmil.runs.report import write_report
+from torch_pmil.tasks.registry import load_experiment
 
 
 @hydra.main(version_base="1.3", config_path=str(Path(__file__).parent), config_name="train_dmp")

@@ -32,9 +32,9 @@ from reproduction.baselines.ensemble_cem import LARGE_PLANNER
 from reproduction.baselines.known_peers import PEERS, named, trials_until
 from reproduction.baselines.peer_run import peer_run
 from reproduction.reproduction import Run, finish
-from torch_pmil.experiments.runs.run_folder import provenance
-from torch_pmil.experiments.runs.summaries import read_summary, success_over_experience
 from torch_pmil.files import write_json
+from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.summaries import read_summary, success_over_experience
 
 SEEDS = 100, 101
 EXPERIENCE_S = 12.5, 25.0, 50.0  # at which success counts

@@ -26,10 +26,10 @@ from reproduction.soak.figures import figures_of
 from reproduction.soak.processes import Attempt, End, Job, Limits, attempt_all, has_ended
 from reproduction.soak.results import Row, details_of, headline_of, row_of
 from reproduction.soak.tasks import SoakRun, first_runs
-from torch_pmil.experiments.runs.run_folder import provenance
-from torch_pmil.experiments.runs.summaries import read_summary
 from torch_pmil.files import in_words, write_json
 from torch_pmil.plotting import save_figure
+from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.summaries import read_summary
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from scipy import stats
 
 from reproduction.soak.processes import attempts_in
 from reproduction.soak.results import Row, cpu_seconds_of, outcome_of
-from torch_pmil.experiments.runs.summaries import CONFIDENCE, RunError, read_summary
+from torch_pmil.runs.summaries import CONFIDENCE, RunError, read_summary
 
 QUANTITIES = ("experience_s", "wall_seconds", "cpu_seconds", "trials", "saved_success_rate")
 ALL = "all"

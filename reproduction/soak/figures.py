@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from reproduction.plots.many_runs import plot_experience_by_task, plot_promises
 from reproduction.replayed_runs import drawn
 from reproduction.soak.comparison import Outcomes
 from reproduction.soak.results import Row
 from reproduction.soak.tasks import TASKS
-from torch_pmil.plotting import Figure, plot_experience_by_task, plot_promises
+from torch_pmil.plotting import Figure
 
 OURS, THEIRS = "now", "before"
 TITLES = {task.name: task.title for task in TASKS}

@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from torch_pmil.experiments.runs.lock import RunGoingOnError, alone_in
 from torch_pmil.files import bounded_line, read_json, write_json
+from torch_pmil.runs.lock import RunGoingOnError, alone_in
 
 GIB = 2**30
 POLL_S = 0.2

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from reproduction.handwriting import SHAPES
 from reproduction.soak.processes import Job
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
-from torch_pmil.experiments.tasks.handwriting import handwriting_name
+from torch_pmil.tasks.handwriting import handwriting_name
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 ROBOT = "double_pendulum"  # which writes
 

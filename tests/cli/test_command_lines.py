@@ -10,13 +10,13 @@ import pytest
 import torch
 from hydra.core.config_store import ConfigStore
 
-from tests.experiments.runs.report.test_report import OLD, run_of
 from tests.helpers.draws import Draws
 from tests.helpers.losses import SPACE, make_parts
 from tests.helpers.run_script import run_command
+from tests.runs.report.test_report import OLD, run_of
 from torch_pmil.control.policy_file import save_policy
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.experiments.runs.run_folder import write_origin
+from torch_pmil.runs.run_folder import write_origin
 
 LONGEST = 800  # characters of a line, in which all settings and all shapes of the LASA set fit
 RECORDED = "demonstration,time,x,y\n"

@@ -13,8 +13,8 @@ import pytest
 from tests.helpers.bounded import measured
 from tests.helpers.run_script import run_command
 from torch_pmil.cli.resume import overrides
-from torch_pmil.experiments.runs.report import write_report
-from torch_pmil.experiments.runs.summaries import RunError, count_trials, read_summary
+from torch_pmil.runs.report import write_report
+from torch_pmil.runs.summaries import RunError, count_trials, read_summary
 
 TRIAL = {"trial": 1, "experience_s": 2.5, "success_rate": 0.5, "own_success": False}
 SUMMARY = {

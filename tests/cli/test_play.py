@@ -25,10 +25,10 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
 from torch_pmil.envs.mujoco_model import FULL_PHYSICS
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs import viewer
-from torch_pmil.experiments.runs.playing import SHIPPED, load_player
-from torch_pmil.experiments.runs.run_folder import write_settings
+from torch_pmil.runs import viewer
+from torch_pmil.runs.playing import SHIPPED, load_player
+from torch_pmil.runs.run_folder import write_settings
+from torch_pmil.tasks.registry import load_experiment
 
 Script = Callable[..., None]
 Printed = pytest.CaptureFixture[str]

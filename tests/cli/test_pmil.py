@@ -15,15 +15,15 @@ from pathlib import Path
 import pytest
 from hydra.core.config_store import ConfigStore
 
-from tests.experiments.runs.report.test_report import OLD, run_of
 from tests.helpers.run_script import ROOT, run_command
 from tests.helpers.short_run import quick_fits, short_experiment
+from tests.runs.report.test_report import OLD, run_of
 from torch_pmil import cli
 from torch_pmil.cli.resume import overrides
-from torch_pmil.experiments import EXPERIMENTS
-from torch_pmil.experiments.runs.run_folder import write_origin
-from torch_pmil.experiments.runs.summaries import RunError
+from torch_pmil.runs.run_folder import write_origin
+from torch_pmil.runs.summaries import RunError
 from torch_pmil.search import policy_search
+from torch_pmil.tasks.registry import EXPERIMENTS
 
 Printed = pytest.CaptureFixture[str]
 

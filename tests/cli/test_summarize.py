@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.run_script import run_command
-from torch_pmil.experiments.runs.summaries import wilson_interval
+from torch_pmil.runs.summaries import wilson_interval
 
 COMMAND = "summarize"
 

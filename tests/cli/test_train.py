@@ -20,21 +20,21 @@ from hydra.core.config_store import ConfigStore
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 
-from tests.experiments.runs.report.test_report import OLD
 from tests.helpers.run_script import ROOT, run_command
 from tests.helpers.short_run import quick_fits, short_experiment
+from tests.runs.report.test_report import OLD
 from torch_pmil.cli import train
 from torch_pmil.cli.resume import overrides
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs import DoublePendulumEnv, MujocoRobotEnv
 from torch_pmil.envs.operator import RobotError, RunStopped
-from torch_pmil.experiments import EXPERIMENTS, Experiment
-from torch_pmil.experiments.diagnosis.demonstration_checks import Finding
-from torch_pmil.experiments.runs import pictures, settings
-from torch_pmil.experiments.runs.settings import word_of
-from torch_pmil.experiments.runs.training import RunResult, train as learn
-from torch_pmil.experiments.tasks.experiment import Outcome
+from torch_pmil.runs import pictures, settings
+from torch_pmil.runs.diagnosis.demonstration_checks import Finding
+from torch_pmil.runs.settings import word_of
+from torch_pmil.runs.training import RunResult, train as learn
 from torch_pmil.search import policy_search
+from torch_pmil.tasks.registry import EXPERIMENTS
+from torch_pmil.tasks.task import Experiment, Outcome
 from torch_pmil.trainer import search_stepper
 
 COMMAND = "train"

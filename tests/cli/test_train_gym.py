@@ -17,10 +17,11 @@ import torch
 
 from tests.helpers.run_script import run_command
 from torch_pmil.envs import gym_tasks
-from torch_pmil.experiments import EXPERIMENTS, Experiment, load_experiment
-from torch_pmil.experiments.runs.training import make_trainer
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.runs.training import make_trainer
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.trainer import PMILTrainer
 
 COMMAND = "train"

@@ -13,7 +13,7 @@ from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 NAMES, UNITS = ("q", "dq"), ("rad", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (), joint_match(NAMES, UNITS))

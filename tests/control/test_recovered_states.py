@@ -7,7 +7,7 @@ import torch
 from torch_pmil.control.recovered_states import rates_of, recover_states
 from torch_pmil.control.state_space import MatchSpace
 from torch_pmil.demonstrations import shipped_demonstrations
-from torch_pmil.experiments.tasks.double_pendulum import (
+from torch_pmil.tasks.double_pendulum import (
     double_pendulum_space,
     states_from_positions,
 )

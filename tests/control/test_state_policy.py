@@ -22,7 +22,7 @@ from tests.helpers.draws import Draws
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 STEP_SECONDS = 1e-3
 BLOCKED = (

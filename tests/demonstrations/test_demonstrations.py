@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from reproduction.teachers.reaching import TRAINING_TARGETS
 from torch_pmil.demonstrations import (
     DemonstrationError,
     Demonstrations,
@@ -13,7 +14,6 @@ from torch_pmil.demonstrations import (
     load_recordings,
     shipped_demonstrations,
 )
-from torch_pmil.envs.teachers.reaching import TRAINING_TARGETS
 
 
 def walk(*shape):

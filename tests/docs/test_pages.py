@@ -23,9 +23,9 @@ from omegaconf import DictConfig
 from tests.helpers.pages import PAGES, ROOT, Block, blocks, commands, not_printed
 from tests.helpers.run_script import run_command
 from torch_pmil.cli import Parser, train
-from torch_pmil.experiments import EXPERIMENTS
-from torch_pmil.experiments.runs.settings import check_overrides, settings_of
-from torch_pmil.experiments.tasks.double_pendulum import SUCCESS_DISTANCE
+from torch_pmil.runs.settings import check_overrides, settings_of
+from torch_pmil.tasks.double_pendulum import SUCCESS_DISTANCE
+from torch_pmil.tasks.registry import EXPERIMENTS
 
 LEARNS = re.compile(r"\btrain\(|\.learn\(|^pmil (train|resume)\b", re.MULTILINE)
 TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text() for page in PAGES}

@@ -11,6 +11,14 @@ import numpy as np
 import pytest
 import torch
 
+from reproduction.teachers.gym_teachers import (
+    CART_STEPS,
+    HOLD_FROM,
+    PENDULUM_STEPS,
+    TORQUE_LIMIT,
+    balancing_teacher,
+    pendulum_teacher,
+)
 from torch_pmil.envs import gym_tasks
 from torch_pmil.envs.gym_tasks import (
     cart_dynamics,
@@ -19,20 +27,12 @@ from torch_pmil.envs.gym_tasks import (
     pendulum_dynamics,
 )
 from torch_pmil.envs.rollouts import rollout_of, states_of
-from torch_pmil.envs.teachers.gym_teachers import (
-    CART_STEPS,
-    HOLD_FROM,
-    PENDULUM_STEPS,
-    TORQUE_LIMIT,
-    balancing_teacher,
-    pendulum_teacher,
-)
-from torch_pmil.envs.teachers.trajectory_optimization import (
+from torch_pmil.search.trajectory_optimization import (
     Array,
     Dynamics as ArrayDynamics,
     roll_out,
 )
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 STARTS = 500
 

@@ -14,10 +14,10 @@ import torch
 from scipy.spatial import Delaunay
 from torch import Tensor
 
+from reproduction.teachers.kinesthetic_teaching import Strike, _racket_path, record_strike
 from torch_pmil.envs.biorob import BALL, JOINTS, ROTORS, TORQUE_LIMIT, biorob_model
 from torch_pmil.envs.equilibrium import Equilibrium
 from torch_pmil.envs.hitting_plane import COLUMNS, GRID, ROWS, TRAINING_TARGETS, ball_at
-from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, _racket_path, record_strike
 
 CORNERS = [0, 6, 28, 34]
 TIME_STEP = 0.002  # s, of the torques

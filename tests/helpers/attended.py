@@ -12,8 +12,8 @@ from tensordict import TensorDictBase
 from tests.helpers.short_run import STEPS, short_experiment
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.envs.operator import RobotError, RolloutDiscarded, RunStopped
-from torch_pmil.experiments import Experiment
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.task import Experiment
 
 KEYS: dict[str, Exception] = {
     "d": RolloutDiscarded("the last rollout is discarded"),

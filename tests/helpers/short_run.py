@@ -24,13 +24,14 @@ from torchrl.checkpoint import Checkpoint
 
 from torch_pmil.control.exploration import PDMovements
 from torch_pmil.envs.mujoco import MujocoRobotEnv
-from torch_pmil.experiments import Experiment, load_experiment
-from torch_pmil.experiments.runs.training import RunResult, train
 from torch_pmil.gp.hyperparameters import pilco_starts
 from torch_pmil.model import dynamics
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.runs.training import RunResult, train
 from torch_pmil.search import policy_search
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 STEPS, TRIALS, SEED = 4, 3, 5
 COMMAND = f"pmil train seed={SEED}"

@@ -21,10 +21,10 @@ from reproduction.ablation import (
 )
 from reproduction.learned import load_learned
 from tests.helpers.short_run import quick_fits, short_experiment, stop_in
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.training import make_trainer, train
 from torch_pmil.model.particles import ParticlePrediction
+from torch_pmil.runs.training import make_trainer, train
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.registry import load_experiment
 
 CHANGED = {
     "ours": set(),

@@ -11,7 +11,7 @@ import torch
 from reproduction import arms, ur5e, velocities
 from reproduction.arms import PANDA, UR5E, Arm, arm_experiment, motion, servo_alone
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 ARMS = pytest.mark.parametrize("arm", [UR5E, PANDA], ids=["ur5e", "panda"])
 needs_robosuite = pytest.mark.skipif(

@@ -20,11 +20,11 @@ from reproduction.biorob import (
     photo_series,
     results,
 )
+from reproduction.teachers.kinesthetic_teaching import Strike, Variation, record_strike
 from tests.helpers.short_run import quick_fits
-from torch_pmil.envs.teachers.kinesthetic_teaching import Strike, Variation, record_strike
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.training import train
+from torch_pmil.runs.training import train
 from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.registry import load_experiment
 
 ENTRIES = ("q_yaw", "q_shoulder", "q_elbow", "dq_yaw", "dq_shoulder", "dq_elbow")
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from reproduction.box import SEEDS, TRIALS, _excursions, needed_runs, with_box
+from reproduction.plots.excursions import plot_excursions
 from torch_pmil.control.state_box import StateBox
-from torch_pmil.plotting.excursions import plot_excursions
 
 
 @pytest.fixture

@@ -24,11 +24,11 @@ from tests.helpers.draws import Draws
 from tests.helpers.short_run import STEPS, quick_fits, run, short_experiment
 from torch_pmil.control.policy_file import PolicyFileError
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments import EXPERIMENTS
-from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.experiments.runs.training import RunResult
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.runs.summaries import RunError
+from torch_pmil.runs.training import RunResult
 from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.tasks.registry import EXPERIMENTS
 
 
 @pytest.fixture(scope="module")

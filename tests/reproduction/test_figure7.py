@@ -14,7 +14,7 @@ from reproduction.figure7 import success_curves
 from reproduction.figure7a import needed_runs as runs_of_7a, results as results_7a
 from reproduction.figure7b import needed_runs as runs_of_7b, results as results_7b
 from tests.helpers.short_run import quick_fits, short_experiment
-from torch_pmil.experiments.runs.summaries import RunError, read_summary
+from torch_pmil.runs.summaries import RunError, read_summary
 
 
 def leave_runs(root: Path, curves: Mapping[str, Sequence[float]]) -> list[Path]:

@@ -11,10 +11,10 @@ import torch
 from scipy import stats
 
 from reproduction.figure9 import needed_runs, read_score, recorded_movements, results
+from reproduction.sampling_frequency import Recording
 from torch_pmil.envs.biorob import START, TORQUE_LIMIT
-from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.experiments.tasks.biorob_targets import REACH
-from torch_pmil.model.sampling_frequency import Recording
+from torch_pmil.runs.summaries import RunError
+from torch_pmil.tasks.biorob_targets import REACH
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_numbers_are_means_over_recordings_at_their_frequency_and_length(
             torch.full((folds, 6), -abs(len(inputs) - 60.0)).double() + targets[0, 0]
         )  # best where there are 60 transitions
 
-    monkeypatch.setattr("torch_pmil.model.sampling_frequency.held_out_log_likelihood", values)
+    monkeypatch.setattr("reproduction.sampling_frequency.held_out_log_likelihood", values)
     runs = needed_runs(tmp_path, quick=True)
     for run in runs:
         run.learn(run.out, "test")

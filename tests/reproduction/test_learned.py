@@ -15,9 +15,9 @@ from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.summaries import RunError
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.runs.summaries import RunError
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 
 def hanging_still(**settings: object) -> Experiment:

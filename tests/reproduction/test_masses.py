@@ -17,9 +17,9 @@ from reproduction import masses
 from reproduction.masses import SECOND_LINKS, SEEDS, TRIALS, needed_runs, results, with_second_link
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.rollouts import rollout_of
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.double_pendulum import states_from_positions
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.tasks.double_pendulum import states_from_positions
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 
 def mass_of(robot: Experiment) -> float:

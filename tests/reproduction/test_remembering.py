@@ -12,7 +12,7 @@ from reproduction.biorob_history import remembering_biorob
 from reproduction.delay_calibration import with_delay
 from reproduction.remembering import delayed, positions_only
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 
 @pytest.mark.robot

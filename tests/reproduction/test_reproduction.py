@@ -15,9 +15,9 @@ import pytest
 
 from reproduction import reproduction
 from reproduction.reproduction import PaperExperiment, Results, Run, finish, learning_run, reproduce
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.plotting import Figure
+from torch_pmil.runs.summaries import RunError
+from torch_pmil.tasks.registry import load_experiment
 
 COMMAND = "python scripts/reproduce.py toy"
 

@@ -27,8 +27,8 @@ from reproduction.robustness import (
 )
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import link_positions
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 RECORDED = torch.linspace(0, 1, 5 * 26 * 4, dtype=torch.float64).reshape(5, 26, 4)  # states
 

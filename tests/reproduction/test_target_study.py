@@ -14,10 +14,10 @@ from reproduction import figure11, reaching as reaching_study
 from reproduction.figure11 import BALLS
 from reproduction.reaching import PLACES
 from reproduction.target_study import METHODS, TargetStudy, inside_triangle, read_measurement
+from reproduction.teachers import reaching
 from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil.envs import hitting_plane
-from torch_pmil.envs.teachers import reaching
-from torch_pmil.experiments.runs.summaries import RunError
+from torch_pmil.runs.summaries import RunError
 from torch_pmil.search.policy_search import SearchSettings
 
 STEPS = 4

@@ -7,8 +7,8 @@ import torch
 
 from tests.helpers.draws import Draws
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.experiments.tasks.handwriting import Handwriting, handwriting
 from torch_pmil.gp.hyperparameters import MOST_SIGNAL_TO_NOISE
+from torch_pmil.tasks.handwriting import Handwriting, handwriting
 
 pytestmark = pytest.mark.robot
 DATA = 150

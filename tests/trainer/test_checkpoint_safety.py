@@ -28,7 +28,7 @@ from tests.helpers.short_run import (
     short_experiment,
     stopped_run,
 )
-from torch_pmil.experiments.runs.training import make_trainer
+from torch_pmil.runs.training import make_trainer
 from torch_pmil.trainer.archive import read_archive
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in, saved_checkpoints
 from torch_pmil.trainer.trainer import PMILTrainer

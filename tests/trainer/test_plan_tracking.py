@@ -10,13 +10,13 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
+from reproduction.teachers.swing_up import array_dynamics
 from tests.helpers.short_run import quick_fits
 from torch_pmil.envs import CartPoleEnv
-from torch_pmil.envs.teachers.swing_up import array_dynamics
-from torch_pmil.envs.teachers.trajectory_optimization import QuadraticCost, plan_trajectory
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.tasks.experiment import Experiment
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.search.trajectory_optimization import QuadraticCost, plan_trajectory
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 from torch_pmil.trainer.plan_tracking import PlanTracking
 
 NAMES = ["double_pendulum", "pendubot"]

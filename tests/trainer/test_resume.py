@@ -29,9 +29,9 @@ from tests.helpers.short_run import (
     stop_in,
     stopped_run,
 )
-from torch_pmil.experiments import EXPERIMENTS, load_experiment
-from torch_pmil.experiments.runs.run_folder import FinishedRunError, UnfinishedRunError
-from torch_pmil.experiments.runs.training import train
+from torch_pmil.runs.run_folder import FinishedRunError, UnfinishedRunError
+from torch_pmil.runs.training import train
+from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.collector import RolloutCollector
 

@@ -22,9 +22,9 @@ from tests.helpers.short_run import PD_MOVEMENTS, quick_fits as shorten_fits, sh
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.envs.rollouts import rollout_of, states_of, without_sensor_noise
-from torch_pmil.experiments.runs.training import make_trainer
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError
+from torch_pmil.runs.training import make_trainer
 from torch_pmil.search.policy_search import SearchResult, SearchSettings
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess
 from torch_pmil.trainer import search_stepper as stepper_module

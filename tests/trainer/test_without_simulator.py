@@ -25,7 +25,7 @@ from tests.helpers.short_run import (
 )
 from tests.trainer.test_resume import assert_same_end
 from torch_pmil.envs.operator import RobotError, RolloutDiscarded, RunStopped
-from torch_pmil.experiments.runs.training import RunResult, make_trainer, train
+from torch_pmil.runs.training import RunResult, make_trainer, train
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.trainer import PMILTrainer
 

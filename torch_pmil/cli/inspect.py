@@ -10,11 +10,11 @@ import argparse
 import sys
 from pathlib import Path
 
+from torch_pmil.checks import check_positive
 from torch_pmil.cli import Parser
 from torch_pmil.demonstrations import load_recordings
 from torch_pmil.demonstrations.inspection import advice, describe
 from torch_pmil.files import in_words
-from torch_pmil.gp.checks import check_positive
 from torch_pmil.plotting import plot_recordings, save_figure
 
 

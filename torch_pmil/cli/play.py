@@ -16,12 +16,12 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
+from torch_pmil.checks import check_whole
 from torch_pmil.cli import Parser
-from torch_pmil.experiments.runs.playing import SHIPPED, Player, load_player
-from torch_pmil.experiments.runs.viewer import has_screen
 from torch_pmil.files import in_words
-from torch_pmil.gp.checks import check_whole
 from torch_pmil.plotting.video import check_film_name
+from torch_pmil.runs.playing import SHIPPED, Player, load_player
+from torch_pmil.runs.viewer import has_screen
 
 FILM = Path("play.gif")
 

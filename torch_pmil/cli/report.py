@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 
 from torch_pmil.cli import Parser
-from torch_pmil.experiments.runs.report import write_report
-from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.files import in_words
+from torch_pmil.runs.report import write_report
+from torch_pmil.runs.summaries import RunError
 
 
 def main() -> None:

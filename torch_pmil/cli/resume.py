@@ -12,10 +12,10 @@ import sys
 from pathlib import Path
 
 from torch_pmil.cli import Parser, train
-from torch_pmil.experiments.runs.run_folder import read_command
-from torch_pmil.experiments.runs.settings import NAMES, word_of
-from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.files import in_words, short
+from torch_pmil.runs.run_folder import read_command
+from torch_pmil.runs.settings import NAMES, word_of
+from torch_pmil.runs.summaries import RunError
 
 
 def main() -> None:

@@ -13,8 +13,10 @@ import sys
 from pathlib import Path
 
 from torch_pmil.cli import Parser
-from torch_pmil.experiments.runs.run_folder import provenance
-from torch_pmil.experiments.runs.summaries import (
+from torch_pmil.files import in_words, write_json
+from torch_pmil.plotting import plot_success_over_experience, save_figure
+from torch_pmil.runs.run_folder import provenance
+from torch_pmil.runs.summaries import (
     COVERAGE,
     RunError,
     SuccessCurve,
@@ -24,8 +26,6 @@ from torch_pmil.experiments.runs.summaries import (
     read_summary,
     success_over_experience,
 )
-from torch_pmil.files import in_words, write_json
-from torch_pmil.plotting import plot_success_over_experience, save_figure
 
 SUCCESS_RATE = 0.95  # paper
 EXPERIENCE_S = 33.0  # paper

@@ -33,14 +33,14 @@ from omegaconf.errors import OmegaConfBaseException
 from torch_pmil.cli import Parser, lasting_output, lost_output
 from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs.operator import RobotError, RunStopped
-from torch_pmil.experiments import Experiment, load_experiment
-from torch_pmil.experiments.diagnosis.before_a_run import check
-from torch_pmil.experiments.runs.lock import alone_in
-from torch_pmil.experiments.runs.pictures import tell_all
-from torch_pmil.experiments.runs.printing import print_trial, warn_of
-from torch_pmil.experiments.runs.run_folder import FinishedRunError
-from torch_pmil.experiments.runs.setting_words import OF_RUN, help_lines
-from torch_pmil.experiments.runs.settings import (
+from torch_pmil.files import bounded_line, in_words
+from torch_pmil.runs.diagnosis.before_a_run import check
+from torch_pmil.runs.lock import alone_in
+from torch_pmil.runs.pictures import tell_all
+from torch_pmil.runs.printing import print_trial, warn_of
+from torch_pmil.runs.run_folder import FinishedRunError
+from torch_pmil.runs.setting_words import OF_RUN, help_lines
+from torch_pmil.runs.settings import (
     Settings,
     check_overrides,
     first_line,
@@ -48,11 +48,12 @@ from torch_pmil.experiments.runs.settings import (
     with_file,
     word_of,
 )
-from torch_pmil.experiments.runs.summaries import is_finished
-from torch_pmil.experiments.runs.sweep import register_launchers
-from torch_pmil.experiments.runs.telling import making_the_rest, warn_incomplete
-from torch_pmil.experiments.runs.training import RunResult, train
-from torch_pmil.files import bounded_line, in_words
+from torch_pmil.runs.summaries import is_finished
+from torch_pmil.runs.sweep import register_launchers
+from torch_pmil.runs.telling import making_the_rest, warn_incomplete
+from torch_pmil.runs.training import RunResult, train
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 CONFIG = Path(__file__).parent / "config"
 HELP = """\

@@ -8,8 +8,8 @@ from typing import Self
 
 from torch import Tensor
 
+from torch_pmil.checks import check_tensor
 from torch_pmil.control.state_space import with_unit
-from torch_pmil.gp.checks import check_tensor
 
 
 @dataclass(frozen=True, eq=False)

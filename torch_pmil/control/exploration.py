@@ -9,8 +9,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from torch_pmil.checks import check_finite_entries, check_tensor, check_whole
 from torch_pmil.control.action_space import ActionSpace
-from torch_pmil.gp.checks import check_finite_entries, check_tensor, check_whole
 
 Feedforward = Callable[[Tensor], Tensor]
 

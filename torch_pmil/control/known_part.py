@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torch_pmil.gp.checks import check_positive, check_tensor, check_whole
+from torch_pmil.checks import check_positive, check_tensor, check_whole
 
 # weight of the trapezoidal rule beside the data, over theirs: it counts where nothing moves
 RULE_RIDGE = 1e-6

@@ -18,7 +18,7 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
-from torch_pmil.gp.checks import check_positive, check_real, check_tensor
+from torch_pmil.checks import check_positive, check_real, check_tensor
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import moment_match

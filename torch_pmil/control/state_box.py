@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from torch_pmil.checks import check_positive
 from torch_pmil.control.state_space import MatchSpace, StateSpace
-from torch_pmil.gp.checks import check_positive
 from torch_pmil.gp.gaussian import Gaussian
 
 

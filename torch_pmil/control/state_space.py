@@ -13,7 +13,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torch_pmil.gp.checks import check_real
+from torch_pmil.checks import check_real
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.trigonometry import Augmentation
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_pmil.checks import check_noise, check_tensor
 from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.gp.checks import check_noise, check_tensor
 from torch_pmil.gp.gaussian import Gaussian, symmetric
 
 

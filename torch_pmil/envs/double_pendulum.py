@@ -160,3 +160,34 @@ def _two_positive(name: str, numbers: Sequence[float], unit: str) -> NDArray[np.
     if values.shape != (2,) or not (np.isfinite(values) & (values > 0)).all():
         raise ValueError(f"{name} must be two positive finite numbers in {unit}, got {numbers}")
     return values
+
+
+def pose_at(targets: Tensor) -> Tensor:
+    """Angles [q1, q2] with which the tip is at the targets.
+
+    Seen from the base the elbow is on their left, hence q2 < 0.
+
+    Args:
+        targets: [x, y] of the tip, (*batch, 2), m.
+
+    Returns:
+        (*batch, 2), rad; q1 from 0 to 2 pi about hanging (pi), q2 from -pi to 0.
+
+    Raises:
+        ValueError: a target is the base itself or farther away than the arm is long.
+
+    Example:
+        >>> target = torch.tensor([0.5, -0.5], dtype=torch.float64)
+        >>> pose_at(target)  # link 1 hangs, link 2 points to the right
+        tensor([ 3.1416, -1.5708], dtype=torch.float64)
+    """
+    reach = targets.norm(dim=-1)
+    bad = targets[~((reach > 0) & (reach <= 2 * LINK_LENGTH))]
+    if len(bad):
+        raise ValueError(
+            f"targets must be in the arm's reach, from 0 to {2 * LINK_LENGTH} m from its base, got "
+            f"{bad[0].tolist()}"
+        )
+    direction = torch.atan2(targets[..., 0], targets[..., 1]).remainder(2 * math.pi)
+    bend = (reach / (2 * LINK_LENGTH)).acos()
+    return torch.stack([direction + bend, -2 * bend], dim=-1)

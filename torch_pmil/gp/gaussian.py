@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_pmil.gp.checks import check_finite_entries, check_whole
+from torch_pmil.checks import check_finite_entries, check_whole
 
 # part of its largest entry by which a covariance may be asymmetric, or an eigenvalue negative
 NEGLIGIBLE = 1e-5

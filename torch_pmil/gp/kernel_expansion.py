@@ -11,7 +11,7 @@ from gpytorch.kernels import RBFKernel, ScaleKernel
 from gpytorch.means import ConstantMean, ZeroMean
 from torch import Tensor
 
-from torch_pmil.gp.checks import check_finite_entries, check_real
+from torch_pmil.checks import check_finite_entries, check_real
 from torch_pmil.gp.gaussian import cholesky
 from torch_pmil.gp.gram import gram
 from torch_pmil.gp.kernel_pairs import KernelPairs

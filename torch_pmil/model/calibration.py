@@ -10,8 +10,8 @@ import math
 import torch
 from torch import Tensor
 
+from torch_pmil.checks import check_tensor
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.checks import check_tensor
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 

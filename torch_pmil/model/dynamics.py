@@ -14,9 +14,9 @@ import torch
 from gpytorch.constraints import Positive
 from torch import Tensor, nn
 
+from torch_pmil.checks import check_real, check_whole
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.checks import check_real, check_whole
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.hyperparameters import (
     MOST_SIGNAL_TO_NOISE,

@@ -13,8 +13,8 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyMemmapStorage, TensorDictReplayBuffer
 
+from torch_pmil.checks import check_tensor, check_whole
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.checks import check_tensor, check_whole
 from torch_pmil.model.dynamics import GPDynamics, Targets, known_part
 
 FEWEST_TRANSITIONS = 2  # of which a model can be made

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_pmil.checks import check_whole
 from torch_pmil.control.rbf_policy import Policy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, normal, symmetric
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import check_finite, check_start_belief

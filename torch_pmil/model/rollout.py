@@ -7,10 +7,10 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from torch_pmil.checks import check_tensor, check_whole
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.rbf_policy import Controller, Policy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.checks import check_tensor, check_whole
 from torch_pmil.gp.gaussian import (
     Gaussian,
     NotPositiveDefiniteError,

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
 
     from torch_pmil.plotting.before_after import plot_before_after as plot_before_after
     from torch_pmil.plotting.calibration import plot_calibration as plot_calibration
-    from torch_pmil.plotting.errors import plot_errors_over_data as plot_errors_over_data
-    from torch_pmil.plotting.frequencies import plot_frequencies as plot_frequencies
-    from torch_pmil.plotting.gains import plot_gains as plot_gains
     from torch_pmil.plotting.gaussian_process import (
         plot_gp as plot_gp,
         plot_moment_matching as plot_moment_matching,
@@ -25,10 +22,6 @@ if TYPE_CHECKING:
     from torch_pmil.plotting.gp_slices import plot_gp_slices as plot_gp_slices
     from torch_pmil.plotting.heat_maps import plot_heat_map as plot_heat_map
     from torch_pmil.plotting.kl_terms import plot_kl_per_step as plot_kl_per_step
-    from torch_pmil.plotting.many_runs import (
-        plot_experience_by_task as plot_experience_by_task,
-        plot_promises as plot_promises,
-    )
     from torch_pmil.plotting.pendulum import (
         pendulum_frames as pendulum_frames,
         plot_poses as plot_poses,
@@ -55,7 +48,6 @@ if TYPE_CHECKING:
         plot_distributions as plot_distributions,
         plot_prediction as plot_prediction,
     )
-    from torch_pmil.plotting.variants import plot_variants as plot_variants
 
 MODULES = {
     "BLUE": "style",
@@ -67,10 +59,6 @@ MODULES = {
     "plot_calibration": "calibration",
     "plot_demonstrations": "trajectories",
     "plot_distributions": "trajectories",
-    "plot_errors_over_data": "errors",
-    "plot_experience_by_task": "many_runs",
-    "plot_frequencies": "frequencies",
-    "plot_gains": "gains",
     "plot_gp": "gaussian_process",
     "plot_gp_slices": "gp_slices",
     "plot_heat_map": "heat_maps",
@@ -81,13 +69,11 @@ MODULES = {
     "plot_policy": "policy",
     "plot_poses": "pendulum",
     "plot_prediction": "trajectories",
-    "plot_promises": "many_runs",
     "plot_recordings": "recordings",
     "plot_success_of_methods": "success",
     "plot_success_over_experience": "success",
     "plot_success_over_mass": "success",
     "plot_success_over_settings": "success",
-    "plot_variants": "variants",
     "plot_writing": "strokes",
     "save_figure": "style",
 }

@@ -18,9 +18,9 @@ import imageio_ffmpeg
 import numpy as np
 from torch import Tensor
 
+from torch_pmil.checks import check_positive
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.files import replacing
-from torch_pmil.gp.checks import check_positive
 
 PATIENCE = 60.0  # s without progress after which ffmpeg is ended
 # an MP4, whatever the file is called, with its index first, so that a browser plays at once

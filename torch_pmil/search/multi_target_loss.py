@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torch_pmil.checks import check_tensor
 from torch_pmil.control.rbf_policy import PolicyAtTargets, RBFPolicy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.checks import check_tensor
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory

@@ -9,7 +9,7 @@ import torch
 from scipy.stats import beta
 from torch import Tensor
 
-from torch_pmil.gp.checks import check_positive
+from torch_pmil.checks import check_positive
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.particles import sample_rollouts
 from torch_pmil.search.trajectory_loss import TrajectoryLoss

@@ -31,7 +31,7 @@ class ReparameterisedLoss(nn.Module):
             and widths.
 
     Example:
-        >>> from torch_pmil.experiments import load_experiment
+        >>> from torch_pmil.tasks.registry import load_experiment
         >>> experiment = load_experiment("double_pendulum")
         >>> policy = experiment.make_policy(torch.Generator().manual_seed(0))
         >>> ReparameterisedLoss(experiment.make_loss(policy, None)).values.shape

@@ -18,9 +18,9 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
+from torch_pmil.checks import check_whole
 from torch_pmil.control.rbf_policy import Policy, RBFPolicy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.compiled import kernels, serves
 from torch_pmil.model.compiled.plans import Comparison

@@ -13,8 +13,8 @@ from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
+from torch_pmil.checks import check_whole
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.checks import check_whole
 from torch_pmil.gp.gaussian import Gaussian, joint
 from torch_pmil.gp.moment_matching import moment_match
 from torch_pmil.model.dynamics import FitResult, GPDynamics, Targets, known_part

@@ -9,7 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.trainers import OptimizationStepper, Trainer
 
-from torch_pmil.gp.checks import check_whole
+from torch_pmil.checks import check_whole
 from torch_pmil.gp.lbfgs import minimise
 
 

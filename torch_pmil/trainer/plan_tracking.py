@@ -20,7 +20,9 @@ from torch import Tensor
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.envs.teachers.trajectory_optimization import (
+from torch_pmil.gp.gaussian import normal
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.search.trajectory_optimization import (
     Array,
     Dynamics,
     Plan,
@@ -30,8 +32,6 @@ from torch_pmil.envs.teachers.trajectory_optimization import (
     roll_out,
     tracking_gains,
 )
-from torch_pmil.gp.gaussian import normal
-from torch_pmil.model.dynamics import GPDynamics
 
 TURN = 2 * np.pi  # rad
 SAMPLES = 20  # states a time step, at which a policy is fitted

@@ -23,11 +23,11 @@ from torchrl.envs import EnvBase
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
 
+from torch_pmil.checks import check_positive, check_whole
 from torch_pmil.control.cautious_motion import CautiousMotion
 from torch_pmil.control.exploration import Exploration
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_box import StateBox
-from torch_pmil.gp.checks import check_positive, check_whole
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.experience import (
     FEWEST_TRANSITIONS,
@@ -104,7 +104,7 @@ class PMILTrainer(Trainer):
         RunStopped, RolloutDiscarded, RobotError: in :meth:`train`, raised by the robot's reset.
         ValueError: a number is out of range, or start or limits are not over the state.
 
-    Example: see ``torch_pmil/experiments/runs/training.py``.
+    Example: see ``torch_pmil/runs/training.py``.
     """
 
     def __init__(

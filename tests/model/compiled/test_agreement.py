@@ -14,10 +14,10 @@ from tests.helpers.draws import Draws
 from tests.helpers.losses import make_kl
 from tests.helpers.random_predictions import Problem, ProblemDraws, Results, neighbour
 from tests.helpers.two_ways import formulas_alone, kernels_alone
-from torch_pmil.experiments import load_experiment
 from torch_pmil.gp.moment_accuracy import signal_to_noise
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.tasks.registry import load_experiment
 
 VALUE, GRADIENT = 1e-12, 1e-10  # differences that need no excuse, of the largest entry
 NEIGHBOURS = 4  # at which the formulas are evaluated again

@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from reproduction.baselines.bco import BCO
 from reproduction.baselines.networks import to_unit
 from torch_pmil.envs.rollouts import rollout_of
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 SEED = 100
 

@@ -9,8 +9,8 @@ from torch import Tensor
 from reproduction.baselines.behavioral_cloning import clone_behavior
 from tests.helpers.draws import Draws
 from torch_pmil.envs import DoublePendulumEnv
-from torch_pmil.experiments.tasks.double_pendulum import double_pendulum_space
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.tasks.double_pendulum import double_pendulum_space
 
 SPACE, U_MAX = double_pendulum_space(), torch.tensor([3.5, 2.0], dtype=torch.float64)
 

@@ -20,7 +20,7 @@ from reproduction.baselines.learned_inverse_dynamics import InverseDynamics, Ref
 from tests.helpers.draws import Draws
 from tests.helpers.short_run import quick_fits
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
-from torch_pmil.experiments.tasks.double_pendulum import double_pendulum_space
+from torch_pmil.tasks.double_pendulum import double_pendulum_space
 
 U_MAX = torch.tensor([3.5, 3.5], dtype=torch.float64)
 NO_LIMITS = torch.full((4,), torch.inf, dtype=torch.float64)

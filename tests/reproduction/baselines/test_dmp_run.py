@@ -20,9 +20,10 @@ from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments import Experiment, load_experiment
-from torch_pmil.experiments.runs.summaries import find_runs, read_summary, success_over_experience
-from torch_pmil.experiments.runs.training import make_trainer
+from torch_pmil.runs.summaries import find_runs, read_summary, success_over_experience
+from torch_pmil.runs.training import make_trainer
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 TRIALS, SEED = 2, 3
 short_run = partial(

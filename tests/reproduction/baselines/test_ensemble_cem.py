@@ -7,7 +7,7 @@ import torch
 from reproduction.baselines.cross_entropy_method import minimise_by_cem
 from reproduction.baselines.ensemble_cem import EnsembleCEM
 from tests.reproduction.baselines.test_bco import linear_system
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 SEED = 100
 

@@ -10,7 +10,7 @@ from torchrl.objectives import SoftUpdate
 from reproduction.baselines.gaifo import BATCH, Discriminator, GAIfO, actor_critic_loss
 from reproduction.baselines.peer import consecutive
 from tests.reproduction.baselines.test_bco import linear_system
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 SEED = 100
 

@@ -8,7 +8,7 @@ import torch
 from reproduction.baselines.gp_tracker import GPTracker
 from reproduction.baselines.peer_run import Practice
 from tests.helpers.short_run import quick_fits
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 
 @pytest.mark.parametrize("name", ["double_pendulum", "double_pendulum_servo"])

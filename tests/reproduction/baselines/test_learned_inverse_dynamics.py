@@ -20,7 +20,7 @@ from tests.helpers.draws import Draws
 from tests.helpers.short_run import quick_fits
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
-from torch_pmil.experiments.tasks.double_pendulum import double_pendulum_space
+from torch_pmil.tasks.double_pendulum import double_pendulum_space
 
 U_MAX = torch.tensor([3.5, 3.5], dtype=torch.float64)
 HOLD, STEPS = 4, 6

@@ -12,9 +12,10 @@ from reproduction.baselines.mc_pilco import MCPilco, _bounded
 from tests.helpers.draws import Draws
 from tests.helpers.short_run import short_experiment
 from tests.reproduction.baselines.test_bco import linear_system
-from torch_pmil.experiments import Experiment, load_experiment
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.saturating_cost import expected_saturating_cost
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
 
 SEED, PERIOD = 100, 0.1
 

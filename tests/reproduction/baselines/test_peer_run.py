@@ -15,9 +15,9 @@ from reproduction.baselines.peer import Peer
 from reproduction.baselines.peer_run import Practice, peer_run
 from tests.helpers.short_run import short_experiment
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.experiments import load_experiment
-from torch_pmil.experiments.runs.summaries import read_summary, success_over_experience
-from torch_pmil.experiments.runs.training import make_trainer
+from torch_pmil.runs.summaries import read_summary, success_over_experience
+from torch_pmil.runs.training import make_trainer
+from torch_pmil.tasks.registry import load_experiment
 
 SEED = 103
 

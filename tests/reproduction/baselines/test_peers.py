@@ -14,8 +14,8 @@ from reproduction.baselines.peer_run import Practice, peer_run
 from reproduction.baselines.run_peer import named
 from reproduction.baselines.tune_peers import CONFIGURATIONS, needed_runs, success
 from tests.helpers.short_run import short_experiment
-from torch_pmil.experiments import Experiment
 from torch_pmil.files import read_json
+from torch_pmil.tasks.task import Experiment
 
 SEED = 104
 QUICK = {

@@ -9,7 +9,7 @@ from reproduction.baselines.networks import to_unit
 from reproduction.baselines.peer import Peer
 from reproduction.baselines.told_bco import ToldBCO
 from tests.reproduction.baselines.test_bco import linear_system
-from torch_pmil.experiments import load_experiment
+from torch_pmil.tasks.registry import load_experiment
 
 SEED = 100
 

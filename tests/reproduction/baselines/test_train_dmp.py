@@ -13,7 +13,7 @@ import pytest
 
 from tests.helpers.run_script import run_script
 from tests.helpers.short_run import quick_fits, short_experiment
-from torch_pmil.experiments import EXPERIMENTS
+from torch_pmil.tasks.registry import EXPERIMENTS
 
 SCRIPT = "reproduction/baselines/train_dmp.py"
 Script = Callable[..., None]

@@ -23,7 +23,7 @@ from reproduction.soak.processes import (
     has_ended,
     size_of,
 )
-from torch_pmil.experiments.runs.lock import alone_in
+from torch_pmil.runs.lock import alone_in
 
 LEAVE = "touch summary.json report.html"
 LIMITS = Limits(seconds=60.0, free_bytes=0)

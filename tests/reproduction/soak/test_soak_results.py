@@ -16,8 +16,8 @@ from reproduction.soak.figures import figures_of
 from reproduction.soak.processes import RECORD
 from reproduction.soak.results import Row, details_of, headline_of, outcome_of, row_of
 from reproduction.soak.tasks import TASKS, SoakRun, first_runs
-from torch_pmil.experiments.runs.summaries import RunError
 from torch_pmil.plotting import Figure
+from torch_pmil.runs.summaries import RunError
 
 KEPT = "the own rollout succeeded, and the model predicts success from 97.1% of the starts at least"
 JOINTS = [f"{kind}_{joint}" for kind in ("q", "dq") for joint in ("yaw", "shoulder", "elbow")]

@@ -1,0 +1,64 @@
+"""The recorded demonstrator: its starts, its imprecision, its limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from reproduction.teachers.swing_up import STEPS, demonstrate
+from torch_pmil.envs.double_pendulum import DoublePendulumEnv
+from torch_pmil.search.trajectory_optimization import Plan, TrackingController
+
+COUNT = 40
+
+
+def lazy_teacher(torque: float) -> TrackingController:
+    """Always means the same torque, whatever it sees."""
+    plan = Plan(np.zeros((STEPS + 1, 4)), np.full((STEPS, 2), torque), cost=0.0, converged=True)
+    return TrackingController(
+        plan, np.zeros((STEPS, 2, 4)), np.zeros((2, 4)), STEPS, np.zeros(4), np.full(2, 3.5)
+    )
+
+
+def record(
+    seed: int, torque: float = 1.0, torque_noise: float = 0.1
+) -> tuple[torch.Tensor, torch.Tensor]:
+    env = DoublePendulumEnv(num_envs=COUNT, seed=seed)
+    return demonstrate(env, lazy_teacher(torque), seed, torque_noise)
+
+
+def test_demonstrations_start_where_the_environment_does() -> None:
+    states, torques = record(seed=3)
+    torch.testing.assert_close(
+        states[:, 0], DoublePendulumEnv(num_envs=COUNT, seed=3).reset()["observation"]
+    )
+    assert (states.shape, torques.shape) == ((COUNT, STEPS + 1, 4), (COUNT, STEPS, 2))
+
+
+def test_recorded_torques_are_those_that_moved_the_robot() -> None:
+    states, torques = record(seed=3)
+    env = DoublePendulumEnv(seed=0)
+    for step in (0, 7, STEPS - 1):
+        torch.testing.assert_close(
+            env.simulate(states[:, step], torques[:, step]), states[:, step + 1], rtol=0, atol=1e-12
+        )
+
+
+def test_imprecision_has_the_given_standard_deviation_and_is_drawn_anew_at_each_step() -> None:
+    noise = record(seed=3)[1] - 1.0
+    assert abs(noise.std().item() / 0.1 - 1) < 4 / (2 * noise.numel()) ** 0.5
+    assert (
+        abs(torch.corrcoef(torch.stack([noise[:, 1:].flatten(), noise[:, :-1].flatten()]))[0, 1])
+        < 4 / noise.numel() ** 0.5
+    )
+    assert (record(seed=3, torque_noise=0.0)[1] == 1.0).all()
+
+
+def test_imprecise_torques_stay_within_the_limits() -> None:
+    torques = record(seed=3, torque=3.45)[1]
+    assert torques.max() == 3.5
+
+
+def test_same_seed_gives_the_same_demonstrations() -> None:
+    torch.testing.assert_close(record(seed=3), record(seed=3), rtol=0, atol=0)
+    assert not torch.equal(record(seed=3)[1], record(seed=4)[1])

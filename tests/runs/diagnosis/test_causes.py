@@ -1,0 +1,176 @@
+"""What a diagnosis says at the borders: nothing known, nothing moved, everything at the limit."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+
+import pytest
+import torch
+
+from tests.helpers.draws import Draws
+from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.runs.diagnosis.causes import (
+    FEWEST_STEPS,
+    SATURATED,
+    check_experience,
+    check_model,
+    check_motion,
+    check_saturation,
+    check_search,
+    first_departure,
+    first_mismatch,
+    group,
+    unexplained,
+    unpredictable,
+)
+from torch_pmil.runs.diagnosis.demonstration_checks import Finding
+from torch_pmil.runs.setting_words import OF_EXPERIMENT
+from torch_pmil.tasks.registry import load_experiment
+
+NAMES = ("q", "dq")
+SETTINGS = {
+    "noise_std": 0.05,
+    "random_action": 0.4,
+    "confirmations": 2,
+    "search.stage_iterations": 30,
+    "search.trust_threshold": 3.0,
+}
+
+
+def standing(steps: int) -> Gaussian:
+    return Gaussian(torch.zeros(steps, 2).double(), torch.eye(2).double().expand(steps, 2, 2))
+
+
+def test_standard_normal_errors_are_those_of_a_right_model(draws: Draws) -> None:
+    executed = draws.normal(50, 11, 2)
+    assert (
+        check_model(executed[:, 1:].flatten(0, 1), standing(10), executed, NAMES, 0.1, SETTINGS)
+        is None
+    )
+
+
+def test_errors_of_twice_the_promised_size_are_named_with_their_entry(draws: Draws) -> None:
+    executed = draws.normal(50, 11, 2)
+    errors = executed[:, 1:].flatten(0, 1) * torch.tensor([1.0, 2.0])
+    found = check_model(errors, standing(10), executed, NAMES, 0.1, SETTINGS)
+    assert (
+        "of the one-step errors in dq, and 95 % of the executed states" in found.message
+        and "leave" not in found.message
+    )
+
+
+def test_trajectory_that_leaves_the_prediction_is_told_though_no_step_is_known(
+    draws: Draws,
+) -> None:
+    executed = draws.normal(50, 11, 2)
+    executed[:, 4:, 1] += 6
+    found = check_model(torch.zeros(0, 2), standing(10), executed, NAMES, 0.1, SETTINGS)
+    assert (
+        "one-step" not in found.message
+        and "the rollouts leave the prediction at 0.40 s, first in dq;" in found.message
+    )
+    assert first_departure(standing(10), executed) == (4, 1)
+    assert (
+        first_departure(standing(10), torch.cat([executed[:20], draws.normal(30, 11, 2)])) is None
+    )
+
+
+def test_a_few_steps_tell_nothing_of_a_model() -> None:
+    still = torch.zeros(5, 11, 2).double()
+    assert (
+        check_model(
+            torch.full((FEWEST_STEPS - 1, 2), 9.0),
+            standing(10),
+            still,
+            NAMES,
+            0.1,
+            SETTINGS,
+        )
+        is None
+    )
+    assert (
+        check_model(torch.full((FEWEST_STEPS, 2), 9.0), standing(10), still, NAMES, 0.1, SETTINGS)
+        is not None
+    )
+
+
+def test_task_of_standing_still_says_nothing_of_a_robot_that_does() -> None:
+    still = torch.zeros(3, 5, 2)
+    assert check_motion(still, still, torch.tensor(0.1), SETTINGS) is None
+
+
+def test_motor_that_is_strong_enough_swings_from_limit_to_limit() -> None:
+    full, limits = torch.ones(1, 10, 2), (torch.zeros(2), torch.ones(2))
+    torques = ActionSpace.around(*limits, ("a", "b"), ("N·m", "N·m"))
+    angles = ActionSpace.around(*limits, ("a", "b"), ("rad", "rad"))
+    needed = torch.tensor([0.4, 0.9])
+    assert (
+        "though the demonstrations need no more than 0.4 N·m"
+        in check_saturation(full, torques, needed).message
+    )
+    for space, known in ((torques, None), (angles, needed)):
+        assert "; a wider range, or " in check_saturation(full, space, known).message
+    half = torch.cat([torch.ones(1, 10, 2), torch.zeros(1, 10, 2)])
+    assert SATURATED == 0.5 and check_saturation(half, torques, None) is None
+
+
+def test_single_rollout_that_strays_is_no_lack_of_experience() -> None:
+    unknown = torch.zeros(20, 25).bool()
+    unknown[3] = True
+    assert check_experience(unknown, 100, 0.1, SETTINGS) is None
+
+
+def test_search_that_is_stuck_from_the_first_step_on() -> None:
+    step_loss = torch.tensor([14.0, 30.0])
+    assert first_mismatch(step_loss, 3.0) == 1
+    assert check_search(
+        step_loss, 1, "KL", "nats", "most in q", [2], 0.1, SETTINGS
+    ).message.startswith("the KL of a step is 14 nats at 0.10 s (step 1 of 2)")
+
+
+def test_findings_of_one_cause_are_one_reason_in_the_order_in_which_they_came() -> None:
+    found = group(
+        [
+            Finding("b", "first"),
+            Finding("a", "second"),
+            Finding("b", "third"),
+            Finding("b", "fourth"),
+        ]
+    )
+    assert [(reason.cause, reason.message) for reason in found] == [
+        ("b", "first (and 2 more of this kind)"),
+        ("a", "second"),
+    ]
+
+
+def advices(settings: Mapping[str, object]) -> Iterator[str]:
+    """What each cause that is mended by a setting says."""
+    strange = torch.full((FEWEST_STEPS, 2), 9.0)
+    way = torch.linspace(0, 1, 5).double()[None, :, None].expand(1, 5, 2)
+    still, step_loss = torch.zeros(5, 11, 2).double(), torch.tensor([14.0, 30.0])
+    for reason in (
+        check_motion(0.1 * way, way, torch.tensor(0.05), settings),
+        check_model(strange, standing(10), still, NAMES, 0.1, settings),
+        check_experience(torch.ones(20, 25).bool(), 100, 0.1, settings),
+        check_search(step_loss, 1, "KL", "nats", "in q", [2] * 9, 0.1, settings),
+        unexplained(3, 20, 0.25, "largest at 1 s", settings),
+        unpredictable("step 3 failed"),
+    ):
+        yield reason.message
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "biorob"])
+def test_settings_that_an_advice_names_can_be_given_so(name: str) -> None:
+    experiment = load_experiment(name)
+    given = re.findall(
+        r"([a-z_.]+)=(\[[\d.,e-]*\]|[\d.]*\d)", " ".join(advices(experiment.adjustable))
+    )
+    assert len({name for name, _ in given}) == 5
+    for setting, value in given:
+        changed = experiment.with_settings(**{setting: json.loads(value)})
+        assert changed.adjustable[setting] != experiment.adjustable[setting]
+    named = re.findall(r"random_action|exploration\.\w+|search\.\w+", unpredictable("").message)
+    assert {*named} <= OF_EXPERIMENT.keys()

@@ -1,0 +1,126 @@
+"""Two modes: false alarms are as rare as stated whatever the covariance, and clear modes are found
+with their members.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from torch_pmil.runs.diagnosis.modes import split_in_two
+
+SETS = 500
+STEPS = 26
+
+
+def smooth_sets(count: int, sets: int, lengthscale: float, seed: int) -> Tensor:
+    """Trajectories of a Gaussian process in four entries, (sets, count, STEPS, 4)."""
+    time = torch.linspace(0, 1, STEPS, dtype=torch.float64)
+    cov = (-0.5 * ((time[:, None] - time) / lengthscale).square()).exp() + 1e-6 * torch.eye(STEPS)
+    white = torch.randn(
+        sets, count, STEPS, 4, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+    )
+    return torch.linalg.cholesky(cov) @ white
+
+
+def two_ways(count: int, sets: int, separation: float, seed: int) -> Tensor:
+    """Every other one goes around on the other side: apart by ``separation`` standard deviations
+    halfway, the same at both ends.
+    """
+    bump = torch.linspace(0, math.pi, STEPS, dtype=torch.float64).sin()[:, None]
+    side = (torch.arange(count) % 2)[:, None, None]
+    return smooth_sets(count, sets, 0.3, seed) + separation * side * bump
+
+
+def one_apart(count: int, sets: int, separation: float, seed: int) -> Tensor:
+    """The second one goes around on the other side, the others do not."""
+    apart = two_ways(2, 1, separation, seed)[0] - smooth_sets(2, 1, 0.3, seed)[0]
+    moved = smooth_sets(count, sets, 0.3, seed)
+    moved[:, 1] += apart[1]
+    return moved
+
+
+def share_of_alarms(sets: Tensor, level: float) -> float:
+    return sum(split_in_two(each).p_value < level for each in sets) / len(sets)
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 7, 10])
+@pytest.mark.parametrize("lengthscale", [0.1, 0.5, 5.0])
+def test_one_gaussian_mode_is_seldom_called_two(count: int, lengthscale: float) -> None:
+    level = 0.05
+    alarms = share_of_alarms(smooth_sets(count, SETS, lengthscale, seed=count), level)
+    assert alarms <= level + 3 * math.sqrt(level * (1 - level) / SETS)
+
+
+@pytest.mark.parametrize("count", [3, 5, 10])
+def test_probability_of_uniform_samples_is_uniform(count: int) -> None:
+    samples = torch.rand(
+        SETS, count, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
+    probabilities = torch.tensor([split_in_two(each).p_value for each in samples]).sort().values
+    distance = (probabilities - (torch.arange(SETS) + 0.5) / SETS).abs().max().item()
+    assert distance < 1.95 / math.sqrt(SETS)  # Kolmogorov and Smirnov, 0.1 %
+
+
+@pytest.mark.parametrize(
+    ("count", "separation", "found"), [(5, 16.0, 0.9), (7, 12.0, 0.95), (10, 8.0, 0.95)]
+)
+def test_two_ways_are_told_apart_with_their_members(
+    count: int, separation: float, found: float
+) -> None:
+    splits = [split_in_two(each) for each in two_ways(count, 200, separation, seed=1)]
+    told = [split.p_value < 0.01 and split.explained > 0.75 for split in splits]
+    assert sum(told) >= found * len(told)
+    members = (tuple(range(0, count, 2)), tuple(range(1, count, 2)))
+    assert all(split.parts == members for split, clear in zip(splits, told, strict=True) if clear)
+
+
+@pytest.mark.parametrize(
+    ("count", "separation", "found"),
+    [(4, 50.0, 0.95), (5, 20.0, 0.95), (7, 12.0, 0.9), (10, 10.0, 0.95)],
+)
+def test_one_unlike_the_others_is_found_alone(count: int, separation: float, found: float) -> None:
+    splits = [split_in_two(each) for each in one_apart(count, 200, separation, seed=1)]
+    told = [split.p_value < 0.01 and split.explained > 0.75 for split in splits]
+    assert sum(told) >= found * len(told)
+    assert all((1,) in split.parts for split, clear in zip(splits, told, strict=True) if clear)
+
+
+def test_split_of_points_on_a_line_is_the_best_of_all() -> None:
+    for seed in range(20):
+        points = torch.randn(
+            7, 1, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+        )
+        scatter = {}
+        for size in range(1, 4):
+            for part in itertools.combinations(range(7), size):
+                other = tuple(sorted(set(range(7)) - set(part)))
+                within = sum(
+                    (points[list(each)] - points[list(each)].mean()).square().sum().item()
+                    for each in (part, other)
+                )
+                scatter[tuple(sorted((part, other)))] = within
+        split = split_in_two(points)
+        assert split.parts == min(scatter, key=scatter.get)
+        total = (points - points.mean()).square().sum().item()
+        assert math.isclose(1 - split.explained, min(scatter.values()) / total, rel_tol=1e-9)
+
+
+def test_turning_shifting_and_scaling_all_changes_nothing() -> None:
+    one = smooth_sets(6, 1, 0.3, seed=0)[0].flatten(1)
+    turn = torch.linalg.qr(
+        torch.randn(104, 104, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    )[0]
+    plain, moved = split_in_two(one), split_in_two(3 * one @ turn + 7)
+    assert (plain.parts, plain.p_value) == (moved.parts, moved.p_value) and math.isclose(
+        plain.explained, moved.explained
+    )
+
+
+def test_nothing_is_told_of_two_or_of_copies() -> None:
+    assert split_in_two(torch.randn(2, 5)) is None
+    assert split_in_two(torch.ones(5, 5)) is None

@@ -1,0 +1,58 @@
+"""Telling what was learned never ends a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from torch_pmil.runs.telling import making_the_rest, tell, warn_incomplete
+
+
+def failing(error: BaseException):
+    def step() -> None:
+        raise error
+
+    return step
+
+
+def test_every_step_is_taken_whatever_became_of_those_before() -> None:
+    taken: list[str] = []
+    steps = [
+        ("figures", failing(ValueError("two\nlines"))),
+        ("video", failing(RuntimeError())),
+        ("report", lambda: taken.append("report")),
+    ]
+    assert tell(steps) == ["figures: two lines", "video: RuntimeError"]
+    assert taken == ["report"]
+
+
+def test_steps_may_depend_on_those_before() -> None:
+    made: list[str] = []
+
+    def steps():
+        yield "video", lambda: made.append("video")
+        if made:
+            yield "GIF", lambda: made.append("GIF")
+
+    assert tell(steps()) == [] and made == ["video", "GIF"]
+
+
+def test_after_ctrl_c_nothing_more_is_made() -> None:
+    taken: list[str] = []
+    steps = [("video", failing(KeyboardInterrupt())), ("report", lambda: taken.append("report"))]
+    assert tell(steps) == ["video: stopped", "report: stopped"] and taken == []
+
+
+def test_what_is_missing_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    warn_incomplete("", [], "pmil resume run")
+    assert capsys.readouterr() == ("", "")
+    warn_incomplete("a: ", tell([("video", failing(OSError("x\n" * 10_000)))]), "pmil resume run")
+    printed, complained = capsys.readouterr()
+    assert (printed, complained.count("\n")) == ("", 1) and len(complained) < 1200
+    assert complained.startswith("a: the report is incomplete: video: x x ")
+    assert complained.endswith(
+        " x x; pmil resume run makes the rest later, pmil report the page alone\n"
+    )
+    warn_incomplete("", ["video: none"], making_the_rest(Path("-a b")))
+    assert "; pmil resume './-a b' makes" in capsys.readouterr().err

@@ -1,0 +1,416 @@
+"""What a learning run leaves in its folder, on the first four steps of the double pendulum."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, fields
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.helpers.draws import Draws
+from tests.helpers.short_run import quick_fits as shorten_fits, short_experiment
+from torch_pmil.control.policy_file import load_policy
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.demonstrations.distribution import demonstration_spread, rms_error
+from torch_pmil.envs.rollouts import rollout_of
+from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.model.rollout import PredictionError, predict_trajectory
+from torch_pmil.runs import training
+from torch_pmil.runs.lock import RunGoingOnError
+from torch_pmil.runs.report import write_report
+from torch_pmil.runs.run_folder import (
+    FILES,
+    FinishedRunError,
+    clear_folder,
+    open_logger,
+    prepare_folder,
+    remove_debris,
+    rewind_logs,
+    save_tensors,
+)
+from torch_pmil.runs.summaries import RunError, read_summary
+from torch_pmil.runs.training import EVALUATION_STARTS, RunResult, train
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.tasks.task import Experiment
+from torch_pmil.trainer.trainer import PMILTrainer
+from torch_pmil.trainer.trials import Candidate, Trial
+
+HORIZON, TRIALS, SEED = 4, 2, 3
+COMMAND = f"pmil train seed={SEED}"
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    return short_experiment(HORIZON)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_fits() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        shorten_fits(patch)
+        yield
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Is made by the run."""
+    return tmp_path_factory.mktemp("runs") / "double_pendulum" / "seed_3"
+
+
+@pytest.fixture(scope="module")
+def rows_when_told() -> list[int]:
+    """Trials in metrics.csv when each trial was told."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(experiment: Experiment, folder: Path, rows_when_told: list[int]) -> RunResult:
+    def on_trial(_: Trial) -> None:
+        rows_when_told.append(len(read_metrics(folder)))
+
+    return train(experiment, SEED, TRIALS, folder, COMMAND, progress_bar=False, on_trial=on_trial)
+
+
+@pytest.fixture(scope="module")
+def summary(result: RunResult, folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+def read_metrics(folder: Path) -> list[dict[str, str]]:
+    with (folder / "metrics.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_run_leaves_these_files_and_no_temporary_ones(result: RunResult, folder: Path) -> None:
+    assert sorted(os.listdir(folder)) == [
+        "checkpoints",
+        "dynamics.pt",
+        "figures",
+        "metrics.csv",
+        "policy.pt",
+        "run.json",
+        "settings.yaml",
+        "summary.json",
+    ]
+    assert os.listdir(folder / "figures") == []
+
+
+def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> None:
+    assert (summary["experiment"], summary["seed"], summary["command"]) == (
+        "double_pendulum",
+        SEED,
+        COMMAND,
+    )
+    assert datetime.fromisoformat(summary["date"]).utcoffset().total_seconds() == 0
+    assert summary["commit"]
+    assert summary["versions"]["torch"] == version("torch")
+    assert {
+        "python",
+        "torch_pmil",
+        "gpytorch",
+        "torchrl",
+        "tensordict",
+        "mujoco",
+        "numpy",
+    } <= summary["versions"].keys()
+    settings = summary["settings"]
+    assert (settings["trials"], settings["horizon"], settings["num_centres"]) == (
+        TRIALS,
+        HORIZON,
+        5,
+    )
+    assert settings["search"] == asdict(experiment.search)
+    assert {
+        "random_action",
+        "initial_weight_std",
+        "tolerance",
+        "input_widths",
+        "holds_start",
+    } <= settings.keys()
+    assert (settings["noise_std"], settings["promise"], settings["confirmations"]) == (
+        0.05,
+        0.95,
+        1,
+    )
+    assert settings["exploration"] == {
+        "rollouts": 1,
+        "steps": HORIZON,
+        "random_action": experiment.random_action,
+    }
+
+
+def test_summary_says_what_came_of_it(
+    summary: dict, result: RunResult, experiment: Experiment
+) -> None:
+    successes = experiment.error(rollout_of(result.outcomes[0].executed)) <= experiment.tolerance
+    assert summary["saved_success_rate"] == successes.double().mean().item()
+    assert summary["saved_n_eval"] == len(result.outcomes[0].executed) == EVALUATION_STARTS
+    assert summary["two_sigma_coverage"] == two_sigma_coverage(
+        result.outcomes[0].predicted, result.outcomes[0].executed
+    )
+    space, demonstrations = experiment.space, experiment.demonstrations
+    by_entry = two_sigma_coverage_by_entry(
+        result.outcomes[0].predicted, result.outcomes[0].executed
+    )
+    assert summary["two_sigma_coverage_by_entry"] == dict(
+        zip(space.names, by_entry.tolist(), strict=True)
+    )
+    errors, spread = (
+        rms_error(demonstrations, space.observe(result.outcomes[0].executed)),
+        demonstration_spread(demonstrations),
+    )
+    assert summary["rms_error"] == dict(zip(space.match_space.names, errors.tolist(), strict=True))
+    assert summary["demonstration_spread"] == dict(
+        zip(space.match_space.names, spread.tolist(), strict=True)
+    )
+    assert summary["saved_trial"] in (1, 2)
+    assert summary["stop_reason"] == "limit of trials"
+    assert summary["experience_s"] == pytest.approx((TRIALS + 1) * HORIZON * 0.1)
+    assert summary["wall_seconds"] > 0
+
+
+def test_summary_holds_every_trial_whole(summary: dict, result: RunResult) -> None:
+    named = {
+        "trial",
+        "experience_s",
+        "success_rate",
+        "n_eval",
+        "loss",
+        "gp_seconds",
+        "search_seconds",
+        "evaluations",
+        "stop_reason",
+    }
+    assert len(summary["trials"]) == TRIALS
+    assert all(named <= trial.keys() for trial in summary["trials"])
+    assert summary["trials"] == [asdict(trial) for trial in result.trials]
+
+
+def test_summary_says_the_units_of_the_objective_and_of_what_was_demonstrated(
+    summary: dict,
+) -> None:
+    metres = dict.fromkeys(("x1", "y1", "x2", "y2"), "m")
+    assert summary["units"] == {"objective": "nats", "demonstrations": metres}
+
+
+def test_result_holds_the_summary_that_was_written(summary: dict, result: RunResult) -> None:
+    assert result.summary == summary
+
+
+def test_metrics_hold_a_row_for_each_trial(result: RunResult, folder: Path) -> None:
+    rows = read_metrics(folder)
+    assert list(rows[0]) == [field.name for field in fields(Trial)]
+    assert rows == [
+        {name: "" if value is None else str(value) for name, value in asdict(trial).items()}
+        for trial in result.trials
+    ]
+
+
+def test_metrics_are_written_after_every_trial(
+    result: RunResult, rows_when_told: list[int]
+) -> None:
+    assert rows_when_told == [1, 2]
+
+
+def load_network(folder: Path) -> RBFPolicy:
+    return load_policy(folder / "policy.pt").policy
+
+
+def load_dynamics(folder: Path) -> GPDynamics:
+    dynamics = GPDynamics(8, 4)
+    dynamics.load_state_dict(torch.load(folder / "dynamics.pt", weights_only=True))
+    return dynamics
+
+
+@torch.no_grad()
+def test_saved_policy_acts_as_the_learned_one(
+    result: RunResult, folder: Path, draws: Draws
+) -> None:
+    features = draws.normal(50, 6)
+    assert torch.equal(load_network(folder)(features), result.policy.policy(features))
+
+
+def test_saved_policy_and_model_predict_as_the_run_did(
+    result: RunResult, folder: Path, experiment: Experiment
+) -> None:
+    predicted = predict_trajectory(
+        experiment.initial, load_network(folder), load_dynamics(folder), experiment.space, HORIZON
+    )
+    assert torch.equal(predicted.mean, result.outcomes[0].predicted.mean)
+    assert torch.equal(predicted.cov, result.outcomes[0].predicted.cov)
+
+
+def test_saved_model_knows_all_experience(result: RunResult, folder: Path) -> None:
+    assert load_dynamics(folder).train_inputs.shape == ((TRIALS + 1) * HORIZON, 8)
+
+
+def test_executed_rollouts_are_those_of_the_saved_policy(
+    result: RunResult, folder: Path, experiment: Experiment
+) -> None:
+    before, after = (
+        result.outcomes[0].executed[:, :-1].flatten(0, 1),
+        result.outcomes[0].executed[:, 1:].flatten(0, 1),
+    )
+    actions = load_network(folder)(experiment.space.features(before)).detach()
+    torch.testing.assert_close(
+        experiment.make_env(seed=0).simulate(before, actions), after, rtol=0, atol=1e-9
+    )
+
+
+def test_run_whose_model_cannot_predict_the_saved_policy_ends_with_a_summary_that_says_so(
+    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unpredictable(self: TrajectoryLoss, *args: object) -> None:
+        raise PredictionError("prediction of step 2 of 4 failed: cov", 2)
+
+    original = PMILTrainer.best_policy
+
+    def best_policy(trainer: PMILTrainer) -> Candidate:
+        monkeypatch.setattr(TrajectoryLoss, "predict_states", unpredictable)
+        return original(trainer)
+
+    monkeypatch.setattr(PMILTrainer, "best_policy", best_policy)
+    result = train(experiment, SEED, 1, tmp_path / "run", COMMAND, progress_bar=False)
+    summary = read_summary(tmp_path / "run")
+    assert summary["prediction_error"] == "prediction of step 2 of 4 failed: cov"
+    assert not {"two_sigma_coverage", "two_sigma_coverage_by_entry", "loss_per_step"} & set(summary)
+    (reason,) = summary["diagnosis"]
+    assert reason["cause"] == "model not right" and "cannot predict" in reason["message"]
+    assert result.outcomes[0].predicted.mean.shape == (HORIZON, experiment.space.dim)
+    assert write_report(tmp_path / "run").exists()
+    assert load_network(tmp_path / "run")
+
+
+def test_folder_is_made_with_its_parents_and_used_again(tmp_path: Path) -> None:
+    out = tmp_path / "runs" / "here"
+    prepare_folder(out)
+    (out / "metrics.csv").write_text("of an older run")
+    prepare_folder(out)
+    assert read_metrics(out) == []
+    assert sorted(os.listdir(out)) == ["figures", "metrics.csv"]
+
+
+def test_nothing_of_the_run_before_stays_if_it_may_be_replaced(tmp_path: Path) -> None:
+    prepare_folder(tmp_path)
+    (tmp_path / "notes.txt").touch()  # is no run's
+    for name in ("figures/old.png", *FILES):
+        (tmp_path / name).touch()
+    with pytest.raises(FinishedRunError):
+        clear_folder(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"notes.txt", "figures", *FILES}
+    clear_folder(tmp_path, overwrite=True)
+    assert os.listdir(tmp_path) == ["notes.txt"]
+
+
+def test_debris_of_a_killed_run_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    checkpoints, hexadecimal = tmp_path / "checkpoints", 32 * "a"
+    (checkpoints / f".checkpoint-1.torchrl.stage-{hexadecimal}").mkdir(parents=True)
+    (tmp_path / "logs" / "name" / "scalars").mkdir(parents=True)
+    prepare_folder(tmp_path)
+    kept = ("video.mp4", ".hidden.3.txt", ".lock", "figures/a.png", "checkpoints/.mine.stage-1")
+    debris = (
+        *(".video.4711.mp4", ".summary.1.json", "figures/.poses.12.png", ".writable"),
+        "logs/name/scalars/.loss.4711.csv",
+        f"checkpoints/.checkpoint-2.torchrl.archive-{hexadecimal}",
+    )
+    for name in (*kept, *debris):
+        (tmp_path / name).touch()
+    set_aside = checkpoints / f".checkpoint-0.torchrl.backup-{hexadecimal}"
+    set_aside.write_text("the only one")
+    remove_debris(tmp_path)
+    left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert left == {*kept, "checkpoints/checkpoint-0.torchrl"}
+    assert {path.name for path in checkpoints.iterdir()} == {
+        ".mine.stage-1",
+        "checkpoint-0.torchrl",
+    }
+
+
+def test_rows_of_a_csv_logger_are_taken_back_to_a_step_and_a_cut_one_too(tmp_path: Path) -> None:
+    logger, scalars = open_logger("csv", tmp_path, "name", 0), tmp_path / "logs/name_seed_0/scalars"
+    (scalars / "loss.csv").write_text("2,0.5\n4,nan\n10,0.1\n1")
+    (scalars / "late.csv").write_text("10,0.1\n")
+    rewind_logs(logger, step=4)
+    logger.log_scalar("loss", 0.25, step=10)
+    assert {path.name: path.read_text() for path in scalars.iterdir()} == {
+        "loss.csv": "2,0.5\n4,nan\n10,0.25\n"
+    }
+    (scalars / "loss.csv").write_bytes(b"\xff")
+    with pytest.raises(RunError, match=r"loss\.csv: must be UTF-8, got"):
+        rewind_logs(logger, step=4)
+
+
+def test_run_begins_by_removing_debris(
+    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    (tmp_path / ".video.4711.mp4").touch()
+    monkeypatch.setattr(training, "make_trainer", stop)
+    with pytest.raises(KeyboardInterrupt):
+        train(experiment, SEED, 1, tmp_path, COMMAND)
+    assert sorted(os.listdir(tmp_path)) == ["figures", "run.json", "settings.yaml"]
+
+
+@pytest.mark.parametrize("phase", ["clear_folder", "_finish"])
+def test_run_is_alone_in_its_folder_from_its_start_to_its_end(
+    phase: str, experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def another(*args: object) -> None:
+        assert (tmp_path / ".lock").read_text() == str(os.getpid())
+        with ThreadPoolExecutor() as pool:
+            second = pool.submit(train, experiment, SEED, 1, tmp_path, COMMAND, resume=True)
+        with pytest.raises(RunGoingOnError, match=f"is going on in .* .process {os.getpid()}."):
+            second.result()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(training, phase, another)
+    with pytest.raises(KeyboardInterrupt):
+        train(experiment, SEED, 1, tmp_path, COMMAND)
+    assert not (tmp_path / ".lock").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seed": True}, "seed must be a whole number from 0 to 2147483647, got True"),
+        ({"seed": 10**19}, "seed must be a whole number from 0 to 2147483647, got 1000"),
+        ({"trials": 10**12}, "trials must be a whole number from 1 to 1000, got 1000"),
+    ],
+)
+def test_number_beyond_its_limits_is_refused_before_there_is_a_folder(
+    experiment: Experiment, tmp_path: Path, changes: dict, message: str
+) -> None:
+    settings = {"seed": SEED, "trials": 1} | changes
+    with pytest.raises(ValueError, match=message):
+        train(experiment, out=tmp_path / "run", command=COMMAND, **settings)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("below", ["", "run"], ids=["a file", "below a file"])
+def test_folder_that_cannot_be_made_is_an_oserror_before_anything_is_learned(
+    experiment: Experiment, tmp_path: Path, below: str
+) -> None:
+    (tmp_path / "file").write_text("old")
+    with pytest.raises(OSError, match="file"):
+        train(experiment, SEED, TRIALS, tmp_path / "file" / below, COMMAND, progress_bar=False)
+    assert (tmp_path / "file").read_text() == "old"
+
+
+def test_saved_tensors_come_back_and_leave_no_temporary_file(tmp_path: Path, draws: Draws) -> None:
+    tensors = {"a": draws.normal(3), "b": draws.normal(2, 2)}
+    save_tensors(tmp_path / "tensors.pt", tensors)
+    loaded = torch.load(tmp_path / "tensors.pt", weights_only=True)
+    assert loaded.keys() == tensors.keys()
+    assert all(torch.equal(loaded[name], value) for name, value in tensors.items())
+    assert os.listdir(tmp_path) == ["tensors.pt"]

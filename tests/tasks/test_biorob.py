@@ -1,0 +1,139 @@
+"""The BioRob's experiment, with demonstrations recorded here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partialmethod
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from reproduction.teachers.kinesthetic_teaching import Strike, Variation, record_strike
+from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations
+from torch_pmil.envs.biorob import START, biorob_model, holding_torques
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.runs.training import make_trainer, train
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.biorob import biorob_space, distance_from_ball
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.task import Experiment
+
+STEPS = 4
+
+
+def record() -> Demonstrations:
+    """Three strikes, at 10 Hz."""
+    generator, model = np.random.default_rng(0), biorob_model()
+    recordings = [
+        record_strike(model, Variation().of(Strike(), model, generator)) for _ in range(3)
+    ]
+    positions = np.stack(
+        [recording.states[:: round(0.1 / recording.time_step)] for recording in recordings]
+    )
+    return Demonstrations(torch.from_numpy(positions), 0.1, biorob_space().names)
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    return load_experiment("biorob", record())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_fits() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+        yield
+
+
+def short(experiment: Experiment) -> Experiment:
+    beginning = replace(
+        experiment.demonstrations, positions=experiment.demonstrations.positions[:, : STEPS + 1]
+    )
+    return replace(
+        experiment, demonstrations=beginning, search=SearchSettings(0, 1, 1, first_horizon=STEPS)
+    )
+
+
+def test_policy_has_the_papers_738_parameters_and_the_model_sees_state_and_torques(
+    experiment: Experiment,
+) -> None:
+    policy = experiment.make_policy(torch.Generator().manual_seed(0))
+    assert sum(parameter.numel() for parameter in policy.parameters()) == 738
+    assert experiment.horizon == 18
+    assert (
+        experiment.space.feature_names
+        == experiment.space.names
+        == experiment.space.match_space.names
+    )
+
+
+def test_new_policy_holds_the_start_pose(experiment: Experiment) -> None:
+    """Within the friction of the motors, 0.8 N·m at least: the arm stays where it is."""
+    policy, start = (
+        experiment.make_policy(torch.Generator().manual_seed(0)),
+        torch.tensor(START, dtype=torch.float64),
+    )
+    assert (policy(start) - holding_torques(start[:3])).abs().max() < 0.2
+    env = experiment.make_env(initial_std=torch.zeros(6), seed=0)
+    rollout = env.rollout(
+        5, StatePolicy(policy, experiment.space, env.control_period).as_tensordict_module()
+    )
+    assert (rollout["next", "observation"][:, :3] - start[:3]).abs().max() < np.deg2rad(3)
+
+
+def test_first_motion_is_six_seconds_around_the_start_within_the_limits(
+    experiment: Experiment,
+) -> None:
+    trainer = make_trainer(short(experiment), 0, 1, False, lambda trial: None)
+    trainer.train()
+    assert trainer.trials[0].experience_s == pytest.approx(6.0)
+    assert len(trainer.experience) == 60 + STEPS
+    first = trainer.experience.transitions[:60]
+    assert (first["action"].abs() <= experiment.actions.high).all()
+    starts = first["observation"][::20]
+    assert ((starts - experiment.initial.mean).abs() < 5 * experiment.initial.std).all()
+    travelled = first["observation"][:, :3].amax(0) - first["observation"][:, :3].amin(0)
+    assert (travelled > np.deg2rad(10)).all()
+
+
+def rollouts(distance: list[list[float]], hit: list[list[bool]]) -> TensorDict:
+    info = {
+        "racket_ball_distance": torch.tensor(distance, dtype=torch.float64)[..., None],
+        "hit": torch.tensor(hit)[..., None],
+    }
+    return TensorDict({"next": {"info": info}}, (len(distance), len(distance[0])))
+
+
+def test_error_is_the_least_distance_of_a_rollout_and_zero_after_a_hit() -> None:
+    """A hit may lie between two distances that are positive."""
+    missed_and_hit = rollouts(
+        [[0.4, 0.1, 0.3], [0.4, 0.02, 0.3]], [[False, False, False], [False, True, True]]
+    )
+    assert distance_from_ball(missed_and_hit).tolist() == [0.1, 0.0]
+    assert distance_from_ball(missed_and_hit[0]).shape == ()
+
+
+def test_run_is_judged_by_what_the_environment_says_of_the_ball(
+    experiment: Experiment, tmp_path: Path
+) -> None:
+    result = train(short(experiment), 0, 1, tmp_path / "run", "pmil train", progress_bar=False)
+    assert result.summary["saved_success_rate"] == 0  # in 0.4 s no robot comes to the ball
+    assert 0 < result.trials[0].own_error < 1
+    names = experiment.space.names
+    for measure in ("two_sigma_coverage_by_entry", "rms_error", "demonstration_spread"):
+        assert tuple(result.summary[measure]) == names
+    assert result.summary["settings"]["noise_std"] == [0.03] * 3 + [0.3] * 3
+
+
+def test_demonstrations_of_something_else_are_refused() -> None:
+    other = Demonstrations(torch.zeros(2, 19, 3), 0.1, ("q_yaw", "q_shoulder", "q_elbow"))
+    with pytest.raises(
+        DemonstrationError,
+        match="must be of q_yaw, q_shoulder, q_elbow, dq_yaw, dq_shoulder, dq_elbow, got q_yaw",
+    ):
+        load_experiment("biorob", other)

@@ -1,0 +1,310 @@
+"""Handwriting: strokes of people, where they are placed, and what robots make of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import pytest
+import torch
+from torch import Tensor
+
+from tests.helpers.short_run import quick_fits
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
+from torch_pmil.envs.biorob import BioRobEnv
+from torch_pmil.envs.double_pendulum import link_positions
+from torch_pmil.runs.training import train
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.handwriting import handwriting
+from torch_pmil.tasks.registry import load_experiment, run_name
+from torch_pmil.tasks.strokes import (
+    distance_from_mean,
+    distance_spread,
+    lasa_strokes,
+    placed,
+    preprocessed,
+)
+from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.writers import WRITERS, states_of_strokes
+
+SHAPES = (
+    "Angle",
+    "Sshape",
+    "GShape",
+    "Sine",
+)  # those that it was developed on: the others are for evaluation alone
+ROBOTS = sorted(WRITERS)
+each_robot = pytest.mark.parametrize("robot", ROBOTS)
+
+
+def wave(count: int = 5, steps: int = 30, spread: float = 0.01) -> Demonstrations:
+    """Strokes of somebody whose hand is off by as much all the time."""
+    time = torch.linspace(0, 1, steps + 1, dtype=torch.float64)
+    mean = torch.stack([time, 0.3 * (1 - (2 * math.pi * time).cos())], -1)
+    offsets = spread * torch.randn(
+        count, 1, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)
+    )
+    return Demonstrations(mean + offsets, 0.1, ("x", "y"))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_placed_strokes_fill_their_box(shape: str) -> None:
+    strokes = placed(preprocessed(lasa_strokes(shape), duration=3.0), extent=0.3)
+    lowest, highest = strokes.positions.amin((0, 1)), strokes.positions.amax((0, 1))
+    torch.testing.assert_close((highest - lowest).max().item(), 0.3)
+    torch.testing.assert_close((highest + lowest) / 2, torch.zeros(2, dtype=torch.float64))
+
+
+def test_placing_keeps_the_proportions() -> None:
+    strokes = wave()
+    there = placed(strokes, extent=0.3).positions.flatten(0, 1)
+    here = strokes.positions.flatten(0, 1)
+    ratio = torch.pdist(there) / torch.pdist(here)
+    torch.testing.assert_close(ratio, ratio[:1].expand_as(ratio))
+
+
+def test_strokes_are_in_metres_and_end_at_the_origin() -> None:
+    recordings = lasa_strokes("Angle")
+    assert len(recordings.values) == 7
+    for values in recordings.values:
+        torch.testing.assert_close(values[-1], torch.zeros(2, dtype=torch.float64))
+        assert 0.01 < (values.amax(0) - values.amin(0)).max() < 0.1
+
+
+def test_conditioned_strokes_begin_and_end_as_the_recorded_ones_and_last_as_long_as_said() -> None:
+    recordings = lasa_strokes("Sine")
+    strokes = preprocessed(recordings, duration=2.0)
+    assert (strokes.duration, strokes.time_step, len(strokes.positions)) == (2.0, 0.1, 7)
+    recorded_ends = torch.stack(
+        [torch.stack([values[0], values[-1]]) for values in recordings.values]
+    )
+    torch.testing.assert_close(strokes.positions[:, [0, -1]], recorded_ends, atol=1e-3, rtol=0)
+
+
+def test_alignment_leaves_less_spread_than_the_same_share_of_each_stroke() -> None:
+    recordings = lasa_strokes("GShape")
+    plain = Recordings(recordings.labels, recordings.times, recordings.values, recordings.names)
+    shares = torch.stack(
+        [values[torch.linspace(0, len(values) - 1, 31).long()] for values in plain.values]
+    )
+    assert distance_spread(preprocessed(recordings, duration=3.0)) < 0.8 * distance_spread(
+        Demonstrations(shares, 0.1, ("x", "y"))
+    )
+
+
+def test_a_held_out_stroke_is_as_far_from_the_mean_as_the_spread_says() -> None:
+    generator = torch.Generator().manual_seed(0)
+    white = torch.randn(400, 6, 31, 2, dtype=torch.float64, generator=generator)
+    ratios = []
+    for strokes in white:
+        shown = Demonstrations(strokes[:5], 0.1, ("x", "y"))
+        ratios.append((distance_from_mean(strokes[5], shown) / distance_spread(shown)).square())
+    ratio, error = torch.stack(ratios).mean(), torch.stack(ratios).std() / 400**0.5
+    assert (
+        abs(ratio - (1 + 1 / 5) * 120 / 118) < 4 * error
+    )  # E[1/s^2] of 4 x 60 degrees of freedom: 240 / 238
+    torch.testing.assert_close(
+        distance_from_mean(
+            white[0, :5].mean(0), shown_mean := Demonstrations(white[0, :5], 0.1, ("x", "y"))
+        ).item(),
+        0.0,
+    )
+    assert shown_mean.positions.shape == (5, 31, 2)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@each_robot
+def test_tip_of_the_demonstrated_states_is_on_the_strokes(robot: str, shape: str) -> None:
+    experiment = handwriting(shape=shape, robot=robot)
+    positions = experiment.demonstrations.positions
+    torch.testing.assert_close(
+        experiment.space.observe(experiment.demonstrated_states), positions.flatten(0, 1)
+    )
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@each_robot
+def test_poses_are_smooth_along_a_stroke(robot: str, shape: str) -> None:
+    writer = WRITERS[robot]()
+    pose = writer.pose(
+        writer.on_board(preprocessed(lasa_strokes(shape), writer.duration)).positions
+    )
+    assert pose.diff(dim=1).abs().max() < 0.4
+
+
+def test_racket_is_where_mujoco_says() -> None:
+    env, match_space = BioRobEnv(), WRITERS["biorob"]().space.match_space
+    data, generator = mujoco.MjData(env.model), torch.Generator().manual_seed(0)
+    for q in 2 * torch.rand(20, 3, dtype=torch.float64, generator=generator) - 0.7:
+        for joint, angle in zip(("yaw", "shoulder", "elbow"), q, strict=True):
+            data.joint(joint).qpos[0] = angle
+        mujoco.mj_kinematics(env.model, data)
+        expected = torch.from_numpy(data.site("racket").xpos.copy())
+        torch.testing.assert_close(
+            match_space(torch.cat([q, torch.zeros(3)])), expected, atol=1e-9, rtol=0
+        )
+
+
+def test_wrist_gives_way_by_less_than_a_millimetre() -> None:
+    experiment = handwriting(wave(), robot="biorob")
+    env = experiment.robot(seed=0)
+    data = mujoco.MjData(env.model)
+    for state in experiment.demonstrated_states[::5]:
+        at_rest = torch.cat([state[:3], torch.zeros(3, dtype=torch.float64)])
+        physics = env.replay(at_rest, torch.zeros(0, 3), 1)[0]
+        mujoco.mj_setState(env.model, data, physics.numpy(), mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco.mj_kinematics(env.model, data)
+        assert (
+            experiment.space.observe(at_rest) - torch.from_numpy(data.site("racket").xpos)
+        ).norm() < 1e-3
+
+
+def test_pendulum_tip_is_where_the_environment_says() -> None:
+    states = torch.randn(20, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(
+        WRITERS["double_pendulum"]().space.observe(states), link_positions(states)[:, 2:]
+    )
+
+
+@each_robot
+def test_holding_torques_hold_the_robot(robot: str) -> None:
+    experiment, writer = handwriting(wave(), robot=robot), WRITERS[robot]()
+    start = experiment.initial.mean
+    after = experiment.robot(seed=0).simulate(start[None], writer.holding_torques(start[None]))[0]
+    assert (after - start).abs().max() < 1e-3
+
+
+@each_robot
+def test_first_motion_stays_near_the_strokes(robot: str) -> None:
+    experiment, writer = handwriting(wave(), robot=robot), WRITERS[robot]()
+    env, motion = (
+        experiment.robot(seed=0),
+        experiment.exploration.motion(torch.Generator().manual_seed(0)),
+    )
+    state, places = env.reset(), []
+    for _ in range(experiment.exploration.steps):
+        state["action"] = motion(state["observation"])
+        state = env.step(state)["next"]
+        places.append(writer.space.observe(state["observation"]))
+    centre = experiment.demonstrations.positions.mean((0, 1))
+    assert (torch.stack(places) - centre).norm(dim=-1).max() < 0.35
+
+
+def test_robot_starts_at_rest_where_the_strokes_begin() -> None:
+    experiment = handwriting(wave(), robot="biorob")
+    begin = experiment.demonstrations.positions[:, 0].mean(0)
+    torch.testing.assert_close(
+        experiment.space.observe(experiment.initial.mean), begin, atol=1e-3, rtol=0
+    )
+    assert (experiment.initial.mean[3:] == 0).all()
+
+
+@each_robot
+def test_mean_stroke_itself_has_no_error_and_others_have_theirs(robot: str) -> None:
+    experiment = handwriting(wave(), robot=robot)
+    strokes = experiment.demonstrations.positions
+    mean = distance_from_mean(strokes.mean(0, keepdim=True), experiment.demonstrations)
+    torch.testing.assert_close(mean, torch.zeros(1, dtype=torch.float64))
+    assert experiment.tolerance == pytest.approx(
+        1.25
+        * math.sqrt(5 / 4 * distance_from_mean(strokes, experiment.demonstrations).square().mean())
+    )
+
+
+def writer_strokes(positions: list[list[float]]) -> Demonstrations:
+    return Demonstrations(
+        torch.tensor(positions, dtype=torch.float64).expand(2, -1, -1), 0.1, ("x", "y")
+    )
+
+
+def test_stroke_out_of_reach_is_refused_in_one_line() -> None:
+    with pytest.raises(
+        DemonstrationError, match=r"^strokes must stay in the robot's reach: .* got \[0.9, -0.9\]$"
+    ):
+        states_of_strokes(
+            WRITERS["double_pendulum"](), writer_strokes([[0.0, -0.5], [0.9, -0.9], [0.0, -0.5]])
+        )
+
+
+def test_stroke_that_takes_too_much_torque_is_refused_in_one_line() -> None:
+    held = writer_strokes([[0.95, 0.0]] * 4)
+    with pytest.raises(
+        DemonstrationError,
+        match=r"^stroke 0 needs 4\.\d+ N·m of motor 0 at 0\.0 s, which has 3\.5 N·m$",
+    ):
+        states_of_strokes(WRITERS["double_pendulum"](), held)
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        (
+            {"shape": "Angle", "robot": "pr2"},
+            r"^robot must be one of biorob, double_pendulum, got 'pr2'$",
+        ),
+        ({"shape": "angle"}, r"^shape must be one of Angle, .*, got 'angle'$"),
+        ({"shape": "../secret"}, r"^shape must be one of Angle, .*, got '../secret'$"),
+        ({}, r"^handwriting needs a shape or demonstrations, got neither$"),
+        (
+            {"shape": "Angle", "demonstrations": wave()},
+            r"^handwriting needs a shape or demonstrations, got both$",
+        ),
+        (
+            {"demonstrations": replace(wave(), names=("u", "v"))},
+            r"^demonstrations must be of x, y, got u, v; pmil align .* --names x y renames them$",
+        ),
+        (
+            {"demonstrations": replace(wave(), time_step=0.05)},
+            r"^strokes must have a time step of 0.1 s, got 0.05 s$",
+        ),
+    ],
+)
+def test_wrong_settings_are_said_in_one_line(settings: dict, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        load_experiment("handwriting", **settings)
+
+
+def test_shape_and_robot_are_for_handwriting_alone() -> None:
+    with pytest.raises(
+        ValueError,
+        match=r"^shape and robot are settings of experiment=handwriting, got shape=Angle and "
+        r"robot=None for biorob$",
+    ):
+        load_experiment("biorob", shape="Angle")
+
+
+def test_runs_that_differ_in_shape_or_robot_have_names_that_differ() -> None:
+    names = {run_name("handwriting", shape, robot) for shape in (None, *SHAPES) for robot in ROBOTS}
+    assert len(names) == 10
+    assert load_experiment("handwriting", shape="Sine", robot="biorob").name == run_name(
+        "handwriting", "Sine", "biorob"
+    )
+    assert run_name("handwriting", "Sine", None) == run_name(
+        "handwriting", "Sine", "double_pendulum"
+    )
+
+
+@each_robot
+def test_a_short_run_ends_with_a_policy_and_its_ratio(
+    robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick_fits(monkeypatch)
+    experiment = replace(
+        handwriting(wave(steps=4), robot=robot),
+        num_centres=5,
+        search=SearchSettings(1, 1, 1, first_horizon=4),
+    )
+    result = train(experiment, seed=0, trials=1, out=tmp_path, command="test", progress_bar=False)
+    assert result.summary["experiment"] == f"handwriting_own_{robot}"
+    assert result.summary["rms_error"].keys() == set(experiment.space.match_space.names)
+    assert result.summary["experience_s"] == pytest.approx((3 + 1) * 0.4)
+
+
+@each_robot
+def test_torques_stay_within_the_limits(robot: str) -> None:
+    experiment: Experiment = handwriting(wave(), robot=robot)
+    policy = experiment.make_policy(torch.Generator().manual_seed(0))
+    features: Tensor = experiment.space.features(experiment.demonstrated_states)
+    assert (policy(features).abs() <= experiment.actions.high).all()

@@ -1,0 +1,265 @@
+"""What the task of one's own robot takes from robot and recordings."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from torch_pmil import DemonstrationError, Demonstrations, Experiment, Gaussian, MatchSpace
+from torch_pmil.envs.double_pendulum import double_pendulum_spec
+from torch_pmil.envs.mujoco_robot import MujocoRobot
+from torch_pmil.envs.robot import RobotEnv
+from torch_pmil.tasks.own_robot import STARTS, own_robot
+from torch_pmil.tasks.site_match import site_match
+
+AXES = ("x_x", "x_y", "x_z", "y_x", "y_y", "y_z")
+START = 0.05  # largest absolute value of the first angle
+
+
+class Arm(EnvBase):
+    """One joint that follows its action; it shows angle and velocity, or cosine, sine, velocity."""
+
+    def __init__(self, circle: bool = False) -> None:
+        super().__init__()
+        self.circle = circle
+        self.observation_spec = Composite(joint=Unbounded((3 if circle else 2,)))
+        self.action_spec = Bounded(-4.0, 2.0, (1,))
+        self.reward_spec = Unbounded((1,))
+        self.generator = torch.Generator()
+
+    def _set_seed(self, seed: int) -> None:
+        self.generator.manual_seed(seed)
+
+    def _shown(self) -> torch.Tensor:
+        q, dq = self.state
+        return torch.stack([q.cos(), q.sin(), dq]) if self.circle else self.state
+
+    def _reset(self, tensordict: object) -> object:
+        from tensordict import TensorDict
+
+        q = START * (2 * torch.rand((), generator=self.generator) - 1) + math.pi * self.circle
+        self.state = torch.stack([q, torch.zeros(())])
+        return TensorDict({"joint": self._shown()})
+
+    def _step(self, tensordict: object) -> object:
+        from tensordict import TensorDict
+
+        q, _ = self.state
+        dq = tensordict["action"][0]
+        self.state = torch.stack([q + 0.1 * dq, dq])
+        end = {"reward": torch.zeros(1), "done": torch.zeros(1, dtype=torch.bool)}
+        return TensorDict({"joint": self._shown(), **end})
+
+
+def reaches(names: tuple[str, ...] = ("q",), count: int = 5) -> Demonstrations:
+    time = torch.linspace(0, 1, 21, dtype=torch.float64)
+    smooth = time**2 * (3 - 2 * time)
+    shown = torch.stack([(1 + 0.05 * k) * smooth for k in range(count)])[..., None]
+    return Demonstrations(shown.expand(-1, -1, len(names)), 0.1, names)
+
+
+def task(**settings: object) -> Experiment:
+    return own_robot(Arm(), reaches(), 0.1, state=("q", "dq"), **settings)
+
+
+def test_defaults_are_those_that_are_promised() -> None:
+    made = task()
+    assert (made.actions.low.tolist(), made.actions.high.tolist()) == ([-4.0], [2.0])
+    assert made.noise_std.tolist() == pytest.approx([0.05 * 1.2])
+    # of a uniform start, by 20 resets: a standard error of an eighth
+    assert made.initial.std[0] == pytest.approx(START / math.sqrt(3), rel=0.5)
+    assert made.initial.std[1] > 0  # though all starts are at rest
+    assert made.demonstrated_states.shape == (5 * 21, 2)
+    assert made.horizon == 20 and made.tolerance == 2
+
+
+def test_error_is_one_where_a_rollout_is_a_standard_deviation_away_at_all_times() -> None:
+    made = task()
+    demonstrated = made.demonstrated
+    states = torch.zeros(21, 2, dtype=torch.float64)
+    states[1:, 0] = demonstrated.mean[:, 0] + demonstrated.std[:, 0]
+    assert made.error.of_states(states).item() == pytest.approx(1)
+
+
+def test_what_is_said_is_kept() -> None:
+    made = task(noise_std=0.03, tolerance=1.0, num_centres=7, name="mine", angles=("q",))
+    assert made.noise_std.item() == 0.03 and made.tolerance == 1.0
+    assert made.num_centres == 7 and made.name == "mine"
+    assert made.space.feature_names == ("dq", "sin q", "cos q")
+
+
+def test_a_start_that_is_said_takes_one_reset(monkeypatch: pytest.MonkeyPatch) -> None:
+    resets = []
+    reset = Arm._reset
+    monkeypatch.setattr(Arm, "_reset", lambda arm, td: (resets.append(1), reset(arm, td))[1])
+    task()
+    assert len(resets) >= STARTS
+    resets.clear()
+    start = Gaussian(torch.zeros(2).double(), torch.eye(2).double())
+    assert task(initial=start).initial is start
+    assert len(resets) < 5  # one, and those of checks of the environment
+
+
+class Physical(RobotEnv):
+    """A joint of a physical robot."""
+
+    physical = True
+    names = ("0",)
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        return self.names
+
+    def __init__(self) -> None:
+        super().__init__((), 0.1, False, 0)
+        self._set_specs(2, torch.tensor([-4.0]).double(), torch.tensor([2.0]).double(), {})
+        self.resets = 0
+
+    def _reset(self, tensordict: object) -> object:
+        self.resets += 1
+        raise AssertionError("a physical robot must not move")
+
+    def _step(self, tensordict: object) -> object:
+        raise AssertionError("a physical robot must not move")
+
+
+def test_physical_robot_is_not_reset_and_starts_where_it_was_shown() -> None:
+    robot = Physical()
+    made = own_robot(robot, reaches(), 0.1, state=("q", "dq"))
+    assert not made.evaluated and made.robot(0) is robot and robot.resets == 0
+    starts = made.demonstrated_states.reshape(5, 21, 2)[:, 0]
+    assert torch.equal(made.initial.mean, starts.mean(0))
+    assert (made.initial.std >= 0.05 * made.demonstrated_states.abs().amax(0) - 1e-12).all()
+    start = Gaussian(torch.ones(2).double(), torch.eye(2).double())
+    assert own_robot(robot, reaches(), 0.1, state=("q", "dq"), initial=start).initial is start
+
+
+def test_actions_named_like_entries_of_the_state_are_targets_of_them() -> None:
+    robot = Physical()
+    robot.names = ("q",)
+    made = own_robot(robot, reaches(), 0.1, state=("q", "dq"))
+    states = torch.tensor([[0.3, 1.0], [-0.2, 0.0]], dtype=torch.float64)
+    assert made.holding_actions is not None
+    assert made.holding_actions(states).tolist() == [[0.3], [-0.2]]
+    assert made.held_states is not None
+    assert task().holding_actions is None
+
+
+def test_robot_of_ones_own_that_shall_make_no_more_motions_is_not_reset() -> None:
+    class Still(Arm):
+        def _reset(self, tensordict: object) -> object:
+            raise AssertionError("it must not move")
+
+    made = own_robot(Still(), reaches(), 0.1, state=("q", "dq"), evaluated=False)
+    assert made.initial.mean.abs().max() < 1
+
+
+@pytest.mark.parametrize(
+    ("state", "period", "message"),
+    [
+        (("q", "dq"), 0.2, "control_period must be that of the robot, 0.1 s, got 0.2 s"),
+        (("cos q", "sin q", "dq"), 0.1, "a physical robot must show its angles"),
+    ],
+)
+def test_physical_robot_that_does_not_fit_is_refused(
+    state: tuple[str, ...], period: float, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        own_robot(Physical(), reaches(), period, state=state)
+
+
+def test_cosine_and_sine_are_one_angle_near_where_the_robot_starts() -> None:
+    made = own_robot(Arm(circle=True), reaches(), 0.1, state=("cos q", "sin q", "dq"))
+    assert made.space.names == ("q", "dq") and made.space.angles == (0,)
+    assert made.initial.mean[0].abs().item() == pytest.approx(math.pi, abs=START)
+    assert made.initial.std[0] < START
+
+
+def test_recordings_of_other_lengths_and_another_rate_are_aligned(tmp_path: Path) -> None:
+    rows = ["demonstration,time,q"]
+    for number, samples in enumerate((180, 200, 220)):
+        for step in range(samples + 1):
+            rows.append(f"{number},{0.01 * step:.2f},{(step / samples) ** 2}")
+    (tmp_path / "recorded.csv").write_text("\n".join(rows) + "\n")
+    made = own_robot(Arm(), tmp_path / "recorded.csv", 0.1, state=("q", "dq"))
+    assert made.demonstrations.positions.shape == (3, 21, 1)
+    assert made.demonstrations.time_step == 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "message"),
+    [
+        ({"state": ("a", "b")}, DemonstrationError, "entries of the state a, b, got q: name"),
+        ({"state": ("q",)}, ValueError, "state must name the 2 entries of the observation, got q"),
+        ({"state": ("cos q", "dq")}, ValueError, "state must name sin q too, got cos q, dq"),
+        ({"angles": ("p",)}, ValueError, "angles must be entries of the state q, dq, got p"),
+        ({"demonstrations": 3}, TypeError, "must be a path, Recordings or Demonstrations, got int"),
+        ({"tolerance": -1.0}, ValueError, "tolerance must"),
+        ({"nose_std": 0.1}, TypeError, "nose_std"),
+        ({"control_period": 0.0}, ValueError, "control_period must be positive"),
+    ],
+)
+def test_misuse_is_one_line(change: dict, kind: type[Exception], message: str) -> None:
+    given = {"demonstrations": reaches(), "control_period": 0.1, "state": ("q", "dq")} | change
+    with pytest.raises(kind, match=message) as raised:
+        own_robot(Arm(), **given)
+    assert "\n" not in str(raised.value)
+
+
+def test_another_match_space_is_taken() -> None:
+    ends = MatchSpace.of_links(("q",), (1.0,), ("q", "dq"), zero=math.pi, names=("x", "y"))
+    q = reaches().positions[..., 0]
+    shown = Demonstrations(torch.stack([-q.sin(), -q.cos()], -1), 0.1, ("x", "y"))
+    made = own_robot(Arm(), shown, 0.1, state=("q", "dq"), match=ends)
+    found = made.demonstrated_states.reshape(5, 21, 2)[..., 0]
+    torch.testing.assert_close(found, q, atol=1e-4, rtol=0)
+
+
+def test_robot_of_a_file_tells_its_state_and_start() -> None:
+    robot = MujocoRobot(
+        double_pendulum_spec((0.5, 0.5)), ("q1", "q2"), rate=10, start=(3.0, 0.1), start_std=0.05
+    )
+    task = own_robot(robot, reaches(("q1", "q2")), 0.1)
+    assert task.space.names == ("q1", "q2", "dq1", "dq2")
+    assert task.space.units == ("rad", "rad", "rad/s", "rad/s")
+    assert task.space.match_space.names == ("q1", "q2")
+    assert task.initial.mean.tolist() == [3.0, 0.1, 0.0, 0.0]
+    assert task.initial.std.tolist() == pytest.approx([0.05] * 4)
+    assert task.robots(3, 0).batch_size == (3,)
+
+
+@pytest.mark.parametrize("names", [("x", "y", "z"), ("x", "y", "z", *AXES)])
+def test_site_of_a_robot_is_what_is_compared(names: tuple[str, ...]) -> None:
+    spec, start = double_pendulum_spec((0.5, 0.5)), (0.3, 0.6)
+    robot = MujocoRobot(spec, ("q1", "q2"), rate=10, start=start)
+    time = torch.linspace(0, 1, 21, dtype=torch.float64)
+    turned = torch.stack([start[0] + time, start[1] + 0.5 * time, 0 * time, 0 * time], -1)
+    place = site_match(robot, "tip", orientation=len(names) > 3)(turned)
+    shown = Demonstrations(place + 1e-3 * torch.arange(3)[:, None, None], 0.1, names)
+    task = own_robot(robot, shown, 0.1, match="tip")
+    assert task.space.match_space.names == names
+    assert (task.demonstrated_states[:21, :2] - turned[:, :2]).abs().max() < 0.01
+
+
+def test_control_period_must_be_that_of_the_robot_of_a_file() -> None:
+    robot = MujocoRobot(double_pendulum_spec((0.5, 0.5)), ("q1", "q2"), rate=10)
+    with pytest.raises(ValueError, match=r"control_period must be that of the robot, 0\.1 s"):
+        own_robot(robot, reaches(("q1", "q2")), 0.05)
+
+
+def test_site_of_another_robot_is_refused() -> None:
+    with pytest.raises(TypeError, match="match by a site needs a MujocoRobot, got Arm"):
+        own_robot(Arm(), reaches(), 0.1, match="tip")
+
+
+def test_robot_may_remember() -> None:
+    plain = own_robot(Arm(), reaches(("q",)), 0.1, state=("q", "dq"))
+    task = own_robot(Arm(), reaches(("q",)), 0.1, state=("q", "dq"), past_actions=1)
+    assert plain.history is None and task.space.names == ("q", "dq", "0@1")
+    rollouts = task.robots(3, seed=0).rollout(task.horizon)
+    assert torch.isfinite(task.error(rollouts)).all() and task.make_dynamics().num_outputs == 2

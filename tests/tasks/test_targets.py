@@ -1,0 +1,224 @@
+"""Experiments with targets: the robots see theirs, the policy is one, and what came out is told
+target by target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from reproduction.learned import load_learned
+from tests.helpers.short_run import COMMAND, SEED, quick_fits, short_experiment
+from torch_pmil.demonstrations import DemonstrationError
+from torch_pmil.demonstrations.distribution import expert_distribution, rms_error
+from torch_pmil.envs import BioRobEnv
+from torch_pmil.envs.biorob import START, holding_torques
+from torch_pmil.envs.rollouts import states_of
+from torch_pmil.model.calibration import two_sigma_coverage
+from torch_pmil.runs.training import EVALUATION_STARTS, RunResult, make_trainer, train
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.targets import TargetExperiment
+
+STEPS, TRIALS, S = 4, 2, 3
+NAMES = ("biorob_targets", "double_pendulum_targets")
+SEARCH = SearchSettings(0, 1, 1, first_horizon=STEPS)
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def experiment(request: pytest.FixtureRequest) -> TargetExperiment:
+    return load_experiment(request.param)
+
+
+def short(name: str = "double_pendulum_targets") -> TargetExperiment:
+    return short_experiment(STEPS, name, search=SEARCH)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("runs") / "run"
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> RunResult:
+    with pytest.MonkeyPatch.context() as patch:
+        quick_fits(patch)
+        return train(short(), SEED, TRIALS, folder, COMMAND, progress_bar=False)
+
+
+def test_policies_have_the_parameters_of_their_basis_functions() -> None:
+    counts = {
+        name: sum(
+            p.numel()
+            for p in load_experiment(name)
+            .make_policy(torch.Generator().manual_seed(0))
+            .parameters()
+        )
+        for name in NAMES
+    }
+    assert counts == {"biorob_targets": 2774, "double_pendulum_targets": 100 * (8 + 2) + 2 * 8}
+
+
+def test_every_target_has_its_own_demonstrations(experiment: TargetExperiment) -> None:
+    targets, sets = experiment.demonstrations.by_target()
+    assert torch.equal(experiment.targets, targets) and len(targets) == S
+    assert experiment.demonstrated.batch_shape == (S, experiment.horizon)
+    for i, demonstrations in enumerate(sets):
+        assert torch.equal(
+            experiment.demonstrated.cov[i],
+            expert_distribution(demonstrations, experiment.noise_std).cov,
+        )
+
+
+def test_policy_is_centred_at_demonstrated_states_of_the_same_target(
+    experiment: TargetExperiment,
+) -> None:
+    inputs, D = experiment.demonstrated_inputs, len(experiment.space.feature_names)
+    _, sets = experiment.demonstrations.by_target()
+    for target, demonstrations in zip(experiment.targets, sets, strict=True):
+        of_target = inputs[(inputs[:, D:] == target).all(-1), :D]
+        assert len(of_target) == demonstrations.positions[..., 0].numel()
+    assert len(inputs) == len(experiment.demonstrated_states)
+
+
+def test_new_policy_holds_the_arm_for_every_target() -> None:
+    experiment = load_experiment("biorob_targets")
+    policy, start = (
+        experiment.make_policy(torch.Generator().manual_seed(0)),
+        torch.tensor(START, dtype=torch.float64),
+    )
+    for target in experiment.targets:
+        assert (policy(torch.cat([start, target])) - holding_torques(start[:3])).abs().max() < 0.3
+
+
+def test_robots_see_their_targets_one_after_the_other(experiment: TargetExperiment) -> None:
+    assert torch.equal(experiment.robot(0).reset()["target"], experiment.targets)
+    assert torch.equal(
+        experiment.robots(2, 0).reset()["target"], experiment.targets.repeat_interleave(2, 0)
+    )
+    assert torch.equal(experiment.first_robot(0).reset()["target"], experiment.targets[0])
+    assert torch.equal(
+        experiment.robots_at(experiment.targets[1:], 0).reset()["target"], experiment.targets[1:]
+    )
+
+
+def test_balls_hang_where_the_targets_say() -> None:
+    experiment = load_experiment("biorob_targets")
+    y, z = experiment.targets[1].tolist()
+    env: BioRobEnv = experiment.make_env(targets=experiment.targets[1], seed=0)
+    assert env.model.body("ball").pos - BioRobEnv().model.body("ball").pos == pytest.approx(
+        [0.0, y, z]
+    )
+
+
+def test_robot_that_learns_moves_once_for_each_target() -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        quick_fits(patch)
+        trainer = make_trainer(short("biorob_targets"), 0, 1, False, lambda trial: None)
+        trainer.train()
+    assert trainer.trials[0].experience_s == pytest.approx(6.0)
+    assert len(trainer.experience) == 60 + S * STEPS
+    assert trainer.trials[0].n_eval == S * EVALUATION_STARTS
+
+
+def test_trial_is_a_success_if_every_target_is(result: RunResult) -> None:
+    assert len(result.trials) == TRIALS
+    assert result.trials[0].own_error == max(
+        result.trials[0].own_error, 0.1
+    )  # in 0.4 s no tip comes to all its places
+    assert not result.trials[0].own_success
+
+
+def test_outcomes_are_those_of_each_target(result: RunResult) -> None:
+    experiment = short()
+    assert [outcome.label for outcome in result.outcomes] == [
+        "x = 0.1, y = -0.6",
+        "x = 0.5, y = -0.6",
+        "x = 0.3, y = -0.4",
+    ]
+    for i, outcome in enumerate(result.outcomes):
+        assert outcome.executed.shape == (EVALUATION_STARTS, STEPS + 1, 4)
+        assert (outcome.rollouts["target"] == experiment.targets[i]).all()
+        assert torch.equal(outcome.demonstrated.mean, experiment.demonstrated.mean[i])
+
+
+def test_summary_is_the_mean_over_the_targets_and_names_each(result: RunResult) -> None:
+    summary, outcomes, match_space = result.summary, result.outcomes, short().space.match_space
+    assert summary["settings"]["targets"] == short().targets.tolist()
+    assert summary["saved_n_eval"] == S * EVALUATION_STARTS
+    assert list(summary["saved_success_rate_by_target"]) == [outcome.label for outcome in outcomes]
+    coverage = [two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in outcomes]
+    assert summary["two_sigma_coverage"] == pytest.approx(sum(coverage) / S)
+    squares = torch.stack(
+        [
+            rms_error(outcome.demonstrations, match_space(outcome.executed)).square()
+            for outcome in outcomes
+        ]
+    )
+    assert list(summary["rms_error"].values()) == pytest.approx(squares.mean(0).sqrt().tolist())
+
+
+def test_saved_policy_runs_again_as_it_did(result: RunResult, folder: Path) -> None:
+    experiment = short()
+    learned = load_learned(folder, experiment)
+    assert learned.policy.target_names == ("x", "y")
+    rollouts = learned.rollouts(experiment, 2, seed=0)
+    before = rollouts["observation"][:, 0], rollouts["target"][:, 0]
+    assert torch.equal(rollouts["action"][:, 0], learned.policy(*before))
+    assert states_of(rollouts).shape == (2 * S, STEPS + 1, 4)
+    assert torch.equal(learned.predicted(experiment).mean[1], result.outcomes[1].predicted.mean)
+
+
+def test_stopped_run_goes_on_to_the_same_end(result: RunResult, tmp_path: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        quick_fits(patch)
+        train(short(), SEED, 1, tmp_path / "run", COMMAND, progress_bar=False)
+        resumed = train(
+            short(), SEED, TRIALS, tmp_path / "run", COMMAND, progress_bar=False, resume=True
+        )
+    for name, value in result.policy.state_dict().items():
+        assert torch.equal(resumed.policy.state_dict()[name], value)
+
+
+def test_demonstrations_without_targets_or_with_others_are_refused(
+    experiment: TargetExperiment,
+) -> None:
+    shown, names = experiment.demonstrations, ", ".join(experiment.demonstrations.target_names)
+    with pytest.raises(
+        DemonstrationError, match=f"targets of the demonstrations must be {names}, got none"
+    ):
+        load_experiment(experiment.name, replace(shown, targets=None, target_names=()))
+    with pytest.raises(
+        DemonstrationError, match=f"targets of the demonstrations must be {names}, got a, b"
+    ):
+        load_experiment(experiment.name, replace(shown, target_names=("a", "b")))
+    with pytest.raises(
+        DemonstrationError, match=f"targets of the demonstrations must be none, got {names}"
+    ):
+        load_experiment(experiment.name.removesuffix("_targets"), shown)
+
+
+def test_basis_functions_are_wide_in_the_target_beside_the_distances_of_the_targets(
+    experiment: TargetExperiment,
+) -> None:
+    policy, D = (
+        experiment.make_policy(torch.Generator().manual_seed(0)),
+        len(experiment.space.feature_names),
+    )
+    largest = max((a - b).norm().item() for a in experiment.targets for b in experiment.targets)
+    assert policy.scale[D:].tolist() == pytest.approx([experiment.target_scale * largest] * 2)
+    assert (policy.scale[:D] > 0).all()
+
+
+def test_one_target_is_not_enough(experiment: TargetExperiment) -> None:
+    _, sets = experiment.demonstrations.by_target()
+    alone = replace(
+        sets[0],
+        targets=experiment.targets[:1].expand(len(sets[0].positions), -1),
+        target_names=("y", "z"),
+    )
+    with pytest.raises(DemonstrationError, match="must be of two targets at least, got"):
+        replace(experiment, demonstrations=alone)

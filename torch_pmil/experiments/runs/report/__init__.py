@@ -1,5 +1,0 @@
-"""A run on one page that needs nothing else: numbers, pictures, video, and where they come from."""
-
-from torch_pmil.experiments.runs.report.page import write_report
-
-__all__ = ["write_report"]

@@ -1,0 +1,138 @@
+"""Checks of an experiment's demonstrations before anything is learned from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.runs.diagnosis.demonstration_checks import (
+    Finding,
+    check_body,
+    check_box,
+    check_count,
+    check_duplicates,
+    check_jumps,
+    check_length,
+    check_modes,
+    check_reach,
+    check_start,
+    check_stops,
+    check_torques,
+)
+from torch_pmil.tasks.task import Experiment
+
+TORQUE_STEPS = 400  # of which torques are computed
+STRETCH = 20  # steps in a row, where the demonstrations have more in all
+MARGIN = 3  # steps before and after a stretch, which its spline goes through
+
+
+def check(experiment: Experiment) -> list[Finding]:
+    """Check the demonstrations of an experiment; those shipped have no finding.
+
+    Modes, jumps and the number are those of each target. Reach and torques are told where the
+    experiment's states were recovered sample by sample, and as far as the robot knows its stops and
+    its inverse dynamics. It takes seconds for 1,000 demonstrations or 20,000 samples, most of which
+    have no torques computed (:func:`needed_torques`).
+
+    Example:
+        >>> from torch_pmil.tasks.registry import load_experiment
+        >>> check(load_experiment("double_pendulum"))
+        []
+    """
+    demonstrations = experiment.demonstrations
+    noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
+    start = experiment.space.match_space.moments(experiment.initial)
+    sets: Sequence[Demonstrations]
+    if demonstrations.targets is None:
+        sets, numbers = (demonstrations,), [list(range(len(demonstrations.positions)))]
+    else:
+        targets, sets = demonstrations.by_target()
+        numbers = [
+            (demonstrations.targets == target).all(-1).nonzero().flatten().tolist()
+            for target in targets
+        ]
+    return [
+        *_check_robot(experiment, noise_std),
+        *check_start(demonstrations, start, noise_std),
+        *check_jumps(sets, numbers, noise_std),
+        *check_modes(sets, numbers, noise_std),
+        *check_length(demonstrations),
+        *check_duplicates(demonstrations, noise_std),
+        *check_count(sets),
+    ]
+
+
+def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Finding]:
+    """Findings on motions that the robot itself cannot do."""
+    demonstrations = experiment.demonstrations
+    N, samples, _ = demonstrations.positions.shape
+    if len(experiment.demonstrated_states) != N * samples:
+        return []
+    states = experiment.demonstrated_states.reshape(N, samples, -1)
+    env = experiment.first_robot(seed=0)
+    shown = experiment.space.observe(states)
+    findings = check_reach(demonstrations, shown, noise_std)
+    findings = findings or check_body(demonstrations, shown, noise_std)
+    if experiment.state_box is not None:
+        findings += check_box(experiment.state_box, states)
+    if (excess := env.beyond_range(states)) is not None:
+        findings += check_stops(excess, demonstrations.time_step)
+    torques = None if findings else needed_torques(experiment)
+    if torques is not None and env.torque_limits is not None:
+        findings += check_torques(
+            torques, env.torque_limits, env.action_names, demonstrations.time_step
+        )
+    return findings
+
+
+def needed_torques(experiment: Experiment) -> torch.Tensor | None:
+    """Torques along the demonstrations, (N, T, F), N·m.
+
+    Of more than 400 steps in all, two sets of stretches of 20 steps have their torques computed,
+    200 steps each: those with the largest second differences of what was shown, and others evenly
+    spaced over all demonstrations. The torques of other steps are 0.
+
+    Returns:
+        None where the experiment's states were not recovered sample by sample, or the robot does
+        not know its inverse dynamics.
+
+    Example:
+        >>> from torch_pmil.tasks.registry import load_experiment
+        >>> needed_torques(load_experiment("double_pendulum")).abs().amax() < 1.3 * 3.5
+        tensor(True)
+    """
+    N, samples, _ = experiment.demonstrations.positions.shape
+    if len(experiment.demonstrated_states) != N * samples or samples < 3:
+        return None
+    env = experiment.first_robot(seed=0)
+    motions = experiment.demonstrated_states.reshape(N, samples, -1)
+    torques = torch.zeros(N, samples - 1, len(experiment.actions.names), dtype=torch.float64)
+    for number, first, last in _stretches(experiment):
+        begin = max(first - MARGIN, 0)
+        found = env.needed_torques(motions[number, begin : last + MARGIN + 1])
+        if found is None:
+            return None
+        torques[number, first:last] = found[first - begin : last - begin]
+    return torques
+
+
+def _stretches(experiment: Experiment) -> list[tuple[int, int, int]]:
+    """Demonstration, first step and last (excluded) of the steps whose torques are computed."""
+    positions = experiment.demonstrations.positions / experiment.noise_std
+    N, T = len(positions), positions.shape[1] - 1
+    if N * T <= TORQUE_STEPS:
+        return [(number, 0, T) for number in range(N)]
+    stretches = [
+        (number, first, min(first + STRETCH, T))
+        for number in range(N)
+        for first in range(0, T, STRETCH)
+    ]
+    change = positions.diff(n=2, dim=1).abs().amax(-1)  # (N, T - 1)
+    change = torch.nn.functional.pad(change, (0, -(T - 1) % STRETCH)).unflatten(1, (-1, STRETCH))
+    fastest = change.amax(-1).flatten().argsort(descending=True, stable=True)
+    count = TORQUE_STEPS // STRETCH // 2
+    spaced = torch.linspace(0, len(stretches) - 1, count).long()
+    chosen = set(fastest[:count].tolist()) | set(spaced.tolist())
+    return [stretches[index] for index in sorted(chosen)]

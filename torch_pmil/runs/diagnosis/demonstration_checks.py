@@ -1,0 +1,345 @@
+"""Checks for demonstrations that break what the method assumes, made before a robot learns.
+
+This module knows no particular robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from scipy.special import chdtri
+from torch import Tensor
+
+from torch_pmil.control.state_box import StateBox
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.runs.diagnosis.modes import Split, split_in_two
+
+SIGNIFICANCE = 0.01  # of two modes: false alarms
+LEAST_EXPLAINED = 0.75  # of all scatter, by two modes
+START_SIGNIFICANCE = 1e-3  # of a start beside p(x_0), for all demonstrations together
+# largest difference of two that are one, in standard deviations of the observation noise
+SAME = 0.01
+LEAST_JUMP = 6.0  # second difference of a jump, in standard deviations of the observation noise
+LONE_JUMP = 3.0  # second difference of a jump, over the largest one of other demonstrations
+NEARBY = 2  # samples before and after, in which the others are compared
+OUT_OF_REACH = 2.0  # standard deviations of the observation noise
+STOP_MARGIN = 0.05  # rad or m, that a joint may be beyond its stop
+TORQUE_MARGIN = 1.3  # of the limit: so uncertain are torques of a motion known at the control rate
+LONG = 500  # steps, whose trials may take an hour: the work grows with the cube of all experience
+ENDLESS = 5000  # steps, of which the model of the exploration alone would take hours
+UNREACHABLE = "demonstrations out of reach"  # a cause that several checks tell
+FEW = "too few demonstrations"  # another one
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A flaw of demonstrations, in words.
+
+    Args:
+        cause: its name, one of a few.
+        message: one line: what, where, what to do.
+        fatal: whether nothing good can come of it.
+    """
+
+    cause: str
+    message: str
+    fatal: bool = False
+
+
+def check_modes(
+    sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
+) -> list[Finding]:
+    """Find two modes in the demonstrations of one target, or one demonstration unlike the others.
+
+    Args:
+        sets: demonstrations of each target.
+        numbers: what a message calls them.
+        noise_std: observation noise, () or (M,), in whose units the entries are compared.
+
+    Example:
+        >>> way = torch.linspace(0, torch.pi, 20).sin()
+        >>> ways = torch.stack([sign * way + 0.01 * k for sign in (-1, 1) for k in range(4)])
+        >>> shown = Demonstrations(ways[..., None], 0.1, ("x",))
+        >>> found = check_modes([shown], [range(8)], torch.tensor(0.1))
+        >>> found[0].message.partition(" (")[0]
+        'demonstrations 0, 1, 2, 3 and 4, 5, 6, 7 are two different ways'
+    """
+    findings = []
+    for demonstrations, known in zip(sets, numbers, strict=True):
+        split = split_in_two(demonstrations.positions / noise_std)
+        if split and split.p_value < SIGNIFICANCE and split.explained > LEAST_EXPLAINED:
+            lone = min(split.parts, key=len)
+            findings.append(
+                _two_ways(split, known)
+                if len(lone) > 1
+                else _unlike(demonstrations, lone[0], known[lone[0]], noise_std)
+            )
+    return findings
+
+
+def _two_ways(split: Split, known: Sequence[int]) -> Finding:
+    first, second = (", ".join(str(known[member]) for member in part) for part in split.parts)
+    return Finding(
+        "contradictory demonstrations",
+        f"demonstrations {first} and {second} are two different ways "
+        f"({100 * split.explained:.0f} % of the spread is between them, p = {split.p_value:.4f}); "
+        "their mean is neither: train on one of them alone",
+    )
+
+
+def _unlike(demonstrations: Demonstrations, lone: int, number: int, noise_std: Tensor) -> Finding:
+    """One demonstration beside the others, where it is farthest from their mean."""
+    positions = demonstrations.positions
+    others = torch.cat([positions[:lone], positions[lone + 1 :]])
+    mean, std = others.mean(0), others.std(0)
+    apart = ((positions[lone] - mean) / noise_std).abs()
+    step, entry = divmod(int(apart.argmax()), apart.shape[1])
+    return Finding(
+        "one demonstration unlike the others",
+        f"demonstration {number} is unlike the others: at {step * demonstrations.time_step:.2f} s "
+        f"its {demonstrations.names[entry]} is {positions[lone, step, entry]:.3g}, theirs "
+        f"{mean[step, entry]:.3g} ± {std[step, entry]:.2g}; look at it: leave it out if it went "
+        "wrong, align it (pmil align) if it is late",
+    )
+
+
+def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
+    """Find too few demonstrations to estimate their spread (Eq. 11)."""
+    count = sum(len(each.positions) for each in sets)
+    if count - len(sets) >= 2:
+        return []
+    return [
+        Finding(
+            FEW,
+            f"{count} demonstrations tell the spread in one direction alone, the observation "
+            "noise stands for the others; three to five are better",
+        )
+    ]
+
+
+def check_length(demonstrations: Demonstrations) -> list[Finding]:
+    """Find motions of so many steps that their model would not be fitted in a day.
+
+    Example:
+        >>> long = Demonstrations(torch.zeros(2, 10_001, 1), 0.1, ("x",))
+        >>> check_length(long)[0].fatal
+        True
+    """
+    steps, period = demonstrations.positions.shape[1] - 1, demonstrations.time_step
+    if steps <= LONG:
+        return []
+    return [
+        Finding(
+            "long demonstrations",
+            f"demonstrations have {steps} steps ({steps * period:g} s), each of which is a datum "
+            f"of the model in every rollout; up to {LONG} are learned in reasonable time: show "
+            "less, or control at a longer period",
+            fatal=steps > ENDLESS,
+        )
+    ]
+
+
+def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[Finding]:
+    """Find demonstrations that are copies of one another: they show less spread than there is.
+
+    Only those that begin alike are compared as a whole. A copy is told with the first that it is
+    like.
+    """
+    scaled = demonstrations.positions / noise_std
+    copies: dict[int, int] = {}
+    for first, one in enumerate(scaled):
+        alike = ((scaled[:, 0] - one[0]).abs().amax(-1) < SAME).nonzero().flatten()
+        later = alike[alike > first]
+        same = later[(scaled[later] - one).abs().amax((-2, -1)) < SAME]
+        copies = {second: first for second in same.tolist()} | copies
+    return [
+        Finding(FEW, f"demonstrations {first} and {second} are the same; leave one of them out")
+        for second, first in sorted(copies.items(), key=lambda copy: copy[::-1])
+    ]
+
+
+def check_start(
+    demonstrations: Demonstrations, start: Gaussian, noise_std: Tensor
+) -> list[Finding]:
+    r"""Find demonstrations that begin where the robot does not start.
+
+    That is beyond the :math:`\chi^2` quantile of the observed p(x_0).
+
+    Args:
+        demonstrations: N of them.
+        start: p(x_0) in the match space, (M,).
+        noise_std: observation noise, () or (M,).
+    """
+    belief = start.add_noise(noise_std**2)
+    deviation = demonstrations.positions[:, 0] - belief.mean
+    factor = torch.linalg.cholesky(belief.cov)
+    white = torch.linalg.solve_triangular(factor, deviation.mT, upper=False)
+    bound = chdtri(len(belief.mean), START_SIGNIFICANCE / len(deviation))  # of chi-squared
+    findings = []
+    for number in (white.square().sum(0) > bound).nonzero().flatten().tolist():
+        entry = int((deviation[number] / belief.std).abs().argmax())
+        off, std = deviation[number, entry].item(), belief.std[entry].item()
+        findings.append(
+            Finding(
+                "demonstrations start elsewhere",
+                f"demonstration {number} starts at {demonstrations.names[entry]} = "
+                f"{demonstrations.positions[number, 0, entry]:.3g}, {off:+.3g} from where the "
+                f"robot starts (standard deviation {std:.3g}); cut it, shift it, or start the "
+                "robot there",
+            )
+        )
+    return findings
+
+
+def check_jumps(
+    sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
+) -> list[Finding]:
+    """Find jumps from sample to sample, as of a tracker that lost its point.
+
+    A jump is a second difference that no other demonstration has near that time.
+
+    Args:
+        sets, numbers, noise_std: as for :func:`check_modes`.
+    """
+    findings = []
+    for demonstrations, known in zip(sets, numbers, strict=True):
+        differences = (demonstrations.positions / noise_std).diff(n=2, dim=1)  # (N, T - 1, M)
+        if not differences.shape[1]:
+            continue
+        size = differences.norm(dim=-1)
+        near = torch.nn.functional.max_pool1d(size[:, None], 2 * NEARBY + 1, 1, NEARBY)[:, 0]
+        largest, next_largest = near.topk(2, 0).values
+        others = torch.where(near == largest, next_largest, largest)  # of all but each
+        excess = torch.where(size > LONE_JUMP * others, size, 0.0)
+        for number, at in enumerate(excess.argmax(1).tolist()):
+            if excess[number, at] > LEAST_JUMP:
+                entry = demonstrations.names[int(differences[number, at].abs().argmax())]
+                findings.append(
+                    Finding(
+                        "jumps in demonstrations",
+                        f"demonstration {known[number]} jumps in {entry} at "
+                        f"{(at + 1) * demonstrations.time_step:.2f} s; pmil align --fastest SPEED "
+                        "leaves jumps out of a recording",
+                    )
+                )
+    return findings
+
+
+def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor) -> list[Finding]:
+    """Find places where the robot cannot be.
+
+    Args:
+        demonstrations: N of them.
+        shown: what the robot shows in the states that were recovered from them, (N, T + 1, M).
+        noise_std: observation noise, () or (M,).
+    """
+    apart = (demonstrations.positions - shown).abs()
+    return [
+        Finding(
+            UNREACHABLE,
+            f"demonstration {number} leaves the workspace: at "
+            f"{step * demonstrations.time_step:.2f} s the robot is no nearer than "
+            f"{apart[number, step, entry]:.3g} in {demonstrations.names[entry]}; scale it or "
+            "place it elsewhere",
+            fatal=True,
+        )
+        for number, step, entry in _worst(apart / noise_std, OUT_OF_REACH)
+    ]
+
+
+def check_body(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor) -> list[Finding]:
+    r"""Find places where the robot cannot be, a little off in all demonstrations alike.
+
+    The observation noise of N demonstrations leaves their mean with a standard deviation of
+    :math:`\sigma_{\mathrm{obs}} / \sqrt N`. A mean that is farther from all that the robot can show
+    (by :math:`\chi^2` over all entries and times), and more than the noise somewhere, is that of
+    another body or another base.
+
+    Args:
+        demonstrations, shown, noise_std: as for :func:`check_reach`.
+
+    Example:
+        >>> at = torch.zeros(5, 10, 1)
+        >>> check_body(Demonstrations(at + 0.08, 0.1, ("x",)), at, torch.tensor(0.05))[0].cause
+        'demonstrations out of reach'
+    """
+    positions = demonstrations.positions
+    off = (positions - shown).mean(0)  # (T + 1, M)
+    size = off.abs() / noise_std
+    bound = chdtri(size.numel(), SIGNIFICANCE)
+    if len(positions) * size.square().sum() <= bound or size.amax() <= 1:
+        return []
+    step, entry = divmod(int(size.argmax()), size.shape[1])
+    return [
+        Finding(
+            UNREACHABLE,
+            "the demonstrations show positions that this robot cannot reach: their mean is up to "
+            f"{off[step, entry].abs():.2g} off, in {demonstrations.names[entry]} at "
+            f"{step * demonstrations.time_step:.2f} s; measure the links and the base of the body "
+            "that showed them, or match only what both bodies can show",
+        )
+    ]
+
+
+def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
+    """Find joints beyond their stops: excess (N, T + 1, J) in rad or m, 0 within."""
+    return [
+        Finding(
+            UNREACHABLE,
+            f"demonstration {number} leaves the workspace: at {step * time_step:.2f} s joint "
+            f"{joint} would be {excess[number, step, joint]:.3g} beyond its stop; scale it or "
+            "place it elsewhere",
+            fatal=True,
+        )
+        for number, step, joint in _worst(excess, STOP_MARGIN)
+    ]
+
+
+def check_box(box: StateBox, states: Tensor) -> list[Finding]:
+    """Find demonstrated states (N, T + 1, D) outside the limits of the learning robot's motion."""
+    lines = [box.guard(motion) for motion in states]
+    return [
+        Finding(
+            UNREACHABLE,
+            f"demonstration {number} shows what the robot may not do: {line}; widen the box, or "
+            "show a slower or smaller motion",
+        )
+        for number, line in enumerate(lines)
+        if line
+    ]
+
+
+def check_torques(
+    torques: Tensor, limits: Tensor, names: Sequence[str], time_step: float
+) -> list[Finding]:
+    """Find motions that need more torque than there is.
+
+    Args:
+        torques: of each control period, (N, T, F), N·m.
+        limits: (F,), N·m.
+        names: of the F motors.
+        time_step: the control period, s.
+    """
+    return [
+        Finding(
+            UNREACHABLE,
+            f"demonstration {number} needs {torques[number, step, motor].abs():.1f} N·m of motor "
+            f"{names[motor]} at {step * time_step:.2f} s, which has {limits[motor]:g} N·m; show "
+            "it more slowly or smaller, or smooth it",
+        )
+        for number, step, motor in _worst(torques.abs() / limits, TORQUE_MARGIN)
+    ]
+
+
+def _worst(sizes: Tensor, bound: float) -> Iterator[tuple[int, int, int]]:
+    """Demonstration, step and entry of the largest size in each demonstration, if above a bound.
+
+    Sizes are (N, T, K).
+    """
+    for number, size in enumerate(sizes):
+        step, entry = divmod(int(size.argmax()), size.shape[1])
+        if size[step, entry] > bound:
+            yield number, step, entry

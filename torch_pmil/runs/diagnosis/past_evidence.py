@@ -1,0 +1,110 @@
+"""Whether the next state depends on the past: the evidence in recorded motions."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_pmil.checks import check_tensor
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.experience import gp_data
+
+
+def evidence_of_past_action(
+    states: Tensor,
+    actions: Tensor,
+    space: StateSpace,
+    periods: int = 1,
+    targets: Targets = "difference",
+) -> Tensor:
+    r"""Nats of evidence that a model gains by an action of the past as a further input.
+
+    .. math:: \log p(x_{t+1} \mid x_t, u_t, u_{t-k}) - \log p(x_{t+1} \mid x_t, u_t)
+
+    Both are the marginal likelihoods, at their largest, of all transitions whose action of the past
+    is known. A robot that acts when it is told gains nothing by it; one that acts late, or has a
+    part that the state does not show, gains the more, the more it was recorded. Such a robot learns
+    by a state that holds past actions
+    (:func:`~torch_pmil.tasks.with_history.with_history`).
+
+    Args:
+        states: x_0..x_T of rollouts, (N, T + 1, D).
+        actions: u_0..u_{T-1}, (N, T, F), not all alike.
+        space: of the states.
+        periods: k, how many control periods ago the action was, from 1 to T - 2.
+        targets: what the model learns, as in :class:`GPDynamics`.
+
+    Returns:
+        Nats for each of the model's E outputs, (E,). Below zero, the further input explained
+        nothing.
+
+    Raises:
+        ValueError: shapes do not fit, a number is not finite, or ``periods`` is out of range.
+
+    Example:
+        >>> from torch_pmil.control.state_space import joint_match
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> u = torch.randn(1, 40, 1, generator=torch.Generator().manual_seed(0)).double()
+        >>> late = torch.cat([torch.zeros(1, 2, 1), u[:, :-1].cumsum(1)], 1)
+        >>> bool(evidence_of_past_action(late, u, space) > 10)
+        True
+    """
+    _check(states, actions, periods)
+    return _evidence(states, actions, actions[:, :-periods], space, periods, targets)
+
+
+def evidence_of_past_state(
+    states: Tensor,
+    actions: Tensor,
+    space: StateSpace,
+    periods: int = 1,
+    targets: Targets = "difference",
+) -> Tensor:
+    r"""Nats of evidence that a model gains by how the features changed since a state of the past.
+
+    .. math:: \log p(x_{t+1} \mid x_t, u_t, x_t - x_{t-k}) - \log p(x_{t+1} \mid x_t, u_t)
+
+    Where the state says all of the robot's motion, the past tells nothing more. It does where
+    velocities are missing, a part is hidden, or sensors are noisy. Arguments, result and errors are
+    those of :func:`evidence_of_past_action`.
+
+    Example:
+        >>> from torch_pmil.control.state_space import joint_match
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> u = torch.randn(1, 40, 1, generator=torch.Generator().manual_seed(0)).double()
+        >>> speed = torch.cat([torch.zeros(1, 1, 1), u], 1).cumsum(1)
+        >>> bool(evidence_of_past_state(speed.cumsum(1), u, space) > 10)
+        True
+    """
+    _check(states, actions, periods)
+    features = space.features(states[:, :-1])
+    change = features[:, periods:] - features[:, :-periods]
+    return _evidence(states, actions, change, space, periods, targets)
+
+
+def _check(states: Tensor, actions: Tensor, periods: int) -> None:
+    check_tensor("states", states, ("N", "T + 1", "D"))
+    count, steps, _ = states.shape
+    check_tensor("actions", actions, (count, steps - 1, "F"))
+    if not 1 <= periods < steps - 1:
+        raise ValueError(f"periods must be from 1 to {steps - 2}, got {periods}")
+
+
+def _evidence(
+    states: Tensor,
+    actions: Tensor,
+    further: Tensor,
+    space: StateSpace,
+    periods: int,
+    targets: Targets,
+) -> Tensor:
+    """Nats (E,) by further inputs (N, T - periods, K) at u_t, from t = ``periods`` on."""
+    before, after = states[:, periods:-1], states[:, periods + 1 :]
+    inputs, learned = gp_data(before, actions[:, periods:], after, space, targets)
+    nats = []
+    for seen in (inputs, torch.cat([inputs, further], -1)):
+        data = seen.flatten(0, 1), learned.flatten(0, 1)
+        model = GPDynamics(data[0].shape[1], data[1].shape[1])
+        nats.append(model.fit(*data).negative_log_likelihood)
+    return nats[0] - nats[1]

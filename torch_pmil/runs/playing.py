@@ -1,0 +1,201 @@
+"""A learned policy at work: its motions from fresh starts, in a window or in a film."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tensordict import TensorDictBase
+
+from torch_pmil.control.policy_file import PolicyFileError, load_policy
+from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.demonstrations import load_demonstrations
+from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
+from torch_pmil.envs.rollouts import pictures_of, states_of
+from torch_pmil.files import read_json, short
+from torch_pmil.plotting.video import (
+    check_film_name,
+    render_rollout,
+    write_film,
+)
+from torch_pmil.runs.figures import SKETCHED
+from torch_pmil.runs.pictures import sketched
+from torch_pmil.runs.settings import read_settings
+from torch_pmil.runs.summaries import RunError
+from torch_pmil.runs.viewer import show
+from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
+from torch_pmil.tasks.task import Experiment
+
+FRAMES_PER_STEP = {".gif": 2, ".mp4": 5}  # of a simulated robot: at 10 Hz, 20 and 50 per second
+REST = 0.5  # s, on the last picture of a motion, before the next one begins
+SHIPPED = Path(str(resources.files("torch_pmil.runs"))) / "learned/double_pendulum"
+
+Draw = Callable[[TensorDictBase], Iterator[np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Player:
+    """A learned policy on its task.
+
+    Args:
+        experiment: what was learned, with its robot.
+        policy: what was learned for it.
+
+    Example:
+        >>> player = load_player(SHIPPED)
+        >>> motion = next(player.motions(player.experiment.first_robot(seed=0)))
+        >>> player.succeeds(motion)
+        True
+    """
+
+    experiment: Experiment
+    policy: StatePolicy
+
+    @property
+    def in_simulator(self) -> bool:
+        """Whether the robot is one of MuJoCo's, which a viewer can show."""
+        return isinstance(self.experiment.first_robot(seed=0), MujocoRobotEnv)
+
+    def motions(self, env: MujocoRobotEnv | AdaptedEnv) -> Iterator[TensorDictBase]:
+        """Rollouts (T,) of the policy, each from a fresh start, without end."""
+        while True:
+            yield env.rollout(self.experiment.horizon, self.policy.as_tensordict_module())
+
+    def succeeds(self, motion: TensorDictBase) -> bool:
+        """Whether a rollout is a success, as the experiment counts them."""
+        return bool(self.experiment.error(motion) <= self.experiment.tolerance)
+
+    def show(self, seed: int) -> None:
+        """Show one motion after the other in MuJoCo's viewer, until its window is closed.
+
+        Args:
+            seed: of the starts.
+        """
+        env = self.experiment.first_robot(seed)
+        assert isinstance(env, MujocoRobotEnv)
+        replays = (
+            env.replay(states_of(motion)[0], motion["action"], env.substeps)
+            for motion in self.motions(env)
+        )
+        show(env, replays)
+
+    def film(self, path: Path, starts: int, seed: int) -> int:
+        """Film motions one after the other.
+
+        Args:
+            path: the file to write, ending in .gif or .mp4; an existing file is replaced.
+            starts: number of motions.
+            seed: of the starts.
+
+        Returns:
+            Number of motions that succeeded.
+
+        Raises:
+            ValueError: the name has another ending.
+            RuntimeError: the robot gives no pictures.
+            OSError: the file cannot be written.
+        """
+        check_film_name(path)
+        env, draw, fps = self._stage(seed, FRAMES_PER_STEP[path.suffix])
+        motions = list(itertools.islice(self.motions(env), starts))
+        films = (_then_at_rest(draw(motion), round(REST * fps)) for motion in motions)
+        write_film(path, itertools.chain.from_iterable(films), fps)
+        return sum(map(self.succeeds, motions))
+
+    def _stage(
+        self, seed: int, frames_per_step: int
+    ) -> tuple[MujocoRobotEnv | AdaptedEnv, Draw, float]:
+        """A robot, how its rollouts are drawn, and the pictures per second."""
+        env = self.experiment.first_robot(seed)
+        if isinstance(env, MujocoRobotEnv):
+            return env, self._drawn_by(env, frames_per_step), frames_per_step / env.control_period
+        shown = self.experiment.make_env(from_pixels=True, seed=seed)
+        return shown, pictures_of, 1 / shown.control_period
+
+    def _drawn_by(self, env: MujocoRobotEnv, frames_per_step: int) -> Draw:
+        """The simulator's pictures, or sketches where there is no OpenGL."""
+        draw = partial(render_rollout, env)
+        try:
+            env.render(env.initial_mean)
+        except RuntimeError:
+            if self.experiment.name not in SKETCHED:
+                raise
+            draw = partial(sketched, env, self.experiment)
+        return lambda motion: draw(states_of(motion)[0], motion["action"], frames_per_step)
+
+
+def load_player(folder: Path) -> Player:
+    """The policy of a finished run, on the run's task.
+
+    Args:
+        folder: of the run, with ``policy.pt`` and ``summary.json``.
+
+    Raises:
+        RunError: it is no finished run, or one of a robot that is not known by name.
+        PolicyFileError: the policy is damaged, or of another robot.
+        OSError: a file cannot be read.
+        ValueError: its settings are damaged, or its demonstrations are no longer what they were.
+        ImportError: the task needs another library.
+
+    Example:
+        >>> load_player(SHIPPED).experiment.name
+        'double_pendulum'
+    """
+    for name in ("policy.pt", "summary.json"):
+        if not (folder / name).is_file():
+            raise RunError(f"{folder} must be the folder of a finished run, but holds no {name}")
+    experiment, policy = _experiment_of(folder), load_policy(folder / "policy.pt")
+    _check_policy(folder / "policy.pt", policy, experiment)
+    return Player(experiment, policy)
+
+
+def _experiment_of(folder: Path) -> Experiment:
+    """The experiment of a run, with the demonstrations that it was given."""
+    name = _name_in(folder)
+    kind = "handwriting" if name.startswith("handwriting_") else name
+    if kind not in EXPERIMENTS:
+        raise RunError(
+            f"{folder} is of {short(name)}, whose robot pmil cannot make: play it in Python, "
+            f"env.rollout(steps, load_policy('{folder}/policy.pt').as_tensordict_module())"
+        )
+    file = folder / "settings.yaml"
+    given: dict[str, Any] = read_settings(file) if file.is_file() else {}
+    path = given.get("demonstrations")
+    demonstrations = None if path is None else load_demonstrations(path)
+    return load_experiment(kind, demonstrations, given.get("shape"), given.get("robot"))
+
+
+def _name_in(folder: Path) -> str:
+    """The experiment's name, as the summary of a run has it."""
+    try:
+        name = read_json(folder / "summary.json")["experiment"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{folder}: summary.json is damaged: {error}") from error
+    if not isinstance(name, str):
+        raise RunError(f"{folder}: summary.json is damaged: experiment must be text")
+    return name
+
+
+def _check_policy(path: Path, policy: StatePolicy, experiment: Experiment) -> None:
+    """Raise PolicyFileError unless a policy reads what the robot shows and moves its motors."""
+    wanted = (*experiment.space.names, *experiment.demonstrations.target_names)
+    found = (*policy.space.names, *policy.target_names)
+    actions = experiment.actions, policy.actions
+    if found != wanted or len(actions[0].names) != len(actions[1].names):
+        raise PolicyFileError(
+            f"{path} must be a policy of {experiment.name}, from {', '.join(wanted)} to "
+            f"{actions[0]}, got one from {', '.join(found)} to {actions[1]}"
+        )
+
+
+def _then_at_rest(pictures: Iterator[np.ndarray], rest: int) -> Iterator[np.ndarray]:
+    """Pictures, the last one ``rest`` times more."""
+    for picture in pictures:
+        yield picture
+    yield from itertools.repeat(picture, rest)

@@ -1,0 +1,133 @@
+"""Imitation learning in a few lines: a robot, its recordings, and the policy learned from them."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any, Self
+
+from torch_pmil.control.policy_file import save_policy
+from torch_pmil.control.state_policy import StatePolicy
+from torch_pmil.runs.diagnosis.before_a_run import check
+from torch_pmil.runs.pictures import tell_all
+from torch_pmil.runs.printing import print_trial, warn_of
+from torch_pmil.runs.report import write_report
+from torch_pmil.runs.telling import warn_incomplete
+from torch_pmil.runs.training import EVALUATION_STARTS, RunResult, train
+from torch_pmil.tasks.own_robot import Recorded, own_robot
+from torch_pmil.trainer.trials import success_rate
+
+EVALUATION_SEED = 4_000_000  # of the starts of a measurement
+
+
+class PMIL:
+    """Probabilistic model-based imitation learning of one's own robot (Algorithm 1).
+
+    Args:
+        env: an environment of TorchRL or gymnasium with a vector of real numbers to observe and
+            bounded continuous actions, or the name of one of gymnasium. A physical robot makes no
+            motion but those that it learns from, and these alone say what succeeds.
+        demonstrations: a file or folder of recordings, or what was read of one.
+        control_period: seconds between two actions.
+        settings: what :func:`~torch_pmil.tasks.own_robot.own_robot` takes: ``state``,
+            the names of the observation's entries, ``angles``, ``match``, and every field of
+            :class:`Experiment`.
+
+    ``experiment`` holds all settings. After :meth:`learn`, ``result`` is the finished run and
+    ``policy`` a function from the robot's state to its action.
+
+    Raises:
+        DemonstrationError: the demonstrations cannot be read, or do not fit the robot.
+        TypeError, ValueError: the environment or a setting is not as it must be.
+
+    Example: see ``docs/how_to/your_robot.md``.
+    """
+
+    def __init__(
+        self, env: Any, demonstrations: Recorded, control_period: float, **settings: Any
+    ) -> None:
+        self.experiment = own_robot(env, demonstrations, control_period, **settings)
+        self._learned: tuple[RunResult, Path] | None = None
+
+    def learn(
+        self,
+        trials: int = 12,
+        seed: int = 0,
+        out: Path | str | None = None,
+        resume: bool = False,
+        overwrite: bool = False,
+    ) -> Self:
+        """Learn; print the trials and what they came to; leave a report with figures.
+
+        Args:
+            trials: largest number of trials.
+            seed: of the robot's starts, its first motion and the policy; same seed, same run.
+            out: folder of the run; runs/NAME/seed_SEED of the environment's name if None.
+            resume: whether to go on with the run that is there.
+            overwrite: whether to replace the finished run that is there.
+
+        Raises:
+            RunStopped: the operator ended the run; ``learn(resume=True)`` goes on.
+            RobotError: the robot cannot be reached; ``learn(resume=True)`` goes on.
+            OSError: the folder cannot be written to.
+            ValueError: a setting is out of range, or the folder holds another run.
+        """
+        out = Path("runs", self.experiment.name, f"seed_{seed}") if out is None else Path(out)
+        warn_of("", check(self.experiment))
+        result = train(
+            self.experiment,
+            seed,
+            trials,
+            out,
+            _command(),
+            on_trial=partial(print_trial, "", self.experiment.objective),
+            resume=resume,
+            logger="csv",
+            overwrite=overwrite,
+        )
+        self._learned = result, out
+        warn_incomplete("", tell_all("", self.experiment, result, out), "learn(resume=True)")
+        return self
+
+    @property
+    def result(self) -> RunResult:
+        """The finished run; raises RuntimeError before :meth:`learn`."""
+        return self._done()[0]
+
+    @property
+    def policy(self) -> StatePolicy:
+        """The learned policy; raises RuntimeError before :meth:`learn`."""
+        return self.result.policy
+
+    def save(self, path: Path | str) -> None:
+        """Write the policy into a file that :func:`load_policy` reads."""
+        policy = self.policy
+        save_policy(
+            path, policy.policy, policy.space, policy.control_period, actions=policy.actions
+        )
+
+    def evaluate(self, starts: int = EVALUATION_STARTS, seed: int = EVALUATION_SEED) -> float:
+        """Success rate of the policy on the robot, from fresh starts.
+
+        A physical robot makes so many rollouts, and its operator is asked before each of them; one
+        that is cut short is a failure.
+        """
+        errors = self.experiment.errors(self.policy, starts, seed)
+        return success_rate(errors, self.experiment.tolerance)
+
+    def report(self) -> Path:
+        """Path of the report, an HTML page, written anew from the folder of the run."""
+        return write_report(self._done()[1])
+
+    def _done(self) -> tuple[RunResult, Path]:
+        if self._learned is None:
+            raise RuntimeError("there is no policy yet: call learn() first")
+        return self._learned
+
+
+def _command() -> str:
+    """The command line of the script that learns; of a notebook or a prompt, Python alone."""
+    script = Path(sys.argv[0])
+    return shlex.join(["python", *sys.argv]) if script.suffix == ".py" else "python"

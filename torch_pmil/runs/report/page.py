@@ -1,0 +1,148 @@
+"""The page of the report: the contents of a run's folder in one HTML file."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+
+from torch_pmil.files import MIB, FileError, read_bytes, replacing
+from torch_pmil.runs.report.captions import Caption, caption_of, place_of
+from torch_pmil.runs.report.documentation import page_of
+from torch_pmil.runs.report.tables import tables
+from torch_pmil.runs.report.words import headline, next_steps, percent, say
+from torch_pmil.runs.summaries import RunError, judged_alone, read_summary
+from torch_pmil.runs.telling import making_the_rest
+
+MEDIA_BYTES = 64 * MIB  # of a figure or video, some 100 kB
+PNG = b"\x89PNG\r\n\x1a\n"
+DENSITY = 1.5  # pixels of a picture to one of the page, as it is shown
+DENSEST = 2.8  # the most of them with which its text can still be read
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the page.
+
+    Args:
+        caption: says what it shows.
+        pixels: width and height of the file.
+        data: the file in base64.
+    """
+
+    caption: Caption
+    pixels: tuple[int, int]
+    data: str
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height on a page that is wide enough, in pixels of the page."""
+        width, height = self.pixels
+        return round(width / DENSITY), round(height / DENSITY)
+
+    @property
+    def least_width(self) -> int:
+        """Width in pixels of the page below which the picture scrolls and does not shrink."""
+        return round(self.pixels[0] / DENSEST)
+
+
+def write_report(folder: Path | str, drawn: bool = True) -> Path:
+    """Write ``report.html`` from what a finished run left in its folder: summary, figures, video.
+
+    The page holds all of it and asks for nothing from elsewhere. What a run did not leave, it does
+    without.
+
+    Args:
+        folder: of the run.
+        drawn: whether figures and video are those of this run; False before they are drawn, and the
+            page says that they follow.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        RunError: there is no summary, or it or a figure is damaged.
+        OSError: the page cannot be written.
+
+    Example:
+        >>> write_report("runs/double_pendulum/seed_0")  # doctest: +SKIP
+        PosixPath('runs/double_pendulum/seed_0/report.html')
+    """
+    folder = Path(folder)
+    summary = read_summary(folder)
+    page = folder / "report.html"
+    try:
+        text = _page(folder, summary, drawn)
+    except (RunError, OSError):
+        raise
+    except Exception as error:  # entries of other types fail in what says them, with any type
+        raise RunError(
+            f"{folder}: summary.json is damaged: {type(error).__name__}: {error}"
+        ) from error
+    with replacing(page) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return page
+
+
+def _page(folder: Path, summary: dict, drawn: bool) -> str:
+    return _template().render(
+        summary=summary,
+        headline=headline(summary),
+        judged_alone=judged_alone(summary),
+        following=None if drawn else making_the_rest(folder),
+        pictures=_pictures(folder, summary) if drawn else [],
+        video=_video(folder) if drawn else None,
+        tables=list(tables(summary)),
+        steps=list(next_steps(summary, folder)),
+    )
+
+
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("torch_pmil.runs", "report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"say": say, "percent": percent, "page": page_of}
+    return environment.get_template("page.html")
+
+
+def _pictures(folder: Path, summary: dict) -> list[Picture]:
+    """All figures, in the order of the page."""
+    targets = list(summary.get("saved_success_rate_by_target", {}))
+    paths = sorted((folder / "figures").glob("*.png"), key=lambda path: place_of(path.stem))
+    alone = judged_alone(summary)
+    return [
+        Picture(caption_of(path.stem, targets, alone), *_pixels_and_text(path)) for path in paths
+    ]
+
+
+def _video(folder: Path) -> str | None:
+    """The video as text, if there is one."""
+    path = folder / "video.mp4"
+    return _encoded(_content(path)) if path.exists() else None
+
+
+def _pixels_and_text(path: Path) -> tuple[tuple[int, int], str]:
+    """Width and height of a PNG file, and its bytes as text."""
+    content = _content(path)
+    head = content[:24]
+    if len(head) < 24 or not head.startswith(PNG):
+        raise RunError(f"{path} must be a PNG file, got one that begins with {head[:8]!r}")
+    size = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    return size, _encoded(content)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return read_bytes(path, MEDIA_BYTES)
+    except FileError as error:
+        raise RunError(f"{path}: {error}") from error
+
+
+def _encoded(content: bytes) -> str:
+    return base64.b64encode(content).decode()

@@ -1,0 +1,236 @@
+"""The files that a run leaves in its folder, and the origin of its results."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
+from datetime import UTC, datetime
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torchrl.record.loggers import CSVLogger, Logger, get_logger
+from torchrl.record.loggers.mlflow import MLFlowLogger
+
+from torch_pmil.files import (
+    FileError,
+    read_json,
+    read_text,
+    remove_temporaries,
+    replacing,
+    write_json,
+)
+from torch_pmil.runs.summaries import RunError, is_finished, words_of
+from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
+from torch_pmil.trainer.trials import Measurement
+
+LOGGERS = ("csv", "tensorboard", "wandb", "mlflow")
+LIBRARIES = ("torch_pmil", "torch", "gpytorch", "torchrl", "tensordict", "mujoco", "numpy")
+
+SEEDS = (0, 2**31 - 1)
+MOST_TRIALS = 1000  # memory for all their rollouts is taken at once
+# what a run leaves besides checkpoints, logs and figures; what says that it has ended comes last
+FILES = (
+    *("video.mp4", "video.gif", "report.html", "policy.pt", "dynamics.pt", "metrics.csv"),
+    *("settings.yaml", "run.json", "summary.json"),
+)
+LOGGED = re.compile(r"(\d{1,18}),.*\n")  # a whole row of a CSV logger: step, value
+STAGED = re.compile(r"\.(.+\.torchrl)\.(stage|archive|backup)-[0-9a-f]{32}")
+
+
+class FinishedRunError(ValueError):
+    """A folder holds a run that has ended, which is replaced only if that is asked for."""
+
+
+class UnfinishedRunError(ValueError):
+    """A folder holds a run that was stopped, which a new one would overwrite."""
+
+
+def prepare_folder(out: Path) -> None:
+    """Make the folder of a run, with ``figures/``; raise OSError if it cannot be written to."""
+    (out / "figures").mkdir(parents=True, exist_ok=True)
+    with replacing(out / ".writable") as probe:
+        probe.write_text("")
+    (out / ".writable").unlink()
+
+
+def write_origin(out: Path, source: dict[str, object]) -> None:
+    """Write ``run.json``: command, date, commit and versions, from the run's first second on."""
+    write_json(out / "run.json", source)
+
+
+def write_settings(out: Path, settings: Mapping[str, object]) -> None:
+    """Write ``settings.yaml``, with which ``pmil train settings=FILE`` makes the run again."""
+    lines = (
+        f"{name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in settings.items()
+    )
+    with replacing(out / "settings.yaml") as temporary:
+        temporary.write_text("".join(lines), encoding="utf-8")
+
+
+def read_command(folder: Path) -> list[str]:
+    """The words of the command that began a run.
+
+    Raises:
+        RunError: ``run.json`` is damaged.
+        OSError: the folder has none.
+    """
+    try:
+        return words_of(read_json(folder / "run.json")["command"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{folder}: run.json is damaged: {error}") from error
+
+
+def clear_folder(out: Path, overwrite: bool = False) -> None:
+    """Make room for a new run.
+
+    Args:
+        out: its folder.
+        overwrite: whether a run that has ended is removed.
+
+    Raises:
+        UnfinishedRunError: there is a run that has not ended.
+        FinishedRunError: there is one that has ended, and it is to stay.
+    """
+    saved, ended = saved_checkpoints(rotation_in(out / "checkpoints")), is_finished(out)
+    if saved and not ended:
+        raise UnfinishedRunError(
+            f"{out} holds a run that was stopped: go on with resume=true, or remove "
+            f"{out / 'checkpoints'}"
+        )
+    if ended and not overwrite:
+        raise FinishedRunError(f"{out} holds a run that has ended: overwrite=true replaces it")
+    for leftover in (out / "checkpoints", out / "logs", out / "figures"):
+        if leftover.exists():
+            shutil.rmtree(leftover)
+    for name in FILES:
+        (out / name).unlink(missing_ok=True)
+
+
+def remove_debris(out: Path) -> None:
+    """Remove what a run that was killed left of files that were not whole.
+
+    A checkpoint that was set aside for a newer one, which never came, takes its place again. Only
+    whoever is alone in the folder may do so.
+    """
+    for name in (*FILES, ".writable", "figures/*.png"):
+        remove_temporaries(out / name)
+    for folder in (out / "logs").glob("*/scalars"):
+        remove_temporaries(folder / "*.csv")
+    (out / ".writable").unlink(missing_ok=True)
+    for path in sorted((out / "checkpoints").glob(".*")):
+        staged = STAGED.fullmatch(path.name)
+        if staged is None:
+            continue
+        if staged[2] == "backup" and not path.with_name(staged[1]).exists():
+            path.rename(path.with_name(staged[1]))
+        elif path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
+def check_logger(kind: str | None) -> None:
+    """Raise unless there is such a logger: ValueError, or ImportError if its library is missing."""
+    if kind not in (None, *LOGGERS):
+        raise ValueError(f"logger must be one of {', '.join(LOGGERS)} or null, got {kind}")
+    if kind not in (None, "csv") and find_spec(kind) is None:
+        raise ImportError(f"logger={kind} needs another library: pip install {kind}")
+
+
+def check_resume(resume: bool, overwrite: bool) -> None:
+    """Raise ValueError if a run is to be gone on with and to be replaced."""
+    if resume and overwrite:
+        raise ValueError(
+            "resume=true goes on with a run, and overwrite=true replaces it: give one of the two"
+        )
+
+
+def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
+    """TorchRL's logger of that kind for a run; raises ImportError where its library is missing.
+
+    MLflow's server is that of ``MLFLOW_TRACKING_URI``, or else a database in ``logs/``: it refuses
+    the folder that TorchRL suggests.
+    """
+    name, folder = f"{experiment}_seed_{seed}", (out / "logs").absolute()
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        if kind == "mlflow":
+            database = f"sqlite:///{folder / 'mlflow.db'}"
+            server = os.environ.get("MLFLOW_TRACKING_URI", database)
+            return MLFlowLogger(name, tracking_uri=server)
+        return get_logger(kind, str(folder), name)
+    except ImportError as error:
+        raise ImportError(f"logger={kind} needs another library: pip install {kind}") from error
+
+
+def rewind_logs(logger: Logger | None, step: int) -> None:
+    """Let the files of a CSV logger end with a step, after which a resumed run logs again.
+
+    Of another logger nothing is taken back.
+
+    Raises:
+        RunError: a file is none that a logger writes.
+        OSError: it cannot be replaced.
+    """
+    if not isinstance(logger, CSVLogger):
+        return
+    for file in logger.experiment.files.values():
+        file.close()
+    logger.experiment.files.clear()  # which are opened again
+    for path in Path(logger.experiment.log_dir, "scalars").glob("*.csv"):
+        try:
+            rows = map(LOGGED.fullmatch, read_text(path).splitlines(keepends=True))
+        except FileError as error:
+            raise RunError(f"{path}: {error}") from error
+        kept = [row[0] for row in rows if row and int(row[1]) <= step]
+        if kept:
+            with replacing(path) as temporary:
+                temporary.write_text("".join(kept))
+        else:
+            path.unlink()
+
+
+def write_metrics(path: Path, kind: type[Measurement], trials: Sequence[Measurement]) -> None:
+    """Write a row for each trial, with a column for each field of that kind of trial."""
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(kind)])
+        writer.writeheader()
+        writer.writerows(asdict(trial) for trial in trials)
+
+
+def save_tensors(path: Path, tensors: dict[str, Tensor]) -> None:
+    """Save a state dict that ``torch.load(path, weights_only=True)`` reads."""
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        torch.save(tensors, file)  # a path would be written into it
+
+
+def provenance(command: str) -> dict[str, object]:
+    """Provenance of a result: command, date, commit and versions.
+
+    The commit is that of the source tree, "unknown" outside one.
+    """
+    try:
+        git = subprocess.run(
+            ["git", "describe", "--always", "--dirty"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        commit = git.stdout.strip() or "unknown"
+    except OSError:
+        commit = "unknown"
+    versions = {"python": platform.python_version()}
+    versions |= {name: version(name) for name in LIBRARIES}
+    date = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"command": command, "date": date, "commit": commit, "versions": versions}

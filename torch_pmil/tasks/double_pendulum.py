@@ -1,0 +1,121 @@
+"""Section 5.1: swing up and balance the double pendulum, from five demonstrations."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
+from torch_pmil.envs.rollouts import of_states
+from torch_pmil.tasks.task import (
+    Experiment,
+    actions_of,
+    fitting,
+    independent_start,
+)
+
+NOISE_STD = 0.05  # m
+SUCCESS_DISTANCE = 0.25  # m
+REACH_DISTANCE = 0.1  # m, of the tip that reaches a target
+FINAL_SAMPLES = 6  # samples of the last 0.5 s at 10 Hz, both ends included
+# rad/s, 1 and 1 of a new policy's basis functions in [dq1, dq2, sin q1, sin q2, cos q1, cos q2]
+LEAST_WIDTHS = (1.5, 1.5, 0.35, 0.35, 0.35, 0.35)
+UPRIGHT = (0.0, LINK_LENGTH, 0.0, 2 * LINK_LENGTH)  # m, of the link ends x1, y1, x2, y2
+
+
+def double_pendulum_space() -> StateSpace:
+    """State [q1, dq1, q2, dq2], matched in the positions of the two link ends.
+
+    Example:
+        >>> double_pendulum_space().observe(torch.zeros(4, dtype=torch.float64))
+        tensor([0.0000, 0.5000, 0.0000, 1.0000], dtype=torch.float64)
+    """
+    names = ("q1", "dq1", "q2", "dq2")
+    match_space = MatchSpace.of_links(("q1", "q2"), (LINK_LENGTH, LINK_LENGTH), names)
+    return StateSpace(names, ("rad", "rad/s", "rad", "rad/s"), (0, 2), match_space)
+
+
+def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
+    """States (..., T, 4) that show link positions (..., T, 4).
+
+    Angles are arctangents, velocities central differences.
+    """
+    x1, y1, x2, y2 = positions.unbind(-1)
+    q1 = unwrapped(torch.atan2(x1, y1))
+    q2 = unwrapped(torch.atan2(x2 - x1, y2 - y1)) - q1
+    dq1, dq2 = (torch.gradient(q, spacing=time_step, dim=-1)[0] for q in (q1, q2))
+    return torch.stack([q1, dq1, q2, dq2], -1)
+
+
+def unwrapped(angles: Tensor) -> Tensor:
+    """Angles (..., T), rad, without jumps of whole turns, from the first one on.
+
+    Example:
+        >>> unwrapped(torch.tensor([3.0, -3.0], dtype=torch.float64))
+        tensor([3.0000, 3.2832], dtype=torch.float64)
+    """
+    step = angles.diff(dim=-1)
+    step = torch.atan2(step.sin(), step.cos())  # between -pi and pi
+    first = angles[..., :1]
+    return first + torch.cat([torch.zeros_like(first), step.cumsum(-1)], -1)
+
+
+def distance_from_upright(states: Tensor) -> Tensor:
+    """Largest distance (m) of [x1, y1, x2, y2] from upright over the last 0.5 s.
+
+    States are (*batch, T + 1, 4), distances (*batch).
+    """
+    upright = torch.tensor(UPRIGHT, dtype=states.dtype)
+    positions = double_pendulum_space().observe(states[..., -FINAL_SAMPLES:, :])
+    return (positions - upright).norm(dim=-1).amax(-1)
+
+
+def distance_from_target(states: Tensor, targets: Tensor) -> Tensor:
+    """Largest distance (m) of the tip from its target over the last 0.5 s.
+
+    Args:
+        states: x_0..x_T, (*batch, T + 1, 4).
+        targets: [x, y] of the tip, m, (*batch, 2); batches broadcast.
+
+    Returns:
+        (*batch).
+
+    Example:
+        >>> upright = torch.zeros(26, 4, dtype=torch.float64)
+        >>> distance_from_target(upright, torch.tensor([0.0, 0.9], dtype=torch.float64))
+        tensor(0.1000, dtype=torch.float64)
+    """
+    tips = double_pendulum_space().observe(states[..., -FINAL_SAMPLES:, :])[..., 2:]
+    return (tips - targets[..., None, :]).norm(dim=-1).amax(-1)
+
+
+def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
+    """The experiment of Section 5.1: 100 basis functions, 812 policy parameters, 2.5 s at 10 Hz.
+
+    Args:
+        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz; those that come with the
+            package if None.
+
+    Raises:
+        DemonstrationError: they hold something else, or at another rate.
+    """
+    demonstrations = demonstrations or shipped_demonstrations("double_pendulum")
+    env = DoublePendulumEnv()
+    demonstrations = fitting(demonstrations, double_pendulum_space(), env)
+    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    return Experiment(
+        name="double_pendulum",
+        make_env=DoublePendulumEnv,
+        space=double_pendulum_space(),
+        demonstrations=demonstrations,
+        noise_std=NOISE_STD,
+        initial=independent_start(env.initial_mean, env.initial_std),
+        actions=actions_of(env),
+        demonstrated_states=states.reshape(-1, 4),
+        num_centres=100,
+        least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),
+        error=of_states(distance_from_upright),
+        tolerance=SUCCESS_DISTANCE,
+    )

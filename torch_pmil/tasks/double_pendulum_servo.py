@@ -1,0 +1,43 @@
+"""The swing-up of Section 5.1 by a robot that takes angles for its servos, not torques."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torch_pmil.control.recovered_states import without_turns
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
+from torch_pmil.tasks.double_pendulum import double_pendulum
+from torch_pmil.tasks.task import Experiment, actions_of
+
+# a tenth of the motors': of the same weight, the torque of a servo at kp = 10 N·m/rad whose
+# setpoints go up to 4 rad is some ten times that of a motor of 3.5 N·m
+WEIGHT_STD = 0.01
+
+
+def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Experiment:
+    """The experiment of Section 5.1 with a position servo in each joint, at 10 Hz.
+
+    All but the robot, its actions and the first policy is that of :func:`double_pendulum`. That
+    policy holds the robot where it is, at the start and along what was demonstrated, and the first
+    motion is around what holds the start.
+
+    Args:
+        demonstrations: as of :func:`double_pendulum`.
+
+    Raises:
+        DemonstrationError: they hold something else, or at another rate.
+    """
+    task, env = double_pendulum(demonstrations), DoublePendulumServoEnv()
+    states = task.demonstrated_states.unflatten(0, task.demonstrations.positions.shape[:2])
+    states = without_turns(states, env.initial_mean, task.space.angles).flatten(0, 1)
+    return replace(
+        task,
+        name="double_pendulum_servo",
+        make_env=DoublePendulumServoEnv,
+        actions=actions_of(env),
+        initial_weight_std=WEIGHT_STD,
+        demonstrated_states=states,
+        holding_actions=env.holding_actions,
+        held_states=states,
+    )

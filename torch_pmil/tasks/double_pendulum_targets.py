@@ -1,0 +1,56 @@
+"""One double-pendulum policy moves the tip to places and holds it there, learned from three."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.envs.double_pendulum import DoublePendulumEnv
+from torch_pmil.envs.rollouts import states_of
+from torch_pmil.tasks.double_pendulum import (
+    NOISE_STD,
+    REACH_DISTANCE,
+    distance_from_target,
+    double_pendulum_space,
+    states_from_positions,
+)
+from torch_pmil.tasks.targets import TargetExperiment
+from torch_pmil.tasks.task import actions_of, fitting, independent_start
+
+
+def distance_of_tip(rollout: TensorDictBase) -> Tensor:
+    """Largest distance (m) of the tip from the target in the last 0.5 s of rollouts (*batch, T)."""
+    return distance_from_target(states_of(rollout), rollout["target"][..., 0, :])
+
+
+def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> TargetExperiment:
+    """The double pendulum of Section 5.1 with several targets, by the method of Section 5.2.5.
+
+    It has 100 basis functions, 1016 policy parameters, and 2.5 s at 10 Hz.
+
+    Args:
+        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz, with targets x and y of the
+            tip; those that come with the package if None.
+
+    Raises:
+        DemonstrationError: they hold something else, or at another rate.
+    """
+    demonstrations = demonstrations or shipped_demonstrations("double_pendulum_targets")
+    env = DoublePendulumEnv()
+    demonstrations = fitting(demonstrations, double_pendulum_space(), env, ("x", "y"))
+    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    return TargetExperiment(
+        name="double_pendulum_targets",
+        make_env=DoublePendulumEnv,
+        space=double_pendulum_space(),
+        demonstrations=demonstrations,
+        noise_std=NOISE_STD,
+        initial=independent_start(env.initial_mean, env.initial_std),
+        actions=actions_of(env),
+        demonstrated_states=states.reshape(-1, 4),
+        num_centres=100,
+        error=distance_of_tip,
+        tolerance=REACH_DISTANCE,
+        confirmations=2,
+    )

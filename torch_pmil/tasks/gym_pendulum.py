@@ -1,0 +1,88 @@
+"""gymnasium's Pendulum-v1: swing up with too little torque to lift, and hold."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.envs.gym_tasks import HANGING_MEAN, HANGING_STD, gym_pendulum_env
+from torch_pmil.envs.rollouts import of_states
+from torch_pmil.tasks.double_pendulum import unwrapped
+from torch_pmil.tasks.task import (
+    Experiment,
+    actions_of,
+    fitting,
+    independent_start,
+)
+
+LENGTH = 1.0  # m
+NOISE_STD = 0.05  # m
+LEAST_WIDTHS = (1.5, 0.35, 0.35)  # rad/s, 1, 1 of a new policy's functions in [dq, sin q, cos q]
+SUCCESS_DISTANCE = 0.25  # m
+FINAL_SAMPLES = 6  # samples of the last 0.5 s at 10 Hz, both ends included
+
+
+def gym_pendulum_space() -> StateSpace:
+    """State [q, dq], q from upright, matched in the position of the tip.
+
+    Example:
+        >>> gym_pendulum_space().observe(torch.zeros(2, dtype=torch.float64))
+        tensor([0., 1.], dtype=torch.float64)
+    """
+    match_space = MatchSpace.of_links(("q",), (LENGTH,), ("q", "dq"), names=("x", "y"))
+    return StateSpace(("q", "dq"), ("rad", "rad/s"), (0,), match_space)
+
+
+def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
+    """States (..., T, 2) that show tip positions (..., T, 2).
+
+    Angles are arctangents, velocities central differences.
+    """
+    q = unwrapped(torch.atan2(*positions.unbind(-1)))
+    return torch.stack([q, torch.gradient(q, spacing=time_step, dim=-1)[0]], -1)
+
+
+def distance_from_upright(states: Tensor) -> Tensor:
+    """Largest distance (m) of the tip from upright over the last 0.5 s.
+
+    States are (*batch, T + 1, 2), distances (*batch).
+    """
+    tip = gym_pendulum_space().observe(states[..., -FINAL_SAMPLES:, :])
+    return (tip - torch.tensor([0.0, LENGTH], dtype=states.dtype)).norm(dim=-1).amax(-1)
+
+
+def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
+    """Swing up gymnasium's Pendulum-v1 and hold it, in 4 s at 10 Hz.
+
+    A success has the tip within 0.25 m of upright for the last 0.5 s.
+
+    Args:
+        demonstrations: of the tip's positions x, y at 10 Hz; those that come with the package if
+            None.
+
+    Raises:
+        DemonstrationError: they hold something else, or at another rate.
+        ModuleNotFoundError: gymnasium is not installed.
+    """
+    demonstrations = demonstrations or shipped_demonstrations("gym_pendulum")
+    space, env = gym_pendulum_space(), gym_pendulum_env()
+    demonstrations = fitting(demonstrations, space, env)
+    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    return Experiment(
+        name="gym_pendulum",
+        make_env=gym_pendulum_env,
+        space=space,
+        demonstrations=demonstrations,
+        noise_std=NOISE_STD,
+        initial=independent_start(
+            torch.tensor(HANGING_MEAN).double(), torch.tensor(HANGING_STD).double()
+        ),
+        actions=actions_of(env),
+        demonstrated_states=states.reshape(-1, 2),
+        num_centres=50,
+        least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),
+        error=of_states(distance_from_upright),
+        tolerance=SUCCESS_DISTANCE,
+    )

@@ -1,0 +1,109 @@
+"""gymnasium's InvertedPendulum-v5: bring pole and cart to rest in the middle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.envs.gym_tasks import CART_START, inverted_pendulum_env
+from torch_pmil.envs.rollouts import of_states
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.task import Experiment, actions_of, fitting
+
+POLE_LENGTH = 0.6  # m
+NOISE_STD = 0.02  # m
+SUCCESS_DISTANCE = 0.1  # m
+FINAL_SAMPLES = 26  # samples of the last second at 25 Hz, both ends included
+
+
+def inverted_pendulum_space() -> StateSpace:
+    """State [x, q, dx, dq], matched in the positions of the cart and of the tip of the pole.
+
+    The pole never turns round, so its angle is an entry like the others.
+
+    Example:
+        >>> inverted_pendulum_space().observe(torch.zeros(4, dtype=torch.float64))
+        tensor([0.0000, 0.0000, 0.6000], dtype=torch.float64)
+    """
+    names, units = ("x", "q", "dx", "dq"), ("m", "rad", "m/s", "rad/s")
+    return StateSpace(names, units, (), cart_and_tip(names, POLE_LENGTH))
+
+
+def cart_and_tip(state: Sequence[str], length: float) -> MatchSpace:
+    """Positions x_cart, x_tip, z_tip of a cart and of the tip of its pole.
+
+    Args:
+        state: names of the D entries of the state: ``"x"`` is the place of the cart (m), ``"q"``
+            the angle of the pole from upright (rad).
+        length: of the pole, m.
+
+    Example:
+        >>> cart_and_tip(("x", "q"), 0.6)(torch.tensor([1.0, 0.0], dtype=torch.float64))
+        tensor([1.0000, 1.0000, 0.6000], dtype=torch.float64)
+    """
+    D = len(state)
+    x, pole = torch.eye(D, dtype=torch.float64)[[state.index("x"), state.index("q")]]
+    # columns: state, sin and cos of the pole's angle
+    positions = torch.zeros(3, D + 2, dtype=torch.float64)
+    positions[:2, :D] = x
+    positions[1, D] = positions[2, D + 1] = length
+    return MatchSpace(("x_cart", "x_tip", "z_tip"), ("m",) * 3, pole[None], positions)
+
+
+def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
+    """States (..., T, 4) that show positions (..., T, 3).
+
+    The angle is an arctangent, velocities are central differences.
+    """
+    x, x_tip, z_tip = positions.unbind(-1)
+    q = torch.atan2(x_tip - x, z_tip)
+    dx, dq = (torch.gradient(entry, spacing=time_step, dim=-1)[0] for entry in (x, q))
+    return torch.stack([x, q, dx, dq], -1)
+
+
+def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
+    """Recover to upright as demonstrated, in 2 s at 25 Hz.
+
+    A success has the tip within 0.1 m of the demonstrated mean for the last second.
+
+    Args:
+        demonstrations: of the positions x_cart, x_tip, z_tip at 25 Hz; those that come with the
+            package if None.
+
+    Raises:
+        DemonstrationError: they hold something else, or at another rate.
+        ModuleNotFoundError: gymnasium is not installed.
+    """
+    demonstrations = demonstrations or shipped_demonstrations("inverted_pendulum")
+    space, env = inverted_pendulum_space(), inverted_pendulum_env()
+    demonstrations = fitting(demonstrations, space, env)
+    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    tip = demonstrations.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
+    # mean and covariance of the uniform start
+    initial = Gaussian(torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double())
+
+    def distance_from_demonstrated(states: Tensor) -> Tensor:
+        return (space.observe(states[..., -FINAL_SAMPLES:, :])[..., 1:] - tip).norm(dim=-1).amax(-1)
+
+    return Experiment(
+        name="inverted_pendulum",
+        make_env=inverted_pendulum_env,
+        space=space,
+        demonstrations=demonstrations,
+        noise_std=NOISE_STD,
+        initial=initial,
+        actions=actions_of(env),
+        demonstrated_states=states.reshape(-1, 4),
+        num_centres=50,
+        error=of_states(distance_from_demonstrated),
+        tolerance=SUCCESS_DISTANCE,
+        random_action=0.1,
+        input_scale=3.0,
+        # nats of two dimensions in effect: the height of the tip hardly changes
+        search=SearchSettings(trust_threshold=1.0),
+    )

@@ -1,0 +1,93 @@
+"""Pendubot and acrobot: swing two links up and balance them with one motor."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.envs.pendubot import (
+    CONTROL_PERIOD,
+    LINK_LENGTHS,
+    AcrobotEnv,
+    PendubotEnv,
+    tip_height,
+)
+from torch_pmil.envs.rollouts import of_states
+from torch_pmil.tasks.double_pendulum import states_from_positions
+from torch_pmil.tasks.task import (
+    Experiment,
+    actions_of,
+    fitting,
+    independent_start,
+)
+
+NOISE_STD = 0.025  # m
+LINE = 0.45  # m, height of the goal region, published
+FINAL_SAMPLES = round(0.5 / CONTROL_PERIOD) + 1  # of the last 0.5 s, both ends included
+# rad/s, 1 and 1 of a new policy's basis functions in [dq1, dq2, sin q1, sin q2, cos q1, cos q2]
+LEAST_WIDTHS = (1.5, 1.5, 0.35, 0.35, 0.35, 0.35)
+
+
+def one_motor_space() -> StateSpace:
+    """State [q1, dq1, q2, dq2], matched in the positions of the two link ends.
+
+    Example:
+        >>> one_motor_space().observe(torch.zeros(4, dtype=torch.float64))
+        tensor([0.0000, 0.2000, 0.0000, 0.5000], dtype=torch.float64)
+    """
+    names = ("q1", "dq1", "q2", "dq2")
+    match_space = MatchSpace.of_links(("q1", "q2"), LINK_LENGTHS, names)
+    return StateSpace(names, ("rad", "rad/s", "rad", "rad/s"), (0, 2), match_space)
+
+
+def depth_below_upright(states: Tensor) -> Tensor:
+    """Largest depth (m) of the tip below its upright place over the last 0.5 s.
+
+    States are (*batch, T + 1, 4), depths (*batch).
+    """
+    return sum(LINK_LENGTHS) - tip_height(states[..., -FINAL_SAMPLES:, :]).amin(-1)
+
+
+def pendubot(demonstrations: Demonstrations | None = None) -> Experiment:
+    """Swing the pendubot up as demonstrated, in 3 s at 25 Hz.
+
+    A success has the tip above the line of the AI Olympics, 0.45 m, for the last 0.5 s.
+
+    Args:
+        demonstrations: of the link positions x1, y1, x2, y2 at 25 Hz; those that come with the
+            package if None.
+
+    Raises:
+        DemonstrationError: they hold something else, or at another rate.
+    """
+    return _one_motor("pendubot", PendubotEnv, demonstrations)
+
+
+def acrobot(demonstrations: Demonstrations | None = None) -> Experiment:
+    """Swing the acrobot up as demonstrated, in 3 s at 25 Hz; all else is as of :func:`pendubot`."""
+    return _one_motor("acrobot", AcrobotEnv, demonstrations)
+
+
+def _one_motor(
+    name: str, make_env: type[PendubotEnv], demonstrations: Demonstrations | None
+) -> Experiment:
+    demonstrations = demonstrations or shipped_demonstrations(name)
+    env = make_env()
+    demonstrations = fitting(demonstrations, one_motor_space(), env)
+    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    return Experiment(
+        name=name,
+        make_env=make_env,
+        space=one_motor_space(),
+        demonstrations=demonstrations,
+        noise_std=NOISE_STD,
+        initial=independent_start(env.initial_mean, env.initial_std),
+        actions=actions_of(env),
+        demonstrated_states=states.reshape(-1, 4),
+        num_centres=100,
+        least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),
+        error=of_states(depth_below_upright),
+        tolerance=sum(LINK_LENGTHS) - LINE,
+    )

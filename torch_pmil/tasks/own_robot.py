@@ -1,0 +1,334 @@
+"""The task of one's own robot, with defaults for all that robot and recordings can tell."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.recovered_states import rates_of, recover_states
+from torch_pmil.control.state_space import MatchSpace, StateSpace
+from torch_pmil.demonstrations import (
+    DemonstrationError,
+    Demonstrations,
+    Recordings,
+    load_recordings,
+)
+from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
+from torch_pmil.demonstrations.distribution import expert_distribution
+from torch_pmil.demonstrations.preparation.synchronisation import synchronise
+from torch_pmil.envs.adapter import CosSin
+from torch_pmil.envs.mujoco_robot import MujocoRobot
+from torch_pmil.envs.one_robot import OneRobot
+from torch_pmil.envs.rollouts import of_states
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.tasks.site_match import site_match
+from torch_pmil.tasks.task import (
+    Experiment,
+    actions_of,
+    fitting,
+    independent_start,
+)
+from torch_pmil.tasks.with_history import with_history
+
+STARTS = 20  # resets by which p(x_0) is estimated
+START_SEED = 3_000_000  # of these resets
+LEAST_START = 0.01  # standard deviation of a start, in largest demonstrated values of its entry
+LEAST_START_BY_HAND = 0.05  # the same of a robot that a person puts there, and that is not asked
+NOISE = 0.05  # standard deviation of the observation noise, in demonstrated ranges of an entry
+LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of all ranges
+TOLERANCE = 2.0  # standard deviations of the demonstrations
+CENTRES = 50
+INPUT_SCALE = 3.0  # a few demonstrations show less of the state than fresh starts reach
+PLACE = 3  # numbers that tell where a site is
+CONFIRMATIONS = 3  # where the success of other starts cannot be predicted
+
+Robot = OneRobot | MujocoRobot
+Recorded = Demonstrations | Recordings | str | os.PathLike[str]
+
+
+def own_robot(
+    env: Any,
+    demonstrations: Recorded,
+    control_period: float,
+    *,
+    state: Sequence[str] = (),
+    units: Sequence[str] = (),
+    angles: Sequence[str] = (),
+    match: MatchSpace | str | None = None,
+    past_entries: int = 0,
+    past_actions: int = 0,
+    positions_only: bool = False,
+    **settings: Any,
+) -> Experiment:
+    """An experiment with one's own robot and recordings.
+
+    What is not said is told from them: the start by 20 resets, unless ``initial`` is given, or by
+    the demonstrations' starts, with a standard deviation of 5 % of what was demonstrated at least,
+    for a robot that makes no motion but its own rollouts (``evaluated`` is False, as it is for a
+    physical robot, which is not reset here); the range of the actions by the environment; the
+    observation noise as 5 % of each entry's demonstrated range (of an entry that hardly changes, as
+    1 % of the largest range); the demonstrated states by
+    :func:`~torch_pmil.control.recovered_states.recover_states`; and a success as a rollout that
+    differs from the demonstrations' mean by at most twice their standard deviation (noise
+    included), in root mean square over all entries and times. Actions that have the names of
+    entries of the state are targets of these entries, so that the first policy holds the robot
+    where it is.
+
+    Args:
+        env: an environment of TorchRL or gymnasium, or the name of one of gymnasium, or a
+            :class:`~torch_pmil.envs.mujoco_robot.MujocoRobot`, which knows its state and its start.
+        demonstrations: a file or folder of recordings, or what was read of one. Those of several
+            lengths or at another rate are aligned and sampled at the control period.
+        control_period: seconds between two actions.
+        state: names of the entries of the observation; those of the demonstrations if empty. The
+            entry ``dNAME`` is the velocity of the entry ``NAME``; the entries ``cos NAME`` and
+            ``sin NAME`` become one entry of the state, the angle ``NAME``.
+        units: of the entries of the state; not said if empty.
+        angles: names of entries that are angles (rad) and turn round.
+        match: what the demonstrations show of the state; its entries of their names if None. The
+            name of a site of a MuJoCo robot for the place of that site, and with it the axes of the
+            site where the demonstrations have these columns
+            (:func:`~torch_pmil.tasks.site_match.site_match`).
+        past_entries, past_actions, positions_only: what the state holds of the past, see
+            :func:`~torch_pmil.tasks.with_history.with_history`; nothing by default.
+        settings: fields of :class:`Experiment` in place of the defaults.
+
+    Raises:
+        DemonstrationError: the demonstrations cannot be read, or do not fit the match space.
+        TypeError, ValueError: the environment or a setting is not as it must be.
+
+    Example:
+        >>> from torch_pmil import shipped_demonstrations
+        >>> from torch_pmil.envs import DoublePendulumEnv
+        >>> state = ("q1", "dq1", "q2", "dq2")
+        >>> ends = MatchSpace.of_links(("q1", "q2"), (0.5, 0.5), state)
+        >>> shown = shipped_demonstrations("double_pendulum")
+        >>> robot = DoublePendulumEnv()
+        >>> task = own_robot(robot, shown, 0.1, state=state, angles=("q1", "q2"), match=ends)
+        >>> task.space.feature_names
+        ('dq1', 'dq2', 'sin q1', 'sin q2', 'cos q1', 'cos q2')
+    """
+    recorded = _read(demonstrations)
+    if isinstance(env, MujocoRobot):
+        state, units, angles = state or env.names, units or env.units, angles or env.turning
+        known = independent_start(env.initial_mean, env.initial_std)
+        settings = {"initial": known, **settings}
+    if isinstance(match, str):
+        match = _of_site(env, match, recorded)
+    observed = tuple(state) or recorded.names
+    space = _space(observed, units, angles, match, recorded.names)
+    robot = _robot(env, control_period, observed)
+    evaluated = settings.setdefault("evaluated", not robot.physical)
+    _check_entries(robot, observed, space.names)
+    starts = None
+    if evaluated:
+        starts = _starts(robot, observed, space.names, 1 if "initial" in settings else STARTS)
+    adapted, rates = robot(), rates_of(space.names)
+    velocities = {space.names[rate] for rate in rates}
+    shown = fitting(_at_control_rate(recorded, control_period, velocities), space, adapted)
+    states = recover_states(
+        space.match_space, shown.positions, control_period, _near(starts, settings, space), rates
+    )
+    noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
+    deviation = Deviation(expert_distribution(shown, noise_std), space)
+    held = _held(adapted.action_names, space.names)
+    defaults: dict[str, Any] = {
+        "name": robot.name,
+        "actions": actions_of(adapted),
+        "holding_actions": held,
+        "held_states": None if held is None else states.flatten(0, 1),
+        "demonstrated_states": states.flatten(0, 1),
+        "num_centres": CENTRES,
+        "error": of_states(deviation),
+        "tolerance": TOLERANCE,
+        "input_scale": INPUT_SCALE,
+        "draws": robot.draws,
+    }
+    if "initial" not in settings:
+        defaults["initial"] = _start(starts, states)
+    made = Experiment(
+        make_env=robot,
+        space=space,
+        demonstrations=shown,
+        noise_std=noise_std,
+        **(defaults | settings),
+    )
+    if made.promised is None and "confirmations" not in settings:
+        made = replace(made, confirmations=CONFIRMATIONS)
+    if not (past_entries or past_actions or positions_only):
+        return made
+    return with_history(
+        made, past_entries=past_entries, past_actions=past_actions, positions_only=positions_only
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """Root mean square of what states differ from a demonstrated mean, in standard deviations.
+
+    Args:
+        demonstrated: marginals at t = 1..T in the match space, mean (T, M), noise included.
+        space: of the states.
+    """
+
+    demonstrated: Gaussian
+    space: StateSpace
+
+    def __call__(self, states: Tensor) -> Tensor:
+        """Of states x_0..x_T, (*batch, T + 1, D), over entries and t = 1..T: (*batch)."""
+        apart = self.space.observe(states[..., 1:, :]) - self.demonstrated.mean
+        return (apart / self.demonstrated.std).square().mean((-2, -1)).sqrt()
+
+
+def _of_site(env: Any, site: str, recorded: Demonstrations | Recordings) -> MatchSpace:
+    if not isinstance(env, MujocoRobot):
+        raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
+    return site_match(env, site, orientation=len(recorded.names) > PLACE)
+
+
+def _robot(env: Any, control_period: float, observed: Sequence[str]) -> Robot:
+    if not isinstance(env, MujocoRobot):
+        return OneRobot(env, control_period, _pairs(observed))
+    if env.control_period != control_period:
+        raise ValueError(
+            f"control_period must be that of the robot, {env.control_period:g} s, got "
+            f"{control_period:g} s"
+        )
+    return env
+
+
+def _read(demonstrations: Recorded) -> Demonstrations | Recordings:
+    if isinstance(demonstrations, str | os.PathLike):
+        return load_recordings(demonstrations)
+    if not isinstance(demonstrations, Recordings | Demonstrations):
+        raise TypeError(
+            "demonstrations must be a path, Recordings or Demonstrations, got "
+            f"{type(demonstrations).__name__}"
+        )
+    return demonstrations
+
+
+def _space(
+    observed: Sequence[str],
+    units: Sequence[str],
+    angles: Sequence[str],
+    match: MatchSpace | None,
+    shown: tuple[str, ...],
+) -> StateSpace:
+    """The state space of an observation, in which a pair of cosine and sine is an angle."""
+    names = tuple(name.removeprefix("cos ") for name in observed if name[:4] != "sin ")
+    turning = {*angles, *(name[4:] for name in observed if name[:4] == "cos ")}
+    if unknown := sorted(turning - set(names)):
+        raise ValueError(
+            f"angles must be entries of the state {', '.join(names)}, got {', '.join(unknown)}"
+        )
+    known = tuple(units) or ("",) * len(names)
+    if match is None:
+        if unknown := [name for name in shown if name not in names]:
+            raise DemonstrationError(
+                f"demonstrations must be of entries of the state {', '.join(names)}, got "
+                f"{', '.join(unknown)}: name the entries by state=, or say by match= what the "
+                "demonstrations show of them"
+            )
+        match = MatchSpace.of_entries(shown, names, [known[names.index(name)] for name in shown])
+    return StateSpace(names, known, tuple(i for i, n in enumerate(names) if n in turning), match)
+
+
+def _pairs(observed: Sequence[str]) -> list[CosSin]:
+    """The angles of which an observation holds cosine and sine."""
+    return [
+        CosSin(index, _index_of(f"sin {name[4:]}", observed))
+        for index, name in enumerate(observed)
+        if name[:4] == "cos "
+    ]
+
+
+def _check_entries(robot: Robot, observed: Sequence[str], names: tuple[str, ...]) -> None:
+    """Raise ValueError unless each entry of the observation has a name."""
+    if robot.dim != len(names):
+        raise ValueError(
+            f"state must name the {robot.dim + len(robot.angles)} entries of the observation, got "
+            f"{', '.join(observed)}"
+        )
+
+
+def _starts(robot: Robot, observed: Sequence[str], names: tuple[str, ...], resets: int) -> Tensor:
+    """States of the robot after resets, (resets, D); its angles are near them from now on."""
+    states = _after_resets(robot, resets)
+    if robot.angles:
+        turned = states[:, [names.index(observed[pair.cos][4:]) for pair in robot.angles]]
+        near = torch.atan2(turned.sin().mean(0), turned.cos().mean(0)).tolist()
+        robot.angles = tuple(
+            replace(pair, near=q) for pair, q in zip(robot.angles, near, strict=True)
+        )
+        states = _after_resets(robot, resets)
+    return states
+
+
+def _after_resets(robot: Robot, number: int) -> Tensor:
+    """States of as many resets, (number, D)."""
+    env = robot(seed=START_SEED)
+    return torch.stack([env.reset()["observation"] for _ in range(number)])
+
+
+def _near(starts: Tensor | None, settings: Mapping[str, Any], space: StateSpace) -> Tensor:
+    """A state (D,) near which demonstrations start: by resets, as it is said, or zero."""
+    if starts is not None:
+        return starts.mean(0)
+    if "initial" in settings:
+        return settings["initial"].mean
+    return torch.zeros(space.dim, dtype=torch.float64)
+
+
+def _index_of(name: str, observed: Sequence[str]) -> int:
+    if name not in observed:
+        raise ValueError(f"state must name {name} too, got {', '.join(observed)}")
+    return list(observed).index(name)
+
+
+def _at_control_rate(
+    recorded: Demonstrations | Recordings, control_period: float, velocities: Collection[str]
+) -> Demonstrations:
+    """Recordings at the control period; those of several lengths or another rate are aligned."""
+    if isinstance(recorded, Demonstrations):
+        return recorded
+    steps = torch.cat([times.diff() for times in recorded.times])
+    as_wanted = torch.full_like(steps, control_period)
+    same_length = len({len(times) for times in recorded.times}) == 1
+    if same_length and torch.allclose(steps, as_wanted, rtol=TIME_STEP_TOLERANCE):
+        return recorded.demonstrations()
+    shown = [name for name in recorded.names if name in velocities]
+    return synchronise(recorded, control_period, shown)
+
+
+def _held(actions: Sequence[str], state: Sequence[str]) -> Callable[[Tensor], Tensor] | None:
+    """Actions that hold a robot whose servos take targets of entries of the state."""
+    if not set(actions) <= set(state):
+        return None
+    entries = [state.index(name) for name in actions]
+    return lambda states: states[..., entries]
+
+
+def _noise(shown: Demonstrations) -> Tensor:
+    """Standard deviations (M,) of the observation noise."""
+    low, high = shown.positions.flatten(0, 1).aminmax(dim=0)
+    span = high - low
+    return NOISE * span.clamp(min=LEAST_RANGE * span.max())
+
+
+def _start(starts: Tensor | None, states: Tensor) -> Gaussian:
+    """p(x_0) by resets (N, D), or by the demonstrated states, (N, T + 1, D), where there are none.
+
+    All entries vary, since no robot starts twice the same: the least standard deviation is a share
+    of the largest demonstrated value.
+    """
+    least_share = LEAST_START
+    if starts is None:
+        starts, least_share = states[:, 0], LEAST_START_BY_HAND
+    least = least_share * states.flatten(0, -2).abs().amax(0)
+    return independent_start(starts.mean(0), starts.std(0).clamp(min=1e-6).maximum(least))

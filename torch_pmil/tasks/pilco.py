@@ -1,0 +1,133 @@
+"""PILCO, the baseline of Section 5.1.1: a cost in place of the demonstrations.
+
+Robot, model, policy and search are those of the imitation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torch_pmil.checks import check_positive, check_tensor
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.search.losses import ExpectedSaturatingCost
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.tasks.double_pendulum import UPRIGHT, double_pendulum
+from torch_pmil.tasks.task import Experiment
+
+COST_WIDTH = 2.0  # m, Eq. 28
+VELOCITY_STD = 3.0  # rad/s
+SPREAD = 400  # states
+SEARCH = SearchSettings(
+    mean_iterations=40,
+    stage_iterations=20,
+    final_iterations=40,
+    first_horizon=3,
+    trust_threshold=0.025,
+    skip_matched_steps=False,
+    restarts=2,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PilcoExperiment(Experiment):
+    """A task learned from the expected saturating cost of not being at a target (Eq. 28).
+
+    Demonstrations give the number of steps and are drawn beside the prediction, nothing more: the
+    policy's centres are spread over the state space, and what is too fast to learn from is told by
+    the sampling.
+
+    Args:
+        target: where to be, (M,), in the match space.
+        cost_width: distance from the target beyond which the cost saturates, in the unit of the
+            match space.
+        velocity_std: of the states near which centres are drawn, in the unit of the entries that
+            are no angles; angles are uniform.
+        velocity_limit: of the states from which the model learns, in the same unit.
+
+    Example:
+        >>> pilco = double_pendulum_pilco()
+        >>> pilco.target
+        tensor([0.0000, 0.5000, 0.0000, 1.0000], dtype=torch.float64)
+    """
+
+    objective: ClassVar[type[TrajectoryLoss]] = ExpectedSaturatingCost
+
+    target: Tensor = field(kw_only=True)
+    cost_width: float = field(kw_only=True)
+    velocity_std: float = field(kw_only=True)
+    velocity_limit: float = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_tensor("target", self.target, (self.space.match_space.dim,))
+        for name in ("cost_width", "velocity_std", "velocity_limit"):
+            check_positive(name, getattr(self, name))
+
+    @property
+    def limits(self) -> Tensor:
+        """Largest absolute values of the state (D,) in the model's data; angles have no limit."""
+        limits = torch.full_like(self.initial.mean, self.velocity_limit)
+        limits[list(self.space.angles)] = torch.inf
+        return limits
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """Numbers that a run depends on."""
+        own = {
+            "cost_width": self.cost_width,
+            "velocity_std": self.velocity_std,
+            "velocity_limit": self.velocity_limit,
+        }
+        return super().settings | {"target": self.target.tolist(), **own}
+
+    def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> ExpectedSaturatingCost:
+        """The loss of the policy search: the expected cost of not being at the target."""
+        return ExpectedSaturatingCost(
+            policy, dynamics, self.space, self.target, self.cost_width, self.horizon
+        )
+
+    def make_policy(self, generator: torch.Generator) -> RBFPolicy:
+        """A new policy: centres near random states, small random weights."""
+        states = random_states(self.space, self.velocity_std, generator)
+        return self.policy_near(self.space.features(states), generator)
+
+
+def random_states(space: StateSpace, velocity_std: float, generator: torch.Generator) -> Tensor:
+    """States all over the state space, (S, D).
+
+    Angles are uniform, the other entries normal with standard deviation ``velocity_std``.
+    """
+    states = velocity_std * torch.randn(SPREAD, space.dim, dtype=torch.float64, generator=generator)
+    angles = list(space.angles)
+    turns = torch.rand(SPREAD, len(angles), dtype=torch.float64, generator=generator)
+    states[:, angles] = (2 * turns - 1) * math.pi
+    return states
+
+
+def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> PilcoExperiment:
+    """The swing-up of Section 5.1 by PILCO.
+
+    Arguments and errors are those of :func:`double_pendulum`.
+
+    The model learns from states up to half a turn in a control step: of faster ones the samples do
+    not tell how far a joint turned.
+    """
+    task = double_pendulum(demonstrations)
+    same = {entry.name: getattr(task, entry.name) for entry in fields(task)}
+    own = {"name": "double_pendulum_pilco", "search": SEARCH}
+    return PilcoExperiment(
+        **(same | own),
+        target=torch.tensor(UPRIGHT, dtype=torch.float64),
+        cost_width=COST_WIDTH,
+        velocity_std=VELOCITY_STD,
+        velocity_limit=math.pi / task.demonstrations.time_step,
+    )

@@ -34,8 +34,9 @@ from torch_pmil.runs.diagnosis.causes import (
 )
 from torch_pmil.runs.run_folder import provenance
 from torch_pmil.runs.summaries import read_summary
+from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
-from torch_pmil.tasks.task import Experiment, Outcome
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trials import success_rate
 
 STARTS, START_SEED = 20, 7_000_000  # no start that a run has seen
@@ -43,7 +44,7 @@ SMALLEST = ("covered", "followed", "moved")  # measures that are bad when they a
 LARGEST = ("unknown", "saturated", "mismatch")  # measures that are bad when they are large
 
 
-def known_experiments() -> dict[str, Experiment]:
+def known_experiments() -> dict[str, Task]:
     """All experiments of which runs may be, except handwriting."""
     shipped = [load_experiment(name) for name in EXPERIMENTS if name != "handwriting"]
     varied = [
@@ -54,7 +55,7 @@ def known_experiments() -> dict[str, Experiment]:
     return {experiment.name: experiment for experiment in [*varied, *shipped]}
 
 
-def experiment_of(name: str, known: dict[str, Experiment]) -> Experiment:
+def experiment_of(name: str, known: dict[str, Task]) -> Task:
     """The experiment of a run."""
     if name.startswith("handwriting_") and name not in known:
         _, shape, robot = name.split("_", 2)
@@ -63,7 +64,7 @@ def experiment_of(name: str, known: dict[str, Experiment]) -> Experiment:
 
 
 @torch.no_grad()
-def measured(folder: Path, experiment: Experiment) -> dict[str, object]:
+def measured(folder: Path, experiment: Task) -> dict[str, object]:
     """Measures of the saved policy of a run, the worst over its targets, and its diagnosis."""
     learned = load_learned(folder, experiment)
     loss = experiment.make_loss(learned.policy.policy, learned.dynamics)
@@ -89,7 +90,7 @@ def worst(name: str, measures: Sequence[Mapping]) -> float:
     return (min if name in SMALLEST else max)(each[name] for each in measures)
 
 
-def of_outcome(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> dict[str, float]:
+def of_outcome(experiment: Task, dynamics: GPDynamics, outcome: Outcome) -> dict[str, float]:
     """Measures of one target."""
     actions = outcome.rollouts["action"]
     residuals = standardised_residuals(dynamics, experiment.space, outcome.executed, actions)

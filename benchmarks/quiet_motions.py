@@ -33,7 +33,7 @@ from torch_pmil.runs.diagnosis.causes import LEARNED
 from torch_pmil.runs.run_folder import provenance
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 AMPLITUDE = 0.3  # rad
 STEPS = {"double_pendulum": 25, "gym_pendulum": 25, "biorob": 18}
@@ -108,7 +108,7 @@ def row(
     }
 
 
-def quiet_experiment(task: str, motion: str) -> Experiment:
+def quiet_experiment(task: str, motion: str) -> Task:
     """A task of the package with a quiet motion, and the distance from its mean as the error.
 
     Example:

@@ -36,7 +36,7 @@ from torch_pmil.files import write_json
 from torch_pmil.model.experience import gp_data
 from torch_pmil.search.policy_search import search_policy
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 FEW, SOME, MANY, TESTED = 200, 1000, 5000, 3000  # transitions
 NOISES = (0.03, 0.0)  # of what the model is to say, in its standard deviations
@@ -54,7 +54,7 @@ class Problem:
         policy: of which the KL is predicted; None for one that is searched.
     """
 
-    experiment: Experiment
+    experiment: Task
     motion: Callable[[torch.Generator], Callable[[Tensor], Tensor]]
     policy: RBFPolicy | None
 

@@ -30,7 +30,7 @@ from torch_pmil.files import write_json
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.targets import TargetExperiment
+from torch_pmil.tasks.targets import TargetTask
 
 SEED, STEPS = 0, 20  # steps of a rollout of exploration
 COUNTS = (1, 3)  # of targets
@@ -95,7 +95,7 @@ def measure(n: int, threads: list[int], repeats: int) -> list[dict[str, object]]
     return rows
 
 
-def evaluation(loss: MultiTargetKLLoss, experiment: TargetExperiment) -> Evaluate:
+def evaluation(loss: MultiTargetKLLoss, experiment: TargetTask) -> Evaluate:
     """A function that computes value and gradient of a loss."""
     parameters = list(loss.parameters())
 
@@ -106,7 +106,7 @@ def evaluation(loss: MultiTargetKLLoss, experiment: TargetExperiment) -> Evaluat
     return evaluate
 
 
-def explored(experiment: TargetExperiment, n: int) -> GPDynamics:
+def explored(experiment: TargetTask, n: int) -> GPDynamics:
     """The model of n transitions of exploration."""
     env = experiment.robots_at(experiment.targets[:1].expand(-(-n // STEPS), -1), SEED)
     motion = replace(experiment.exploration, rollouts=1).motion(torch.Generator().manual_seed(SEED))

@@ -38,7 +38,7 @@ from torchrl.modules import GPWorldModel, RBFController
 from torch_pmil import Gaussian, GPDynamics, RBFPolicy, TrajectoryKLLoss, trajectory_kl
 from torch_pmil.model import compiled
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 SEED = 0
 ROLLOUT_STEPS = 25  # of the rollouts that the data are taken from
@@ -55,7 +55,7 @@ Evaluate = Callable[[], list[Tensor]]  # the loss (nats) and its gradients; the 
 class Problem:
     """An experiment with a model, a policy, and the demonstrated marginals at t = 1..horizon."""
 
-    experiment: Experiment
+    experiment: Task
     dynamics: GPDynamics
     policy: RBFPolicy
     demonstrated: Gaussian
@@ -99,7 +99,7 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False, fitted: bool = 
 
 
 def random_transitions(
-    experiment: Experiment, n: int, generator: torch.Generator
+    experiment: Task, n: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
     """States (n, D), torques (n, F) in N·m and successors (n, D) under random torques.
 

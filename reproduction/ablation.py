@@ -23,7 +23,7 @@ from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.trajectory_loss import Prediction
 from torch_pmil.tasks.pilco import VELOCITY_STD, random_states
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 SEEDS, TRIALS = range(3), 10
 QUICK_SEEDS, QUICK_TRIALS = range(1), 2
@@ -44,7 +44,7 @@ LABELS = {
 
 
 @dataclass(frozen=True)
-class Variation(Experiment):
+class Variation(Task):
     """A task with choices made otherwise that are no settings of an experiment.
 
     Args:
@@ -139,7 +139,7 @@ def variations() -> dict[str, Variation]:
     }
 
 
-def near_start(task: Experiment) -> Tensor:
+def near_start(task: Task) -> Tensor:
     """The demonstrated states (S, D) with angles that begin nearest to those of p(x_0).
 
     Whole turns are taken off each demonstration.

@@ -32,8 +32,8 @@ from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.rollouts import of_states, states_of
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.own_robot import own_robot
-from torch_pmil.tasks.pilco import PilcoExperiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.pilco import PilcoTask
+from torch_pmil.tasks.task import Task
 
 INSTALL = "pip install --no-deps robosuite==1.5.2"
 RATE, DURATION, COUNT = 20.0, 3.0, 5  # Hz and s of a motion, and number of demonstrations
@@ -236,7 +236,7 @@ def arm_robot(arm: Arm) -> MujocoRobot:
 
 
 @cache
-def arm_experiment(arm: Arm) -> Experiment:
+def arm_experiment(arm: Arm) -> Task:
     """The motion, to be learned by joint targets at 20 Hz; the first one goes along it.
 
     A success is a rollout whose rms distance from the mean demonstration, over joints and times, is
@@ -285,13 +285,13 @@ def spread(shown: Demonstrations) -> float:
     return demonstration_spread(shown).square().mean().sqrt().item()
 
 
-class ArmPilco(PilcoExperiment):
+class ArmPilco(PilcoTask):
     """The motion's last pose by PILCO's cost, with the first policy and motion of the imitation."""
 
     @property
     def limits(self) -> Tensor:
         """Largest absolute values of the state (D,) in the model's data, as in the imitation."""
-        return super(PilcoExperiment, self).limits
+        return super(PilcoTask, self).limits
 
     def make_policy(self, generator: torch.Generator) -> RBFPolicy:
         """A new policy with centres near demonstrated states."""
@@ -312,7 +312,7 @@ def pilco_experiment(arm: Arm) -> ArmPilco:
 
 
 @torch.no_grad()
-def servo_alone(experiment: Experiment, starts: int, seed: int) -> Tensor:
+def servo_alone(experiment: Task, starts: int, seed: int) -> Tensor:
     """States (starts, T + 1, D) of the servos whose targets are the mean demonstration.
 
     The target of a step is the sample at its end.

@@ -25,7 +25,7 @@ from torch_pmil.plotting import (
 from torch_pmil.runs.summaries import read_summary, success_over_experience
 from torch_pmil.runs.training import EVALUATION_STARTS
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 SEEDS, TRIALS = range(10), 4
 QUICK_SEEDS, QUICK_TRIALS = range(1), 2
@@ -124,7 +124,7 @@ def measured(run: dict) -> dict[str, object]:
     }
 
 
-def photo_series(rollout: TensorDictBase, experiment: Experiment) -> Figure:
+def photo_series(rollout: TensorDictBase, experiment: Task) -> Figure:
     """A demonstration above a rollout (T,) of the robot, in pictures of the simulation (Figure 8).
 
     It is the first demonstration that comes with the package, led by hand anew.

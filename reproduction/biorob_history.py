@@ -25,13 +25,13 @@ from reproduction.sampling_frequency import Interval
 from torch_pmil.plotting import plot_success_of_methods
 from torch_pmil.runs.summaries import read_summary, success_over_experience
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
 
 PLAIN, REMEMBERING = "joints now", "joints and torques before, too"
 
 
-def remembering_biorob() -> Experiment:
+def remembering_biorob() -> Task:
     """The BioRob whose state holds the last reading and the last torques.
 
     Example:

@@ -22,7 +22,7 @@ from reproduction.reproduction import PaperExperiment, Results, Run, learning_ru
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in
 
 SPEED_FACTOR = 1.3  # largest speed of a joint, in largest demonstrated ones
@@ -31,7 +31,7 @@ TRIALS = {"without": 12, "with": 30}  # the rollouts of refused policies are sho
 STARTS, START_SEED = 100, 5_000_000  # no start that a run has seen
 
 
-def with_box() -> Experiment:
+def with_box() -> Task:
     """The double pendulum that shall not turn its joints much faster than was demonstrated.
 
     Example:
@@ -45,7 +45,7 @@ def with_box() -> Experiment:
     return replace(experiment, name="double_pendulum_box", box=speeds)
 
 
-def ways() -> dict[str, Experiment]:
+def ways() -> dict[str, Task]:
     """The experiments with and without the limits."""
     return {"without": load_experiment("double_pendulum"), "with": with_box()}
 

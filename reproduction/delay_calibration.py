@@ -30,7 +30,7 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_trajectory
 from torch_pmil.plotting.calibration import plot_calibration_ahead
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 DELAYS = (0.0, 0.02, 0.05, 0.1)  # s
 AHEAD = (1, 5, 10, 25)  # control steps
@@ -75,7 +75,7 @@ class DelayedDoublePendulumEnv(DoublePendulumEnv):
         return self._without_reward(self._measure(sensors))
 
 
-def with_delay(delay: float) -> Experiment:
+def with_delay(delay: float) -> Task:
     """The double pendulum whose torques take effect ``delay`` seconds late.
 
     Example:
@@ -128,7 +128,7 @@ class Calibration:
 CALIBRATION = tuple(entry.name for entry in fields(Calibration))
 
 
-def calibrations(folder: Path, experiment: Experiment, starts: int) -> dict[int, Calibration]:
+def calibrations(folder: Path, experiment: Task, starts: int) -> dict[int, Calibration]:
     """Calibration of a run's model of its saved policy, by the number of steps ahead."""
     learned = load_learned(folder, experiment)
     states = states_of(learned.rollouts(experiment, starts, START_SEED))
@@ -212,7 +212,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     return Results(headline, {"delay_calibration": figure}, details)
 
 
-def measured(folder: Path, experiment: Experiment, starts: int) -> dict[str, Any]:
+def measured(folder: Path, experiment: Task, starts: int) -> dict[str, Any]:
     """Success of a run's saved policy, and the calibration of its model by steps ahead."""
     found = calibrations(folder, experiment, starts)
     return {

@@ -16,7 +16,7 @@ from reproduction.reproduction import PaperExperiment, Results, Run, learning_ru
 from reproduction.robustness import with_noise
 from torch_pmil.envs import DoublePendulumServoEnv
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 LABEL = "imitation with position servos"
 NOISE = 0.05  # rad, of the angles
@@ -25,7 +25,7 @@ VARIED_SEEDS, QUICK_SEEDS = range(3), range(1)
 STARTS, START_SEED = 100, 8_000_000  # no start that a run has seen
 
 
-def with_servos(name: str, **settings: Any) -> Experiment:
+def with_servos(name: str, **settings: Any) -> Task:
     """The double pendulum with other servos or links, which its first policy holds as well.
 
     Args:
@@ -46,7 +46,7 @@ def with_servos(name: str, **settings: Any) -> Experiment:
     )
 
 
-def varied() -> dict[str, Experiment]:
+def varied() -> dict[str, Task]:
     """The experiments with noisy sensors or another second link, by name in the headline."""
     noise, masses = f"noise_{NOISE:g}rad", {f"{mass:g}kg": mass for mass in SECOND_LINKS}
     noisy = with_noise(NOISE, "double_pendulum_servo")

@@ -25,7 +25,7 @@ from torch_pmil.plotting import (
 from torch_pmil.runs.training import EVALUATION_STARTS
 from torch_pmil.search.kl import trajectory_kl
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trials import success_rate
 
 SEED = 0
@@ -84,7 +84,7 @@ def comparison(demonstrated: Gaussian, predicted: Gaussian) -> dict[str, float]:
     }
 
 
-def demonstrations_figure(experiment: Experiment) -> Figure:
+def demonstrations_figure(experiment: Task) -> Figure:
     """Figure 3: the double pendulum's demonstrations."""
     match_space, demonstrations = experiment.space.match_space, experiment.demonstrations
     return plot_demonstrations(

@@ -45,7 +45,7 @@ from torch_pmil.tasks.handwriting import (
     input_widths,
 )
 from torch_pmil.tasks.strokes import distance_spread
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.writers import pendulum_writer, states_of_strokes
 
 SEEDS, TRIALS = range(5), 10
@@ -74,8 +74,8 @@ class Variant:
     """
 
     label: str
-    task: Experiment
-    measure: Experiment
+    task: Task
+    measure: Task
     fault: tuple[str, ...] = ("is unlike the others", "are two different ways", *UNREACHED)
 
     def named_in(self, messages: Sequence[str]) -> bool:
@@ -181,7 +181,7 @@ def swing_ups_of(lengths: tuple[float, float]) -> Demonstrations:
     return replace(shown, positions=ends(states))
 
 
-def of_tip(task: Experiment, shown: Demonstrations) -> Experiment:
+def of_tip(task: Task, shown: Demonstrations) -> Task:
     """The double pendulum from demonstrations of which only the tip is compared."""
     space, tip = task.space, ["x2", "y2"]
     rows = [space.match_space.names.index(name) for name in tip]
@@ -322,7 +322,7 @@ def _with_one(shown: Demonstrations, motion: Tensor) -> Demonstrations:
     return replace(shown, positions=positions)
 
 
-def _named(task: Experiment, name: str) -> Experiment:
+def _named(task: Task, name: str) -> Task:
     return replace(task, name=f"{task.name}_imperfect_{name}")
 
 

@@ -16,7 +16,7 @@ from torch_pmil.envs.rollouts import without_sensor_noise
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.summaries import RunError, read_summary
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.state_checks import check_model, check_state
 from torch_pmil.trainer.trials import success_rate
 
@@ -36,18 +36,18 @@ class Learned:
     dynamics: GPDynamics
 
     @torch.no_grad()
-    def predicted(self, experiment: Experiment) -> Gaussian:
+    def predicted(self, experiment: Task) -> Gaussian:
         """p(x_1..T) of the policy under its model, mean (T, D)."""
         loss = experiment.make_loss(self.policy.policy, self.dynamics)
         return loss.predict_states(experiment.initial)
 
     @torch.no_grad()
-    def rollouts(self, experiment: Experiment, starts: int, seed: int) -> TensorDictBase:
+    def rollouts(self, experiment: Task, starts: int, seed: int) -> TensorDictBase:
         """Rollouts of the robot from fresh starts, (starts, T), as the environment gives them."""
         return experiment.executed(self.policy, starts, seed)
 
 
-def load_learned(folder: Path, experiment: Experiment) -> Learned:
+def load_learned(folder: Path, experiment: Task) -> Learned:
     """Policy and model of a finished run. Nothing that the files carry is executed.
 
     Args:
@@ -79,7 +79,7 @@ def load_learned(folder: Path, experiment: Experiment) -> Learned:
 
 
 @torch.no_grad()
-def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, seed: int) -> float:
+def measured_success(policy: StatePolicy, experiment: Task, starts: int, seed: int) -> float:
     """Success rate of a policy on an experiment's robot, by the true states.
 
     What noisy sensors say does not count.
@@ -97,7 +97,7 @@ def measured_success(policy: StatePolicy, experiment: Experiment, starts: int, s
     return success_rate(experiment.error(rollouts), experiment.tolerance)
 
 
-def remeasured(folder: Path, experiment: Experiment, starts: int, seed: int) -> dict[str, Any]:
+def remeasured(folder: Path, experiment: Task, starts: int, seed: int) -> dict[str, Any]:
     """The main numbers of a run, for the details of a summary, with its policy measured anew.
 
     Args:
@@ -112,9 +112,7 @@ def remeasured(folder: Path, experiment: Experiment, starts: int, seed: int) -> 
     return measured_anew(load_learned(folder, experiment), experiment, starts, seed)
 
 
-def measured_anew(
-    learned: Learned, experiment: Experiment, starts: int, seed: int
-) -> dict[str, Any]:
+def measured_anew(learned: Learned, experiment: Task, starts: int, seed: int) -> dict[str, Any]:
     """:func:`remeasured` of a run that is loaded already."""
     return {
         "experiment": experiment.name,

@@ -27,7 +27,7 @@ from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.plotting import plot_success_over_mass
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 SECOND_LINKS = (0.15, 0.3, 0.4, 0.5, 0.57, 0.65, 0.8, 1.0)  # kg, second link of the robots
 SEEDS = range(3)  # of our runs on each robot
@@ -37,7 +37,7 @@ STARTS = 100
 START_SEED = 5_000_000  # no start that a run has seen
 
 
-def with_second_link(mass: float) -> Experiment:
+def with_second_link(mass: float) -> Task:
     """The double pendulum with a second link of that mass in kg.
 
     It learns from the demonstrations that come with the package.
@@ -114,7 +114,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     return Results(headline, {"masses": figure}, details)
 
 
-def departure(states: Tensor, robot: Experiment) -> float:
+def departure(states: Tensor, robot: Task) -> float:
     """Root mean square distance (m) of the two link ends from the demonstrated mean.
 
     It is over rollouts x_0..x_T (N, T + 1, 4) and steps 1..T.

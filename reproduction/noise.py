@@ -20,14 +20,14 @@ from reproduction.remembering import needed_runs, results_of
 from reproduction.reproduction import PaperExperiment, Results
 from reproduction.robustness import with_noise
 from torch_pmil.plotting.calibration import plot_calibration_ahead
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
 
 NOISE_STD = 0.05  # rad
 PAST = 2  # readings and torques before the last ones
 
 
-def noisy() -> dict[str, Experiment]:
+def noisy() -> dict[str, Task]:
     """The robot with noisy sensors, with and without a history, by its name in the figure.
 
     Example:

@@ -30,7 +30,7 @@ from torch_pmil.envs.pendubot import AcrobotEnv, PendubotEnv, tip_height
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.tasks.one_motor import LINE
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 TRIALS = 9  # the last one with 30 s of experience
 STARTS, START_SEED = 20, 11_000_000  # no start that a run has seen
@@ -74,7 +74,7 @@ def needed_runs(robot: Robot, root: Path, quick: bool) -> list[Run]:
 
 
 @torch.no_grad()
-def held_rate(policy: StatePolicy, experiment: Experiment, starts: int) -> float:
+def held_rate(policy: StatePolicy, experiment: Task, starts: int) -> float:
     """Fraction of fresh starts from which the tip is above the line from 3 s to 10 s."""
     robots = experiment.robots(starts, START_SEED)
     steps = round(LONG / robots.control_period)

@@ -13,12 +13,12 @@ from torch_pmil.tasks.double_pendulum_targets import (
     distance_of_tip,
     double_pendulum_targets,
 )
-from torch_pmil.tasks.targets import TargetExperiment
+from torch_pmil.tasks.targets import TargetTask
 
 NARROW = 0.5  # target_scale
 
 
-def narrow() -> TargetExperiment:
+def narrow() -> TargetTask:
     """The double pendulum's targets with basis functions that are narrow in the target.
 
     Their width is half the largest distance between the training targets.

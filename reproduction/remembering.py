@@ -18,16 +18,16 @@ from reproduction.figure7 import GOAL, size, success_curves, success_results
 from reproduction.learned import remeasured
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
 
-Tasks = Callable[[], Mapping[str, Experiment]]
+Tasks = Callable[[], Mapping[str, Task]]
 
 TRIALS = 11  # the last one with 30 s of experience
 STARTS, START_SEED = 100, 10_000_000  # no start that a run has seen
 
 
-def positions_only() -> dict[str, Experiment]:
+def positions_only() -> dict[str, Task]:
     """The robot without velocity sensors, by its name in the figure.
 
     Example:
@@ -39,7 +39,7 @@ def positions_only() -> dict[str, Experiment]:
     return {"positions only": replace(task, name="double_pendulum_positions")}
 
 
-def delayed() -> dict[str, Experiment]:
+def delayed() -> dict[str, Task]:
     """The robots whose torques take effect late, by their names in the figure.
 
     Example:

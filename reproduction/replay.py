@@ -32,7 +32,7 @@ from torch_pmil.runs.diagnosis.after_a_run import known_steps
 from torch_pmil.runs.diagnosis.causes import covered_fraction, first_mismatch, moved_fraction
 from torch_pmil.runs.summaries import RunError, read_summary
 from torch_pmil.search.kl import gaussian_kl_terms
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in
 from torch_pmil.trainer.trials import success_rate
 
@@ -58,7 +58,7 @@ class Recording:
     parameters: Sequence[Mapping[str, Tensor]]
     saved_trial: int
 
-    def policies(self, experiment: Experiment) -> list[RBFPolicy]:
+    def policies(self, experiment: Task) -> list[RBFPolicy]:
         """The policy of each trial."""
         policies = []
         for parameters in self.parameters:
@@ -68,7 +68,7 @@ class Recording:
         return policies
 
 
-def recording(folder: Path, experiment: Experiment) -> Recording:
+def recording(folder: Path, experiment: Task) -> Recording:
     """What a finished run's robot did; its last rollout is still with the collector.
 
     Args:
@@ -101,7 +101,7 @@ def recording(folder: Path, experiment: Experiment) -> Recording:
     )
 
 
-def replayed(folder: Path, experiment: Experiment, samples: int) -> dict[str, Any]:
+def replayed(folder: Path, experiment: Task, samples: int) -> dict[str, Any]:
     """What a finished run's model expected at each trial, beside what was measured.
 
     Args:
@@ -142,7 +142,7 @@ class _GrowingModel:
         explored: transitions of its first motion.
     """
 
-    def __init__(self, experiment: Experiment, explored: int) -> None:
+    def __init__(self, experiment: Task, explored: int) -> None:
         self.experiment, self.explored = experiment, explored
         self.dynamics, self.experience = experiment.make_dynamics(), Experience(LARGEST)
 
@@ -155,7 +155,7 @@ class _GrowingModel:
 
 
 def _replayed_trial(
-    experiment: Experiment,
+    experiment: Task,
     model: _GrowingModel,
     trial: Mapping[str, Any],
     rollout: TensorDictBase,
@@ -180,7 +180,7 @@ def _replayed_trial(
 
 @torch.no_grad()
 def foresight(
-    experiment: Experiment,
+    experiment: Task,
     policy: RBFPolicy,
     dynamics: GPDynamics,
     rollout: TensorDictBase,
@@ -216,7 +216,7 @@ def foresight(
 
 
 def _along_the_trajectory(
-    experiment: Experiment,
+    experiment: Task,
     policy: RBFPolicy,
     dynamics: GPDynamics,
     rollout: TensorDictBase,
@@ -238,7 +238,7 @@ def _along_the_trajectory(
     }
 
 
-def _spread_share(experiment: Experiment, predicted: Gaussian, untrusted: Tensor) -> float | None:
+def _spread_share(experiment: Task, predicted: Gaussian, untrusted: Tensor) -> float | None:
     """Share of the spread in the KL of the first step that is not trusted; None if all are."""
     if not untrusted.any():
         return None
@@ -251,7 +251,7 @@ def _spread_share(experiment: Experiment, predicted: Gaussian, untrusted: Tensor
 
 @torch.no_grad()
 def imagined_errors(
-    experiment: Experiment, policy: RBFPolicy, dynamics: GPDynamics, samples: int
+    experiment: Task, policy: RBFPolicy, dynamics: GPDynamics, samples: int
 ) -> Tensor:
     """Errors (samples,) of rollouts that the model imagines, each step drawn from its posterior."""
     generator, robot = torch.Generator().manual_seed(SAMPLE_SEED), (policy, dynamics)
@@ -271,7 +271,7 @@ def _miss(errors: Tensor, tolerance: float) -> float | None:
     return (failures.nan_to_num(math.inf).median() / tolerance).item()
 
 
-def _moved(experiment: Experiment, explored: TensorDictBase) -> float:
+def _moved(experiment: Task, explored: TensorDictBase) -> float:
     """The way of the first motion (R, T') over the demonstrated way."""
     noise_std = torch.as_tensor(experiment.noise_std, dtype=torch.float64)
     shown = experiment.space.observe(states_of(explored))

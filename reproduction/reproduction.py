@@ -17,7 +17,7 @@ from torch_pmil.plotting import Figure, save_figure
 from torch_pmil.runs.run_folder import provenance
 from torch_pmil.runs.summaries import RunError, is_finished
 from torch_pmil.runs.training import train
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trials import Measurement
 
 # entries of each run's summary that results repeat
@@ -83,7 +83,7 @@ class PaperExperiment:
     results: Callable[[Sequence[Path], bool], Results]
 
 
-def learning_run(root: Path, experiment: Experiment, seed: int, trials: int = 12) -> Run:
+def learning_run(root: Path, experiment: Task, seed: int, trials: int = 12) -> Run:
     """A run of an experiment, in its folder below ``root``.
 
     With ``runs`` as ``root`` it is the folder of ``pmil train``.
@@ -173,7 +173,7 @@ def _attempt(run: Run, command: str) -> str | None:
     return None
 
 
-def _learn(out: Path, command: str, experiment: Experiment, seed: int, trials: int) -> None:
+def _learn(out: Path, command: str, experiment: Task, seed: int, trials: int) -> None:
     told = partial(tell_trial, out)
     train(experiment, seed, trials, out, command, progress_bar=False, on_trial=told, resume=True)
 

@@ -18,7 +18,7 @@ from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.plotting import plot_success_over_settings
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 SEEDS = range(2)
 TRIALS = 13
@@ -31,7 +31,7 @@ VELOCITY_NOISE = 10.0
 RECORDED_SEED = 1  # of the demonstrations beyond the five that come with the package, which have 0
 
 
-def with_start_std(std: float) -> Experiment:
+def with_start_std(std: float) -> Task:
     """The double pendulum with starts that vary by ``std`` (rad); p(x_0) is told.
 
     Velocities vary in proportion.
@@ -45,7 +45,7 @@ def with_start_std(std: float) -> Experiment:
     )
 
 
-def with_noise(std: float, name: str = "double_pendulum") -> Experiment:
+def with_noise(std: float, name: str = "double_pendulum") -> Task:
     """The double pendulum of that name with sensor noise of ``std`` (rad) in the angles.
 
     The told p(x_0) is the sensors' view of the start.
@@ -62,7 +62,7 @@ def with_noise(std: float, name: str = "double_pendulum") -> Experiment:
     )
 
 
-def with_demonstrations(count: int) -> Experiment:
+def with_demonstrations(count: int) -> Task:
     """The double pendulum with the first ``count`` of ten demonstrations.
 
     Five of them come with the package.
@@ -99,13 +99,13 @@ class Factor:
     unit: str
     levels: tuple[float, ...]
     plain: float
-    vary: Callable[..., Experiment]
+    vary: Callable[..., Task]
 
     def names(self) -> list[str]:
         """Names of the levels, as the summary has them."""
         return [f"{self.name}_{level:g}{self.unit}" for level in self.levels]
 
-    def experiments(self) -> list[Experiment]:
+    def experiments(self) -> list[Task]:
         """The experiment at each level."""
         plain = load_experiment("double_pendulum")
         return [
@@ -130,7 +130,7 @@ FACTORS = (
 )
 
 
-def varied_experiments() -> dict[str, Experiment]:
+def varied_experiments() -> dict[str, Task]:
     """All experiments of all factors by name, the plain one once."""
     return {
         experiment.name: experiment for factor in FACTORS for experiment in factor.experiments()

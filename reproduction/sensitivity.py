@@ -13,7 +13,7 @@ from reproduction.ablation import results_of_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.soak.comparison import paired
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 SEEDS, TRIALS = range(20, 25), 10  # on which no setting was chosen
 QUICK_SEEDS, QUICK_TRIALS = range(20, 21), 2
@@ -34,7 +34,7 @@ SETTINGS = (
 FACTORS = {"halved": 0.5, "doubled": 2}
 
 
-def variants() -> dict[str, Experiment]:
+def variants() -> dict[str, Task]:
     """The double pendulum as it is, and with each setting halved and doubled, by their names.
 
     Whole numbers stay whole: half of 5 is 2.

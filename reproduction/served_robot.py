@@ -16,7 +16,7 @@ from torch_pmil.envs.operator import RobotError
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 DISTURBANCE = ("--delay", "0.005", "--jitter", "0.002")  # s
 Addresses = tuple[str, str]  # of states and commands
@@ -49,7 +49,7 @@ def connected(
     return served_env(client(dim, like.control_period / 2, *addresses), like)
 
 
-def served_experiment(addresses: Addresses, stops: Path | None = None) -> Experiment:
+def served_experiment(addresses: Addresses, stops: Path | None = None) -> Task:
     """The double pendulum on the server; the operator is the server, and nothing else measures."""
     return replace(
         load_experiment("double_pendulum"),

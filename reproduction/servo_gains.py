@@ -14,7 +14,7 @@ from reproduction.figure7 import GOAL
 from reproduction.plots.gains import plot_gains
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.runs.summaries import read_summary
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trials import success_rate
 
 STIFFNESSES = (3.0, 10.0, 30.0, 100.0)  # N·m/rad
@@ -24,7 +24,7 @@ SEEDS, TRIALS = range(3), 8
 STARTS, START_SEED = 20, 9_000_000  # no start that a run has seen
 
 
-def with_gains(stiffness: float, damping: float) -> Experiment:
+def with_gains(stiffness: float, damping: float) -> Task:
     """The double pendulum with servos of these gains, in N·m/rad and N·m·s/rad.
 
     Example:
@@ -34,7 +34,7 @@ def with_gains(stiffness: float, damping: float) -> Experiment:
     return with_servos(_name(stiffness, damping), stiffness=stiffness, damping=damping)
 
 
-def success_alone(experiment: Experiment, still: bool = False) -> float:
+def success_alone(experiment: Task, still: bool = False) -> float:
     """Success rate of servos that are told the mean of the demonstrated angles, from fresh starts.
 
     At each step they are told the angles of the next sample; nothing is learned, and no state is

@@ -24,7 +24,7 @@ from torch_pmil.runs.run_folder import provenance
 from torch_pmil.runs.summaries import RunError, is_finished
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import search_policy
-from torch_pmil.tasks.targets import TargetExperiment
+from torch_pmil.tasks.targets import TargetTask
 
 START_SEED = 8_000_000  # no start that a run has seen
 METHODS = {
@@ -53,7 +53,7 @@ class TargetStudy:
     """
 
     name: str
-    experiment: Callable[[], TargetExperiment]
+    experiment: Callable[[], TargetTask]
     columns: Sequence[float]
     rows: Sequence[float]
     trials: int
@@ -113,7 +113,7 @@ class TargetStudy:
     def _measured_at(
         self,
         policy: TensorDictModule,
-        experiment: TargetExperiment,
+        experiment: TargetTask,
         targets: Tensor,
         starts: int,
         seed: int,
@@ -187,9 +187,7 @@ class TargetStudy:
         )
 
 
-def policies_of_methods(
-    learned: Learned, experiment: TargetExperiment
-) -> dict[str, TensorDictModule]:
+def policies_of_methods(learned: Learned, experiment: TargetTask) -> dict[str, TensorDictModule]:
     """The policy of each of the ``METHODS``, for rollouts."""
     separate, targets = separate_policies(learned, experiment), experiment.targets
     policies = {
@@ -203,7 +201,7 @@ def policies_of_methods(
     }
 
 
-def separate_policies(learned: Learned, experiment: TargetExperiment) -> list[StatePolicy]:
+def separate_policies(learned: Learned, experiment: TargetTask) -> list[StatePolicy]:
     """A policy for each target, from the joint policy there by further search for it alone.
 
     The model is the same for all.

@@ -37,7 +37,7 @@ from torch_pmil.plotting import Figure, plot_distributions, plot_photo_series
 from torch_pmil.runs.pictures import steps_of
 from torch_pmil.runs.telling import tell
 from torch_pmil.runs.training import EVALUATION_STARTS, train
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trials import success_rate
 
 SEEDS = {"ur5e": range(10), "panda": range(5), "pilco": range(3)}
@@ -48,7 +48,7 @@ PHOTOGRAPHED = (0.0, 0.75, 1.5, 2.0, 2.95)  # s
 SHOWN = np.s_[60:400, 130:610]  # of a picture, with the arm
 
 
-def experiments() -> dict[str, Experiment]:
+def experiments() -> dict[str, Task]:
     """The imitations, and PILCO on the UR5e."""
     return {
         "ur5e": arm_experiment(UR5E),
@@ -69,13 +69,13 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
     ]
 
 
-def _drawn_run(root: Path, experiment: Experiment, seed: int) -> Run:
+def _drawn_run(root: Path, experiment: Task, seed: int) -> Run:
     """A run that leaves its figures, video and report too."""
     run = learning_run(root, experiment, seed, TRIALS)
     return Run(run.out, partial(_learn_and_tell, experiment=experiment, seed=seed))
 
 
-def _learn_and_tell(out: Path, command: str, experiment: Experiment, seed: int) -> None:
+def _learn_and_tell(out: Path, command: str, experiment: Task, seed: int) -> None:
     told = partial(tell_trial, out)
     result = train(
         experiment, seed, TRIALS, out, command, progress_bar=False, on_trial=told, resume=True
@@ -116,7 +116,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     return Results(headline | servos | degrees, figures, details)
 
 
-def measured_run(learned: Learned, task: Experiment) -> dict[str, Any]:
+def measured_run(learned: Learned, task: Task) -> dict[str, Any]:
     """The main numbers of a run, measured from fresh starts that it has not seen."""
     executed = states_of(learned.rollouts(task, EVALUATION_STARTS, START_SEED))
     distances, summary = Distance(task.demonstrations)(executed), learned.summary
@@ -128,7 +128,7 @@ def measured_run(learned: Learned, task: Experiment) -> dict[str, Any]:
     }
 
 
-def ratio_of(executed: Tensor, task: Experiment) -> float:
+def ratio_of(executed: Tensor, task: Task) -> float:
     """Rms distance from the mean demonstration of all rollouts, in the demonstrations' spread."""
     distances = Distance(task.demonstrations)(executed)
     return distances.square().mean().sqrt().item() / spread(task.demonstrations)
@@ -148,7 +148,7 @@ def headline_of(runs: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     }
 
 
-def drawn(arm: Arm, learned: Learned, task: Experiment) -> dict[str, Figure]:
+def drawn(arm: Arm, learned: Learned, task: Task) -> dict[str, Figure]:
     """Joints over time, and pictures of the mean demonstration above those of a rollout."""
     rollouts = learned.rollouts(task, EVALUATION_STARTS, START_SEED)
     count = len(arm.joints)
@@ -173,7 +173,7 @@ def drawn(arm: Arm, learned: Learned, task: Experiment) -> dict[str, Figure]:
     return figures
 
 
-def photo_series(rollout: TensorDictBase, task: Experiment) -> Figure:
+def photo_series(rollout: TensorDictBase, task: Task) -> Figure:
     """The mean demonstration above a rollout (T,), in pictures of the simulation.
 
     Raises:

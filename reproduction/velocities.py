@@ -29,14 +29,14 @@ from reproduction.learned import load_learned, measured_anew
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from reproduction.sampling_frequency import Interval
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 ALONE = "velocities alone"
 STARTS, START_SEED = 100, 9_000_000  # no start that a run has seen
 REPEATS = 7  # evaluations
 
 
-def velocities_alone() -> Experiment:
+def velocities_alone() -> Task:
     """The double pendulum whose model learns velocities alone.
 
     Example:
@@ -85,7 +85,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     return replace(made, details={**made.details, "starts": starts, "measured": measured})
 
 
-def _measured(folder: Path, task: Experiment, starts: int) -> dict[str, Any]:
+def _measured(folder: Path, task: Task, starts: int) -> dict[str, Any]:
     """The main numbers of a run, and the least CPU time of some evaluations of its policy."""
     learned = load_learned(folder, task)
     policy = learned.policy.policy.requires_grad_(True)

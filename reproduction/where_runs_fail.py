@@ -33,7 +33,7 @@ from torch_pmil.plotting import Figure
 from torch_pmil.plotting.calibration import plot_success_calibration
 from torch_pmil.runs.summaries import is_finished, read_summary
 from torch_pmil.tasks.handwriting import SUCCESS_RATIO, handwriting
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 PREDICTIONS = ("predicted_before", "predicted_after")
 
@@ -69,13 +69,13 @@ def needed_runs(root: Path, quick: bool) -> list[Run]:
     return [_replay_of(root, each, seed, size) for seed in size.seeds for each in experiments]
 
 
-def _replay_of(root: Path, experiment: Experiment, seed: int, size: Size) -> Run:
+def _replay_of(root: Path, experiment: Task, seed: int, size: Size) -> Run:
     learning = learning_run(root, experiment, seed, size.trials)
     replay = partial(_replay, learning=learning, experiment=experiment, samples=size.samples)
     return Run(root / "replays" / experiment.name / learning.out.name, replay)
 
 
-def _replay(out: Path, command: str, learning: Run, experiment: Experiment, samples: int) -> None:
+def _replay(out: Path, command: str, learning: Run, experiment: Task, samples: int) -> None:
     """Learn a run, unless it is finished, and write what its replay tells."""
     if not is_finished(learning.out):
         learning.learn(learning.out, command)

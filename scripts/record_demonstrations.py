@@ -37,6 +37,7 @@ from reproduction.teachers.one_motor_teacher import (
     one_motor_teacher,
 )
 from reproduction.teachers.swing_up import demonstrate, swing_up_teacher
+from reproduction.teachers.trajectory_optimization import Array
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.demonstrations.preparation.alignment import align
@@ -48,7 +49,6 @@ from torch_pmil.envs.gym_tasks import gym_pendulum_env, inverted_pendulum_env
 from torch_pmil.envs.pendubot import AcrobotEnv, PendubotEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.files import in_words
-from torch_pmil.search.trajectory_optimization import Array
 from torch_pmil.tasks.biorob import biorob_space
 from torch_pmil.tasks.cart_pole import cart_pole_space
 from torch_pmil.tasks.double_pendulum import (

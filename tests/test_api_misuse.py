@@ -27,7 +27,6 @@ from torch_pmil import (
     DemonstrationError,
     Demonstrations,
     Experience,
-    Experiment,
     Gaussian,
     GPDynamics,
     KernelExpansion,
@@ -44,6 +43,7 @@ from torch_pmil import (
     SearchSettings,
     StatePolicy,
     StateSpace,
+    Task,
     TrajectoryKLLoss,
     align,
     expected_saturating_cost,
@@ -133,7 +133,7 @@ STEPS = Gaussian(torch.zeros(5, 2), torch.eye(2).expand(5, 2, 2))
 
 
 @cache
-def experiment() -> Experiment:
+def experiment() -> Task:
     return short_experiment(4)
 
 
@@ -1058,7 +1058,7 @@ TRAINER = {
     ),
     "train, the name of an experiment": misuse(
         lambda: train("double_pendulum", 0, 1, "r", "x"),
-        "experiment must be an Experiment,",
+        "experiment must be an Task,",
         TypeError,
     ),
 }
@@ -1240,37 +1240,37 @@ EXPERIMENTS = {
         "demonstrations must be",
         TypeError,
     ),
-    "Experiment, states of other entries": misuse(
+    "Task, states of other entries": misuse(
         lambda: replace(experiment(), demonstrated_states=torch.zeros(3, 2)),
         "demonstrated_states must have",
     ),
-    "Experiment, a space of other entries": misuse(
+    "Task, a space of other entries": misuse(
         lambda: replace(experiment(), space=SPACE),
         "demonstrated_states must have shape (S, 2), got",
     ),
-    "Experiment, a setting it has not": misuse(
+    "Task, a setting it has not": misuse(
         lambda: experiment().with_settings(search=1),
         "must be one of num_centres, ",
     ),
-    "Experiment, widths of other features": misuse(
+    "Task, widths of other features": misuse(
         lambda: experiment().with_settings(input_widths=[1.0]),
         "input_widths must have shape (6,),",
     ),
-    "Experiment, noise in words": misuse(
+    "Task, noise in words": misuse(
         lambda: experiment().with_settings(noise_std=["a"]), "noise_std must be numbers, got ['a']"
     ),
-    "Experiment, iterations in words": misuse(
+    "Task, iterations in words": misuse(
         lambda: experiment().with_settings(**{"search.restarts": "2"}),
         "search.restarts must be an integer of at least 0, got '2'",
     ),
-    "Experiment, an endless threshold": misuse(
+    "Task, an endless threshold": misuse(
         lambda: replace(experiment(), search=SearchSettings(trust_threshold=math.inf)),
         "search.trust_threshold must be a finite number that is not negative, got inf",
     ),
-    "Experiment, larger actions than there are": misuse(
+    "Task, larger actions than there are": misuse(
         lambda: replace(experiment(), random_action=1.5), "random_action must be at most 1, got 1.5"
     ),
-    "Experiment, two and a half centres": misuse(
+    "Task, two and a half centres": misuse(
         lambda: replace(experiment(), num_centres=2.5), "num_centres must be a whole number from"
     ),
 }

@@ -91,9 +91,12 @@ if TYPE_CHECKING:
     from torch_pmil.search.saturating_cost import (
         expected_saturating_cost as expected_saturating_cost,
     )
+    from torch_pmil.tasks.method import Method as Method, PolicySettings as PolicySettings
+    from torch_pmil.tasks.own_robot import own_robot as own_robot
     from torch_pmil.tasks.registry import load_experiment as load_experiment
-    from torch_pmil.tasks.task import Experiment as Experiment
-    from torch_pmil.trainer.lbfgs_stepper import LBFGSStepper as LBFGSStepper
+    from torch_pmil.tasks.task import Task as Task
+    from torch_pmil.trainer.ending import Ending as Ending
+    from torch_pmil.trainer.problem import Problem as Problem
     from torch_pmil.trainer.trainer import PMILTrainer as PMILTrainer
     from torch_pmil.trainer.trials import Trial as Trial
 
@@ -101,16 +104,16 @@ MODULES = {
     "AlignmentError": "demonstrations.preparation.alignment",
     "DemonstrationError": "demonstrations",
     "Demonstrations": "demonstrations",
+    "Ending": "trainer.ending",
     "ExpectedSaturatingCost": "search.losses",
     "Experience": "model.experience",
-    "Experiment": "tasks.task",
     "GPDynamics": "model.dynamics",
     "Gaussian": "gp.gaussian",
     "InaccurateMomentsError": "gp.moment_accuracy",
     "KernelExpansion": "gp.kernel_expansion",
     "KnownPart": "control.known_part",
-    "LBFGSStepper": "trainer.lbfgs_stepper",
     "MatchSpace": "control.state_space",
+    "Method": "tasks.method",
     "Moments": "gp.moments",
     "MultiTargetKLLoss": "search.multi_target_loss",
     "NotPositiveDefiniteError": "gp.gaussian",
@@ -118,12 +121,15 @@ MODULES = {
     "PMILTrainer": "trainer.trainer",
     "ParticlePrediction": "model.particles",
     "PolicyFileError": "control.policy_file",
+    "PolicySettings": "tasks.method",
     "PredictionError": "model.rollout",
+    "Problem": "trainer.problem",
     "RBFPolicy": "control.rbf_policy",
     "SearchResult": "search.policy_search",
     "SearchSettings": "search.policy_search",
     "StatePolicy": "control.state_policy",
     "StateSpace": "control.state_space",
+    "Task": "tasks.task",
     "TrajectoryKLLoss": "search.losses",
     "Trial": "trainer.trials",
     "align": "demonstrations.preparation.alignment",
@@ -136,6 +142,7 @@ MODULES = {
     "load_policy": "control.policy_file",
     "load_recordings": "demonstrations",
     "moment_match": "gp.moment_matching",
+    "own_robot": "tasks.own_robot",
     "predict_step": "model.rollout",
     "predict_trajectory": "model.rollout",
     "rounding_errors": "gp.moment_accuracy",

@@ -24,7 +24,7 @@ from torchrl.modules import MLP
 
 from reproduction.baselines.networks import Scaled, descend, from_unit, seeded, to_unit
 from reproduction.baselines.peer import Peer
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 BATCH = 256  # rows of a step
 
@@ -40,7 +40,7 @@ class ClonesFromObservation(Peer):
         noise: standard deviation of the exploration, as a fraction of half the action's range.
     """
 
-    def __init__(self, experiment: Experiment, seed: int, noise: float) -> None:
+    def __init__(self, experiment: Task, seed: int, noise: float) -> None:
         super().__init__(experiment, seed)
         self.noise = noise
         self.inverse_width = len(experiment.space.feature_names) + experiment.space.dim
@@ -108,7 +108,7 @@ class BCO(ClonesFromObservation):
 
     def __init__(
         self,
-        experiment: Experiment,
+        experiment: Task,
         seed: int,
         cells: int = 64,
         steps: int = 500,

@@ -32,7 +32,7 @@ from torch_pmil.runs.run_folder import (
 )
 from torch_pmil.runs.training import EVALUATION_STARTS
 from torch_pmil.tasks.double_pendulum import states_from_positions
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.ending import LIMIT
 from torch_pmil.trainer.trials import Measurement, success_rate
 
@@ -56,7 +56,7 @@ class DMPTrial(Measurement):
     gp_seconds: float
 
 
-def joint_trajectories(experiment: Experiment) -> Tensor:
+def joint_trajectories(experiment: Task) -> Tensor:
     """Joint angles (N, T + 1, J), rad, that the demonstrations show.
 
     Each has the turns that begin nearest to the robot's start.
@@ -68,7 +68,7 @@ def joint_trajectories(experiment: Experiment) -> Tensor:
 
 
 def run_dmp(
-    experiment: Experiment,
+    experiment: Task,
     seed: int,
     trials: int,
     out: Path,
@@ -138,7 +138,7 @@ def run_dmp(
     return summary
 
 
-def make_learner(experiment: Experiment, hold: int) -> InverseDynamicsLearner:
+def make_learner(experiment: Task, hold: int) -> InverseDynamicsLearner:
     """The learner of an experiment, with the primitive of its demonstrations as reference.
 
     A control step has ``hold`` steps of the feedback.
@@ -151,7 +151,7 @@ def make_learner(experiment: Experiment, hold: int) -> InverseDynamicsLearner:
     )
 
 
-def random_rollout(experiment: Experiment, env: MujocoRobotEnv, hold: int, seed: int) -> Motion:
+def random_rollout(experiment: Task, env: MujocoRobotEnv, hold: int, seed: int) -> Motion:
     """The first experience: the random rollout that our learner gets with that seed."""
     generator = torch.Generator().manual_seed(seed + 1_000_000)
     torques = random_torques(
@@ -163,7 +163,7 @@ def random_rollout(experiment: Experiment, env: MujocoRobotEnv, hold: int, seed:
 
 
 def run_trial(
-    experiment: Experiment,
+    experiment: Task,
     learner: InverseDynamicsLearner,
     env: MujocoRobotEnv,
     fresh: MujocoRobotEnv,
@@ -186,7 +186,7 @@ def run_trial(
     )
 
 
-def settings(experiment: Experiment, trials: int, feedback_period: float) -> dict[str, object]:
+def settings(experiment: Task, trials: int, feedback_period: float) -> dict[str, object]:
     """The settings of the run, for its summary."""
     return {
         "trials": trials,
@@ -200,7 +200,7 @@ def settings(experiment: Experiment, trials: int, feedback_period: float) -> dic
     }
 
 
-def _check(experiment: Experiment, seed: int, trials: int) -> None:
+def _check(experiment: Task, seed: int, trials: int) -> None:
     if experiment.name != "double_pendulum":
         raise ValueError(
             f"the baseline with movement primitives is for double_pendulum, got {experiment.name}"

@@ -28,7 +28,7 @@ from reproduction.baselines.cross_entropy_method import minimise_by_cem
 from reproduction.baselines.network_ensemble import EnsembleModel
 from reproduction.baselines.networks import from_unit
 from reproduction.baselines.peer import Peer
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 LARGE_PLANNER = {"candidates": 256, "elites": 26, "iterations": 5}  # for precise plans
 
@@ -55,7 +55,7 @@ class EnsembleCEM(Peer):
 
     def __init__(
         self,
-        experiment: Experiment,
+        experiment: Task,
         seed: int,
         members: int = 5,
         cells: int = 64,

@@ -31,7 +31,7 @@ from torchrl.objectives import GAILLoss, SACLoss, SoftUpdate
 
 from reproduction.baselines.networks import Scaled, from_unit, seeded, to_unit
 from reproduction.baselines.peer import Peer, consecutive
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 BATCH = 128  # transitions of a step
 SURE = 1e-6  # of the discriminator: a larger probability is no larger reward
@@ -80,7 +80,7 @@ class GAIfO(Peer):
 
     def __init__(
         self,
-        experiment: Experiment,
+        experiment: Task,
         seed: int,
         cells: int = 64,
         steps: int = 500,

@@ -5,14 +5,14 @@ from __future__ import annotations
 from torch import Tensor
 
 from reproduction.baselines.model_peer import ModelPeer
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 
 class GPTracker(ModelPeer):
     """Plans on the mean of our Gaussian process, and follows the plan by linear feedback.
 
     The model learns from all transitions as ours does; the plan is that of
-    :class:`~torch_pmil.trainer.plan_tracking.PlanTracking`, sought from the last one on, and anew.
+    :class:`~reproduction.baselines.plan_tracking.PlanTracking`, sought from the last one on, and anew.
     What the model does not know is not seen: that is what our own objective adds.
 
     Args:
@@ -22,7 +22,7 @@ class GPTracker(ModelPeer):
 
     label, name = "GP + iLQR, TVLQR", "gp_tracker"
 
-    def __init__(self, experiment: Experiment, seed: int, action_weight: float = 1.0) -> None:
+    def __init__(self, experiment: Task, seed: int, action_weight: float = 1.0) -> None:
         super().__init__(experiment, seed)
         self.tracking = experiment.plan_tracking(action_weight)
         self._last = self.tracking.first_guess

@@ -11,14 +11,14 @@ from reproduction.baselines.peer import Peer
 from reproduction.baselines.told_bco import ToldBCO
 from torch_pmil.tasks.handwriting import handwriting
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 PEERS: dict[str, type[Peer]] = {
     peer.name: peer for peer in (GPTracker, EnsembleCEM, BCO, ToldBCO, GAIfO, MCPilco)
 }
 
 
-def named(name: str) -> Experiment:
+def named(name: str) -> Task:
     """The experiment of a name: one of the package, or a shape that the double pendulum writes.
 
     Example:
@@ -28,7 +28,7 @@ def named(name: str) -> Experiment:
     return handwriting(shape=name) if name[0].isupper() else load_experiment(name)
 
 
-def trials_until(end: float, experiment: Experiment) -> int:
+def trials_until(end: float, experiment: Task) -> int:
     """Trials of which the last one learns from ``end`` seconds of experience, or a little less.
 
     Example:

@@ -49,7 +49,7 @@ from torch_pmil.control.recovered_states import rates_of
 from torch_pmil.gp.gaussian import normal
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.saturating_cost import saturating_cost
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 
 class MCPilco(ModelPeer):
@@ -71,7 +71,7 @@ class MCPilco(ModelPeer):
 
     def __init__(
         self,
-        experiment: Experiment,
+        experiment: Task,
         seed: int,
         scale: float = 100.0,
         most_slope: float | None = 0.3,
@@ -142,7 +142,7 @@ def _bounded(most: float) -> Callable[[Tensor], Tensor]:
     return bound
 
 
-def _speed_model(experiment: Experiment) -> GPDynamics:
+def _speed_model(experiment: Task) -> GPDynamics:
     """A model of the velocities of a robot, from which its positions follow, if it has any."""
     velocities = bool(rates_of(experiment.space.names))
     return replace(experiment, velocities_alone=velocities).make_dynamics()

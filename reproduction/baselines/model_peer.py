@@ -7,7 +7,7 @@ from tensordict import TensorDictBase
 from reproduction.baselines.peer import Peer
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import Experience
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 CAPACITY = 10_000  # transitions
 
@@ -20,9 +20,7 @@ class ModelPeer(Peer):
         dynamics: the model; that of the experiment if None.
     """
 
-    def __init__(
-        self, experiment: Experiment, seed: int, dynamics: GPDynamics | None = None
-    ) -> None:
+    def __init__(self, experiment: Task, seed: int, dynamics: GPDynamics | None = None) -> None:
         super().__init__(experiment, seed)
         self.dynamics = experiment.make_dynamics() if dynamics is None else dynamics
         self.experience, self._explored = Experience(CAPACITY), 0

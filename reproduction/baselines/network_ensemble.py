@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.nn.functional import gaussian_nll_loss, silu, softplus
 
 from reproduction.baselines.networks import LEAST_STD, Scaled, descend, seeded, to_unit
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 BATCH = 64  # rows of a step, for each member
 LOG_VARIANCES = -10.0, 0.5  # range of the networks' outputs, of scaled differences
@@ -68,7 +68,7 @@ class EnsembleModel:
 
     def __init__(
         self,
-        experiment: Experiment,
+        experiment: Task,
         members: int,
         cells: int,
         steps: int,

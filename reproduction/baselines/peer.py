@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 
 class Peer(ABC):
@@ -27,7 +27,7 @@ class Peer(ABC):
     label: ClassVar[str]
     name: ClassVar[str]
 
-    def __init__(self, experiment: Experiment, seed: int) -> None:
+    def __init__(self, experiment: Task, seed: int) -> None:
         self.experiment = experiment
         self.generator = torch.Generator().manual_seed(seed)
         self.rollouts: list[TensorDictBase] = []

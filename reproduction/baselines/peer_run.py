@@ -27,7 +27,7 @@ from torch_pmil.runs.run_folder import (
     write_metrics,
 )
 from torch_pmil.runs.training import EVALUATION_STARTS
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.ending import LIMIT
 from torch_pmil.trainer.trials import Measurement, own_error, success_rate
 
@@ -37,7 +37,7 @@ Controller = Callable[[int, Tensor], Tensor]
 
 def peer_run(
     root: Path,
-    experiment: Experiment,
+    experiment: Task,
     peer_class: type[Peer],
     seed: int,
     trials: int,
@@ -86,7 +86,7 @@ def peer_run(
 def _learn(
     out: Path,
     command: str,
-    experiment: Experiment,
+    experiment: Task,
     peer_class: type[Peer],
     seed: int,
     trials: int,
@@ -148,7 +148,7 @@ class Practice:
         factor: rollouts in place of each one of ours.
     """
 
-    def __init__(self, experiment: Experiment, peer: Peer, seed: int, factor: int) -> None:
+    def __init__(self, experiment: Task, peer: Peer, seed: int, factor: int) -> None:
         self.experiment, self.peer, self.factor = experiment, peer, factor
         self.robot = experiment.robot(seed)
         if experiment.state_box is not None:

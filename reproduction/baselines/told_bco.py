@@ -20,7 +20,7 @@ from reproduction.baselines.learned_inverse_dynamics import PILCO_SIGNAL_TO_NOIS
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 
 class ToldBCO(ClonesFromObservation):
@@ -40,7 +40,7 @@ class ToldBCO(ClonesFromObservation):
     label: ClassVar[str] = "BCO with GPs, told velocities"
     name: ClassVar[str] = "bco_told"
 
-    def __init__(self, experiment: Experiment, seed: int, noise: float = 0.1) -> None:
+    def __init__(self, experiment: Task, seed: int, noise: float = 0.1) -> None:
         super().__init__(experiment, seed, noise)
         shown = experiment.demonstrations.positions
         recorded = load_experiment("double_pendulum").demonstrations.positions

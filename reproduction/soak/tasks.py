@@ -12,7 +12,7 @@ from reproduction.handwriting import SHAPES
 from reproduction.soak.processes import Job
 from torch_pmil.tasks.handwriting import handwriting_name
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 ROBOT = "double_pendulum"  # which writes
 
@@ -45,7 +45,7 @@ class Task:
         """The words of the command line that name it."""
         return [f"experiment={self.experiment}", *([f"shape={self.shape}"] if self.shape else [])]
 
-    def load(self) -> Experiment:
+    def load(self) -> Task:
         """The experiment; raises ImportError where the LASA set is not installed."""
         return load_experiment(self.experiment, shape=self.shape)
 

@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from torch_pmil.envs.gym_tasks import HANGING_MEAN, cart_dynamics, pendulum_dynamics
-from torch_pmil.search.trajectory_optimization import (
+from reproduction.teachers.trajectory_optimization import (
     Array,
     QuadraticCost,
     TrackingController,
@@ -15,6 +14,7 @@ from torch_pmil.search.trajectory_optimization import (
     plan_trajectory,
     tracking_controller,
 )
+from torch_pmil.envs.gym_tasks import HANGING_MEAN, cart_dynamics, pendulum_dynamics
 
 CART_STEPS = 50  # 2 s at 25 Hz
 CART_LIMIT = 3.0

@@ -9,9 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reproduction.teachers.swing_up import array_dynamics
-from torch_pmil.envs.double_pendulum import HANGING
-from torch_pmil.envs.mujoco import MujocoRobotEnv
-from torch_pmil.search.trajectory_optimization import (
+from reproduction.teachers.trajectory_optimization import (
     Array,
     Dynamics,
     QuadraticCost,
@@ -20,6 +18,8 @@ from torch_pmil.search.trajectory_optimization import (
     roll_out,
     tracking_controller,
 )
+from torch_pmil.envs.double_pendulum import HANGING
+from torch_pmil.envs.mujoco import MujocoRobotEnv
 
 STEPS = 75  # 3 s at 25 Hz
 CART_STEPS = 30  # 3 s at 10 Hz

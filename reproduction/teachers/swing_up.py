@@ -8,9 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 
-from torch_pmil.envs.double_pendulum import LINK_LENGTH, double_pendulum_model
-from torch_pmil.envs.mujoco import MujocoRobotEnv
-from torch_pmil.search.trajectory_optimization import (
+from reproduction.teachers.trajectory_optimization import (
     Array,
     Dynamics,
     QuadraticCost,
@@ -19,6 +17,8 @@ from torch_pmil.search.trajectory_optimization import (
     roll_out,
     tracking_controller,
 )
+from torch_pmil.envs.double_pendulum import LINK_LENGTH, double_pendulum_model
+from torch_pmil.envs.mujoco import MujocoRobotEnv
 
 STEPS = 25  # 2.5 s at 10 Hz, paper
 UPRIGHT_FROM = 18  # the plan is paid for being upright from 1.8 s

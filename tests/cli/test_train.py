@@ -33,8 +33,9 @@ from torch_pmil.runs.diagnosis.demonstration_checks import Finding
 from torch_pmil.runs.settings import word_of
 from torch_pmil.runs.training import RunResult, train as learn
 from torch_pmil.search import policy_search
+from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.registry import EXPERIMENTS
-from torch_pmil.tasks.task import Experiment, Outcome
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer import search_stepper
 
 COMMAND = "train"
@@ -418,11 +419,11 @@ def test_help_of_a_setting_that_is_wrong_is_its_line(script: Script) -> None:
 def test_settings_of_a_file_and_of_the_command_line_reach_the_run(
     script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def stop(experiment: Experiment, *rest: object, settings: dict, **_: object) -> NoReturn:
+    def stop(experiment: Task, *rest: object, settings: dict, **_: object) -> NoReturn:
         learned.append((experiment, settings))
         sys.exit()
 
-    learned: list[tuple[Experiment, dict]] = []
+    learned: list[tuple[Task, dict]] = []
     monkeypatch.setattr(train, "train", stop)
     lines = ("seed: 3", "noise_std: [0.1, 0.2, 0.3, 0.4]", "search.restarts: 2", "input_scale: 2")
     (tmp_path / "mine.yaml").write_text("\n".join(lines))

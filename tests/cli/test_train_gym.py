@@ -21,7 +21,7 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trainer import PMILTrainer
 
 COMMAND = "train"
@@ -34,7 +34,7 @@ def quick_fits(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
 
 
-def short(name: str) -> Experiment:
+def short(name: str) -> Task:
     """The experiment's first steps, with short searches; every rollout is a failure."""
     whole = load_experiment(name)
     beginning = replace(

@@ -19,6 +19,11 @@ from reproduction.teachers.gym_teachers import (
     balancing_teacher,
     pendulum_teacher,
 )
+from reproduction.teachers.trajectory_optimization import (
+    Array,
+    Dynamics as ArrayDynamics,
+    roll_out,
+)
 from torch_pmil.envs import gym_tasks
 from torch_pmil.envs.gym_tasks import (
     cart_dynamics,
@@ -27,11 +32,6 @@ from torch_pmil.envs.gym_tasks import (
     pendulum_dynamics,
 )
 from torch_pmil.envs.rollouts import rollout_of, states_of
-from torch_pmil.search.trajectory_optimization import (
-    Array,
-    Dynamics as ArrayDynamics,
-    roll_out,
-)
 from torch_pmil.tasks.registry import load_experiment
 
 STARTS = 500

@@ -13,7 +13,7 @@ from tests.helpers.short_run import STEPS, short_experiment
 from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.envs.operator import RobotError, RolloutDiscarded, RunStopped
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 KEYS: dict[str, Exception] = {
     "d": RolloutDiscarded("the last rollout is discarded"),
@@ -90,7 +90,7 @@ class Attended:
         env.guard = self.guard
         return env
 
-    def experiment(self, **changes: Any) -> Experiment:
+    def experiment(self, **changes: Any) -> Task:
         """The first steps of the double pendulum, judged by the robot's own rollouts."""
         search = SearchSettings(1, 1, 1, first_horizon=STEPS, trust_threshold=1e-9)
         task = short_experiment(search=search, evaluated=False, **changes)

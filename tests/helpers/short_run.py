@@ -31,7 +31,7 @@ from torch_pmil.runs.training import RunResult, train
 from torch_pmil.search import policy_search
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 STEPS, TRIALS, SEED = 4, 3, 5
 COMMAND = f"pmil train seed={SEED}"
@@ -52,9 +52,7 @@ PHASES = {  # what is called there
 }
 
 
-def short_experiment(
-    steps: int = STEPS, name: str = "double_pendulum", **changes: object
-) -> Experiment:
+def short_experiment(steps: int = STEPS, name: str = "double_pendulum", **changes: object) -> Task:
     """The first steps of the double pendulum (or of PILCO on it), five basis functions and searches
     of a few evaluations.
     """

@@ -17,10 +17,10 @@ from torch_pmil.envs import DoublePendulumEnv
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 
-def hanging_still(**settings: object) -> Experiment:
+def hanging_still(**settings: object) -> Task:
     """The double pendulum; a success is that it starts and stays near where it hangs."""
     experiment = load_experiment("double_pendulum")
     return replace(

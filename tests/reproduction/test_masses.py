@@ -19,10 +19,10 @@ from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.rollouts import rollout_of
 from torch_pmil.tasks.double_pendulum import states_from_positions
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 
-def mass_of(robot: Experiment) -> float:
+def mass_of(robot: Task) -> float:
     """Of the second link that it simulates."""
     return robot.make_env(seed=0).model.body("link2").mass.item()
 
@@ -71,11 +71,11 @@ def test_runs_can_be_learned_in_another_process(tmp_path: Path) -> None:
 def test_every_number_is_at_its_mass(monkeypatch: pytest.MonkeyPatch) -> None:
     measured: list[tuple[Path, float, int]] = []
 
-    def remeasured(folder: Path, robot: Experiment, starts: int, seed: int) -> dict[str, object]:
+    def remeasured(folder: Path, robot: Task, starts: int, seed: int) -> dict[str, object]:
         measured.append((folder, mass_of(robot), seed))
         return {"success_rate": mass_of(robot) / int(folder.name[-1])}
 
-    def load_learned(folder: Path, robot: Experiment) -> SimpleNamespace:
+    def load_learned(folder: Path, robot: Task) -> SimpleNamespace:
         return SimpleNamespace(
             rollouts=lambda robot, starts, seed: rollout_of(
                 torch.zeros(starts, 26, 4, dtype=torch.float64)

@@ -28,7 +28,7 @@ from reproduction.robustness import (
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import link_positions
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 RECORDED = torch.linspace(0, 1, 5 * 26 * 4, dtype=torch.float64).reshape(5, 26, 4)  # states
 
@@ -65,7 +65,7 @@ def no_teacher(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     ],
 )
 def test_start_belief_is_the_distribution_of_what_the_sensors_say_of_starts(
-    experiment: Experiment, std: tuple[float, ...]
+    experiment: Task, std: tuple[float, ...]
 ) -> None:
     count, initial = 20_000, experiment.initial
     seen = experiment.make_env(num_envs=count, seed=0).reset()["observation"]
@@ -127,9 +127,7 @@ def test_every_experiment_is_learned_once_with_every_seed_in_another_process(
 def test_every_number_is_at_its_level(monkeypatch: pytest.MonkeyPatch) -> None:
     names = list(varied_experiments())
 
-    def remeasured(
-        folder: Path, experiment: Experiment, starts: int, seed: int
-    ) -> dict[str, object]:
+    def remeasured(folder: Path, experiment: Task, starts: int, seed: int) -> dict[str, object]:
         assert folder.parent.name == experiment.name
         return {
             "experiment": experiment.name,

@@ -17,7 +17,7 @@ from torch_pmil.runs.figures import figures_of, planes_of, sliced
 from torch_pmil.runs.training import RunResult, train
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 STEPS = 6
 OF_ALL = {"learning_curve", "calibration", "model"}
@@ -33,7 +33,7 @@ WHOLE = {"handwriting", "inverted_pendulum"}  # whose error is of all steps
 SHAPE = {"handwriting": "Angle"}
 
 
-def short(name: str) -> Experiment:
+def short(name: str) -> Task:
     """The first steps of an experiment, and searches of a few evaluations."""
     experiment = load_experiment(name, shape=SHAPE.get(name))
     steps = experiment.horizon if name in WHOLE else STEPS

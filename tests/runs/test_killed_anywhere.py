@@ -33,21 +33,21 @@ from torch_pmil.runs.lock import RunGoingOnError, alone_in
 from torch_pmil.runs.settings import Settings
 from torch_pmil.runs.training import RunResult
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 pytestmark = pytest.mark.slow
 STEPS = 2
 COMMAND = ["pmil", "train", f"seed={SEED}", f"trials={TRIALS}"]
 
 
-def small_figures(experiment: Experiment, result: RunResult) -> Iterator[tuple[str, Figure]]:
+def small_figures(experiment: Task, result: RunResult) -> Iterator[tuple[str, Figure]]:
     for name in ("learning_curve", "policy"):
         figure = Figure(figsize=(0.2, 0.2))
         figure.add_axes((0, 0, 1, 1)).plot([trial.loss for trial in result.trials])
         yield name, figure
 
 
-def small_film(experiment: Experiment, result: RunResult, path: Path) -> None:
+def small_film(experiment: Task, result: RunResult, path: Path) -> None:
     write_video(path, [np.full((16, 16, 3), shade, np.uint8) for shade in range(3)], fps=50)
 
 

@@ -9,9 +9,6 @@ from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
-
-from tests.helpers.bounded import measured
-from torch_pmil.runs.run_folder import write_settings
 from torch_pmil.runs.setting_words import (
     COUNT,
     FROM_ZERO,
@@ -23,6 +20,9 @@ from torch_pmil.runs.setting_words import (
     SWITCH,
     WHOLE,
 )
+
+from tests.helpers.bounded import measured
+from torch_pmil.runs.run_folder import write_settings
 from torch_pmil.runs.settings import (
     SettingsError,
     read_settings,
@@ -31,7 +31,7 @@ from torch_pmil.runs.settings import (
 )
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 TASKS = (
     "double_pendulum",
@@ -54,11 +54,11 @@ NUMBERS = {
 
 
 @cache
-def task(name: str) -> Experiment:
+def task(name: str) -> Task:
     return load_experiment(name)
 
 
-def task_with(setting: str) -> Experiment:
+def task_with(setting: str) -> Task:
     """The first task that has a setting."""
     return next(task(name) for name in TASKS if setting in task(name).adjustable)
 
@@ -70,7 +70,7 @@ def other(value: object) -> object:
     return not value if isinstance(value, bool) else value + 1
 
 
-def told(experiment: Experiment, name: str) -> object:
+def told(experiment: Task, name: str) -> object:
     """A setting as ``summary.json`` holds it."""
     group, _, entry = name.rpartition(".")
     return experiment.settings[group][entry] if group else experiment.settings[name]

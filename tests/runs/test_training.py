@@ -40,7 +40,7 @@ from torch_pmil.runs.run_folder import (
 from torch_pmil.runs.summaries import RunError, read_summary
 from torch_pmil.runs.training import EVALUATION_STARTS, RunResult, train
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Candidate, Trial
 
@@ -49,7 +49,7 @@ COMMAND = f"pmil train seed={SEED}"
 
 
 @pytest.fixture(scope="module")
-def experiment() -> Experiment:
+def experiment() -> Task:
     return short_experiment(HORIZON)
 
 
@@ -73,7 +73,7 @@ def rows_when_told() -> list[int]:
 
 
 @pytest.fixture(scope="module")
-def result(experiment: Experiment, folder: Path, rows_when_told: list[int]) -> RunResult:
+def result(experiment: Task, folder: Path, rows_when_told: list[int]) -> RunResult:
     def on_trial(_: Trial) -> None:
         rows_when_told.append(len(read_metrics(folder)))
 
@@ -104,7 +104,7 @@ def test_run_leaves_these_files_and_no_temporary_ones(result: RunResult, folder:
     assert os.listdir(folder / "figures") == []
 
 
-def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> None:
+def test_summary_says_what_was_run(summary: dict, experiment: Task) -> None:
     assert (summary["experiment"], summary["seed"], summary["command"]) == (
         "double_pendulum",
         SEED,
@@ -148,9 +148,7 @@ def test_summary_says_what_was_run(summary: dict, experiment: Experiment) -> Non
     }
 
 
-def test_summary_says_what_came_of_it(
-    summary: dict, result: RunResult, experiment: Experiment
-) -> None:
+def test_summary_says_what_came_of_it(summary: dict, result: RunResult, experiment: Task) -> None:
     successes = experiment.error(rollout_of(result.outcomes[0].executed)) <= experiment.tolerance
     assert summary["saved_success_rate"] == successes.double().mean().item()
     assert summary["saved_n_eval"] == len(result.outcomes[0].executed) == EVALUATION_STARTS
@@ -240,7 +238,7 @@ def test_saved_policy_acts_as_the_learned_one(
 
 
 def test_saved_policy_and_model_predict_as_the_run_did(
-    result: RunResult, folder: Path, experiment: Experiment
+    result: RunResult, folder: Path, experiment: Task
 ) -> None:
     predicted = predict_trajectory(
         experiment.initial, load_network(folder), load_dynamics(folder), experiment.space, HORIZON
@@ -254,7 +252,7 @@ def test_saved_model_knows_all_experience(result: RunResult, folder: Path) -> No
 
 
 def test_executed_rollouts_are_those_of_the_saved_policy(
-    result: RunResult, folder: Path, experiment: Experiment
+    result: RunResult, folder: Path, experiment: Task
 ) -> None:
     before, after = (
         result.outcomes[0].executed[:, :-1].flatten(0, 1),
@@ -267,7 +265,7 @@ def test_executed_rollouts_are_those_of_the_saved_policy(
 
 
 def test_run_whose_model_cannot_predict_the_saved_policy_ends_with_a_summary_that_says_so(
-    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    experiment: Task, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def unpredictable(self: TrajectoryLoss, *args: object) -> None:
         raise PredictionError("prediction of step 2 of 4 failed: cov", 2)
@@ -350,7 +348,7 @@ def test_rows_of_a_csv_logger_are_taken_back_to_a_step_and_a_cut_one_too(tmp_pat
 
 
 def test_run_begins_by_removing_debris(
-    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    experiment: Task, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stop(*args: object) -> None:
         raise KeyboardInterrupt
@@ -364,7 +362,7 @@ def test_run_begins_by_removing_debris(
 
 @pytest.mark.parametrize("phase", ["clear_folder", "_finish"])
 def test_run_is_alone_in_its_folder_from_its_start_to_its_end(
-    phase: str, experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    phase: str, experiment: Task, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def another(*args: object) -> None:
         assert (tmp_path / ".lock").read_text() == str(os.getpid())
@@ -389,7 +387,7 @@ def test_run_is_alone_in_its_folder_from_its_start_to_its_end(
     ],
 )
 def test_number_beyond_its_limits_is_refused_before_there_is_a_folder(
-    experiment: Experiment, tmp_path: Path, changes: dict, message: str
+    experiment: Task, tmp_path: Path, changes: dict, message: str
 ) -> None:
     settings = {"seed": SEED, "trials": 1} | changes
     with pytest.raises(ValueError, match=message):
@@ -399,7 +397,7 @@ def test_number_beyond_its_limits_is_refused_before_there_is_a_folder(
 
 @pytest.mark.parametrize("below", ["", "run"], ids=["a file", "below a file"])
 def test_folder_that_cannot_be_made_is_an_oserror_before_anything_is_learned(
-    experiment: Experiment, tmp_path: Path, below: str
+    experiment: Task, tmp_path: Path, below: str
 ) -> None:
     (tmp_path / "file").write_text("old")
     with pytest.raises(OSError, match="file"):

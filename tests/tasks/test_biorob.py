@@ -21,7 +21,7 @@ from torch_pmil.runs.training import make_trainer, train
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.biorob import biorob_space, distance_from_ball
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 STEPS = 4
 
@@ -39,7 +39,7 @@ def record() -> Demonstrations:
 
 
 @pytest.fixture(scope="module")
-def experiment() -> Experiment:
+def experiment() -> Task:
     return load_experiment("biorob", record())
 
 
@@ -50,7 +50,7 @@ def quick_fits() -> Iterator[None]:
         yield
 
 
-def short(experiment: Experiment) -> Experiment:
+def short(experiment: Task) -> Task:
     beginning = replace(
         experiment.demonstrations, positions=experiment.demonstrations.positions[:, : STEPS + 1]
     )
@@ -60,7 +60,7 @@ def short(experiment: Experiment) -> Experiment:
 
 
 def test_policy_has_the_papers_738_parameters_and_the_model_sees_state_and_torques(
-    experiment: Experiment,
+    experiment: Task,
 ) -> None:
     policy = experiment.make_policy(torch.Generator().manual_seed(0))
     assert sum(parameter.numel() for parameter in policy.parameters()) == 738
@@ -72,7 +72,7 @@ def test_policy_has_the_papers_738_parameters_and_the_model_sees_state_and_torqu
     )
 
 
-def test_new_policy_holds_the_start_pose(experiment: Experiment) -> None:
+def test_new_policy_holds_the_start_pose(experiment: Task) -> None:
     """Within the friction of the motors, 0.8 N·m at least: the arm stays where it is."""
     policy, start = (
         experiment.make_policy(torch.Generator().manual_seed(0)),
@@ -87,7 +87,7 @@ def test_new_policy_holds_the_start_pose(experiment: Experiment) -> None:
 
 
 def test_first_motion_is_six_seconds_around_the_start_within_the_limits(
-    experiment: Experiment,
+    experiment: Task,
 ) -> None:
     trainer = make_trainer(short(experiment), 0, 1, False, lambda trial: None)
     trainer.train()
@@ -119,7 +119,7 @@ def test_error_is_the_least_distance_of_a_rollout_and_zero_after_a_hit() -> None
 
 
 def test_run_is_judged_by_what_the_environment_says_of_the_ball(
-    experiment: Experiment, tmp_path: Path
+    experiment: Task, tmp_path: Path
 ) -> None:
     result = train(short(experiment), 0, 1, tmp_path / "run", "pmil train", progress_bar=False)
     assert result.summary["saved_success_rate"] == 0  # in 0.4 s no robot comes to the ball

@@ -26,7 +26,7 @@ from torch_pmil.tasks.strokes import (
     placed,
     preprocessed,
 )
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.writers import WRITERS, states_of_strokes
 
 SHAPES = (
@@ -304,7 +304,7 @@ def test_a_short_run_ends_with_a_policy_and_its_ratio(
 
 @each_robot
 def test_torques_stay_within_the_limits(robot: str) -> None:
-    experiment: Experiment = handwriting(wave(), robot=robot)
+    experiment: Task = handwriting(wave(), robot=robot)
     policy = experiment.make_policy(torch.Generator().manual_seed(0))
     features: Tensor = experiment.space.features(experiment.demonstrated_states)
     assert (policy(features).abs() <= experiment.actions.high).all()

@@ -10,7 +10,7 @@ import torch
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from torch_pmil import DemonstrationError, Demonstrations, Experiment, Gaussian, MatchSpace
+from torch_pmil import DemonstrationError, Demonstrations, Gaussian, MatchSpace, Task
 from torch_pmil.envs.double_pendulum import double_pendulum_spec
 from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.robot import RobotEnv
@@ -63,7 +63,7 @@ def reaches(names: tuple[str, ...] = ("q",), count: int = 5) -> Demonstrations:
     return Demonstrations(shown.expand(-1, -1, len(names)), 0.1, names)
 
 
-def task(**settings: object) -> Experiment:
+def task(**settings: object) -> Task:
     return own_robot(Arm(), reaches(), 0.1, state=("q", "dq"), **settings)
 
 

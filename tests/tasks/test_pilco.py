@@ -16,12 +16,12 @@ from torch_pmil.envs.double_pendulum import link_positions
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.losses import ExpectedSaturatingCost
-from torch_pmil.tasks.pilco import PilcoExperiment, double_pendulum_pilco
+from torch_pmil.tasks.pilco import PilcoTask, double_pendulum_pilco
 from torch_pmil.tasks.registry import load_experiment
 
 
 @pytest.fixture(scope="module")
-def pilco() -> PilcoExperiment:
+def pilco() -> PilcoTask:
     return load_experiment("double_pendulum_pilco")
 
 
@@ -29,7 +29,7 @@ def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def make_loss(pilco: PilcoExperiment, draws: Draws) -> ExpectedSaturatingCost:
+def make_loss(pilco: PilcoTask, draws: Draws) -> ExpectedSaturatingCost:
     dynamics = GPDynamics(8, 4)
     dynamics.set_data(draws.normal(5, 8), draws.normal(5, 4))
     return pilco.make_loss(pilco.make_policy(generator()), dynamics)
@@ -40,7 +40,7 @@ def cost_of(loss: ExpectedSaturatingCost, state: Tensor) -> float:
 
 
 def test_cost_is_that_of_equation_28_at_the_upright_link_ends(
-    pilco: PilcoExperiment, draws: Draws
+    pilco: PilcoTask, draws: Draws
 ) -> None:
     """c = 1 - exp(-|x - x_target|² / 8), with the two link ends 1 and 2 m below the target when
     hanging.
@@ -56,7 +56,7 @@ def test_cost_is_that_of_equation_28_at_the_upright_link_ends(
     assert loss.horizon == pilco.horizon == 25
 
 
-def test_robot_model_and_policy_class_are_those_of_imitation(pilco: PilcoExperiment) -> None:
+def test_robot_model_and_policy_class_are_those_of_imitation(pilco: PilcoTask) -> None:
     imitation = load_experiment("double_pendulum")
     for same in (
         "make_env",
@@ -74,7 +74,7 @@ def test_robot_model_and_policy_class_are_those_of_imitation(pilco: PilcoExperim
     assert sum(p.numel() for p in pilco.make_policy(generator()).parameters()) == 812
 
 
-def test_demonstrations_change_nothing(pilco: PilcoExperiment, draws: Draws) -> None:
+def test_demonstrations_change_nothing(pilco: PilcoTask, draws: Draws) -> None:
     shipped = shipped_demonstrations("double_pendulum")
     other = double_pendulum_pilco(replace(shipped, positions=0.5 * shipped.positions))
     start = Gaussian(pilco.initial.mean, pilco.initial.cov)
@@ -83,7 +83,7 @@ def test_demonstrations_change_nothing(pilco: PilcoExperiment, draws: Draws) -> 
     assert torch.equal(pilco.limits, other.limits)
 
 
-def test_model_learns_from_up_to_half_a_turn_in_a_control_step(pilco: PilcoExperiment) -> None:
+def test_model_learns_from_up_to_half_a_turn_in_a_control_step(pilco: PilcoTask) -> None:
     """Faster, the angles at the samples are the same as those of a slower turn, perhaps the other
     way.
     """
@@ -96,13 +96,13 @@ def parameters(policy: RBFPolicy) -> Tensor:
     return torch.cat([p.detach().flatten() for p in policy.parameters()])
 
 
-def test_policies_are_random_and_seeded(pilco: PilcoExperiment) -> None:
+def test_policies_are_random_and_seeded(pilco: PilcoTask) -> None:
     first, again, other = (parameters(pilco.make_policy(generator(seed))) for seed in (0, 0, 1))
     assert torch.equal(first, again)
     assert not torch.isclose(first[:600], other[:600]).any()
 
 
-def test_centres_are_spread_over_all_angles_and_the_velocities_told(pilco: PilcoExperiment) -> None:
+def test_centres_are_spread_over_all_angles_and_the_velocities_told(pilco: PilcoTask) -> None:
     """Features are dq1, dq2, sin q1, sin q2, cos q1, cos q2; means to four standard errors of 100
     centres, deviations to a fifth.
     """
@@ -114,7 +114,7 @@ def test_centres_are_spread_over_all_angles_and_the_velocities_told(pilco: Pilco
     torch.testing.assert_close(policy.scale, std, rtol=0.2, atol=0)
 
 
-def test_settings_name_what_the_cost_depends_on(pilco: PilcoExperiment) -> None:
+def test_settings_name_what_the_cost_depends_on(pilco: PilcoTask) -> None:
     assert {
         "target": [0.0, 0.5, 0.0, 1.0],
         "cost_width": 2.0,

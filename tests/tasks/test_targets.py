@@ -21,7 +21,7 @@ from torch_pmil.model.calibration import two_sigma_coverage
 from torch_pmil.runs.training import EVALUATION_STARTS, RunResult, make_trainer, train
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.targets import TargetExperiment
+from torch_pmil.tasks.targets import TargetTask
 
 STEPS, TRIALS, S = 4, 2, 3
 NAMES = ("biorob_targets", "double_pendulum_targets")
@@ -29,11 +29,11 @@ SEARCH = SearchSettings(0, 1, 1, first_horizon=STEPS)
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def experiment(request: pytest.FixtureRequest) -> TargetExperiment:
+def experiment(request: pytest.FixtureRequest) -> TargetTask:
     return load_experiment(request.param)
 
 
-def short(name: str = "double_pendulum_targets") -> TargetExperiment:
+def short(name: str = "double_pendulum_targets") -> TargetTask:
     return short_experiment(STEPS, name, search=SEARCH)
 
 
@@ -62,7 +62,7 @@ def test_policies_have_the_parameters_of_their_basis_functions() -> None:
     assert counts == {"biorob_targets": 2774, "double_pendulum_targets": 100 * (8 + 2) + 2 * 8}
 
 
-def test_every_target_has_its_own_demonstrations(experiment: TargetExperiment) -> None:
+def test_every_target_has_its_own_demonstrations(experiment: TargetTask) -> None:
     targets, sets = experiment.demonstrations.by_target()
     assert torch.equal(experiment.targets, targets) and len(targets) == S
     assert experiment.demonstrated.batch_shape == (S, experiment.horizon)
@@ -74,7 +74,7 @@ def test_every_target_has_its_own_demonstrations(experiment: TargetExperiment) -
 
 
 def test_policy_is_centred_at_demonstrated_states_of_the_same_target(
-    experiment: TargetExperiment,
+    experiment: TargetTask,
 ) -> None:
     inputs, D = experiment.demonstrated_inputs, len(experiment.space.feature_names)
     _, sets = experiment.demonstrations.by_target()
@@ -94,7 +94,7 @@ def test_new_policy_holds_the_arm_for_every_target() -> None:
         assert (policy(torch.cat([start, target])) - holding_torques(start[:3])).abs().max() < 0.3
 
 
-def test_robots_see_their_targets_one_after_the_other(experiment: TargetExperiment) -> None:
+def test_robots_see_their_targets_one_after_the_other(experiment: TargetTask) -> None:
     assert torch.equal(experiment.robot(0).reset()["target"], experiment.targets)
     assert torch.equal(
         experiment.robots(2, 0).reset()["target"], experiment.targets.repeat_interleave(2, 0)
@@ -184,7 +184,7 @@ def test_stopped_run_goes_on_to_the_same_end(result: RunResult, tmp_path: Path) 
 
 
 def test_demonstrations_without_targets_or_with_others_are_refused(
-    experiment: TargetExperiment,
+    experiment: TargetTask,
 ) -> None:
     shown, names = experiment.demonstrations, ", ".join(experiment.demonstrations.target_names)
     with pytest.raises(
@@ -202,7 +202,7 @@ def test_demonstrations_without_targets_or_with_others_are_refused(
 
 
 def test_basis_functions_are_wide_in_the_target_beside_the_distances_of_the_targets(
-    experiment: TargetExperiment,
+    experiment: TargetTask,
 ) -> None:
     policy, D = (
         experiment.make_policy(torch.Generator().manual_seed(0)),
@@ -213,7 +213,7 @@ def test_basis_functions_are_wide_in_the_target_beside_the_distances_of_the_targ
     assert (policy.scale[:D] > 0).all()
 
 
-def test_one_target_is_not_enough(experiment: TargetExperiment) -> None:
+def test_one_target_is_not_enough(experiment: TargetTask) -> None:
     _, sets = experiment.demonstrations.by_target()
     alone = replace(
         sets[0],

@@ -17,7 +17,7 @@ from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.runs.training import make_trainer, train
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 WIDTHS = torch.tensor([2.0, 3.0, 0.5, 0.6, 0.7, 0.8], dtype=torch.float64)
 
@@ -27,7 +27,7 @@ MOVING_LITTLE = {"acrobot", "cart_pole", "pendubot"}
 
 
 @pytest.fixture(scope="module")
-def experiment() -> Experiment:
+def experiment() -> Task:
     return load_experiment("double_pendulum")
 
 
@@ -40,14 +40,14 @@ def lifting(states: Tensor) -> Tensor:
     return torch.stack([1.5 + 0.3 * states[..., 1], -0.8 + 0.2 * states[..., 3]], -1)
 
 
-def test_exploration_is_one_random_rollout_unless_it_is_said(experiment: Experiment) -> None:
+def test_exploration_is_one_random_rollout_unless_it_is_said(experiment: Task) -> None:
     exploration = experiment.exploration
     assert isinstance(exploration, RandomActions) and exploration.actions is experiment.actions
     assert exploration.settings == {"rollouts": 1, "steps": 25, "random_action": 0.4}
     assert replace(experiment, pd_movements=PD_MOVEMENTS).exploration is PD_MOVEMENTS
 
 
-def test_new_policy_holds_the_robot_at_its_starts(experiment: Experiment) -> None:
+def test_new_policy_holds_the_robot_at_its_starts(experiment: Task) -> None:
     """To 5 % rms of the torques, at starts that the fit did not see."""
     starts = experiment.initial.sample(500, torch.Generator().manual_seed(1))
     policy = replace(experiment, holding_actions=lifting).make_policy(generator())
@@ -55,7 +55,7 @@ def test_new_policy_holds_the_robot_at_its_starts(experiment: Experiment) -> Non
     assert (error.square().mean(0).sqrt() < 0.05 * lifting(starts).abs().amax(0)).all()
 
 
-def test_policy_that_holds_is_random_elsewhere_as_any_other(experiment: Experiment) -> None:
+def test_policy_that_holds_is_random_elsewhere_as_any_other(experiment: Task) -> None:
     """Far from the start, where no basis function that acts at the start reaches."""
     plain, holding = (
         each.make_policy(generator())
@@ -66,7 +66,7 @@ def test_policy_that_holds_is_random_elsewhere_as_any_other(experiment: Experime
     assert torch.equal(holding.centres, plain.centres)
 
 
-def test_widths_may_be_said_in_the_units_of_the_features(experiment: Experiment) -> None:
+def test_widths_may_be_said_in_the_units_of_the_features(experiment: Task) -> None:
     plain, wide = (
         each.make_policy(generator())
         for each in (experiment, replace(experiment, input_widths=WIDTHS))
@@ -75,7 +75,7 @@ def test_widths_may_be_said_in_the_units_of_the_features(experiment: Experiment)
     torch.testing.assert_close(wide.centres * wide.scale, plain.centres * plain.scale)
 
 
-def test_settings_say_what_the_first_policy_and_motion_are(experiment: Experiment) -> None:
+def test_settings_say_what_the_first_policy_and_motion_are(experiment: Task) -> None:
     noise_std = torch.tensor([0.1, 0.2, 0.3, 0.4], dtype=torch.float64)
     changed = replace(
         experiment,
@@ -121,7 +121,7 @@ def test_columns_of_other_names_are_refused_with_what_mends_it(
     )
 
 
-def still(name: str, samples: int, tremor: float = 0.0) -> Experiment:
+def still(name: str, samples: int, tremor: float = 0.0) -> Task:
     """A task whose robot stays at its mean start, or within some tremors of it."""
     task = load_experiment(name)
     states = task.initial.mean.expand(3, samples, -1)
@@ -161,7 +161,7 @@ def test_biorob_that_shall_stay_is_explored_by_small_movements() -> None:
     assert shipped.reach.rad2deg()[:3].tolist() == pytest.approx([24.0, 34.0, 39.0])
 
 
-def test_model_s_data_reach_the_starts_of_a_robot_that_shall_stay(experiment: Experiment) -> None:
+def test_model_s_data_reach_the_starts_of_a_robot_that_shall_stay(experiment: Task) -> None:
     starts = experiment.initial.sample(1000, generator())
     inside = (starts.abs() <= still("double_pendulum", 26).limits).all(-1)
     assert inside.double().mean() > 0.99
@@ -184,7 +184,7 @@ def test_least_widths_and_limits_change_nothing_of_shipped_demonstrations(name: 
     assert torch.equal(policy.centres.detach(), centres)
 
 
-def test_least_widths_are_told(experiment: Experiment) -> None:
+def test_least_widths_are_told(experiment: Task) -> None:
     assert experiment.settings["least_widths"] == experiment.least_widths.tolist()
     of_start = replace(experiment, least_widths=None).settings["least_widths"]
     assert of_start == pytest.approx([0.1, 0.1, 0.05, 0.05, 0.05, 0.05])
@@ -210,7 +210,7 @@ def test_shortest_demonstrations_are_learned_from(
     assert len(result.trials) == 1 and (tmp_path / "policy.pt").exists()
 
 
-def test_velocities_alone_leave_the_positions_to_them(experiment: Experiment) -> None:
+def test_velocities_alone_leave_the_positions_to_them(experiment: Task) -> None:
     alone = replace(experiment, velocities_alone=True)
     assert experiment.make_dynamics().targets == "difference"
     dynamics = alone.make_dynamics()
@@ -224,7 +224,7 @@ def test_velocities_alone_leave_the_positions_to_them(experiment: Experiment) ->
     torch.testing.assert_close(after, torch.tensor([[1.22, 2.4, -1.0, -0.5]], dtype=torch.float64))
 
 
-def test_model_of_tied_lengthscales_is_a_setting(experiment: Experiment) -> None:
+def test_model_of_tied_lengthscales_is_a_setting(experiment: Task) -> None:
     for alone in (False, True):
         tied = replace(experiment, velocities_alone=alone, tied_lengthscales=True)
         assert tied.make_dynamics().tied_lengthscales and tied.settings["tied_lengthscales"]
@@ -233,7 +233,7 @@ def test_model_of_tied_lengthscales_is_a_setting(experiment: Experiment) -> None
         replace(experiment, tied_lengthscales="yes")
 
 
-def test_velocities_alone_needs_velocities(experiment: Experiment) -> None:
+def test_velocities_alone_needs_velocities(experiment: Task) -> None:
     names = ("a", "b", "c", "d")
     space = replace(experiment.space, names=names)
     with pytest.raises(ValueError, match="dNAME beside NAME, got a, b, c, d"):
@@ -242,7 +242,7 @@ def test_velocities_alone_needs_velocities(experiment: Experiment) -> None:
         replace(experiment, velocities_alone=1)
 
 
-def test_plans_are_a_setting(experiment: Experiment) -> None:
+def test_plans_are_a_setting(experiment: Task) -> None:
     assert experiment.tracking is None and experiment.settings["plan_weight"] is None
     planned = experiment.with_settings(plan_weight=10.0)
     assert planned.tracking is not None and planned.tracking.action_weight == 10.0
@@ -251,7 +251,7 @@ def test_plans_are_a_setting(experiment: Experiment) -> None:
         experiment.with_settings(plan_weight=0)
 
 
-def test_plan_needs_states_of_one_task_that_vary(experiment: Experiment) -> None:
+def test_plan_needs_states_of_one_task_that_vary(experiment: Task) -> None:
     with pytest.raises(ValueError, match=r"all 5 times 26 samples, got 129 states$"):
         replace(experiment, demonstrated_states=experiment.demonstrated_states[1:], plan_weight=1.0)
     with pytest.raises(ValueError, match=r"got 234 states of several targets$"):

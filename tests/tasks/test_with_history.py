@@ -12,7 +12,7 @@ from tests.helpers.short_run import quick_fits, short_experiment
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
 
 KINDS = {
@@ -89,7 +89,7 @@ def test_run_learns_with_a_history(
 ) -> None:
     """The whole way, with its figures, diagnosis and files."""
     quick_fits(monkeypatch)
-    experiment: Experiment = with_history(short_experiment(), **KINDS[kind])
+    experiment: Task = with_history(short_experiment(), **KINDS[kind])
     result = train(replace(experiment, name=kind), 0, 2, tmp_path, "", progress_bar=False)
     assert result.summary["settings"]["history"]["past_actions"] == KINDS[kind]["past_actions"]
     assert (tmp_path / "policy.pt").exists() and (tmp_path / "summary.json").exists()

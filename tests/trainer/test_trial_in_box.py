@@ -13,7 +13,7 @@ import torch
 from tests.helpers.short_run import COMMAND, SEED, STEPS, quick_fits, short_experiment
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.runs.training import make_trainer, train
-from torch_pmil.trainer.admission import Admission
+from torch_pmil.search.admission import Admission
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Trial
 

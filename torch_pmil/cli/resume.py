@@ -14,8 +14,9 @@ from pathlib import Path
 from torch_pmil.cli import Parser, train
 from torch_pmil.files import in_words, short
 from torch_pmil.runs.run_folder import read_command
-from torch_pmil.runs.settings import NAMES, word_of
+from torch_pmil.runs.settings import SETTINGS, word_of
 from torch_pmil.runs.summaries import RunError
+from torch_pmil.tasks.registry import is_own
 
 
 def main() -> None:
@@ -51,10 +52,16 @@ def overrides(folder: Path, changed: list[str]) -> list[str]:
     for word in words[2:]:
         # the settings of Hydra name functions that it calls, and its flags other folders
         name, equals, _ = word.partition("=")
-        if not equals or name not in NAMES:
+        if not equals or name not in SETTINGS:
             raise RunError(
                 f"{folder}: run.json is damaged: a setting must be NAME=VALUE, got {short(word)}"
             )
+    own = [word for word in words[2:] if word.startswith("experiment=") and is_own(word)]
+    if own and not any(word.startswith("experiment=") for word in changed):
+        raise RunError(
+            f"{folder} is of a task of one's own, whose module would be executed: if you trust it, "
+            f"go on with: pmil resume {shlex.quote(str(folder))} {own[0]}"
+        )
     new = [*changed, word_of("out", str(folder)), "resume=true"]
     names = {setting.partition("=")[0] for setting in new} | {"overwrite"}
     return [word for word in words[2:] if word.partition("=")[0] not in names] + new

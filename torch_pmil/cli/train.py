@@ -23,7 +23,6 @@ from typing import NoReturn
 
 import hydra
 import torch
-from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException, HydraException
 from hydra.types import RunMode
@@ -31,7 +30,6 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from torch_pmil.cli import Parser, lasting_output, lost_output
-from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs.operator import RobotError, RunStopped
 from torch_pmil.files import bounded_line, in_words
 from torch_pmil.runs.diagnosis.before_a_run import check
@@ -39,11 +37,11 @@ from torch_pmil.runs.lock import alone_in
 from torch_pmil.runs.pictures import tell_all
 from torch_pmil.runs.printing import print_trial, warn_of
 from torch_pmil.runs.run_folder import FinishedRunError
-from torch_pmil.runs.setting_words import OF_RUN, help_lines
 from torch_pmil.runs.settings import (
-    Settings,
+    RunSettings,
     check_overrides,
     first_line,
+    help_lines,
     settings_of,
     with_file,
     word_of,
@@ -52,8 +50,8 @@ from torch_pmil.runs.summaries import is_finished
 from torch_pmil.runs.sweep import register_launchers
 from torch_pmil.runs.telling import making_the_rest, warn_incomplete
 from torch_pmil.runs.training import RunResult, train
-from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.registry import demonstrations_from, load_experiment
+from torch_pmil.tasks.task import Task
 
 CONFIG = Path(__file__).parent / "config"
 HELP = """\
@@ -66,24 +64,26 @@ Learn an experiment from its demonstrations. The settings, as they would be now:
 FILE is YAML with NAME: VALUE in each line, as settings.yaml in the folder of a run. What is given
 beside it takes the place of what it holds. The value null is the experiment's own.
 
-pmil train -m "seed=range(10)" learns several runs, as many at once as there are cores.
-pmil train --hydra-help lists what else can be given."""
+pmil train -m "seed=range(10)" learns several runs, as many at once as there are cores."""
 FULL_ERROR = "HYDRA_FULL_ERROR"  # the variable with which Hydra raises its errors
 
 
 def main() -> None:
     """Read the command line and learn."""
-    parser = Parser(prog="pmil train", add_help=False, parents=[get_args_parser()])
+    parser = Parser(prog="pmil train", add_help=False)
+    parser.add_argument("overrides", nargs="*")
+    parser.add_argument("-m", "--multirun", action="store_true")
+    parser.add_argument("-h", "--help", action="store_true")
     try:
-        sys.argv[1:] = with_file(sys.argv[1:])
-        given = parser.parse_args()
-        check_overrides(given.overrides, sweep=given.multirun)
+        given = parser.parse_intermixed_args(with_file(sys.argv[1:]))
+        check_overrides(given.overrides, given.multirun)
         if given.help:
             with hydra_errors():
                 print(help_of(given.overrides))
             return
     except (ImportError, ValueError, OSError) as error:
         sys.exit(f"error: {in_words(error)}")
+    sys.argv[1:] = [*(["--multirun"] if given.multirun else []), *given.overrides]
     register_launchers(CONFIG / "launcher")
     with hydra_errors():
         learn()
@@ -97,10 +97,10 @@ def help_of(overrides: list[str]) -> str:
     """
     with hydra.initialize_config_dir(str(CONFIG), version_base="1.3"):
         settings = settings_of(hydra.compose("train", overrides))
-    experiment = experiment_of(settings)
-    values = {name: getattr(settings, name) for name in OF_RUN} | experiment.adjustable
-    words = {name: word_of(name, value) for name, value in values.items()}
-    return HELP.format("\n".join(help_lines(words)))
+    values = settings.adjustable | task_of(settings).adjustable
+    return HELP.format(
+        "\n".join(help_lines({name: word_of(name, v) for name, v in values.items()}))
+    )
 
 
 @contextmanager
@@ -139,11 +139,11 @@ def run(config: DictConfig) -> None:
     try:
         settings = settings_of(config)
         os.chdir(job.runtime.cwd)  # of the sweep's start: a cluster's worker may be elsewhere
-        experiment = experiment_of(settings)
-        warn_of(label, check(experiment))
+        task = task_of(settings)
+        warn_of(label, check(task))
         with alone_in(settings.folder):
-            result = learned(label, alone, experiment, settings, command)
-            show(label, experiment, result, settings.folder)
+            result = learned(label, alone, task, settings, command)
+            show(label, task, result, settings.folder)
     except (KeyboardInterrupt, RunStopped):
         print(f"\n{label}stopped; go on with: {again(command, 'resume=true')}", file=sys.stderr)
         sys.exit(130)
@@ -158,19 +158,19 @@ def run(config: DictConfig) -> None:
 
 
 def learned(
-    label: str, alone: bool, experiment: Experiment, settings: Settings, command: list[str]
+    label: str, alone: bool, task: Task, settings: RunSettings, command: list[str]
 ) -> RunResult:
     """Learn and save."""
     if len(command) == 2:
         command = [*command, f"experiment={settings.experiment}"]
     return train(
-        experiment,
+        task,
         settings.seed,
         settings.trials,
         settings.folder,
         shlex.join(command),
         progress_bar=alone,
-        on_trial=partial(print_trial, label, experiment.objective),
+        on_trial=partial(print_trial, label, task.objective),
         resume=settings.resume,
         logger=settings.logger,
         overwrite=settings.overwrite,
@@ -192,12 +192,12 @@ def name_of(config: DictConfig) -> str:
         return "a run"
 
 
-def show(label: str, experiment: Experiment, result: RunResult, out: Path) -> None:
+def show(label: str, task: Task, result: RunResult, out: Path) -> None:
     """Report, print, draw and film a run that is saved.
 
     Ends with an error only where the run is no longer there.
     """
-    failures = tell_all(label, experiment, result, out)
+    failures = tell_all(label, task, result, out)
     if lost := lost_output():
         failures.append(f"standard output: {bounded_line(lost)}")
     if not is_finished(out):
@@ -205,15 +205,11 @@ def show(label: str, experiment: Experiment, result: RunResult, out: Path) -> No
     warn_incomplete(label, failures, making_the_rest(out))
 
 
-def experiment_of(settings: Settings) -> Experiment:
-    """The experiment that the settings name, with their demonstrations if they have some."""
-    demonstrations = None
-    if settings.demonstrations:
-        demonstrations = load_demonstrations(settings.demonstrations)
-    experiment = load_experiment(
-        settings.experiment, demonstrations, settings.shape, settings.robot
-    )
-    return experiment.with_settings(**settings.changes)
+def task_of(settings: RunSettings) -> Task:
+    """The task that the settings name, with their demonstrations if they have some."""
+    source = settings.demonstrations
+    demonstrations = None if source is None else demonstrations_from(source)
+    return load_experiment(settings.experiment, demonstrations).with_settings(**settings.changes)
 
 
 def fail(message: str, label: str) -> NoReturn:

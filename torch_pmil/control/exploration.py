@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
 
 from torch_pmil.checks import check_finite_entries, check_tensor, check_whole
 from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.settings import Settings, setting
 
 Feedforward = Callable[[Tensor], Tensor]
+
+OF_STATE = "numbers, one for each entry of the state"
 
 
 class Motion(Protocol):
@@ -131,7 +134,7 @@ class _Uniform:
 
 
 @dataclass(frozen=True, eq=False)
-class PDMovements:
+class PDMovements(Settings):
     r"""Simple movements of a PD controller around a pose (Section 5.2.4).
 
     .. math:: u = \operatorname{clip}_{\pm u_{\max}}\left(u_{\mathrm{ff}}(x) + K (x^* - x)\right)
@@ -160,39 +163,48 @@ class PDMovements:
         True
     """
 
-    pose: Tensor
-    reach: Tensor
-    gain: Tensor
-    u_max: Tensor
-    hold: int
-    rollouts: int
-    steps: int
-    feedforward: Feedforward
+    prefix: ClassVar[str] = "exploration."
+
+    pose: Tensor = setting(
+        ..., "state around which the robot moves", words=OF_STATE, unit="rad, rad/s"
+    )
+    reach: Tensor = setting(
+        ...,
+        "largest distances of the targets from that state",
+        words=OF_STATE,
+        least=0,
+        unit="rad, rad/s",
+    )
+    gain: Tensor = setting(
+        ...,
+        "stiffness and damping of the controller",
+        words="a row of numbers for each torque, one for each entry of the state",
+        unit="N·m/rad, N·m·s/rad",
+    )
+    u_max: Tensor  # type: ignore[misc]  # those before it have no default
+    hold: int = setting(..., "time for which a target stays", least=1, unit="control steps")
+    rollouts: int = setting(..., "movements of the first motion", least=1, unit="rollouts")
+    steps: int = setting(..., "length of each movement", least=1, unit="control steps")
+    feedforward: Feedforward  # type: ignore[misc]
 
     def __post_init__(self) -> None:
-        check_tensor("pose", self.pose, ("D",))
+        super().__post_init__()
+        check_tensor("exploration.pose", self.pose, ("D",))
         D, F = len(self.pose), len(self.u_max)
         if self.reach.shape != (D,) or self.gain.shape != (F, D):
             got = f"{tuple(self.reach.shape)} and {tuple(self.gain.shape)}"
             raise ValueError(
-                f"reach and gain must have shapes ({D},) and ({F}, {D}) for a pose of {D} and {F} "
-                f"torques, got {got}"
+                f"exploration.reach and gain must have shapes ({D},) and ({F}, {D}) for a pose of "
+                f"{D} and {F} torques, got {got}"
             )
-        if not ((self.reach >= 0).all() and (self.u_max > 0).all()):
-            raise ValueError(
-                f"reach must not be negative and u_max be positive, got {self.reach.tolist()} and "
-                f"{self.u_max.tolist()}"
-            )
-        for name in ("reach", "gain", "u_max"):
-            check_finite_entries(name, getattr(self, name))
-        for name in ("hold", "rollouts", "steps"):
-            check_whole(name, getattr(self, name), 1)
+        check_finite_entries("u_max", self.u_max)
+        if not (self.u_max > 0).all():
+            raise ValueError(f"u_max must be positive, got {self.u_max.tolist()}")
 
     @property
     def settings(self) -> dict[str, object]:
         """Numbers on which a run depends, in types that JSON has."""
-        counts = {"rollouts": self.rollouts, "steps": self.steps, "hold": self.hold}
-        return counts | {name: getattr(self, name).tolist() for name in ("pose", "reach", "gain")}
+        return {name.removeprefix(self.prefix): value for name, value in self.adjustable.items()}
 
     def motion(self, generator: torch.Generator) -> Motion:
         """Motion of the PD controller, with targets drawn from a generator."""

@@ -1,4 +1,4 @@
-"""Minimisation by ``torch.optim.LBFGS`` that survives points at which the objective fails."""
+"""Minimisation by an optimiser of PyTorch that survives points at which the objective fails."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+
+MakeOptimizer = Callable[[list[Tensor]], torch.optim.Optimizer]  # such as a class of torch.optim
 
 LARGEST_LOSS = 1e10  # beyond, an objective counts as failed
 
@@ -17,7 +19,7 @@ class NotFiniteError(ValueError):
 
 @dataclass(frozen=True)
 class MinimiseResult:
-    """Outcome of one run of L-BFGS.
+    """Outcome of one run of an optimiser.
 
     ``stop_reason`` is one of "iteration limit", "gradient is small", "no further progress",
     "numerical failure".
@@ -38,8 +40,9 @@ def minimise(
     survives: tuple[type[Exception], ...] = (),
     tolerance_grad: float = 1e-5,
     tolerance_change: float = 1e-10,
+    optimizer: MakeOptimizer = torch.optim.LBFGS,
 ) -> MinimiseResult:
-    """Minimise with ``torch.optim.LBFGS`` and a strong Wolfe line search.
+    """Minimise with ``torch.optim.LBFGS`` and a strong Wolfe line search, or another optimiser.
 
     The parameters end at the best point that was seen. A point where the objective raises one of
     the errors in ``survives``, or is not finite in value or gradient, counts as a large loss
@@ -48,11 +51,14 @@ def minimise(
     Args:
         parameters: changed in place.
         objective: a scalar with a graph.
-        max_iterations: limit of L-BFGS; each iteration takes one to a few evaluations.
+        max_iterations: largest number of iterations; one of L-BFGS takes one to a few evaluations.
         survives: errors by which the objective says that it has no value at a point.
         tolerance_grad: the search ends when no gradient entry is larger than this.
         tolerance_change: the search ends when the loss, or every parameter, changes by less than
             this in an iteration.
+        optimizer: a class of ``torch.optim``, or a function such as
+            ``functools.partial(torch.optim.Adam, lr=0.02)``. Any but L-BFGS makes
+            ``max_iterations`` steps and knows no tolerance.
 
     Raises:
         NotFiniteError: the objective is not finite at the starting point, where there is nothing
@@ -83,7 +89,7 @@ def minimise(
 
     start = torch.cat([variable.detach().flatten() for variable in variables])
     best, result = minimise_function(
-        start, differentiated, max_iterations, survives, tolerance_grad, tolerance_change
+        start, differentiated, max_iterations, survives, tolerance_grad, tolerance_change, optimizer
     )
     set_to(best)
     return result
@@ -96,6 +102,7 @@ def minimise_function(
     survives: tuple[type[Exception], ...] = (),
     tolerance_grad: float = 1e-5,
     tolerance_change: float = 1e-10,
+    optimizer: MakeOptimizer = torch.optim.LBFGS,
 ) -> tuple[Tensor, MinimiseResult]:
     """:func:`minimise` for a function of one vector that knows its gradient.
 
@@ -103,7 +110,8 @@ def minimise_function(
         start: (D,), left as it is.
         function: value and gradient (D,) at a point (D,), which changes afterwards. It is called
             in inference mode.
-        max_iterations, survives, tolerance_grad, tolerance_change: as in :func:`minimise`.
+        max_iterations, survives, tolerance_grad, tolerance_change, optimizer: as in
+            :func:`minimise`.
 
     Returns:
         The best point that was seen, (D,), and the outcome.
@@ -117,18 +125,24 @@ def minimise_function(
         tensor([0., 0.], dtype=torch.float64)
     """
     guard = _Guard(start, function, survives)
-    optimizer = torch.optim.LBFGS(
-        [guard.point],
-        max_iter=max_iterations,
-        max_eval=3 * max_iterations,
-        history_size=50,
-        tolerance_grad=tolerance_grad,
-        tolerance_change=tolerance_change,
-        line_search_fn="strong_wolfe",
-    )
     with torch.inference_mode():  # its small calls take a sixth less time than without
-        optimizer.step(guard)
-    iterations = optimizer.state[guard.point]["n_iter"]
+        if optimizer is torch.optim.LBFGS:
+            lbfgs = torch.optim.LBFGS(
+                [guard.point],
+                max_iter=max_iterations,
+                max_eval=3 * max_iterations,
+                history_size=50,
+                tolerance_grad=tolerance_grad,
+                tolerance_change=tolerance_change,
+                line_search_fn="strong_wolfe",
+            )
+            lbfgs.step(guard)
+            iterations = lbfgs.state[guard.point]["n_iter"]
+        else:
+            other = optimizer([guard.point])
+            iterations = max_iterations
+            for _ in range(iterations):
+                other.step(guard)
     return guard.best.clone(), MinimiseResult(
         initial_loss=guard.initial_loss,
         loss=guard.best_loss,

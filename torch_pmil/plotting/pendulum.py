@@ -1,4 +1,4 @@
-"""Figures and pictures of a double pendulum."""
+"""Figures and pictures of a robot drawn as a chain of lines."""
 
 from __future__ import annotations
 
@@ -23,30 +23,29 @@ ROOM = 1.15  # half the side of a picture of the pendulum, in lengths of the str
 TRAIL = 25  # frames of the tip's past that an animation shows
 
 
-def plot_poses(positions: Tensor, time_step: float) -> Figure:
-    """Poses of a double pendulum during one rollout, coloured by time (Figure 5).
+def plot_poses(joints: Tensor, time_step: float) -> Figure:
+    """Poses of a robot during one rollout, coloured by time (Figure 5).
 
     Args:
-        positions: link ends [x1, y1, x2, y2] in m, (T + 1, 4), from t = 0; the base is at the
-            origin.
+        joints: places in m, from the base to the tip, (T + 1, P, 2), from t = 0.
         time_step: seconds between two poses.
 
     Raises:
-        ValueError: the positions have another shape.
+        ValueError: the joints have another shape.
 
     Example:
         >>> import torch
-        >>> positions = torch.tensor([[0.0, -0.5, 0.0, -1.0], [0.0, 0.5, 0.0, 1.0]])
-        >>> plot_poses(positions, 0.1).axes[0].get_xlabel()
+        >>> joints = torch.tensor([[[0.0, 0.0], [0.0, -0.5]], [[0.0, 0.0], [0.0, 0.5]]])
+        >>> plot_poses(joints, 0.1).axes[0].get_xlabel()
         'x (m)'
     """
-    joints = _joints(positions)
-    reach = _reach(joints)
-    colours = ScalarMappable(Normalize(0, time_step * (len(joints) - 1)), LATE_IS_DARK)
+    poses = _checked(joints)
+    reach = _reach(poses)
+    colours = ScalarMappable(Normalize(0, time_step * (len(poses) - 1)), LATE_IS_DARK)
     figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     panel = figure.subplots()
-    times = time_step * np.arange(len(joints))
-    for pose, colour in zip(joints, map(tuple, colours.to_rgba(times)), strict=True):
+    times = time_step * np.arange(len(poses))
+    for pose, colour in zip(poses, map(tuple, colours.to_rgba(times)), strict=True):
         panel.plot(
             *pose.T, color=colour, linewidth=2.2, solid_capstyle="round", marker="o", markersize=3.5
         )
@@ -59,12 +58,11 @@ def plot_poses(positions: Tensor, time_step: float) -> Figure:
     return figure
 
 
-def pendulum_frames(positions: Tensor, time_step: float, size: int = 480) -> Iterator[np.ndarray]:
-    """Pictures of a moving double pendulum, drawn without OpenGL.
+def pendulum_frames(joints: Tensor, time_step: float, size: int = 480) -> Iterator[np.ndarray]:
+    """Pictures of a moving robot, drawn without OpenGL.
 
     Args:
-        positions: link ends [x1, y1, x2, y2] in m, (N, 4), one row a picture; the base is at the
-            origin.
+        joints: places in m, from the base to the tip, (N, P, 2), a pose for each picture.
         time_step: seconds between two pictures, for the clock in the corner.
         size: height and width of a picture.
 
@@ -72,41 +70,41 @@ def pendulum_frames(positions: Tensor, time_step: float, size: int = 480) -> Ite
         N pictures (size, size, 3), uint8.
 
     Raises:
-        ValueError: the positions have another shape.
+        ValueError: the joints have another shape.
 
     Example:
         >>> import torch
-        >>> frame = next(pendulum_frames(torch.tensor([[0.0, -0.5, 0.0, -1.0]]), 0.02, size=64))
+        >>> joints = torch.tensor([[[0.0, 0.0], [0.0, -0.5], [0.0, -1.0]]])
+        >>> frame = next(pendulum_frames(joints, 0.02, size=64))
         >>> frame.shape
         (64, 64, 3)
     """
-    joints = _joints(positions)
-    canvas, panel = _stage(size, _reach(joints))
+    poses = _checked(joints)
+    canvas, panel = _stage(size, _reach(poses))
     trail = panel.plot([], [], color=ORANGE, linewidth=0.9, alpha=0.5)[0]
     links = [
-        panel.plot([], [], color=colour, linewidth=2.4, solid_capstyle="round")[0]
-        for colour in (BLUE, ORANGE)
+        panel.plot([], [], color=(BLUE, ORANGE)[link % 2], linewidth=2.4, solid_capstyle="round")[0]
+        for link in range(poses.shape[1] - 1)
     ]
     disc: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 2.2, "markeredgewidth": 0}
     hubs = panel.plot([], [], color=DARK, **disc)[0]
     corner: dict[str, Any] = {"transform": panel.transAxes, "va": "top"}
     clock = panel.text(0.04, 0.95, "", fontsize=3.2, color=GREY, **corner)
-    for number, pose in enumerate(joints):
-        trail.set_data(*joints[max(0, number - TRAIL) : number + 1, 2].T)
-        for link, ends in zip(links, (pose[:2], pose[1:]), strict=True):
-            link.set_data(*ends.T)
-        hubs.set_data(*pose[:2].T)
+    for number, pose in enumerate(poses):
+        trail.set_data(*poses[max(0, number - TRAIL) : number + 1, -1].T)
+        for first, link in enumerate(links):
+            link.set_data(*pose[first : first + 2].T)
+        hubs.set_data(*pose[:-1].T)
         clock.set_text(f"{number * time_step:.1f} s")
         canvas.draw()
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _joints(positions: Tensor) -> np.ndarray:
-    """Base, elbow and tip (N, 3, 2) of link ends (N, 4)."""
-    if positions.ndim != 2 or positions.shape[1] != 4 or not len(positions):
-        raise ValueError(f"positions must have shape (N, 4), got {tuple(positions.shape)}")
-    ends = positions.detach().numpy().reshape(-1, 2, 2)
-    return np.concatenate([np.zeros_like(ends[:, :1]), ends], axis=1)
+def _checked(joints: Tensor) -> np.ndarray:
+    """Joints (N, P, 2) relative to the base in the first pose."""
+    if joints.ndim != 3 or joints.shape[2] != 2 or not joints.numel():
+        raise ValueError(f"joints must have shape (N, P, 2), got {tuple(joints.shape)}")
+    return (joints - joints[:1, :1]).detach().numpy()
 
 
 def _reach(joints: np.ndarray) -> float:

@@ -17,42 +17,35 @@ from torch_pmil.model.rollout import predict_mean_trajectory
 from torch_pmil.runs.summaries import judged_alone, rate_of
 from torch_pmil.runs.training import RunResult
 from torch_pmil.search.losses import TrajectoryKLLoss
-from torch_pmil.tasks.handwriting import Handwriting
-from torch_pmil.tasks.targets import TargetExperiment
-from torch_pmil.tasks.task import Experiment, Outcome
+from torch_pmil.tasks.handwriting import writing_of
+from torch_pmil.tasks.outcome import Outcome
+from torch_pmil.tasks.task import Task
 
-# these have poses, and pictures without OpenGL, drawn from positions in the match space
-SKETCHED = (
-    "double_pendulum",
-    "double_pendulum_pilco",
-    "double_pendulum_servo",
-    "double_pendulum_targets",
-)
 SLICED = 4  # inputs of the model that slices go over
 SHARES = (0.2, 0.4, 0.6, 1.0)  # of the horizon: times at which the policy is shown
 MARGIN = 0.3  # around the executed motion, in its range
 
 
-def figures_of(experiment: Experiment, result: RunResult) -> Iterator[tuple[str, plotting.Figure]]:
+def figures_of(task: Task, result: RunResult) -> Iterator[tuple[str, plotting.Figure]]:
     """All figures of a run with their names, one after the other.
 
     Those that show a prediction alone are left out where there is none.
     Names of the figures of a target end in ``_target_0``, ``_target_1``, ...
     """
-    yield "learning_curve", _learning_curve(experiment, result)
+    yield "learning_curve", _learning_curve(task, result)
     for number, outcome in enumerate(result.outcomes):
         target = f"_target_{number}" if len(result.outcomes) > 1 else ""
-        for name, figure in _of_outcome(experiment, result, outcome, number):
+        for name, figure in _of_outcome(task, result, outcome):
             yield name + target, figure
-    yield "calibration", _calibration(experiment, result)
-    yield "model", _model(experiment, result)
+    yield "calibration", _calibration(task, result)
+    yield "model", _model(task, result)
     first = result.outcomes[0]
-    if experiment.name in SKETCHED:
-        positions = experiment.space.observe(first.executed[0])
-        yield "poses", plotting.plot_poses(positions, experiment.demonstrations.time_step)
-    if isinstance(experiment, Handwriting) and is_predicted(first):
-        writing = experiment.writing(first.predicted, first.rollouts)
-        yield "writing", plotting.plot_writing({experiment.name.replace("_", " "): writing})
+    if task.sketch is not None:
+        joints = task.sketch(first.executed[0])
+        yield "poses", plotting.plot_poses(joints, task.demonstrations.time_step)
+    if task.plane is not None and is_predicted(first):
+        writing = writing_of(task, first.predicted, first.rollouts)
+        yield "writing", plotting.plot_writing({task.name.replace("_", " "): writing})
 
 
 def is_predicted(outcome: Outcome) -> bool:
@@ -60,8 +53,8 @@ def is_predicted(outcome: Outcome) -> bool:
     return bool(outcome.predicted.mean.isfinite().all())
 
 
-def _learning_curve(experiment: Experiment, result: RunResult) -> plotting.Figure:
-    objective, trials, summary = experiment.objective, result.trials, result.summary
+def _learning_curve(task: Task, result: RunResult) -> plotting.Figure:
+    objective, trials, summary = task.objective, result.trials, result.summary
     label = f"predicted {objective.label}"
     if objective.unit:
         label = f"{label} ({objective.unit})"
@@ -81,12 +74,12 @@ def _saved_loss(summary: dict) -> float:
 
 
 def _of_outcome(
-    experiment: Experiment, result: RunResult, outcome: Outcome, number: int
+    task: Task, result: RunResult, outcome: Outcome
 ) -> Iterator[tuple[str, plotting.Figure]]:
     """The figures of one target: trajectories, KL of each step if it was minimised, and policy."""
-    match_space, time_step = experiment.space.match_space, experiment.demonstrations.time_step
+    match_space, time_step = task.space.match_space, task.demonstrations.time_step
     names, demonstrated = match_space.names, outcome.demonstrated
-    predicted = match_space.moments(outcome.predicted).add_noise(experiment.noise_std**2)
+    predicted = match_space.moments(outcome.predicted).add_noise(task.noise_std**2)
     yield (
         "trajectories",
         plotting.plot_distributions(
@@ -96,16 +89,16 @@ def _of_outcome(
             outcome.demonstrations.positions,
             demonstrated,
             predicted,
-            _whole(match_space(outcome.executed), experiment.horizon),
+            _whole(match_space(outcome.executed), task.horizon),
         ),
     )
     if not is_predicted(outcome):
         return
-    if issubclass(experiment.objective, TrajectoryKLLoss):
+    if issubclass(task.objective, TrajectoryKLLoss):
         yield "kl_per_step", plotting.plot_kl_per_step(names, time_step, demonstrated, predicted)
-    planes = planes_of(experiment.space, len(experiment.actions.names), outcome.executed)
+    planes = planes_of(task.space, len(task.actions.names), outcome.executed)
     if planes:
-        yield "policy", _policy(experiment, result, outcome, planes, number)
+        yield "policy", _policy(task, result, outcome, planes)
 
 
 def _whole(path: Tensor, steps: int) -> Tensor:
@@ -142,21 +135,20 @@ def planes_of(space: StateSpace, actions: int, executed: Tensor) -> list[plottin
 
 
 def _policy(
-    experiment: Experiment,
+    task: Task,
     result: RunResult,
     outcome: Outcome,
     planes: list[plotting.Plane],
-    number: int,
 ) -> plotting.Figure:
     """The policy in planes of the state, at some times of the predicted motion.
 
     Arrows show the flow of the model's mean.
     """
-    policy, space, dynamics = result.policy, experiment.space, result.dynamics
-    if isinstance(experiment, TargetExperiment):
-        network = policy.policy.for_target(experiment.targets[number])
+    policy, space, dynamics = result.policy, task.space, result.dynamics
+    if outcome.target is not None:
+        network = policy.policy.for_target(outcome.target)
         policy = StatePolicy(network, space, policy.control_period, actions=policy.actions)
-    steps = [max(round(share * experiment.horizon), 1) for share in SHARES]
+    steps = [max(round(share * task.horizon), 1) for share in SHARES]
     titles = [f"t = {step * policy.control_period:g} s" for step in steps]
     states = outcome.predicted.mean[[step - 1 for step in steps]]
 
@@ -166,26 +158,26 @@ def _policy(
     return plotting.plot_policy(policy, planes, states, titles, following)
 
 
-def _calibration(experiment: Experiment, result: RunResult) -> plotting.Figure:
+def _calibration(task: Task, result: RunResult) -> plotting.Figure:
     """Calibration of the model on rollouts of the saved policy, of all targets together.
 
     The model has not learned from those of fresh starts.
     """
     states = torch.cat([outcome.executed for outcome in result.outcomes])
     actions = torch.cat([outcome.rollouts["action"] for outcome in result.outcomes])
-    space, time_step = experiment.space, experiment.demonstrations.time_step
+    space, time_step = task.space, task.demonstrations.time_step
     residuals = standardised_residuals(result.dynamics, space, states, actions)
     learned = result.dynamics.known_part(space).uncertain
-    names = [name for name, told in zip(space.names, learned.tolist(), strict=True) if told]
+    names = [name for name, own in zip(space.names, learned.tolist(), strict=True) if own]
     return plotting.plot_calibration(names, time_step, residuals[..., learned])
 
 
-def _model(experiment: Experiment, result: RunResult) -> plotting.Figure:
+def _model(task: Task, result: RunResult) -> plotting.Figure:
     """Slices through the model where the robot was halfway.
 
     They go over the actions, and the features on which the model depends most.
     """
-    space, dynamics, outcome = experiment.space, result.dynamics, result.outcomes[0]
+    space, dynamics, outcome = task.space, result.dynamics, result.outcomes[0]
     halfway = outcome.rollouts.shape[-1] // 2
     features = space.features(outcome.executed[0, halfway])
     point = torch.cat([features, outcome.rollouts["action"][0, halfway]])
@@ -194,10 +186,10 @@ def _model(experiment: Experiment, result: RunResult) -> plotting.Figure:
     return plotting.plot_gp_slices(
         dynamics,
         point,
-        _input_names(experiment),
+        _input_names(task),
         [space.names[entry] for entry in learned],
         [space.units[entry] for entry in learned],
-        sliced(relevance, len(experiment.actions.names)),
+        sliced(relevance, len(task.actions.names)),
     )
 
 
@@ -222,8 +214,8 @@ def sliced(relevance: Tensor, actions: int) -> list[int]:
     return torch.cat(chosen).sort().values.tolist()
 
 
-def _input_names(experiment: Experiment) -> list[str]:
+def _input_names(task: Task) -> list[str]:
     """Features with their units, then actions."""
-    units = dict(zip(experiment.space.names, experiment.space.units, strict=True))
-    features = [with_unit(name, units.get(name)) for name in experiment.space.feature_names]
-    return [*features, *experiment.actions.labels]
+    units = dict(zip(task.space.names, task.space.units, strict=True))
+    features = [with_unit(name, units.get(name)) for name in task.space.feature_names]
+    return [*features, *task.actions.labels]

@@ -20,17 +20,18 @@ from torch_pmil.plotting.video import (
     write_gif,
     write_video,
 )
-from torch_pmil.runs.figures import SKETCHED, figures_of
+from torch_pmil.runs.figures import figures_of
 from torch_pmil.runs.printing import print_left, print_result
 from torch_pmil.runs.report import write_report
 from torch_pmil.runs.telling import Step, tell
 from torch_pmil.runs.training import RunResult
-from torch_pmil.tasks.task import Experiment, Outcome
+from torch_pmil.tasks.outcome import Outcome
+from torch_pmil.tasks.task import Task
 
 FEWEST_FRAMES = 50  # in a second
 
 
-def tell_all(label: str, experiment: Experiment, result: RunResult, out: Path) -> list[str]:
+def tell_all(label: str, task: Task, result: RunResult, out: Path) -> list[str]:
     """Report, print, draw and film a run that is saved; a line for each of these that failed.
 
     The report is there at once, and again with figures and video when they are drawn.
@@ -38,41 +39,41 @@ def tell_all(label: str, experiment: Experiment, result: RunResult, out: Path) -
     with suppress(Exception):  # the step that writes it again says what fails
         write_report(out, drawn=False)
     print_result(label, result.summary)
-    failures = tell(steps_of(experiment, result, out))
+    failures = tell(steps_of(task, result, out))
     print_left(label, out)
     return failures
 
 
-def steps_of(experiment: Experiment, result: RunResult, out: Path) -> Iterator[Step]:
+def steps_of(task: Task, result: RunResult, out: Path) -> Iterator[Step]:
     """Steps that draw figures and video (as a GIF too), and write the report with them.
 
     A robot that makes no motion but its own rollouts is not filmed.
     """
-    yield "figures", partial(draw_figures, experiment, result, out / "figures")
-    if experiment.draws and experiment.evaluated:
-        yield "video", partial(film, experiment, result, out / "video.mp4")
+    yield "figures", partial(draw_figures, task, result, out / "figures")
+    if task.draws and task.evaluated:
+        yield "video", partial(film, task, result, out / "video.mp4")
     if (out / "video.mp4").exists():
         yield "GIF", partial(write_gif, out / "video.gif", out / "video.mp4")
     yield "report", partial(write_report, out)
 
 
-def draw_figures(experiment: Experiment, result: RunResult, folder: Path) -> None:
+def draw_figures(task: Task, result: RunResult, folder: Path) -> None:
     """Draw all figures of a run into a folder."""
     folder.mkdir(exist_ok=True)
-    for name, figure in figures_of(experiment, result):
+    for name, figure in figures_of(task, result):
         plotting.save_figure(figure, folder / f"{name}.png")
 
 
-def film(experiment: Experiment, result: RunResult, path: Path) -> None:
+def film(task: Task, result: RunResult, path: Path) -> None:
     """Film the saved policy. Raises RuntimeError where the robot gives no pictures."""
-    env = experiment.first_robot(seed=0)
+    env = task.first_robot(seed=0)
     if isinstance(env, MujocoRobotEnv):
-        film_outcome(env, experiment, result.outcomes[0], path)
+        film_outcome(env, task, result.outcomes[0], path)
     else:
-        film_as_shown(experiment, result, path)
+        film_as_shown(task, result, path)
 
 
-def film_outcome(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, path: Path) -> None:
+def film_outcome(env: MujocoRobotEnv, task: Task, outcome: Outcome, path: Path) -> None:
     """Film the first executed rollout, as the simulator draws it.
 
     Without OpenGL it is drawn as lines. Raises RuntimeError where there are none for this robot.
@@ -83,10 +84,10 @@ def film_outcome(env: MujocoRobotEnv, experiment: Experiment, outcome: Outcome, 
     try:
         write_video(path, render_rollout(env, start, actions, frames), fps)
     except RuntimeError as error:
-        if experiment.name not in SKETCHED:
+        if task.sketch is None:
             raise
         print(f"{path} is a sketch, because {error}")
-        write_video(path, sketched(env, experiment, start, actions, frames), fps)
+        write_video(path, sketched(env, task, start, actions, frames), fps)
 
 
 def frames_per_step(env: MujocoRobotEnv) -> int:
@@ -101,7 +102,7 @@ def frames_per_step(env: MujocoRobotEnv) -> int:
 
 def sketched(
     env: MujocoRobotEnv,
-    experiment: Experiment,
+    task: Task,
     start: Tensor,
     actions: Tensor,
     frames: int = 5,
@@ -110,17 +111,17 @@ def sketched(
 
     Args:
         env, start, actions: as for :func:`~torch_pmil.plotting.video.render_rollout`.
-        experiment: one of ``SKETCHED``.
+        task: one with a sketch.
         frames: in a control period.
     """
-    states = dense_states(env, start, actions, frames)
-    positions = experiment.space.observe(states)
-    return plotting.pendulum_frames(positions, env.control_period / frames)
+    assert task.sketch is not None
+    joints = task.sketch(dense_states(env, start, actions, frames))
+    return plotting.pendulum_frames(joints, env.control_period / frames)
 
 
 @torch.no_grad()
-def film_as_shown(experiment: Experiment, result: RunResult, path: Path) -> None:
+def film_as_shown(task: Task, result: RunResult, path: Path) -> None:
     """Film the policy from a fresh start, as the environment shows itself, if it does."""
-    env = experiment.make_env(from_pixels=True, seed=0)
-    rollout = env.rollout(experiment.horizon, result.policy.as_tensordict_module())
-    write_video(path, pictures_of(rollout), 1 / experiment.demonstrations.time_step)
+    env = task.make_env(from_pixels=True, seed=0)
+    rollout = env.rollout(task.horizon, result.policy.as_tensordict_module())
+    write_video(path, pictures_of(rollout), 1 / task.demonstrations.time_step)

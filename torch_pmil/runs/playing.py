@@ -15,7 +15,6 @@ from tensordict import TensorDictBase
 
 from torch_pmil.control.policy_file import PolicyFileError, load_policy
 from torch_pmil.control.state_policy import StatePolicy
-from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.rollouts import pictures_of, states_of
 from torch_pmil.files import read_json, short
@@ -24,13 +23,12 @@ from torch_pmil.plotting.video import (
     render_rollout,
     write_film,
 )
-from torch_pmil.runs.figures import SKETCHED
 from torch_pmil.runs.pictures import sketched
 from torch_pmil.runs.settings import read_settings
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.runs.viewer import show
-from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.registry import EXPERIMENTS, demonstrations_from, load_experiment
+from torch_pmil.tasks.task import Task
 
 FRAMES_PER_STEP = {".gif": 2, ".mp4": 5}  # of a simulated robot: at 10 Hz, 20 and 50 per second
 REST = 0.5  # s, on the last picture of a motion, before the next one begins
@@ -54,7 +52,7 @@ class Player:
         True
     """
 
-    experiment: Experiment
+    experiment: Task
     policy: StatePolicy
 
     @property
@@ -124,7 +122,7 @@ class Player:
         try:
             env.render(env.initial_mean)
         except RuntimeError:
-            if self.experiment.name not in SKETCHED:
+            if self.experiment.sketch is None:
                 raise
             draw = partial(sketched, env, self.experiment)
         return lambda motion: draw(states_of(motion)[0], motion["action"], frames_per_step)
@@ -155,20 +153,18 @@ def load_player(folder: Path) -> Player:
     return Player(experiment, policy)
 
 
-def _experiment_of(folder: Path) -> Experiment:
+def _experiment_of(folder: Path) -> Task:
     """The experiment of a run, with the demonstrations that it was given."""
     name = _name_in(folder)
-    kind = "handwriting" if name.startswith("handwriting_") else name
-    if kind not in EXPERIMENTS:
+    if name not in EXPERIMENTS:
         raise RunError(
             f"{folder} is of {short(name)}, whose robot pmil cannot make: play it in Python, "
             f"env.rollout(steps, load_policy('{folder}/policy.pt').as_tensordict_module())"
         )
     file = folder / "settings.yaml"
     given: dict[str, Any] = read_settings(file) if file.is_file() else {}
-    path = given.get("demonstrations")
-    demonstrations = None if path is None else load_demonstrations(path)
-    return load_experiment(kind, demonstrations, given.get("shape"), given.get("robot"))
+    source = given.get("demonstrations")
+    return load_experiment(name, None if source is None else demonstrations_from(source))
 
 
 def _name_in(folder: Path) -> str:
@@ -182,7 +178,7 @@ def _name_in(folder: Path) -> str:
     return name
 
 
-def _check_policy(path: Path, policy: StatePolicy, experiment: Experiment) -> None:
+def _check_policy(path: Path, policy: StatePolicy, experiment: Task) -> None:
     """Raise PolicyFileError unless a policy reads what the robot shows and moves its motors."""
     wanted = (*experiment.space.names, *experiment.demonstrations.target_names)
     found = (*policy.space.names, *policy.target_names)

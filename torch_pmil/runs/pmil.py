@@ -15,11 +15,11 @@ from torch_pmil.runs.pictures import tell_all
 from torch_pmil.runs.printing import print_trial, warn_of
 from torch_pmil.runs.report import write_report
 from torch_pmil.runs.telling import warn_incomplete
-from torch_pmil.runs.training import EVALUATION_STARTS, RunResult, train
+from torch_pmil.runs.training import RunResult, train
+from torch_pmil.seeds import Stream
 from torch_pmil.tasks.own_robot import Recorded, own_robot
+from torch_pmil.tasks.task import MEASURED_STARTS
 from torch_pmil.trainer.trials import success_rate
-
-EVALUATION_SEED = 4_000_000  # of the starts of a measurement
 
 
 class PMIL:
@@ -32,11 +32,11 @@ class PMIL:
         demonstrations: a file or folder of recordings, or what was read of one.
         control_period: seconds between two actions.
         settings: what :func:`~torch_pmil.tasks.own_robot.own_robot` takes: ``state``,
-            the names of the observation's entries, ``angles``, ``match``, and every field of
-            :class:`Experiment`.
+            the names of the observation's entries, ``angles``, ``match``, every field of
+            :class:`Task` and every setting of its :class:`Method`.
 
-    ``experiment`` holds all settings. After :meth:`learn`, ``result`` is the finished run and
-    ``policy`` a function from the robot's state to its action.
+    ``task`` holds robot, demonstrations and settings. After :meth:`learn`, ``result`` is the
+    finished run and ``policy`` a function from the robot's state to its action.
 
     Raises:
         DemonstrationError: the demonstrations cannot be read, or do not fit the robot.
@@ -48,7 +48,7 @@ class PMIL:
     def __init__(
         self, env: Any, demonstrations: Recorded, control_period: float, **settings: Any
     ) -> None:
-        self.experiment = own_robot(env, demonstrations, control_period, **settings)
+        self.task = own_robot(env, demonstrations, control_period, **settings)
         self._learned: tuple[RunResult, Path] | None = None
 
     def learn(
@@ -74,21 +74,21 @@ class PMIL:
             OSError: the folder cannot be written to.
             ValueError: a setting is out of range, or the folder holds another run.
         """
-        out = Path("runs", self.experiment.name, f"seed_{seed}") if out is None else Path(out)
-        warn_of("", check(self.experiment))
+        out = Path("runs", self.task.name, f"seed_{seed}") if out is None else Path(out)
+        warn_of("", check(self.task))
         result = train(
-            self.experiment,
+            self.task,
             seed,
             trials,
             out,
             _command(),
-            on_trial=partial(print_trial, "", self.experiment.objective),
+            on_trial=partial(print_trial, "", self.task.objective),
             resume=resume,
             logger="csv",
             overwrite=overwrite,
         )
         self._learned = result, out
-        warn_incomplete("", tell_all("", self.experiment, result, out), "learn(resume=True)")
+        warn_incomplete("", tell_all("", self.task, result, out), "learn(resume=True)")
         return self
 
     @property
@@ -108,14 +108,14 @@ class PMIL:
             path, policy.policy, policy.space, policy.control_period, actions=policy.actions
         )
 
-    def evaluate(self, starts: int = EVALUATION_STARTS, seed: int = EVALUATION_SEED) -> float:
+    def evaluate(self, starts: int = MEASURED_STARTS, seed: int = Stream.EVALUATED_STARTS) -> float:
         """Success rate of the policy on the robot, from fresh starts.
 
         A physical robot makes so many rollouts, and its operator is asked before each of them; one
         that is cut short is a failure.
         """
-        errors = self.experiment.errors(self.policy, starts, seed)
-        return success_rate(errors, self.experiment.tolerance)
+        errors = self.task.errors(self.policy, starts, seed)
+        return success_rate(errors, self.task.tolerance)
 
     def report(self) -> Path:
         """Path of the report, an HTML page, written anew from the folder of the run."""

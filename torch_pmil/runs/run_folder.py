@@ -36,7 +36,6 @@ from torch_pmil.trainer.trials import Measurement
 LOGGERS = ("csv", "tensorboard", "wandb", "mlflow")
 LIBRARIES = ("torch_pmil", "torch", "gpytorch", "torchrl", "tensordict", "mujoco", "numpy")
 
-SEEDS = (0, 2**31 - 1)
 MOST_TRIALS = 1000  # memory for all their rollouts is taken at once
 # what a run leaves besides checkpoints, logs and figures; what says that it has ended comes last
 FILES = (

@@ -1,10 +1,11 @@
-"""What can be set on the command line, checked before anything is written."""
+"""The settings of a run, checked before anything is written."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -12,29 +13,31 @@ from typing import Any
 
 import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import OverrideType
+from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from torch_pmil.checks import check_whole
+from torch_pmil.control.exploration import PDMovements
 from torch_pmil.files import FileError, LineError, read_text
-from torch_pmil.runs.run_folder import (
-    MOST_TRIALS,
-    SEEDS,
-    check_logger,
-    check_resume,
-)
-from torch_pmil.runs.setting_words import OF_EXPERIMENT, OF_RUN, SETTINGS
+from torch_pmil.runs.run_folder import LOGGERS, MOST_TRIALS, check_logger, check_resume
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.seeds import SEEDS
+from torch_pmil.settings import Setting, Settings, setting
+from torch_pmil.tasks.method import EndingSettings, ModelSettings, PolicySettings, RandomMotion
+from torch_pmil.tasks.pilco import PilcoTask
+from torch_pmil.tasks.registry import EXPERIMENTS, is_own
+from torch_pmil.tasks.targets import TargetTask
 
-OPTIONAL = ("shape", "robot", "demonstrations", "logger")  # may be null
-TEXTS = ("experiment", "shape", "robot", "demonstrations", "out", "logger")
-SWITCHES = ("resume", "overwrite")
-REPEATED = ("experiment", "shape", "robot", "seed", "demonstrations", "trials", "logger")
 FILE = "settings="  # begins the word that names a file of settings
 FILE_BYTES = 2**14
 MOST_LISTS = 200  # in a file: one within the other they take long to read
+MOST_RUNS = 10_000  # of a sweep
+LAUNCHER = "hydra/launcher"
+# what a launcher is told: numbers and names, but not what it imports
+OF_LAUNCHER = re.compile(r"hydra\.launcher\.(?!.*_target_)[\w.]+")
 PLAIN = re.compile(r"(?!(null|true|false|nan|inf)$)(\.{0,2}/)?[a-z_][\w./-]*", re.IGNORECASE)
+WIDTH = 100  # characters of a line of help
 
 
 class SettingsError(LineError):
@@ -42,46 +45,48 @@ class SettingsError(LineError):
 
 
 @dataclass(frozen=True)
-class Settings:
+class RunSettings(Settings):
     """The settings of ``pmil train``, of the right types and in their ranges.
 
     Args:
-        experiment, shape, robot: the task.
-        seed: of all random numbers.
-        demonstrations: file with one's own; None for those that come with the package.
-        trials: largest number of trials.
-        out: folder of the run.
-        resume: whether to go on with the run that is there.
-        overwrite: whether to replace the finished run that is there.
-        logger: kind of TorchRL's logger, or None.
-        changes: settings of the experiment that differ from its own, by name.
+        changes: settings of the task and its method that differ from its own, by name.
 
     Raises:
         ValueError: a setting is of another type, or out of range.
         ImportError: the library of the logger is missing.
     """
 
-    experiment: str
-    shape: str | None
-    robot: str | None
-    seed: int
-    demonstrations: str | None
-    trials: int
-    out: str
-    resume: bool
-    overwrite: bool
-    logger: str | None
+    experiment: str = setting(
+        "double_pendulum",
+        "the task",
+        words=f"{', '.join(EXPERIMENTS)}; or FILE.py:FUNCTION or MODULE:FUNCTION of one's own",
+    )
+    seed: int = setting(
+        0, "of all random numbers: same seed, same run", least=SEEDS[0], most=SEEDS[1]
+    )
+    demonstrations: str | None = setting(
+        None,
+        "one's own demonstrations",
+        words="a file or folder, or lasa:SHAPE; null: those that come with the task",
+    )
+    trials: int = setting(12, "largest number of trials", least=1, most=MOST_TRIALS, unit="trials")
+    out: str = setting(
+        "runs/${run_name:${experiment},${demonstrations}}/seed_${seed}",
+        "folder of the run",
+        words="a path",
+    )
+    resume: bool = setting(False, "whether to continue from the newest checkpoint in out")
+    overwrite: bool = setting(False, "whether to replace the run in out if it has ended")
+    logger: str | None = setting(
+        "csv", "kind of TorchRL's logger", words=f"{', '.join(LOGGERS)} or null"
+    )
     changes: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in TEXTS:
-            _check_text(name, getattr(self, name))
-        check_whole("seed", self.seed, *SEEDS)
-        check_whole("trials", self.trials, 1, MOST_TRIALS)
-        for name in SWITCHES:
-            value = getattr(self, name)
-            if not isinstance(value, bool):
-                raise SettingsError(f"{name} must be true or false, got {value!r}")
+        for name, declared in self.declared().items():
+            if declared.kind.startswith("str"):
+                _check_text(name, getattr(self, name), declared.kind.endswith("None"))
+        super().__post_init__()
         check_resume(self.resume, self.overwrite)
         check_logger(self.logger)
 
@@ -93,13 +98,56 @@ class Settings:
     @property
     def repeated(self) -> dict[str, object]:
         """The settings of the run without those that say where it is written to."""
-        return {name: getattr(self, name) for name in REPEATED}
+        return {
+            name: value
+            for name, value in self.adjustable.items()
+            if name not in ("out", "resume", "overwrite")
+        }
 
 
-NAMES = tuple(SETTINGS)
+OF_RUN = RunSettings.declared()
+OF_TASK: dict[str, Setting] = {}  # of all tasks of the package
+for group in (
+    PolicySettings,
+    ModelSettings,
+    RandomMotion,
+    EndingSettings,
+    TargetTask,  # those of every task, too
+    PilcoTask,
+    PDMovements,
+    SearchSettings,
+):
+    OF_TASK |= group.declared()
+SETTINGS = OF_RUN | OF_TASK
 
 
-def settings_of(config: DictConfig) -> Settings:
+def help_lines(words: Mapping[str, str]) -> Iterator[str]:
+    """Settings of a run, each in words, and those that other tasks have.
+
+    Args:
+        words: NAME=VALUE of each setting, by its name.
+
+    Example:
+        >>> for line in list(help_lines({"resume": "resume=true"}))[:2]:
+        ...     print(line)
+          resume=true
+              whether to continue from the newest checkpoint in out (true or false)
+    """
+    for name, word in words.items():
+        yield f"  {word}"
+        if name in SETTINGS:
+            yield _indented(str(SETTINGS[name]))
+    yield "\nOther experiments have some of these, as experiment=NAME --help shows:\n"
+    for name, declared in SETTINGS.items():
+        if name not in words:
+            yield _indented(f"{name}: {declared}")
+
+
+def _indented(text: str) -> str:
+    return textwrap.fill(text, WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 6)
+
+
+def settings_of(config: DictConfig) -> RunSettings:
     """The settings of a configuration.
 
     Raises:
@@ -109,10 +157,10 @@ def settings_of(config: DictConfig) -> Settings:
     missing = [name for name in OF_RUN if name not in list(config)]
     if missing:
         raise SettingsError(f"{missing[0]} must be set, got a configuration without it")
-    values = {name: _value(config, name) for name in NAMES}
-    changes = {name: values.pop(name) for name in OF_EXPERIMENT}
-    given = {name: value for name, value in changes.items() if value is not None}
-    return Settings(**values, changes=given)
+    values = {name: _value(config, name) for name in SETTINGS}
+    of_run = {name: values.pop(name) for name in OF_RUN}
+    given = {name: value for name, value in values.items() if value is not None}
+    return RunSettings(**of_run, changes=given)
 
 
 def _value(config: DictConfig, name: str) -> Any:
@@ -123,18 +171,18 @@ def _value(config: DictConfig, name: str) -> Any:
         raise SettingsError(f"{name} cannot be read: {first_line(error)}") from error
 
 
-def _check_text(name: str, value: object) -> None:
-    if value is None and name in OPTIONAL:
+def _check_text(name: str, value: object, optional: bool) -> None:
+    if value is None and optional:
         return
     if not isinstance(value, str) or not value.strip():
-        null = " or null" if name in OPTIONAL else ""
+        null = " or null" if optional else ""
         raise SettingsError(f"{name} must be text that is not empty{null}, got {value!r}")
 
 
 def check_overrides(overrides: Sequence[str], sweep: bool) -> None:
     """Raise SettingsError unless all NAME=VALUE of a command line change a setting that there is.
 
-    Hydra's own (``hydra.NAME`` and ``hydra/NAME``) are left to Hydra.
+    Of Hydra's own, ``hydra/launcher=NAME`` and numbers and names of a launcher can be set.
 
     Args:
         overrides: NAME=VALUE each.
@@ -148,28 +196,37 @@ def check_overrides(overrides: Sequence[str], sweep: bool) -> None:
         ...     print(error)
         there is no setting sede in +sede=1: did you mean seed?
     """
-    parser = OverridesParser.create()
+    runs = 1
     for text in overrides:
-        try:
-            override = parser.parse_override(text)
-        except HydraException as error:
-            raise SettingsError(f"cannot read the setting {text!r}: {first_line(error)}") from error
+        override = _parsed(text)
         name = override.key_or_group
-        if name.startswith(("hydra.", "hydra/")):
-            continue
-        if not name:
-            raise SettingsError(f"a setting must be NAME=VALUE, got {text}")
-        _check_name(name, text)
+        if name != LAUNCHER and not OF_LAUNCHER.fullmatch(name):
+            if not name:
+                raise SettingsError(f"a setting must be NAME=VALUE, got {text}")
+            _check_name(name, text)
         if override.type in (OverrideType.ADD, OverrideType.DEL):
             raise SettingsError(f"a setting must be {name}=VALUE, got {text}")
-        if override.is_sweep_override() and not sweep:
-            raise SettingsError(f"{name} must be one value, unless -m is given, got {text}")
+        if override.is_sweep_override():
+            if not sweep:
+                raise SettingsError(f"{name} must be one value, unless -m is given, got {text}")
+            runs *= sum(1 for _, _ in zip(range(MOST_RUNS + 1), override.sweep_iterator()))  # noqa: B905
+    if not 0 < runs <= MOST_RUNS:
+        raise SettingsError(
+            f"a sweep must have from 1 to {MOST_RUNS} runs, got {'none' if not runs else 'more'}"
+        )
+
+
+def _parsed(text: str) -> Override:
+    try:
+        return OverridesParser.create().parse_override(text)
+    except HydraException as error:
+        raise SettingsError(f"cannot read the setting {text!r}: {first_line(error)}") from error
 
 
 def _check_name(name: str, text: str) -> None:
-    if name not in NAMES:
-        near = get_close_matches(name, NAMES, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(NAMES)}"
+    if name not in SETTINGS:
+        near = get_close_matches(name, SETTINGS, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(SETTINGS)}"
         raise SettingsError(f"there is no setting {name} in {text}: {hint}")
 
 
@@ -255,6 +312,11 @@ def _check_entry(name: str, value: object) -> None:
             f"{name} must be one value, got entries: write {name}.ENTRY: VALUE for each of them"
         )
     _check_name(name, f"{name}: {json.dumps(value)}")
+    if name == "experiment" and is_own(str(value)):
+        raise SettingsError(
+            f"experiment must be given on the command line if it is one's own, since its module is "
+            f"executed: got {value}"
+        )
 
 
 def first_line(error: BaseException) -> str:

@@ -20,13 +20,24 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from torch_pmil.runs.settings import first_line
+from torch_pmil.runs.settings import SETTINGS, RunSettings, first_line
 from torch_pmil.tasks.registry import run_name
 
 # the package's extra that installs a launcher, by the launcher's module
 EXTRAS = {"hydra_ray_launcher": "ray", "hydra_submitit_launcher": "slurm"}
 
 OmegaConf.register_new_resolver("run_name", run_name, replace=True)
+
+
+def register_settings() -> None:
+    """Let Hydra know all settings: those of a run by their defaults, those of a task as null."""
+    node = OmegaConf.create({})
+    for name in SETTINGS:
+        OmegaConf.update(node, name, getattr(RunSettings, name, None), force_add=True)
+    ConfigStore.instance().store("settings", node)
+
+
+register_settings()
 
 
 def register_launchers(folder: Path) -> None:

@@ -9,73 +9,74 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
-from torch_pmil.gp.lbfgs import MinimiseResult, NotFiniteError, minimise, restore
+from torch_pmil.gp.lbfgs import (
+    MakeOptimizer,
+    MinimiseResult,
+    NotFiniteError,
+    minimise,
+    restore,
+)
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.search.reparameterisation import ReparameterisedLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.settings import Settings, setting
+
+Report = Callable[[str, float], None]  # takes the name and the loss of each run of the optimiser
 
 REFIT_SAMPLES = 20  # states a time step
 WORTHWHILE = 0.9  # another run follows one that brought the loss below this fraction of its start
 
 
 @dataclass(frozen=True)
-class SearchSettings:
-    """Budget and horizon of a policy search.
+class SearchSettings(Settings):
+    """Budget and horizon of a policy search; an iteration is one of the optimiser.
 
-    Args:
-        mean_iterations: L-BFGS iterations on the mean alone, for each horizon; with 0 a search
-            begins with the loss.
-        stage_iterations: L-BFGS iterations on the loss, for each horizon. They are repeated while
-            the last steps are not trusted and each run lowers the loss by a tenth.
-        final_iterations: L-BFGS iterations on the loss at the last horizon.
-        first_horizon: least number of steps of the first horizon.
-        horizon_step: steps by which the horizon grows.
-        trust_threshold: the horizon stops growing when the mean loss of its last steps
-            (:meth:`TrajectoryLoss.step_loss_for_trust`) exceeds this. For the KL it is in nats a
-            step, about 3 in four dimensions.
-        skip_matched_steps: whether the horizon jumps to the first step whose loss exceeds the
-            threshold. That is right for the KL, which is below it where the prediction matches. For
-            another loss a motion may be predicted well and be no good; then the horizon grows by
-            ``horizon_step`` only, and from ``first_horizon`` on for a random policy.
-        restarts: largest number of searches from random policies, made one after the other while
-            none has brought enough (:class:`PolicySearchStepper`).
+    The iterations at one horizon are repeated while the last steps are not trusted and each run
+    lowers the loss by a tenth. For the KL, ``trust_threshold`` is about 3 nats a step in four
+    dimensions. ``skip_matched_steps`` suits the KL, which is below the threshold wherever the
+    prediction matches. Under another loss a motion may be predicted well and still be wrong: then
+    the horizon grows by ``horizon_step`` alone, from ``first_horizon`` on for a random policy.
+
+    Raises:
+        ValueError: a setting is of another type or out of range.
     """
 
-    mean_iterations: int = 60
-    stage_iterations: int = 30
-    final_iterations: int = 40
-    first_horizon: int = 5
-    horizon_step: int = 3
-    trust_threshold: float = 3.0
-    skip_matched_steps: bool = True
-    restarts: int = 0
+    prefix: ClassVar[str] = "search."
 
-    def __post_init__(self) -> None:
-        least = {
-            "mean_iterations": 0,
-            "stage_iterations": 0,
-            "final_iterations": 0,
-            "first_horizon": 1,
-            "horizon_step": 1,
-            "restarts": 0,
-        }
-        for name, bound in least.items():
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < bound:
-                raise ValueError(f"{name} must be an integer of at least {bound}, got {value!r}")
-        threshold, skip = self.trust_threshold, self.skip_matched_steps
-        if isinstance(threshold, bool) or not isinstance(threshold, (int, float)):
-            raise ValueError(f"trust_threshold must be a number, got {threshold!r}")
-        if not threshold >= 0:  # nor NaN
-            raise ValueError(f"trust_threshold must not be negative, got {threshold!r}")
-        if not isinstance(skip, bool):
-            raise ValueError(f"skip_matched_steps must be true or false, got {skip!r}")
+    mean_iterations: int = setting(
+        60, "iterations on the mean alone, at each horizon", least=0, unit="iterations"
+    )
+    stage_iterations: int = setting(
+        30, "iterations on the loss, at each horizon", least=0, unit="iterations"
+    )
+    final_iterations: int = setting(
+        40, "iterations on the loss at the last horizon", least=0, unit="iterations"
+    )
+    first_horizon: int = setting(
+        5, "smallest length of the first horizon", least=1, unit="control steps"
+    )
+    horizon_step: int = setting(
+        3, "steps by which the horizon grows", least=1, unit="control steps"
+    )
+    trust_threshold: float = setting(
+        3.0,
+        "largest mean loss of the last steps at which the horizon still grows",
+        least=0,
+        unit="nats per step; PILCO: cost of the predicted spread",
+    )
+    skip_matched_steps: bool = setting(
+        True, "whether the horizon jumps to the first step above the threshold"
+    )
+    restarts: int = setting(
+        0, "largest number of searches from random policies", least=0, unit="searches"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,7 @@ class SearchResult:
 
     ``loss`` is the loss (KL or cost) over the whole horizon T, ``per_step`` its summands;
     ``horizon`` is the last one that was searched, ``converged`` says whether its last steps are
-    trusted, and ``stop_reason`` why the last run of L-BFGS ended.
+    trusted, and ``stop_reason`` why the last run of the optimiser ended.
     """
 
     loss: float
@@ -115,8 +116,9 @@ def search_policy(
     loss: TrajectoryLoss,
     initial: Gaussian,
     settings: SearchSettings = SearchSettings(),
-    report: Callable[[str, float], None] = lambda stage, loss: None,
+    report: Report = lambda stage, loss: None,
     random: bool = False,
+    optimizer: MakeOptimizer = torch.optim.LBFGS,
 ) -> SearchResult:
     """Minimise a loss over its policy, at horizons up to which the prediction can be trusted.
 
@@ -132,8 +134,9 @@ def search_policy(
         loss: objective with the policy (changed in place) and the model.
         initial: p(x_0).
         settings: budget and horizon.
-        report: called after each run of L-BFGS with its name and its loss.
+        report: called after each run of the optimiser with its name and its loss.
         random: whether the policy is a random one, which no search has seen.
+        optimizer: see :func:`~torch_pmil.gp.lbfgs.minimise`.
 
     Raises:
         TypeError: the settings are of another kind.
@@ -144,7 +147,7 @@ def search_policy(
         raise TypeError(f"settings must be SearchSettings, got {type(settings).__name__}")
     if initial.batch_shape:
         raise ValueError(f"initial must be one belief, mean (D,), got {tuple(initial.mean.shape)}")
-    search = SearchRuns(loss, initial, settings, report)
+    search = SearchRuns(loss, initial, settings, report, optimizer)
     step_loss = evaluate_steps(loss.step_loss_for_trust, initial, loss.horizon)
     from_first = random and not settings.skip_matched_steps
     horizon = min(settings.first_horizon, loss.horizon)
@@ -165,10 +168,10 @@ def search_policy(
 
 
 class SearchRuns:
-    """The runs of L-BFGS of one policy search.
+    """The runs of the optimiser in one policy search.
 
     Args:
-        loss, initial, settings, report: as of :func:`search_policy`.
+        loss, initial, settings, report, optimizer: as for :func:`search_policy`.
     """
 
     def __init__(
@@ -176,9 +179,11 @@ class SearchRuns:
         loss: TrajectoryLoss,
         initial: Gaussian,
         settings: SearchSettings,
-        report: Callable[[str, float], None],
+        report: Report,
+        optimizer: MakeOptimizer,
     ) -> None:
         self.loss, self.initial, self.settings, self.report = loss, initial, settings, report
+        self.optimizer = optimizer
         self.parameters = list(loss.actor_network.parameters())
         self.runs: list[MinimiseResult] = []
         self.start = time.perf_counter()
@@ -186,13 +191,14 @@ class SearchRuns:
     def run(
         self, name: str, per_step: Callable[[Gaussian, int], Tensor], horizon: int, iterations: int
     ) -> None:
-        """Minimise the sum of the steps up to a horizon by one run of L-BFGS."""
+        """Minimise the sum of the steps up to a horizon by one run of the optimiser."""
         reparameterised = ReparameterisedLoss(self.loss)
         result = minimise(
             reparameterised.variables,
             lambda: reparameterised.total(per_step, self.initial, horizon),
             iterations,
             survives=(PredictionError, NotPositiveDefiniteError),
+            optimizer=self.optimizer,
         )
         self.runs.append(result)
         reparameterised.write()
@@ -247,19 +253,18 @@ def refit_policy(
     new: RBFPolicy,
     settings: SearchSettings,
     generator: torch.Generator,
-) -> None:
-    """Give the policy of ``loss`` the new policy's centres and widths, and refit the weights.
+) -> RBFPolicy:
+    """Refit the weights of a new policy to the policy of ``loss``, and return the new one.
 
-    The refitted policy acts as the old one did where its prediction is trusted. Searches on early,
-    poor models may drive widths and centres to extremes from which no later search returns. A new
-    network that is fitted to the old one's actions keeps what was learned, and can be searched
-    well.
+    It acts as the old one does where the prediction is trusted. Searches on early, poor models may
+    drive widths and centres to extremes from which no later search returns. A new network keeps
+    what was learned, and can be searched well.
 
     Args:
-        loss: objective with the policy (changed in place) and the newest model.
+        loss: objective with the old policy and the newest model.
         initial: p(x_0).
         new: a random policy of the same shape; changed in place.
-        settings: settings that say up to which step the prediction is trusted.
+        settings: the settings that define up to which step the prediction is trusted.
         generator: source of the states, drawn from the prediction, at which actions are compared.
     """
     step_loss = evaluate_steps(loss.step_loss_for_trust, initial, loss.horizon)
@@ -270,7 +275,7 @@ def refit_policy(
         states = torch.cat([states, predicted.sample(REFIT_SAMPLES, generator)], -2)
     inputs = loss.policy_inputs(states).flatten(0, -2)
     new.fit_weights(inputs, loss.actor_network(inputs))
-    loss.actor_network.load_state_dict(new.state_dict())
+    return new
 
 
 @torch.no_grad()

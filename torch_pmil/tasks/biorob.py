@@ -12,12 +12,9 @@ from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv, holding_torques
 from torch_pmil.envs.racket import distance_along
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks.task import (
-    Experiment,
-    actions_of,
-    fitting,
-    independent_start,
-)
+from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.method import EndingSettings, Method, PolicySettings
+from torch_pmil.tasks.task import Task
 
 NOISE_STD = (0.03, 0.03, 0.03, 0.3, 0.3, 0.3)  # rad, rad/s
 INPUT_WIDTHS = (0.2, 0.4, 0.6, 0.5, 2.0, 2.5)  # rad, rad/s
@@ -91,7 +88,7 @@ def movements_around(start: Tensor, reach: Tensor, u_max: Tensor) -> PDMovements
     )
 
 
-def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
+def biorob(demonstrations: Demonstrations | None = None) -> Task:
     """The experiment of Section 5.2.4: one ball.
 
     It has 80 basis functions, 738 policy parameters, and 1.8 s at 10 Hz with the shipped
@@ -111,7 +108,7 @@ def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
     env, space = BioRobEnv(), biorob_space()
     demonstrations = fitting(demonstrations, space, env)
     actions = actions_of(env)
-    return Experiment(
+    return Task(
         name="biorob",
         make_env=BioRobEnv,
         space=space,
@@ -120,19 +117,22 @@ def biorob(demonstrations: Demonstrations | None = None) -> Experiment:
         initial=independent_start(env.initial_mean, env.initial_std),
         actions=actions,
         demonstrated_states=demonstrations.positions.reshape(-1, space.dim),
-        num_centres=80,
         error=distance_from_ball,
         tolerance=0.0,
-        confirmations=4,
         predicted_error=distance_along,
-        pd_movements=movements_around(
-            env.initial_mean,
-            demonstrated_reach(
-                demonstrations.positions[..., : len(JOINTS)], env.initial_mean[: len(JOINTS)]
-            ),
-            actions.half_range,
-        ),
-        input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64),
         holding_actions=holding_torques_at,
-        search=SEARCH,
+        method=Method(
+            policy=PolicySettings(
+                num_centres=80, input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64)
+            ),
+            exploration=movements_around(
+                env.initial_mean,
+                demonstrated_reach(
+                    demonstrations.positions[..., : len(JOINTS)], env.initial_mean[: len(JOINTS)]
+                ),
+                actions.half_range,
+            ),
+            search=SEARCH,
+            ending=EndingSettings(confirmations=4),
+        ),
     )

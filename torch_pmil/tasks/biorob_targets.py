@@ -19,8 +19,9 @@ from torch_pmil.tasks.biorob import (
     holding_torques_at,
     movements_around,
 )
-from torch_pmil.tasks.targets import TargetExperiment
-from torch_pmil.tasks.task import actions_of, fitting, independent_start
+from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.method import EndingSettings, Method, PolicySettings
+from torch_pmil.tasks.targets import TargetTask
 
 # factors of the widths for one ball: strikes at balls to the left and right differ in yaw
 REACH = (24.0, 34.0, 39.0)  # degrees, as far as the demonstrations of one ball go
@@ -43,7 +44,7 @@ def robots_before_balls(
     )
 
 
-def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperiment:
+def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetTask:
     """The experiment of Section 5.2.5: balls in a plane.
 
     It has 250 basis functions, 2774 policy parameters, and 1.8 s at 10 Hz with the shipped
@@ -66,7 +67,7 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
     actions = actions_of(env)
     widths, widened = torch.tensor([INPUT_WIDTHS, WIDENED], dtype=torch.float64)
     reach = torch.tensor(REACH, dtype=torch.float64)
-    return TargetExperiment(
+    return TargetTask(
         name="biorob_targets",
         make_env=robots_before_balls,
         space=space,
@@ -75,14 +76,15 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetExperi
         initial=independent_start(env.initial_mean, env.initial_std),
         actions=actions,
         demonstrated_states=demonstrations.positions.reshape(-1, space.dim),
-        num_centres=250,
         error=distance_from_ball,
         tolerance=0.0,
-        confirmations=4,
-        pd_movements=replace(
-            movements_around(env.initial_mean, reach, actions.half_range), rollouts=1
-        ),
-        input_widths=widths * widened,
         holding_actions=holding_torques_at,
-        search=replace(SEARCH, final_iterations=60),
+        method=Method(
+            policy=PolicySettings(num_centres=250, input_widths=widths * widened),
+            exploration=replace(
+                movements_around(env.initial_mean, reach, actions.half_range), rollouts=1
+            ),
+            search=replace(SEARCH, final_iterations=60),
+            ending=EndingSettings(confirmations=4),
+        ),
     )

@@ -10,13 +10,10 @@ from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.cart_pole import POLE_LENGTH, CartPoleEnv
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.tasks.double_pendulum import unwrapped
+from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
 from torch_pmil.tasks.inverted_pendulum import cart_and_tip
-from torch_pmil.tasks.task import (
-    Experiment,
-    actions_of,
-    fitting,
-    independent_start,
-)
+from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.task import Task
 
 NOISE_STD = 0.03  # m
 SUCCESS_DISTANCE = 0.15  # m, a quarter of the pole
@@ -71,7 +68,7 @@ def distance_from_goal(states: Tensor, goal: Tensor) -> Tensor:
     return distances.amax(-1)
 
 
-def cart_pole(demonstrations: Demonstrations | None = None) -> Experiment:
+def cart_pole(demonstrations: Demonstrations | None = None) -> Task:
     """Swing the pole up as demonstrated and balance it, in 3 s at 10 Hz.
 
     A success has the tip within 0.15 m of the demonstrated mean, and of upright over the cart, for
@@ -89,7 +86,7 @@ def cart_pole(demonstrations: Demonstrations | None = None) -> Experiment:
     demonstrations = fitting(demonstrations, space, env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
     goal = demonstrations.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
-    return Experiment(
+    return Task(
         name="cart_pole",
         make_env=CartPoleEnv,
         space=space,
@@ -98,8 +95,11 @@ def cart_pole(demonstrations: Demonstrations | None = None) -> Experiment:
         initial=independent_start(env.initial_mean, env.initial_std),
         actions=actions_of(env),
         demonstrated_states=states.reshape(-1, 4),
-        num_centres=100,
-        least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),
+        method=Method(
+            policy=PolicySettings(
+                num_centres=100, least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64)
+            )
+        ),
         error=of_states(lambda states: distance_from_goal(states, goal)),
         tolerance=SUCCESS_DISTANCE,
     )

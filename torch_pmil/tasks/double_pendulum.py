@@ -9,12 +9,9 @@ from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.tasks.task import (
-    Experiment,
-    actions_of,
-    fitting,
-    independent_start,
-)
+from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.task import Task
 
 NOISE_STD = 0.05  # m
 SUCCESS_DISTANCE = 0.25  # m
@@ -35,6 +32,17 @@ def double_pendulum_space() -> StateSpace:
     names = ("q1", "dq1", "q2", "dq2")
     match_space = MatchSpace.of_links(("q1", "q2"), (LINK_LENGTH, LINK_LENGTH), names)
     return StateSpace(names, ("rad", "rad/s", "rad", "rad/s"), (0, 2), match_space)
+
+
+def link_ends(states: Tensor) -> Tensor:
+    """Base, elbow and tip (*batch, 3, 2), m, at states (*batch, 4).
+
+    Example:
+        >>> link_ends(torch.zeros(4, dtype=torch.float64)).tolist()
+        [[0.0, 0.0], [0.0, 0.5], [0.0, 1.0]]
+    """
+    ends = double_pendulum_space().observe(states).unflatten(-1, (2, 2))
+    return torch.cat([torch.zeros_like(ends[..., :1, :]), ends], -2)
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
@@ -91,7 +99,7 @@ def distance_from_target(states: Tensor, targets: Tensor) -> Tensor:
     return (tips - targets[..., None, :]).norm(dim=-1).amax(-1)
 
 
-def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
+def double_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """The experiment of Section 5.1: 100 basis functions, 812 policy parameters, 2.5 s at 10 Hz.
 
     Args:
@@ -105,7 +113,7 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
     env = DoublePendulumEnv()
     demonstrations = fitting(demonstrations, double_pendulum_space(), env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
-    return Experiment(
+    return Task(
         name="double_pendulum",
         make_env=DoublePendulumEnv,
         space=double_pendulum_space(),
@@ -114,8 +122,12 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         initial=independent_start(env.initial_mean, env.initial_std),
         actions=actions_of(env),
         demonstrated_states=states.reshape(-1, 4),
-        num_centres=100,
-        least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),
+        method=Method(
+            policy=PolicySettings(
+                num_centres=100, least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64)
+            )
+        ),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
+        sketch=link_ends,
     )

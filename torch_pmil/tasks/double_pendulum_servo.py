@@ -8,14 +8,15 @@ from torch_pmil.control.recovered_states import without_turns
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.double_pendulum_servo import DoublePendulumServoEnv
 from torch_pmil.tasks.double_pendulum import double_pendulum
-from torch_pmil.tasks.task import Experiment, actions_of
+from torch_pmil.tasks.fitting import actions_of
+from torch_pmil.tasks.task import Task
 
 # a tenth of the motors': of the same weight, the torque of a servo at kp = 10 N·m/rad whose
 # setpoints go up to 4 rad is some ten times that of a motor of 3.5 N·m
 WEIGHT_STD = 0.01
 
 
-def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Experiment:
+def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Task:
     """The experiment of Section 5.1 with a position servo in each joint, at 10 Hz.
 
     All but the robot, its actions and the first policy is that of :func:`double_pendulum`. That
@@ -32,11 +33,10 @@ def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Exper
     states = task.demonstrated_states.unflatten(0, task.demonstrations.positions.shape[:2])
     states = without_turns(states, env.initial_mean, task.space.angles).flatten(0, 1)
     return replace(
-        task,
+        task.with_settings(initial_weight_std=WEIGHT_STD),
         name="double_pendulum_servo",
         make_env=DoublePendulumServoEnv,
         actions=actions_of(env),
-        initial_weight_std=WEIGHT_STD,
         demonstrated_states=states,
         holding_actions=env.holding_actions,
         held_states=states,

@@ -13,10 +13,12 @@ from torch_pmil.tasks.double_pendulum import (
     REACH_DISTANCE,
     distance_from_target,
     double_pendulum_space,
+    link_ends,
     states_from_positions,
 )
-from torch_pmil.tasks.targets import TargetExperiment
-from torch_pmil.tasks.task import actions_of, fitting, independent_start
+from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.method import EndingSettings, Method
+from torch_pmil.tasks.targets import TargetTask
 
 
 def distance_of_tip(rollout: TensorDictBase) -> Tensor:
@@ -24,7 +26,7 @@ def distance_of_tip(rollout: TensorDictBase) -> Tensor:
     return distance_from_target(states_of(rollout), rollout["target"][..., 0, :])
 
 
-def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> TargetExperiment:
+def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> TargetTask:
     """The double pendulum of Section 5.1 with several targets, by the method of Section 5.2.5.
 
     It has 100 basis functions, 1016 policy parameters, and 2.5 s at 10 Hz.
@@ -40,7 +42,7 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
     env = DoublePendulumEnv()
     demonstrations = fitting(demonstrations, double_pendulum_space(), env, ("x", "y"))
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
-    return TargetExperiment(
+    return TargetTask(
         name="double_pendulum_targets",
         make_env=DoublePendulumEnv,
         space=double_pendulum_space(),
@@ -49,8 +51,8 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
         initial=independent_start(env.initial_mean, env.initial_std),
         actions=actions_of(env),
         demonstrated_states=states.reshape(-1, 4),
-        num_centres=100,
         error=distance_of_tip,
         tolerance=REACH_DISTANCE,
-        confirmations=2,
+        method=Method(ending=EndingSettings(confirmations=2)),
+        sketch=link_ends,
     )

@@ -10,12 +10,9 @@ from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.gym_tasks import HANGING_MEAN, HANGING_STD, gym_pendulum_env
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.tasks.double_pendulum import unwrapped
-from torch_pmil.tasks.task import (
-    Experiment,
-    actions_of,
-    fitting,
-    independent_start,
-)
+from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.task import Task
 
 LENGTH = 1.0  # m
 NOISE_STD = 0.05  # m
@@ -53,7 +50,7 @@ def distance_from_upright(states: Tensor) -> Tensor:
     return (tip - torch.tensor([0.0, LENGTH], dtype=states.dtype)).norm(dim=-1).amax(-1)
 
 
-def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
+def gym_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """Swing up gymnasium's Pendulum-v1 and hold it, in 4 s at 10 Hz.
 
     A success has the tip within 0.25 m of upright for the last 0.5 s.
@@ -70,7 +67,7 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
     space, env = gym_pendulum_space(), gym_pendulum_env()
     demonstrations = fitting(demonstrations, space, env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
-    return Experiment(
+    return Task(
         name="gym_pendulum",
         make_env=gym_pendulum_env,
         space=space,
@@ -81,8 +78,11 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
         ),
         actions=actions_of(env),
         demonstrated_states=states.reshape(-1, 2),
-        num_centres=50,
-        least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),
+        method=Method(
+            policy=PolicySettings(
+                num_centres=50, least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64)
+            )
+        ),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
     )

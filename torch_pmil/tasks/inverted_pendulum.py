@@ -13,7 +13,9 @@ from torch_pmil.envs.gym_tasks import CART_START, inverted_pendulum_env
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks.task import Experiment, actions_of, fitting
+from torch_pmil.tasks.fitting import actions_of, fitting
+from torch_pmil.tasks.method import Method, PolicySettings, RandomMotion
+from torch_pmil.tasks.task import Task
 
 POLE_LENGTH = 0.6  # m
 NOISE_STD = 0.02  # m
@@ -66,7 +68,7 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
     return torch.stack([x, q, dx, dq], -1)
 
 
-def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experiment:
+def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """Recover to upright as demonstrated, in 2 s at 25 Hz.
 
     A success has the tip within 0.1 m of the demonstrated mean for the last second.
@@ -90,7 +92,7 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
     def distance_from_demonstrated(states: Tensor) -> Tensor:
         return (space.observe(states[..., -FINAL_SAMPLES:, :])[..., 1:] - tip).norm(dim=-1).amax(-1)
 
-    return Experiment(
+    return Task(
         name="inverted_pendulum",
         make_env=inverted_pendulum_env,
         space=space,
@@ -99,11 +101,12 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Experimen
         initial=initial,
         actions=actions_of(env),
         demonstrated_states=states.reshape(-1, 4),
-        num_centres=50,
         error=of_states(distance_from_demonstrated),
         tolerance=SUCCESS_DISTANCE,
-        random_action=0.1,
-        input_scale=3.0,
-        # nats of two dimensions in effect: the height of the tip hardly changes
-        search=SearchSettings(trust_threshold=1.0),
+        method=Method(
+            policy=PolicySettings(num_centres=50, input_scale=3.0),
+            exploration=RandomMotion(random_action=0.1),
+            # nats of two dimensions in effect: the height of the tip hardly changes
+            search=SearchSettings(trust_threshold=1.0),
+        ),
     )

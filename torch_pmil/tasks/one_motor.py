@@ -16,12 +16,9 @@ from torch_pmil.envs.pendubot import (
 )
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.tasks.double_pendulum import states_from_positions
-from torch_pmil.tasks.task import (
-    Experiment,
-    actions_of,
-    fitting,
-    independent_start,
-)
+from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.task import Task
 
 NOISE_STD = 0.025  # m
 LINE = 0.45  # m, height of the goal region, published
@@ -50,7 +47,7 @@ def depth_below_upright(states: Tensor) -> Tensor:
     return sum(LINK_LENGTHS) - tip_height(states[..., -FINAL_SAMPLES:, :]).amin(-1)
 
 
-def pendubot(demonstrations: Demonstrations | None = None) -> Experiment:
+def pendubot(demonstrations: Demonstrations | None = None) -> Task:
     """Swing the pendubot up as demonstrated, in 3 s at 25 Hz.
 
     A success has the tip above the line of the AI Olympics, 0.45 m, for the last 0.5 s.
@@ -65,19 +62,19 @@ def pendubot(demonstrations: Demonstrations | None = None) -> Experiment:
     return _one_motor("pendubot", PendubotEnv, demonstrations)
 
 
-def acrobot(demonstrations: Demonstrations | None = None) -> Experiment:
+def acrobot(demonstrations: Demonstrations | None = None) -> Task:
     """Swing the acrobot up as demonstrated, in 3 s at 25 Hz; all else is as of :func:`pendubot`."""
     return _one_motor("acrobot", AcrobotEnv, demonstrations)
 
 
 def _one_motor(
     name: str, make_env: type[PendubotEnv], demonstrations: Demonstrations | None
-) -> Experiment:
+) -> Task:
     demonstrations = demonstrations or shipped_demonstrations(name)
     env = make_env()
     demonstrations = fitting(demonstrations, one_motor_space(), env)
     states = states_from_positions(demonstrations.positions, demonstrations.time_step)
-    return Experiment(
+    return Task(
         name=name,
         make_env=make_env,
         space=one_motor_space(),
@@ -86,8 +83,11 @@ def _one_motor(
         initial=independent_start(env.initial_mean, env.initial_std),
         actions=actions_of(env),
         demonstrated_states=states.reshape(-1, 4),
-        num_centres=100,
-        least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64),
+        method=Method(
+            policy=PolicySettings(
+                num_centres=100, least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64)
+            )
+        ),
         error=of_states(depth_below_upright),
         tolerance=sum(LINK_LENGTHS) - LINE,
     )

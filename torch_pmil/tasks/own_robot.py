@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
@@ -26,17 +26,14 @@ from torch_pmil.envs.mujoco_robot import MujocoRobot
 from torch_pmil.envs.one_robot import OneRobot
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.seeds import Stream
+from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.method import Method, PolicySettings
 from torch_pmil.tasks.site_match import site_match
-from torch_pmil.tasks.task import (
-    Experiment,
-    actions_of,
-    fitting,
-    independent_start,
-)
+from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
 
 STARTS = 20  # resets by which p(x_0) is estimated
-START_SEED = 3_000_000  # of these resets
 LEAST_START = 0.01  # standard deviation of a start, in largest demonstrated values of its entry
 LEAST_START_BY_HAND = 0.05  # the same of a robot that a person puts there, and that is not asked
 NOISE = 0.05  # standard deviation of the observation noise, in demonstrated ranges of an entry
@@ -64,7 +61,7 @@ def own_robot(
     past_actions: int = 0,
     positions_only: bool = False,
     **settings: Any,
-) -> Experiment:
+) -> Task:
     """An experiment with one's own robot and recordings.
 
     What is not said is told from them: the start by 20 resets, unless ``initial`` is given, or by
@@ -96,7 +93,8 @@ def own_robot(
             (:func:`~torch_pmil.tasks.site_match.site_match`).
         past_entries, past_actions, positions_only: what the state holds of the past, see
             :func:`~torch_pmil.tasks.with_history.with_history`; nothing by default.
-        settings: fields of :class:`Experiment` in place of the defaults.
+        settings: fields of :class:`Task` and settings of its :class:`Method`, by name, in place of
+            the defaults.
 
     Raises:
         DemonstrationError: the demonstrations cannot be read, or do not fit the match space.
@@ -134,7 +132,8 @@ def own_robot(
     states = recover_states(
         space.match_space, shown.positions, control_period, _near(starts, settings, space), rates
     )
-    noise_std = torch.as_tensor(settings.pop("noise_std", _noise(shown)), dtype=torch.float64)
+    chosen, given = _split(settings)
+    noise_std = torch.as_tensor(given.pop("noise_std", _noise(shown)), dtype=torch.float64)
     deviation = Deviation(expert_distribution(shown, noise_std), space)
     held = _held(adapted.action_names, space.names)
     defaults: dict[str, Any] = {
@@ -143,28 +142,35 @@ def own_robot(
         "holding_actions": held,
         "held_states": None if held is None else states.flatten(0, 1),
         "demonstrated_states": states.flatten(0, 1),
-        "num_centres": CENTRES,
         "error": of_states(deviation),
         "tolerance": TOLERANCE,
-        "input_scale": INPUT_SCALE,
+        "method": Method(PolicySettings(num_centres=CENTRES, input_scale=INPUT_SCALE)),
         "draws": robot.draws,
     }
-    if "initial" not in settings:
+    if "initial" not in given:
         defaults["initial"] = _start(starts, states)
-    made = Experiment(
+    made = Task(
         make_env=robot,
         space=space,
         demonstrations=shown,
         noise_std=noise_std,
-        **(defaults | settings),
+        **(defaults | given),
     )
-    if made.promised is None and "confirmations" not in settings:
-        made = replace(made, confirmations=CONFIRMATIONS)
+    if made.promised is None:
+        chosen = {"confirmations": CONFIRMATIONS, **chosen}
+    made = made.with_settings(**chosen)
     if not (past_entries or past_actions or positions_only):
         return made
     return with_history(
         made, past_entries=past_entries, past_actions=past_actions, positions_only=positions_only
     )
+
+
+def _split(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Settings of the method, and fields of the task; raises TypeError for others."""
+    fields_of_task = {entry.name for entry in fields(Task)}
+    of_method = {name: value for name, value in settings.items() if name not in fields_of_task}
+    return of_method, {name: value for name, value in settings.items() if name in fields_of_task}
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +278,7 @@ def _starts(robot: Robot, observed: Sequence[str], names: tuple[str, ...], reset
 
 def _after_resets(robot: Robot, number: int) -> Tensor:
     """States of as many resets, (number, D)."""
-    env = robot(seed=START_SEED)
+    env = robot(seed=Stream.RESETS)
     return torch.stack([env.reset()["observation"] for _ in range(number)])
 
 

@@ -6,13 +6,13 @@ Robot, model, policy and search are those of the imitation.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from torch_pmil.checks import check_positive, check_tensor
+from torch_pmil.checks import check_tensor
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.demonstrations import Demonstrations
@@ -20,11 +20,13 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.losses import ExpectedSaturatingCost
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.settings import setting
 from torch_pmil.tasks.double_pendulum import UPRIGHT, double_pendulum
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 COST_WIDTH = 2.0  # m, Eq. 28
 VELOCITY_STD = 3.0  # rad/s
+VELOCITY_LIMIT = math.pi / 0.1  # rad/s: half a turn in a control step at 10 Hz
 SPREAD = 400  # states
 SEARCH = SearchSettings(
     mean_iterations=40,
@@ -38,20 +40,12 @@ SEARCH = SearchSettings(
 
 
 @dataclass(frozen=True, eq=False)
-class PilcoExperiment(Experiment):
+class PilcoTask(Task):
     """A task learned from the expected saturating cost of not being at a target (Eq. 28).
 
     Demonstrations give the number of steps and are drawn beside the prediction, nothing more: the
     policy's centres are spread over the state space, and what is too fast to learn from is told by
     the sampling.
-
-    Args:
-        target: where to be, (M,), in the match space.
-        cost_width: distance from the target beyond which the cost saturates, in the unit of the
-            match space.
-        velocity_std: of the states near which centres are drawn, in the unit of the entries that
-            are no angles; angles are uniform.
-        velocity_limit: of the states from which the model learns, in the same unit.
 
     Example:
         >>> pilco = double_pendulum_pilco()
@@ -61,16 +55,32 @@ class PilcoExperiment(Experiment):
 
     objective: ClassVar[type[TrajectoryLoss]] = ExpectedSaturatingCost
 
-    target: Tensor = field(kw_only=True)
-    cost_width: float = field(kw_only=True)
-    velocity_std: float = field(kw_only=True)
-    velocity_limit: float = field(kw_only=True)
+    target: Tensor = setting(
+        None,
+        "where the cost of PILCO is zero",
+        "Tensor",
+        words="numbers, one for each entry of the match space",
+        unit="the unit of the entry",
+    )
+    cost_width: float = setting(
+        COST_WIDTH,
+        "distance from the target at which the cost of PILCO saturates",
+        above=0,
+        unit="the unit of the entries",
+    )
+    velocity_std: float = setting(
+        VELOCITY_STD,
+        "standard deviation of the velocities at the centres of PILCO's new policy",
+        above=0,
+        unit="rad/s",
+    )
+    velocity_limit: float = setting(
+        VELOCITY_LIMIT, "largest velocity in the data of PILCO's model", above=0, unit="rad/s"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_tensor("target", self.target, (self.space.match_space.dim,))
-        for name in ("cost_width", "velocity_std", "velocity_limit"):
-            check_positive(name, getattr(self, name))
 
     @property
     def limits(self) -> Tensor:
@@ -78,16 +88,6 @@ class PilcoExperiment(Experiment):
         limits = torch.full_like(self.initial.mean, self.velocity_limit)
         limits[list(self.space.angles)] = torch.inf
         return limits
-
-    @property
-    def settings(self) -> dict[str, object]:
-        """Numbers that a run depends on."""
-        own = {
-            "cost_width": self.cost_width,
-            "velocity_std": self.velocity_std,
-            "velocity_limit": self.velocity_limit,
-        }
-        return super().settings | {"target": self.target.tolist(), **own}
 
     def make_loss(self, policy: RBFPolicy, dynamics: GPDynamics) -> ExpectedSaturatingCost:
         """The loss of the policy search: the expected cost of not being at the target."""
@@ -113,7 +113,7 @@ def random_states(space: StateSpace, velocity_std: float, generator: torch.Gener
     return states
 
 
-def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> PilcoExperiment:
+def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> PilcoTask:
     """The swing-up of Section 5.1 by PILCO.
 
     Arguments and errors are those of :func:`double_pendulum`.
@@ -123,11 +123,9 @@ def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> Pilco
     """
     task = double_pendulum(demonstrations)
     same = {entry.name: getattr(task, entry.name) for entry in fields(task)}
-    own = {"name": "double_pendulum_pilco", "search": SEARCH}
-    return PilcoExperiment(
+    own = {"name": "double_pendulum_pilco", "method": replace(task.method, search=SEARCH)}
+    return PilcoTask(
         **(same | own),
         target=torch.tensor(UPRIGHT, dtype=torch.float64),
-        cost_width=COST_WIDTH,
-        velocity_std=VELOCITY_STD,
         velocity_limit=math.pi / task.demonstrations.time_step,
     )

@@ -1,83 +1,139 @@
-"""The experiments, by name."""
+"""The tasks that can be learned by name: those of the package, and those of a user's own module."""
 
 from __future__ import annotations
 
-from torch_pmil.demonstrations import Demonstrations
-from torch_pmil.tasks.biorob import biorob
-from torch_pmil.tasks.biorob_targets import biorob_targets
-from torch_pmil.tasks.cart_pole import cart_pole
-from torch_pmil.tasks.double_pendulum import double_pendulum
-from torch_pmil.tasks.double_pendulum_servo import double_pendulum_servo
-from torch_pmil.tasks.double_pendulum_targets import double_pendulum_targets
-from torch_pmil.tasks.gym_pendulum import gym_pendulum
-from torch_pmil.tasks.handwriting import handwriting, handwriting_name
-from torch_pmil.tasks.inverted_pendulum import inverted_pendulum
-from torch_pmil.tasks.one_motor import acrobot, pendubot
-from torch_pmil.tasks.pilco import double_pendulum_pilco
-from torch_pmil.tasks.task import Experiment
+import os
+import sys
+from collections.abc import Callable
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
-EXPERIMENTS = {
-    "acrobot": acrobot,
-    "biorob": biorob,
-    "biorob_targets": biorob_targets,
-    "cart_pole": cart_pole,
-    "double_pendulum": double_pendulum,
-    "double_pendulum_pilco": double_pendulum_pilco,
-    "double_pendulum_servo": double_pendulum_servo,
-    "double_pendulum_targets": double_pendulum_targets,
-    "gym_pendulum": gym_pendulum,
-    "handwriting": handwriting,
-    "inverted_pendulum": inverted_pendulum,
-    "pendubot": pendubot,
+from torch_pmil.demonstrations import Demonstrations, Recordings, load_demonstrations
+from torch_pmil.files import short
+from torch_pmil.tasks.strokes import lasa_strokes
+from torch_pmil.tasks.task import Task
+
+EXPERIMENTS = {  # by name, the module of torch_pmil.tasks that has a function of that name
+    "acrobot": "one_motor",
+    "biorob": "biorob",
+    "biorob_targets": "biorob_targets",
+    "cart_pole": "cart_pole",
+    "double_pendulum": "double_pendulum",
+    "double_pendulum_pilco": "pilco",
+    "double_pendulum_servo": "double_pendulum_servo",
+    "double_pendulum_targets": "double_pendulum_targets",
+    "gym_pendulum": "gym_pendulum",
+    "handwriting": "handwriting",
+    "handwriting_biorob": "handwriting",
+    "inverted_pendulum": "inverted_pendulum",
+    "pendubot": "one_motor",
 }
+LASA = "lasa:"  # begins a source of demonstrations: a shape of the LASA handwriting set
 
 
-def load_experiment(
-    name: str,
-    demonstrations: Demonstrations | None = None,
-    shape: str | None = None,
-    robot: str | None = None,
-) -> Experiment:
-    """The experiment of that name.
+def load_experiment(name: str, demonstrations: Demonstrations | Recordings | None = None) -> Task:
+    """A task by name, with the settings by which it is learned.
 
     Args:
-        name: as on the command line.
-        demonstrations: one's own; those that come with the package if None.
-        shape, robot: of handwriting, see :func:`handwriting`; None in all others.
+        name: one of the package; or ``mine.py:arm`` or ``package.module:arm`` for a function
+            ``arm`` of one's own, which returns a :class:`Task` and may take the demonstrations.
+            Such a module is executed.
+        demonstrations: one's own; None for those that come with the task.
 
     Raises:
-        TypeError: the demonstrations are of another kind.
-        ValueError: there is none; the message lists those there are. Or the demonstrations are not
-            of that robot.
+        TypeError: the demonstrations are of another kind, or the function returns no task.
+        ValueError: there is no such task; the message lists those there are. Or the demonstrations
+            are not of that robot.
+        OSError: the file cannot be read.
         ImportError: it needs another library.
 
     Example:
         >>> load_experiment("double_pendulum").horizon
         25
     """
-    if demonstrations is not None and not isinstance(demonstrations, Demonstrations):
+    if not isinstance(demonstrations, Demonstrations | Recordings | None):
         raise TypeError(
             f"demonstrations must be Demonstrations, got {type(demonstrations).__name__}"
         )
-    if not isinstance(name, str) or name not in EXPERIMENTS:
-        raise ValueError(
-            f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}, got {name!r}"
-        )
-    if name == "handwriting":
-        return handwriting(demonstrations, shape, robot)
-    if shape is not None or robot is not None:
-        raise ValueError(
-            f"shape and robot are settings of experiment=handwriting, got shape={shape} and "
-            f"robot={robot} for {name}"
-        )
-    return EXPERIMENTS[name](demonstrations)
+    make = _maker(name)
+    task = make() if demonstrations is None else make(demonstrations)
+    if not isinstance(task, Task):
+        raise TypeError(f"{name} must return a Task, got {type(task).__name__}")
+    return task
 
 
-def run_name(experiment: str, shape: str | None, robot: str | None) -> str:
+def is_own(name: str) -> bool:
+    """Whether a name is that of a user's own task, whose module is executed."""
+    return ":" in name
+
+
+def demonstrations_from(source: str) -> Demonstrations | Recordings:
+    """The demonstrations of a file or folder, or of ``lasa:SHAPE``.
+
+    Raises:
+        ValueError: there is no such shape, or the file is malformed.
+        ImportError: the recordings of the LASA set, or a library for the format, are missing.
+        OSError: the file cannot be read.
+    """
+    if source.startswith(LASA):
+        return lasa_strokes(source.removeprefix(LASA))
+    return load_demonstrations(source)
+
+
+def run_name(experiment: str, demonstrations: str | None) -> str:
     """Name of the folder of an experiment's runs.
 
     Example:
-        >>> run_name("handwriting", "Angle", None), run_name("biorob", None, None)
-        ('handwriting_Angle_double_pendulum', 'biorob')
+        >>> run_name("handwriting", "lasa:Angle"), run_name("robots/mine.py:arm", None)
+        ('handwriting_Angle', 'arm')
     """
-    return handwriting_name(shape, robot) if experiment == "handwriting" else experiment
+    name = experiment.rpartition(":")[2]
+    shape = (demonstrations or "").partition(LASA)[2]
+    return f"{name}_{shape}" if shape else name
+
+
+def _maker(name: object) -> Callable[..., Any]:
+    """The function that makes a task."""
+    if isinstance(name, str) and name in EXPERIMENTS:
+        return getattr(import_module(f"torch_pmil.tasks.{EXPERIMENTS[name]}"), name)
+    if not isinstance(name, str) or not is_own(name):
+        raise ValueError(
+            f"experiment must be one of {', '.join(EXPERIMENTS)}, or FILE.py:FUNCTION or "
+            f"MODULE:FUNCTION of your own, got {short(name)}"
+        )
+    source, _, function = name.rpartition(":")
+    module = _module_at(Path(source)) if source.endswith(".py") else _module_named(source)
+    make = getattr(module, function, None)
+    if not callable(make):
+        raise ValueError(f"{source} must have a function {function}, found none of that name")
+    return make
+
+
+def _module_at(path: Path) -> ModuleType:
+    """The module of a file, whose folder may hold others that it imports."""
+    path.stat()  # raises if it is missing
+    spec = spec_from_file_location(path.stem, path.absolute())
+    assert spec is not None and spec.loader is not None  # as of any .py file
+    module = module_from_spec(spec)
+    with _importing_from(path.absolute().parent):
+        spec.loader.exec_module(module)
+    return module
+
+
+def _module_named(name: str) -> ModuleType:
+    """A module of the working folder or of the installed packages."""
+    with _importing_from(Path(os.getcwd())):
+        return import_module(name)
+
+
+@contextmanager
+def _importing_from(folder: Path):  # type: ignore[no-untyped-def]
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        sys.path.remove(str(folder))

@@ -43,12 +43,12 @@ def lasa_strokes(shape: str) -> Recordings:
         shape: name of the LASA file without its ending, as Angle.
 
     Raises:
-        ShapeError: there is none of that name.
+        ShapeError: there is no such shape.
         ImportError: the recordings are not installed.
     """
     shapes = sorted(path.stem for path in lasa_folder().glob("*.mat"))
     if shape not in shapes:
-        raise ShapeError(f"shape must be one of {', '.join(shapes)}, got {shape!r}")
+        raise ShapeError(f"a shape must be one of {', '.join(shapes)}, got {shape!r}")
     return load_recordings(lasa_folder() / f"{shape}.mat")
 
 

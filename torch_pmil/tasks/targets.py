@@ -10,7 +10,6 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from torch_pmil.checks import check_positive
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.demonstrations.distribution import expert_distribution
@@ -19,23 +18,23 @@ from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.search.multi_target_loss import MultiTargetKLLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
-from torch_pmil.tasks.task import Experiment, Outcome
+from torch_pmil.settings import setting
+from torch_pmil.tasks.outcome import Outcome
+from torch_pmil.tasks.task import Task
 
 
-@dataclass(frozen=True)
-class TargetExperiment(Experiment):
+@dataclass(frozen=True, eq=False)
+class TargetTask(Task):
     r"""An imitation task with a target :math:`\eta`, demonstrated for S of them.
 
-    It differs from :class:`Experiment` in this: the demonstrations have targets (N, K), the
-    states recovered from them are in the order of the demonstrations; ``make_env`` takes
-    ``targets`` (num_envs, K), or (K,) for one robot, which the environment says under ``"target"``.
-    The robot that learns does every trial once for each target.
+    It differs from :class:`Task` as follows. The demonstrations have targets (N, K), and the states
+    recovered from them are in the order of the demonstrations. ``make_env`` takes ``targets``
+    (num_envs, K), or (K,) for one robot, which the environment returns under ``"target"``. The
+    robot that learns does every trial once for each target.
 
-    Args:
-        target_scale: width of the policy's initial basis functions in the entries of the target, in
-            largest distances between the targets. Functions that are wide beside these distances
-            make a policy that is nearly linear in the target, which carries over to targets between
-            and beyond; narrow ones fit each target by itself.
+    Basis functions that are wide beside the distances of the targets make a policy that is nearly
+    linear in the target, which carries over to targets between and beyond; narrow ones fit each
+    target by itself.
 
     Raises:
         DemonstrationError: the demonstrations have no targets, or one alone.
@@ -43,11 +42,15 @@ class TargetExperiment(Experiment):
 
     objective: ClassVar[type[TrajectoryLoss]] = MultiTargetKLLoss
 
-    target_scale: float = 2.5
+    target_scale: float = setting(
+        2.5,
+        "width of a new policy's basis functions in the entries of the target",
+        above=0,
+        unit="largest distance between two targets",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive("target_scale", self.target_scale)
         if len(self.targets) < 2:
             raise DemonstrationError(
                 f"demonstrations must be of two targets at least, got {self.targets.tolist()}"
@@ -83,12 +86,8 @@ class TargetExperiment(Experiment):
 
     @property
     def settings(self) -> dict[str, object]:
-        """The settings of :class:`Experiment`, and the targets."""
-        return {
-            **super().settings,
-            "targets": self.targets.tolist(),
-            "target_scale": self.target_scale,
-        }
+        """The settings of :class:`Task`, and the targets."""
+        return {**super().settings, "targets": self.targets.tolist()}
 
     def widths(self, std: Tensor) -> Tensor:
         """Widths (D' + K,) of a new policy's basis functions: of features, then of the target."""
@@ -132,6 +131,7 @@ class TargetExperiment(Experiment):
                 predicted[i],
                 parts[i],
                 measured[i],
+                targets[i],
             )
             for i in range(len(targets))
         ]

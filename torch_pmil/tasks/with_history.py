@@ -1,4 +1,4 @@
-"""An experiment whose state holds past readings and past actions."""
+"""An task whose state holds past readings and past actions."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from torch_pmil.control.state_space import MatchSpace, StateSpace
 from torch_pmil.envs.history import History, HistoryEnv
 from torch_pmil.envs.rollouts import OfStates
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 
 def with_history(
-    experiment: Experiment,
+    task: Task,
     *,
     past_entries: int = 0,
     past_actions: int = 0,
     positions_only: bool = False,
-) -> Experiment:
+) -> Task:
     """The same task for a robot whose sensors do not show all that its motion depends on.
 
     The model learns the measured entries alone, and the rest of the state follows from them. Policy
     and model see the whole state.
 
     Args:
-        experiment: of the robot.
+        task: of the robot.
         past_entries: number of past values of all entries but positions that tell a velocity: what
             is hidden, as a spring, shows in them, and the noise of sensors averages out. Of angles
             they are plain numbers, in which a full turn is a difference.
@@ -52,9 +52,9 @@ def with_history(
         >>> task.space.names
         ('q1', 'dq1', 'q2', 'dq2', 'tau1@1', 'tau2@1')
     """
-    if experiment.history is not None:
-        raise ValueError(f"{experiment.name} has a history already")
-    names, velocities = experiment.space.names, rates_of(experiment.space.names)
+    if task.history is not None:
+        raise ValueError(f"{task.name} has a history already")
+    names, velocities = task.space.names, rates_of(task.space.names)
     if positions_only and not velocities:
         raise ValueError(
             "positions_only needs entries of the state that are velocities of others, dNAME beside "
@@ -63,27 +63,27 @@ def with_history(
     told = set(velocities.values()) if positions_only else set()
     history = History(
         names,
-        experiment.actions.names,
-        experiment.demonstrations.time_step,
+        task.actions.names,
+        task.demonstrations.time_step,
         hidden=tuple(names[rate] for rate in velocities) if positions_only else (),
         past=tuple(name for entry, name in enumerate(names) if entry not in told),
         past_entries=past_entries,
         past_actions=past_actions,
     )
-    return _remembering(experiment, history, Resting(experiment))
+    return _remembering(task, history, Resting(task))
 
 
 @dataclass(frozen=True, eq=False)
 class Resting:
     """Actions (*batch, F) of a robot that has rested in states (*batch, D_0).
 
-    They hold it there if the experiment knows which do, and else are the middle of the range.
+    They hold it there if the task knows which do, and else are the middle of the range.
     """
 
-    experiment: Experiment
+    task: Task
 
     def __call__(self, states: Tensor) -> Tensor:
-        actions, held = self.experiment.actions, self.experiment.holding_actions
+        actions, held = self.task.actions, self.task.holding_actions
         if held is None:
             return actions.middle.expand(*states.shape[:-1], -1)
         holding = held(states.reshape(-1, states.shape[-1])).clamp(actions.low, actions.high)
@@ -106,37 +106,39 @@ class OfShown:
         return self.function(shown)
 
 
-def _remembering(experiment: Experiment, history: History, resting: Resting) -> Experiment:
-    shown, error = len(history.names), experiment.error
-    least = torch.tensor(experiment.settings["least_widths"], dtype=torch.float64)
+def _remembering(task: Task, history: History, resting: Resting) -> Task:
+    shown, error = len(history.names), task.error
+    method, held = task.method, task.held_states
+    least = torch.tensor(task.settings["least_widths"], dtype=torch.float64)
+    policy = replace(method.policy, least_widths=_with_past(least, task, history))
+    if policy.input_widths is not None:
+        policy = replace(policy, input_widths=_with_past(policy.input_widths, task, history))
+    exploration = method.exploration
+    if isinstance(exploration, PDMovements):
+        exploration = _movements(exploration, history)
     changes: dict[str, Any] = {
         "history": history,
-        "make_env": partial(HistoryEnv, experiment.make_env, history, resting),
-        "space": _space(experiment, history),
-        "initial": _initial(experiment.initial, history, resting),
-        "demonstrated_states": _demonstrated(experiment, history, resting),
-        "least_widths": _with_past(least, experiment, history),
+        "make_env": partial(HistoryEnv, task.make_env, history, resting),
+        "space": _space(task, history),
+        "initial": _initial(task.initial, history, resting),
+        "demonstrated_states": _demonstrated(task, history, resting),
+        "method": replace(method, policy=policy, exploration=exploration),
         "error": OfShown(error, shown),
     }
     if isinstance(error, OfStates):
         changes["error"] = OfStates(OfShown(error.of_states, shown))
-    for name in ("predicted_error", "holding_actions"):
-        if (function := getattr(experiment, name)) is not None:
+    for name in ("predicted_error", "holding_actions", "sketch"):
+        if (function := getattr(task, name)) is not None:
             changes[name] = OfShown(function, shown)
-    if experiment.input_widths is not None:
-        changes["input_widths"] = _with_past(experiment.input_widths, experiment, history)
-    if experiment.held_states is not None:
-        held = experiment.held_states
+    if held is not None:
         changes["held_states"] = history.begin(held, resting(held))
-    if experiment.pd_movements is not None:
-        changes["pd_movements"] = _movements(experiment.pd_movements, history)
-    return replace(experiment, **changes)
+    return replace(task, **changes)
 
 
-def _space(experiment: Experiment, history: History) -> StateSpace:
-    space, more = experiment.space, history.dim - len(history.names)
+def _space(task: Task, history: History) -> StateSpace:
+    space, more = task.space, history.dim - len(history.names)
     units = dict(zip(space.names, space.units, strict=True))
-    units |= dict(zip(history.labels, experiment.actions.units, strict=True))
+    units |= dict(zip(history.labels, task.actions.units, strict=True))
     all_units = tuple(units[name] for name in history.origins)
     match, zeros = space.match_space, torch.zeros
     of_states, of_angles = match.weights.tensor_split([space.dim], -1)
@@ -155,25 +157,25 @@ def _initial(initial: Gaussian, history: History, resting: Resting) -> Gaussian:
     return Gaussian(mean, of_reading @ initial.cov @ of_reading.mT)
 
 
-def _demonstrated(experiment: Experiment, history: History, resting: Resting) -> Tensor:
+def _demonstrated(task: Task, history: History, resting: Resting) -> Tensor:
     """Demonstrated states with what came before them, by the actions that hold the robot there."""
-    count = len(experiment.demonstrations.positions)
-    readings = experiment.demonstrated_states.unflatten(0, (count, -1)).unbind(1)
+    count = len(task.demonstrations.positions)
+    readings = task.demonstrated_states.unflatten(0, (count, -1)).unbind(1)
     states = [history.begin(readings[0], resting(readings[0]))]
     for before, reading in pairwise(readings):
         states.append(history.advanced(states[-1], resting(before), reading))
     return torch.stack(states, 1).flatten(0, 1)
 
 
-def _with_past(widths: Tensor, experiment: Experiment, history: History) -> Tensor:
+def _with_past(widths: Tensor, task: Task, history: History) -> Tensor:
     """Widths (D'_0,) of the features, and of those of the past.
 
     They are half the range of past actions, and of past angles those of their sines.
     """
-    space = experiment.space
+    space = task.space
     known = dict(zip(space.feature_names, widths.tolist(), strict=True))
     known |= {space.names[entry]: known[f"sin {space.names[entry]}"] for entry in space.angles}
-    known |= dict(zip(history.labels, experiment.actions.half_range.tolist(), strict=True))
+    known |= dict(zip(history.labels, task.actions.half_range.tolist(), strict=True))
     past = [known[name] for name in history.origins[len(history.names) :]]
     now = len(space.plain)
     return torch.cat([widths[:now], widths.new_tensor(past), widths[now:]])

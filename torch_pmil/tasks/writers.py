@@ -38,7 +38,7 @@ class Writer:
 
     Args:
         name: of the robot.
-        make_env: as in :class:`Experiment`; takes ``initial_mean`` and ``initial_std``.
+        make_env: as in :class:`Task`; takes ``initial_mean`` and ``initial_std``.
         space: its match space holds the tip's place.
         origin: of the match space (M,), m: the middle of what is written.
         plane: in which it is written (2, M): to the right, and up.
@@ -185,9 +185,6 @@ def biorob_writer() -> Writer:
             mean_iterations=0, stage_iterations=30, final_iterations=60, trust_threshold=2.0
         ),
     )
-
-
-WRITERS = {"biorob": biorob_writer, "double_pendulum": pendulum_writer}
 
 
 def biorob_pose(places: Tensor) -> Tensor:

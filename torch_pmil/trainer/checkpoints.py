@@ -8,6 +8,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from torchrl.checkpoint import Checkpoint, CheckpointError, CheckpointRotation, GlobalRNGState
@@ -33,7 +34,16 @@ class GeneratorState:
 
 
 class RunRotation(CheckpointRotation):
-    """TorchRL's rotation, which opens no file but a checkpoint: others stay and do not count."""
+    """TorchRL's rotation, which opens no file but a checkpoint: others stay and do not count.
+
+    ``metadata`` stands in the manifest of every checkpoint.
+    """
+
+    metadata: Mapping[str, object] | None = None
+
+    def save(self, checkpoint: Checkpoint, *, step: int, **options: Any) -> Path:
+        """Save a checkpoint with the metadata of the run."""
+        return super().save(checkpoint, step=step, metadata=self.metadata, **options)
 
     def prune(self) -> tuple[Path, ...]:
         """Remove all undamaged checkpoints but the newest ones; return what was removed."""
@@ -49,9 +59,16 @@ def new_checkpoint() -> Checkpoint:
     return Checkpoint(format="archive", rng=GlobalRNGState())
 
 
-def rotation_in(folder: Path | str) -> RunRotation:
-    """Rotation that keeps the newest checkpoints of a run in this folder."""
-    return RunRotation(folder, keep_last=KEPT)
+def rotation_in(folder: Path | str, metadata: Mapping[str, object] | None = None) -> RunRotation:
+    """Rotation that keeps the newest checkpoints of a run in this folder.
+
+    Args:
+        folder: of the checkpoints.
+        metadata: entries about the run for each manifest, in types that JSON has.
+    """
+    rotation = RunRotation(folder, keep_last=KEPT)
+    rotation.metadata = metadata
+    return rotation
 
 
 def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Self
 
 from tensordict import TensorDictBase
 from torch import Tensor
+
+from torch_pmil.search.admission import Admission
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,41 @@ class Trial(Measurement):
     cut_short: str
     leaving_probability: float | None
     refused: int
+
+    @classmethod
+    def before_its_rollout(
+        cls,
+        number: int,
+        experience_s: float,
+        measured: tuple[float | None, int],
+        predicted_success_rate: float | None,
+        admission: Admission,
+        refitted: bool,
+        gp_seconds: float,
+    ) -> Self:
+        """A trial whose policy was found, admitted and measured, and has not run yet."""
+        search = admission.result
+        return cls(
+            trial=number,
+            experience_s=experience_s,
+            success_rate=measured[0],
+            n_eval=measured[1],
+            own_error=math.nan,
+            own_success=False,
+            predicted_success_rate=predicted_success_rate,
+            promised_success_rate=None,
+            loss=search.loss,
+            horizon=search.horizon,
+            refitted=refitted,
+            gp_seconds=gp_seconds,
+            search_seconds=search.seconds,
+            evaluations=search.evaluations,
+            stop_reason=search.stop_reason,
+            steps=0,
+            cut_short="" if admission.complete else "it was likely to leave the box",
+            leaving_probability=admission.leaving_probability,
+            refused=admission.refused,
+        )
 
 
 @dataclass(frozen=True, eq=False)

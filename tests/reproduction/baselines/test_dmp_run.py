@@ -23,7 +23,7 @@ from torch_pmil.envs.rollouts import states_of
 from torch_pmil.runs.summaries import find_runs, read_summary, success_over_experience
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 TRIALS, SEED = 2, 3
 short_run = partial(
@@ -36,7 +36,7 @@ short_run = partial(
 
 
 @pytest.fixture(scope="module")
-def experiment() -> Experiment:
+def experiment() -> Task:
     return load_experiment("double_pendulum")
 
 
@@ -46,7 +46,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_joint_trajectories_show_what_was_demonstrated_and_begin_near_the_robot(
-    experiment: Experiment,
+    experiment: Task,
 ) -> None:
     angles = joint_trajectories(experiment)
     states = torch.stack([angles, torch.zeros_like(angles)], -1).flatten(-2)
@@ -58,7 +58,7 @@ def test_joint_trajectories_show_what_was_demonstrated_and_begin_near_the_robot(
 
 
 def test_demonstration_that_begins_beyond_half_a_turn_is_the_same_motion(
-    experiment: Experiment,
+    experiment: Task,
 ) -> None:
     """Hanging is where arctangents jump: a start of -3.1 rad must not be averaged with one of 3.1
     rad.
@@ -75,7 +75,7 @@ def test_demonstration_that_begins_beyond_half_a_turn_is_the_same_motion(
 
 @pytest.mark.parametrize("hold", [1, 10])
 def test_first_experience_and_later_starts_are_those_of_our_learner(
-    experiment: Experiment, hold: int
+    experiment: Task, hold: int
 ) -> None:
     trainer = make_trainer(experiment, SEED, 2, False, lambda trial: None)
     batches = iter(trainer.collector)
@@ -164,13 +164,13 @@ def test_impossible_feedback_period_is_refused_before_a_folder_is_made(
     [(-1, 1, "seed .* got -1"), (0, 0, "trials .* got 0"), (0, 1.5, "trials .* got 1.5")],
 )
 def test_impossible_numbers_are_refused(
-    experiment: Experiment, tmp_path: Path, seed: int, trials: int, complaint: str
+    experiment: Task, tmp_path: Path, seed: int, trials: int, complaint: str
 ) -> None:
     with pytest.raises(ValueError, match=complaint):
         run_dmp(experiment, seed, trials, tmp_path, "")
 
 
-def test_other_robots_are_refused(experiment: Experiment, tmp_path: Path) -> None:
+def test_other_robots_are_refused(experiment: Task, tmp_path: Path) -> None:
     with pytest.raises(
         ValueError,
         match="the baseline with movement primitives is for double_pendulum, got gym_pendulum",
@@ -179,7 +179,7 @@ def test_other_robots_are_refused(experiment: Experiment, tmp_path: Path) -> Non
 
 
 def test_environment_is_asked_for_the_feedbacks_period(
-    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    experiment: Task, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick_fits(monkeypatch)
     made: list[float] = []
@@ -195,7 +195,7 @@ def test_environment_is_asked_for_the_feedbacks_period(
 
 
 @pytest.mark.slow
-def test_swing_up_is_learned(experiment: Experiment, tmp_path: Path) -> None:
+def test_swing_up_is_learned(experiment: Task, tmp_path: Path) -> None:
     summary = run_dmp(experiment, 10, 6, tmp_path, "")
     assert summary["trials"][0]["success_rate"] == 0
     assert summary["saved_success_rate"] >= 0.95

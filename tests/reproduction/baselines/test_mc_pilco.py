@@ -15,7 +15,7 @@ from tests.reproduction.baselines.test_bco import linear_system
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.saturating_cost import expected_saturating_cost
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 SEED, PERIOD = 100, 0.1
 
@@ -86,7 +86,7 @@ def test_bounded_slopes_keep_their_direction(draws: Draws) -> None:
     torch.testing.assert_close(bounded * norms[:, None], slopes * norms.clamp(max=1.5)[:, None])
 
 
-def pushed() -> Experiment:
+def pushed() -> Task:
     """Four steps of two free bodies, whose demonstrations are those of a push of 1 N·m each."""
     experiment = short_experiment()
     velocities = torch.arange(5, dtype=torch.float64) / 2

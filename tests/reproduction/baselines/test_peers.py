@@ -15,7 +15,7 @@ from reproduction.baselines.run_peer import named
 from reproduction.baselines.tune_peers import CONFIGURATIONS, needed_runs, success
 from tests.helpers.short_run import short_experiment
 from torch_pmil.files import read_json
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 SEED = 104
 QUICK = {
@@ -28,7 +28,7 @@ QUICK = {
 }
 
 
-def short_imitation() -> Experiment:
+def short_imitation() -> Task:
     """The first steps of the double pendulum, with the states of these steps alone."""
     short, count = short_experiment(), len(named("double_pendulum").demonstrations.positions)
     states = short.demonstrated_states.unflatten(0, (count, -1))[:, : short.horizon + 1]

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from reproduction.teachers.swing_up import STEPS, demonstrate
+from reproduction.teachers.trajectory_optimization import Plan, TrackingController
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
-from torch_pmil.search.trajectory_optimization import Plan, TrackingController
 
 COUNT = 40
 

@@ -31,8 +31,9 @@ from torch_pmil.runs.diagnosis.hidden_past import evidence_of_the_past
 from torch_pmil.runs.training import train
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess, Promise
+from torch_pmil.tasks.fitting import actions_of
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment, actions_of
+from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
 
 STARTS, LEARNED_FROM = 8, 5
@@ -40,11 +41,11 @@ HEAVY = (0.5, 0.9)  # kg
 STUCK = (5, 8, 8, 8, 8)
 
 
-def swing_up(**changes: object) -> Experiment:
+def swing_up(**changes: object) -> Task:
     return replace(load_experiment("double_pendulum"), **changes)
 
 
-def weak_swing_up(limit: float, samples: int) -> Experiment:
+def weak_swing_up(limit: float, samples: int) -> Task:
     """The beginning of the swing-up, for motors that are too weak."""
     shipped = shipped_demonstrations("double_pendulum")
     beginning = load_experiment(
@@ -54,13 +55,13 @@ def weak_swing_up(limit: float, samples: int) -> Experiment:
     return replace(beginning, make_env=weak, actions=actions_of(weak()), num_centres=30)
 
 
-def shown(positions: Tensor) -> Experiment:
+def shown(positions: Tensor) -> Task:
     return load_experiment(
         "double_pendulum", replace(shipped_demonstrations("double_pendulum"), positions=positions)
     )
 
 
-def rollouts(experiment: Experiment, policy: RBFPolicy, starts: int, seed: int) -> TensorDictBase:
+def rollouts(experiment: Task, policy: RBFPolicy, starts: int, seed: int) -> TensorDictBase:
     state_policy = StatePolicy(
         policy,
         experiment.space,
@@ -73,11 +74,11 @@ def rollouts(experiment: Experiment, policy: RBFPolicy, starts: int, seed: int) 
         )
 
 
-def new_policy(experiment: Experiment) -> RBFPolicy:
+def new_policy(experiment: Task) -> RBFPolicy:
     return experiment.make_policy(torch.Generator().manual_seed(0))
 
 
-def tracking_policy(experiment: Experiment) -> RBFPolicy:
+def tracking_policy(experiment: Task) -> RBFPolicy:
     """What does in the demonstrated states what they ask of the motors."""
     torques, policy = needed_torques(experiment), new_policy(experiment)
     before = experiment.demonstrated_states.unflatten(0, (len(torques), -1))[:, :-1]
@@ -85,7 +86,7 @@ def tracking_policy(experiment: Experiment) -> RBFPolicy:
     return policy
 
 
-def model_of(experiment: Experiment, policy: RBFPolicy, steps: int | None = None) -> GPDynamics:
+def model_of(experiment: Task, policy: RBFPolicy, steps: int | None = None) -> GPDynamics:
     """Fitted to the first steps of a few rollouts of the policy."""
     lived = rollouts(experiment, policy, LEARNED_FROM, 1)[:, :steps]
     inputs = torch.cat([experiment.space.features(lived["observation"]), lived["action"]], -1)
@@ -97,7 +98,7 @@ def model_of(experiment: Experiment, policy: RBFPolicy, steps: int | None = None
 
 
 def diagnose(
-    experiment: Experiment,
+    experiment: Task,
     policy: RBFPolicy,
     dynamics: GPDynamics,
     horizons: tuple[int, ...] = STUCK,

@@ -27,7 +27,7 @@ from torch_pmil.runs.diagnosis.demonstration_checks import (
 )
 from torch_pmil.runs.diagnosis.modes import DRAWS, SIMULATIONS, _uniform_ratios
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 SETS = 400
 MIRROR = torch.tensor([-1.0, 1.0, -1.0, 1.0])
@@ -279,7 +279,7 @@ def test_smooth_sets_seldom_jump() -> None:
     assert alarms <= 0.01 * SETS + 3 * math.sqrt(0.01 * SETS)
 
 
-def crowd(name: str, count: int, samples: int) -> Experiment:
+def crowd(name: str, count: int, samples: int) -> Task:
     """A task whose demonstrations go to and fro along the shipped ones, each a little otherwise."""
     shipped = shipped_demonstrations(name)
     N, own, _ = shipped.positions.shape

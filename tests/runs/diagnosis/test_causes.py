@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 
 import pytest
 import torch
+from torch_pmil.runs.setting_words import OF_EXPERIMENT
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.action_space import ActionSpace
@@ -27,7 +28,6 @@ from torch_pmil.runs.diagnosis.causes import (
     unpredictable,
 )
 from torch_pmil.runs.diagnosis.demonstration_checks import Finding
-from torch_pmil.runs.setting_words import OF_EXPERIMENT
 from torch_pmil.tasks.registry import load_experiment
 
 NAMES = ("q", "dq")

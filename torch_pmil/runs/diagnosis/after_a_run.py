@@ -33,12 +33,13 @@ from torch_pmil.runs.diagnosis.hidden_past import evidence_of_the_past
 from torch_pmil.search.kl import gaussian_kl
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
-from torch_pmil.tasks.task import Experiment, Outcome
+from torch_pmil.tasks.outcome import Outcome
+from torch_pmil.tasks.task import Task
 
 
 @torch.no_grad()
 def likely_reasons(
-    experiment: Experiment,
+    experiment: Task,
     loss: TrajectoryLoss,
     outcomes: Sequence[Outcome],
     horizons: Sequence[int],
@@ -74,7 +75,7 @@ def likely_reasons(
     evidence = evidence_of_the_past(experiment, loss.dynamics.targets, recorded)
     past = check_past(evidence) if evidence else None
     step_loss = loss.step_loss_for_trust(experiment.initial)
-    step = first_mismatch(step_loss, experiment.search.trust_threshold)
+    step = first_mismatch(step_loss, experiment.method.search.trust_threshold)
     led = _of_the_model(experiment, loss.dynamics, outcome, step or experiment.horizon)
     beyond = [] if led else _of_the_model(experiment, loss.dynamics, outcome, experiment.horizon)
     reasons = [
@@ -96,7 +97,7 @@ def likely_reasons(
     return [unexplained(*counted, experiment.tolerance, largest, experiment.adjustable)]
 
 
-def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
+def _of_the_robot(experiment: Task, outcome: Outcome) -> list[Reason]:
     """Reasons that lie in the robot's motors."""
     outcome, torques = outcome.compared, needed_torques(experiment)
     needed = None if torques is None else torques.abs().amax((0, 1))
@@ -114,7 +115,7 @@ def _of_the_robot(experiment: Experiment, outcome: Outcome) -> list[Reason]:
 
 
 def _of_the_model(
-    experiment: Experiment, dynamics: GPDynamics, outcome: Outcome, steps: int
+    experiment: Task, dynamics: GPDynamics, outcome: Outcome, steps: int
 ) -> list[Reason]:
     """Reasons that lie in the model, by the first steps of rollouts that it was not fitted to."""
     outcome = outcome.compared
@@ -130,7 +131,7 @@ def _of_the_model(
     )
 
 
-def known_steps(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
+def known_steps(experiment: Task, dynamics: GPDynamics, outcome: Outcome) -> Tensor:
     """The steps t = 0..T-1 of executed rollouts at which the model knows something, bool, (N, T).
 
     That is within the limits of the states that it learns from, or within the largest values of
@@ -148,7 +149,7 @@ def known_steps(experiment: Experiment, dynamics: GPDynamics, outcome: Outcome) 
 
 
 def _of_the_search(
-    experiment: Experiment,
+    experiment: Task,
     loss: TrajectoryLoss,
     outcomes: Sequence[Outcome],
     step_loss: Tensor,
@@ -162,7 +163,7 @@ def _of_the_search(
 
 
 def _largest(
-    experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], step_loss: Tensor
+    experiment: Task, loss: TrajectoryLoss, outcomes: Sequence[Outcome], step_loss: Tensor
 ) -> str:
     """The largest loss of a step under the newest model, in words."""
     name, unit = _named(loss)
@@ -182,7 +183,7 @@ def _named(loss: TrajectoryLoss) -> tuple[str, str]:
 
 
 def _mismatch(
-    experiment: Experiment, loss: TrajectoryLoss, outcomes: Sequence[Outcome], step: int
+    experiment: Task, loss: TrajectoryLoss, outcomes: Sequence[Outcome], step: int
 ) -> str:
     """The entry in which prediction and demonstrations differ most at a step.
 

@@ -21,14 +21,14 @@ from torch_pmil.runs.diagnosis.demonstration_checks import (
     check_stops,
     check_torques,
 )
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 TORQUE_STEPS = 400  # of which torques are computed
 STRETCH = 20  # steps in a row, where the demonstrations have more in all
 MARGIN = 3  # steps before and after a stretch, which its spline goes through
 
 
-def check(experiment: Experiment) -> list[Finding]:
+def check(experiment: Task) -> list[Finding]:
     """Check the demonstrations of an experiment; those shipped have no finding.
 
     Modes, jumps and the number are those of each target. Reach and torques are told where the
@@ -64,7 +64,7 @@ def check(experiment: Experiment) -> list[Finding]:
     ]
 
 
-def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Finding]:
+def _check_robot(experiment: Task, noise_std: torch.Tensor) -> list[Finding]:
     """Findings on motions that the robot itself cannot do."""
     demonstrations = experiment.demonstrations
     N, samples, _ = demonstrations.positions.shape
@@ -87,7 +87,7 @@ def _check_robot(experiment: Experiment, noise_std: torch.Tensor) -> list[Findin
     return findings
 
 
-def needed_torques(experiment: Experiment) -> torch.Tensor | None:
+def needed_torques(experiment: Task) -> torch.Tensor | None:
     """Torques along the demonstrations, (N, T, F), N·m.
 
     Of more than 400 steps in all, two sets of stretches of 20 steps have their torques computed,
@@ -118,7 +118,7 @@ def needed_torques(experiment: Experiment) -> torch.Tensor | None:
     return torques
 
 
-def _stretches(experiment: Experiment) -> list[tuple[int, int, int]]:
+def _stretches(experiment: Task) -> list[tuple[int, int, int]]:
     """Demonstration, first step and last (excluded) of the steps whose torques are computed."""
     positions = experiment.demonstrations.positions / experiment.noise_std
     N, T = len(positions), positions.shape[1] - 1

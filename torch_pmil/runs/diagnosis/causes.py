@@ -273,7 +273,7 @@ def check_motion(
         f"the robot went {_percent(moved)} as far from its start as the demonstrations: torques "
         "below its weight or static friction move and teach nothing; let its first motion be "
         f"larger ({larger_motion(settings)}), and begin at actions that hold it (holding_actions "
-        "of an Experiment)",
+        "of an Task)",
     )
 
 

@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.dynamics import Targets
 from torch_pmil.runs.diagnosis.past_evidence import evidence_of_past_action, evidence_of_past_state
-from torch_pmil.tasks.task import Experiment
+from torch_pmil.tasks.task import Task
 
 RECORDED = 200  # transitions by which it is told, the latest; one rollout at least
 FEWEST_STEPS = 5  # of a rollout, beyond those that the state remembers
@@ -41,7 +41,7 @@ class PastEvidence:
 
 
 def evidence_of_the_past(
-    experiment: Experiment, targets: Targets, recorded: Sequence[TensorDictBase]
+    experiment: Task, targets: Targets, recorded: Sequence[TensorDictBase]
 ) -> PastEvidence | None:
     """The evidence of the latest rollouts; None where there is too little to tell.
 

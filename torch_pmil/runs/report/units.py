@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from torch_pmil.runs.setting_words import SETTINGS
+from torch_pmil.runs.settings import SETTINGS
 
 # of what a summary's settings hold besides
 DERIVED = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from torch_pmil.search.trajectory_optimization import (
+from reproduction.teachers.trajectory_optimization import (
     QuadraticCost,
     linearize,
     plan_trajectory,

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+import torch
 from torch import Tensor
 
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.gp.lbfgs import NotFiniteError
+from torch_pmil.gp.lbfgs import MakeOptimizer, NotFiniteError
 from torch_pmil.search.policy_search import (
+    Report,
     SearchResult,
     SearchSettings,
     evaluate_steps,
@@ -52,7 +53,8 @@ def admit(
     box: StateBox | None,
     settings: SearchSettings,
     result: SearchResult,
-    report: Callable[[str, float], None] = lambda stage, loss: None,
+    report: Report = lambda stage, loss: None,
+    optimizer: MakeOptimizer = torch.optim.LBFGS,
 ) -> Admission:
     """Predict whether the policy of ``loss`` leaves a box; search on with a penalty where it may.
 
@@ -65,7 +67,7 @@ def admit(
         box: the limits of the motion; without, every policy is admitted.
         settings: budget and horizon of the searches.
         result: of the search that found the policy.
-        report: as in :func:`search_policy`.
+        report, optimizer: as for :func:`search_policy`.
     """
     if box is None:
         return Admission(result, None, 0, loss.horizon)
@@ -76,7 +78,7 @@ def admit(
         refused += 1
         try:
             with loss.penalised(partial(box.penalty, weight=weight)):
-                again = search_policy(loss, initial, settings, report)
+                again = search_policy(loss, initial, settings, report, optimizer=optimizer)
         except NotFiniteError:  # so far outside that no search can begin
             break
         result = _with_loss(loss, initial, again.with_work_of(result))

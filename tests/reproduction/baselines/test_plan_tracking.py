@@ -10,19 +10,19 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
+from reproduction.baselines.plan_tracking import PlanTracking
 from reproduction.teachers.swing_up import array_dynamics
+from reproduction.teachers.trajectory_optimization import QuadraticCost, plan_trajectory
 from tests.helpers.short_run import quick_fits
 from torch_pmil.envs import CartPoleEnv
 from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.search.trajectory_optimization import QuadraticCost, plan_trajectory
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Experiment
-from torch_pmil.trainer.plan_tracking import PlanTracking
+from torch_pmil.tasks.task import Task
 
 NAMES = ["double_pendulum", "pendubot"]
 
 
-def fitted(experiment: Experiment) -> GPDynamics:
+def fitted(experiment: Task) -> GPDynamics:
     """The model of an experiment, of random transitions near the start."""
     generator = torch.Generator().manual_seed(0)
     n, D, actions = 40, experiment.space.dim, experiment.actions
@@ -45,7 +45,7 @@ def first_steps(tracking: PlanTracking, steps: int = 8) -> PlanTracking:
     )
 
 
-def successors(experiment: Experiment, dynamics: GPDynamics, x: Tensor, u: Tensor) -> Tensor:
+def successors(experiment: Task, dynamics: GPDynamics, x: Tensor, u: Tensor) -> Tensor:
     inputs = torch.cat([experiment.space.features(x), u], -1)
     with torch.no_grad():
         outputs = dynamics.expansion.mean(inputs)

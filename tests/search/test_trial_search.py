@@ -17,7 +17,7 @@ from torch_pmil.search import success_search
 from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess, Promise
-from torch_pmil.search.success_search import STEADYINGS, search_for_success, steady_policy
+from torch_pmil.search.trial_search import STEADYINGS, search_for_success, steady_policy
 
 HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
 SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))

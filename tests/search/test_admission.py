@@ -15,10 +15,10 @@ from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError
+from torch_pmil.search.admission import admit
 from torch_pmil.search.losses import TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
-from torch_pmil.trainer.admission import admit
 
 HORIZON, SETTINGS = 4, SearchSettings(10, 20, 40, first_horizon=4)
 SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
@@ -85,7 +85,7 @@ def test_first_steps_are_left_of_a_policy_that_leaves_whatever_the_penalty(
     loss, result = searched
     leaving = torch.tensor([0.01, 0.02, 0.03, 0.5], dtype=torch.float64)
     monkeypatch.setattr(StateBox, "leaving_by_step", lambda box, states: leaving)
-    monkeypatch.setattr("torch_pmil.trainer.admission.search_policy", lambda *args: result)
+    monkeypatch.setattr("torch_pmil.search.admission.search_policy", lambda *args: result)
     admission = admit(loss, INITIAL, box(0.5), SETTINGS, result)
     assert (admission.refused, admission.steps) == (3, 2)
     assert admission.leaving_probability == pytest.approx(0.56)
@@ -115,7 +115,7 @@ def test_steps_that_cannot_be_predicted_leave(
     searched: tuple[TrajectoryLoss, SearchResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loss, result = searched
-    monkeypatch.setattr("torch_pmil.trainer.admission.search_policy", lambda *args: result)
+    monkeypatch.setattr("torch_pmil.search.admission.search_policy", lambda *args: result)
     predict = loss.predict_states
 
     def failing(initial: Gaussian, horizon: int | None = None) -> Gaussian:

@@ -17,12 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_pmil.control.action_space import ActionSpace
-from torch_pmil.control.rbf_policy import RBFPolicy
-from torch_pmil.control.state_space import StateSpace
-from torch_pmil.gp.gaussian import normal
-from torch_pmil.model.dynamics import GPDynamics
-from torch_pmil.search.trajectory_optimization import (
+from reproduction.teachers.trajectory_optimization import (
     Array,
     Dynamics,
     Plan,
@@ -32,6 +27,11 @@ from torch_pmil.search.trajectory_optimization import (
     roll_out,
     tracking_gains,
 )
+from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.state_space import StateSpace
+from torch_pmil.gp.gaussian import normal
+from torch_pmil.model.dynamics import GPDynamics
 
 TURN = 2 * np.pi  # rad
 SAMPLES = 20  # states a time step, at which a policy is fitted

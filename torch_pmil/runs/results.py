@@ -1,0 +1,174 @@
+"""The results of a finished run, as its summary holds them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from statistics import fmean
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from torch_pmil.demonstrations.distribution import demonstration_spread, rms_error
+from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
+from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
+from torch_pmil.model.rollout import PredictionError
+from torch_pmil.runs.diagnosis.after_a_run import likely_reasons
+from torch_pmil.runs.diagnosis.causes import (
+    LEARNED,
+    check_cut_short,
+    saturated_fraction,
+    unpredictable,
+)
+from torch_pmil.tasks.outcome import Outcome
+from torch_pmil.tasks.task import Task
+from torch_pmil.trainer.trainer import PMILTrainer
+from torch_pmil.trainer.trials import Candidate, Trial, success_rate
+
+
+def results_of(
+    trainer: PMILTrainer, best: Candidate, task: Task
+) -> tuple[dict[str, Any], list[Outcome]]:
+    """The results of a run whose saved policy is ``best``, and its outcome for each target."""
+    predicted, failure = _predict(trainer, task)
+    outcomes = task.outcomes(predicted, *_executed(trainer, best))
+    results = {
+        **_measured(trainer, best, task, outcomes),
+        **(_unknown(failure) if failure else _compared(trainer, task, outcomes)),
+    }
+    results["diagnosis"] = _diagnosis(trainer, task, outcomes, results)
+    results["trials"] = [_plain(trial) for trial in trainer.trials]
+    return results, outcomes
+
+
+@torch.no_grad()
+def _predict(trainer: PMILTrainer, task: Task) -> tuple[Gaussian, PredictionError | None]:
+    """The saved policy's predicted states; NaN, and why, if the newest model cannot predict it."""
+    try:
+        return trainer.loss_module.predict_states(task.initial), None
+    except PredictionError as error:
+        return Gaussian(*(moment * torch.nan for moment in _like(task))), error
+
+
+def _like(task: Task) -> tuple[Tensor, Tensor]:
+    """Moments of the shapes of predicted states, of all targets if there are several."""
+    leading, D = task.demonstrated.mean.shape[:-1], task.space.dim
+    return (
+        torch.zeros(*leading, D, dtype=torch.float64),
+        torch.zeros(*leading, D, D, dtype=torch.float64),
+    )
+
+
+@torch.no_grad()
+def _executed(trainer: PMILTrainer, best: Candidate) -> tuple[TensorDictBase, Tensor]:
+    """Rollouts of the saved policy and their errors: from fresh starts, or else its own."""
+    if trainer.evaluation_env is not None:
+        rollouts = trainer.evaluation_env.rollout(trainer.loss_module.horizon, trainer.robot_policy)
+        return rollouts, trainer.error(rollouts)
+    rollouts = trainer.own_rollout(best)
+    if not rollouts.batch_size.numel():
+        cut_short = trainer.trials[best.trial - 1].cut_short
+        raise RuntimeError(f"no policy made a step on the robot: {cut_short}")
+    return rollouts, torch.full(rollouts.shape[:1], best.own_error, dtype=torch.float64)
+
+
+def _measured(
+    trainer: PMILTrainer, best: Candidate, task: Task, outcomes: list[Outcome]
+) -> dict[str, object]:
+    """The results of a run, with the saved policy measured anew from starts that no trial saw.
+
+    Without such starts its own rollout tells. Of several targets it is the mean.
+    """
+    match_space, measured = task.space.match_space, trainer.evaluation_env is not None
+    rates = {outcome.label: success_rate(outcome.errors, task.tolerance) for outcome in outcomes}
+    compared = [outcome.compared for outcome in outcomes]
+    spread = torch.stack([demonstration_spread(outcome.demonstrations) for outcome in compared])
+    errors = torch.stack(
+        [
+            rms_error(outcome.demonstrations, task.space.observe(outcome.executed))
+            for outcome in compared
+        ]
+    )
+    saturated = torch.stack(
+        [saturated_fraction(outcome.rollouts["action"], task.actions) for outcome in outcomes]
+    ).mean(0)
+    return {
+        "stop_reason": trainer.stop_reason,
+        "experience_s": round(len(trainer.experience) * trainer.control_period, 6),
+        "saved_trial": best.trial,
+        "saved_success_rate": fmean(rates.values()),
+        "promised_success_rate": trainer.promised_success_rate(),
+        "saved_n_eval": sum(len(outcome.errors) for outcome in outcomes) if measured else 0,
+        **({"saved_success_rate_by_target": rates} if len(outcomes) > 1 else {}),
+        "units": {
+            "objective": task.objective.unit,
+            "demonstrations": dict(zip(match_space.names, match_space.units, strict=True)),
+        },
+        "rms_error": _by_name(match_space.names, errors.square().mean(0).sqrt()),
+        "demonstration_spread": _by_name(match_space.names, spread.square().mean(0).sqrt()),
+        "saturated": _by_name(task.actions.names, saturated),
+    }
+
+
+def _compared(trainer: PMILTrainer, task: Task, outcomes: list[Outcome]) -> dict[str, object]:
+    """The results that compare what was predicted with what was executed and demonstrated."""
+    compared = [outcome.compared for outcome in outcomes]
+    covered = torch.stack(
+        [two_sigma_coverage_by_entry(outcome.predicted, outcome.executed) for outcome in compared]
+    ).mean(0)
+    try:
+        per_step = _per_step(trainer, task)
+    except (PredictionError, NotPositiveDefiniteError) as error:
+        return _unknown(error)
+    return {
+        "two_sigma_coverage": fmean(
+            two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in compared
+        ),
+        "two_sigma_coverage_by_entry": _by_name(task.space.names, covered),
+        "loss_per_step": per_step,
+    }
+
+
+def _unknown(error: Exception) -> dict[str, object]:
+    """The entry in place of those of :func:`_compared`, where the model cannot predict."""
+    return {"prediction_error": str(error)}
+
+
+def _diagnosis(
+    trainer: PMILTrainer,
+    task: Task,
+    outcomes: list[Outcome],
+    results: Mapping[str, Any],
+) -> list[dict[str, object]]:
+    """Likely reasons why the run did not learn; an empty list if it did."""
+    if "prediction_error" in results:
+        learned = results["saved_success_rate"] >= LEARNED
+        reasons = [] if learned else [unpredictable(results["prediction_error"])]
+    else:
+        horizons = [trial.horizon for trial in trainer.trials]
+        recorded = trainer.own_rollouts()
+        reasons = likely_reasons(task, trainer.loss_module, outcomes, horizons, recorded)
+    stopped = check_cut_short([trial.cut_short for trial in trainer.trials]) if reasons else None
+    return [asdict(reason) for reason in (stopped, *reasons) if reason is not None]
+
+
+@torch.no_grad()
+def _per_step(trainer: PMILTrainer, task: Task) -> list[float]:
+    """Summands of the saved policy's predicted loss under the newest model, (T,)."""
+    return trainer.loss_module.per_step(task.initial).tolist()
+
+
+def _by_name(names: tuple[str, ...], values: Tensor) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))
+
+
+def _plain(trial: Trial) -> dict[str, object]:
+    """A trial as JSON has it: a loss that is not finite is null."""
+    values = asdict(trial)
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in values.items()
+    }

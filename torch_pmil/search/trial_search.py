@@ -1,0 +1,244 @@
+"""What a trial searches: from which starts, in which order, and which policy is kept (Eq. 22)."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.lbfgs import MakeOptimizer
+from torch_pmil.search.losses import TrajectoryKLLoss
+from torch_pmil.search.policy_search import (
+    Report,
+    SearchResult,
+    SearchRuns,
+    SearchSettings,
+    refit_policy,
+    search_policy,
+)
+from torch_pmil.search.promise import PredictedSuccess, Promise
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+
+PROGRESS = 0.8  # a search should bring the loss below this fraction of the smallest so far
+SUCCESS_SEARCHES = 6  # searches for success from random policies, in a whole run
+STEADYINGS = 8  # of one policy, while it gets no worse
+
+
+class TrialSearch:
+    """The policy searches of the trials of one run.
+
+    A trial searches from the policy that the last one left. If that neither matches the whole
+    horizon nor brings the loss well below the smallest so far, it searches from the refitted policy
+    too (:func:`refit_policy`), and then from ``settings.restarts`` random policies. The best is
+    kept. After a rollout that failed, a match of the whole horizon is not enough: an optimum far
+    above others may match too.
+
+    A policy that matches the whole horizon, but is predicted to fail from too many starts, is
+    searched on (:func:`search_for_success`). Random policies are tried only after a rollout that
+    succeeded: before, a predicted failure may be what the model does not know yet.
+
+    Args:
+        settings: budget and horizon of each search.
+        make_policy: returns a new random policy of the same shape.
+        generator: source of the random states of :func:`refit_policy`.
+        promise: what the policy must keep; None if no success is predicted.
+        report, optimizer: as for :func:`search_policy`.
+
+    Attributes:
+        result: outcome of the last trial's searches.
+        refitted: whether the last trial searched from a refitted policy too.
+    """
+
+    result: SearchResult
+
+    def __init__(
+        self,
+        settings: SearchSettings,
+        make_policy: Callable[[], RBFPolicy],
+        generator: torch.Generator,
+        promise: Promise | None = None,
+        report: Report = lambda stage, loss: None,
+        optimizer: MakeOptimizer = torch.optim.LBFGS,
+    ) -> None:
+        self.settings, self.make_policy, self.generator = settings, make_policy, generator
+        self.promise, self.report, self.optimizer = promise, report, optimizer
+        self.refitted = False
+        self._least, self._left = math.inf, SUCCESS_SEARCHES
+
+    def run(self, loss: TrajectoryLoss, initial: Gaussian, succeeded: bool | None) -> SearchResult:
+        """Search the policy of one trial.
+
+        Args:
+            loss: objective with the policy (changed in place) and the newest model.
+            initial: p(x_0).
+            succeeded: whether the last rollout was a success; None before the first.
+        """
+        search = partial(search_policy, loss, initial, self.settings, self.report)
+        search = partial(search, optimizer=self.optimizer)
+        self.result = search(random=self._least == math.inf)
+        self.refitted = not self._enough(succeeded)
+        if self.refitted:
+            new = self.make_policy()
+            start = refit_policy(loss, initial, new, self.settings, self.generator)
+            self._keep_better(loss, start, search)
+        for _ in range(self.settings.restarts):
+            if not self._enough(succeeded):
+                self._keep_better(loss, self.make_policy(), partial(search, random=True))
+        self._least = min(self._least, self.result.loss)
+        if self.promise is not None and self.result.complete:
+            self.result = search_for_success(
+                loss,
+                initial,
+                self.promise,
+                self.settings,
+                self.result,
+                self._random_policies() if succeeded else (),
+                self.report,
+                self.optimizer,
+            )
+        return self.result
+
+    def _enough(self, succeeded: bool | None) -> bool:
+        """Whether the best policy so far makes other starts needless."""
+        progress = self.result.loss < PROGRESS * self._least
+        return progress or (self.result.complete and succeeded is not False)
+
+    def _keep_better(
+        self, loss: TrajectoryLoss, start: RBFPolicy, search: Callable[[], SearchResult]
+    ) -> None:
+        """Search from another start, and keep the better of the two policies."""
+        found = copy.deepcopy(loss.actor_network.state_dict())
+        loss.actor_network.load_state_dict(start.state_dict())
+        second = search()
+        if second.loss < self.result.loss:
+            self.result = second.with_work_of(self.result)
+        else:
+            loss.actor_network.load_state_dict(found)
+            self.result = self.result.with_work_of(second)
+
+    def _random_policies(self) -> Iterator[RBFPolicy]:
+        """New policies, as many as this run may still begin searches for success with."""
+        while self._left:
+            self._left -= 1
+            yield self.make_policy()
+
+    def state_dict(self) -> dict[str, Any]:
+        """State on which the next search depends, besides policy and model."""
+        return {"least": self._least, "success_searches_left": self._left}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restore the state that :meth:`state_dict` returned."""
+        self._least, self._left = state_dict["least"], state_dict["success_searches_left"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A policy that a search left, and what is predicted of it."""
+
+    result: SearchResult
+    predicted: PredictedSuccess
+    parameters: dict[str, Tensor]
+
+    @property
+    def merit(self) -> tuple[float, float]:
+        return self.predicted.rate, -self.result.loss
+
+
+def search_for_success(
+    loss: TrajectoryLoss,
+    initial: Gaussian,
+    promise: Promise,
+    settings: SearchSettings,
+    result: SearchResult,
+    policies: Iterable[RBFPolicy] = (),
+    report: Report = lambda stage, loss: None,
+    optimizer: MakeOptimizer = torch.optim.LBFGS,
+) -> SearchResult:
+    """Search on until the predicted success rate of the policy is :attr:`Promise.aim`.
+
+    The policy is steadied first (:func:`steady_policy`), if the loss is a KL, again and again while
+    it gets no worse. Then others are searched from random policies, and steadied too. The policy
+    with the highest predicted rate is kept, of several alike the one of least loss.
+
+    Args:
+        loss: objective with the policy (changed in place) and the model.
+        initial: p(x_0).
+        promise: what the policy must keep.
+        settings: budget and horizon of the searches.
+        result: of the search that found the policy, which matches the whole horizon.
+        policies: random policies of the same shape, of which no more are taken than are needed.
+        report, optimizer: as for :func:`search_policy`.
+
+    Returns:
+        The outcome of the search whose policy was kept, with the work of all searches.
+    """
+    network = loss.actor_network
+    found: list[_Found] = []
+
+    def judge(result: SearchResult) -> bool:
+        """Note the policy that was found; return whether a better one is needed."""
+        predicted = promise.predicted(loss, initial)
+        found.append(_Found(result, predicted, copy.deepcopy(network.state_dict())))
+        return predicted.least < promise.aim
+
+    def steady() -> bool:
+        """Steady the last policy; return whether a better one is needed."""
+        if not isinstance(loss, TrajectoryKLLoss) or not found[-1].result.complete:
+            return True
+        for _ in range(STEADYINGS):
+            if not judge(steady_policy(loss, initial, settings, report, optimizer)):
+                return False
+            if found[-1].predicted.rate < found[-2].predicted.rate:
+                break
+        return True
+
+    needed, others = judge(result) and steady(), iter(policies)
+    while needed and (policy := next(others, None)) is not None:
+        network.load_state_dict(policy.state_dict())
+        again = search_policy(loss, initial, settings, report, True, optimizer)
+        needed = judge(again) and steady()
+    best = max(found, key=lambda each: each.merit)
+    network.load_state_dict(best.parameters)
+    kept = best.result
+    for other in found:
+        kept = kept if other is best else kept.with_work_of(other.result)
+    return kept
+
+
+def steady_policy(
+    loss: TrajectoryKLLoss,
+    initial: Gaussian,
+    settings: SearchSettings,
+    report: Report = lambda stage, loss: None,
+    optimizer: MakeOptimizer = torch.optim.LBFGS,
+) -> SearchResult:
+    r"""Minimise the cross-entropy relative to the demonstrations over the whole horizon.
+
+    .. math:: \sum_t \mathbb E_{p(x_t^\pi)}[-\log p(x_t^{\exp})]
+
+    The policy of least KL to the demonstrations varies as much as they do: where their own spread
+    is beyond what counts as a success, it fails as often as they would. This search narrows the
+    prediction towards what is most likely under the demonstrations. It takes
+    ``settings.final_iterations`` from the policy that a search of the KL left.
+
+    Args:
+        loss, initial, settings, report, optimizer: as for :func:`search_policy`.
+
+    Returns:
+        The outcome, whose ``loss`` is the KL, as that of every search.
+
+    Raises:
+        PredictionError: the prediction fails at the policy that was given.
+    """
+    runs = SearchRuns(loss, initial, settings, report, optimizer)
+    iterations = settings.final_iterations
+    runs.run("cross-entropy", loss.cross_entropy_per_step, loss.horizon, iterations)
+    return runs.result(loss.horizon)

@@ -1,0 +1,137 @@
+"""The settings of the method: how policy, model, exploration, search and ending are chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from torch_pmil.control.exploration import PDMovements
+from torch_pmil.gp.lbfgs import MakeOptimizer
+from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.settings import Settings, setting
+
+OF_FEATURES = "numbers, one for each feature of the state"
+
+
+@dataclass(frozen=True, eq=False)
+class PolicySettings(Settings):
+    """A new policy: Gaussian basis functions at demonstrated states.
+
+    A policy is zero beyond the reach of its functions, so starts at the rim of what was
+    demonstrated may need an ``input_scale`` above 1. ``least_widths`` is how far a robot strays
+    that moves slowly, or with a part of it alone; None for the standard deviations of the start, in
+    which sine and cosine have that of their angle.
+    """
+
+    num_centres: int = setting(
+        100, "basis functions of the policy", least=1, most=10_000, unit="basis functions"
+    )
+    initial_weight_std: float = setting(
+        0.1,
+        "standard deviation of a new policy's weights",
+        least=0,
+        unit="rad, before the squashing",
+    )
+    input_scale: float = setting(
+        1.0,
+        "width of a new policy's basis functions: a larger one reaches further",
+        above=0,
+        unit="standard deviations of the demonstrated features",
+    )
+    input_widths: Tensor | None = setting(
+        None,
+        "the widths themselves, in place of input_scale",
+        above=0,
+        words=OF_FEATURES,
+        unit="the unit of the feature",
+    )
+    least_widths: Tensor | None = setting(
+        None,
+        "smallest width that input_scale may give",
+        above=0,
+        words=OF_FEATURES,
+        unit="the unit of the feature",
+    )
+
+
+@dataclass(frozen=True)
+class ModelSettings(Settings):
+    """The forward model; positions follow from velocities by a rule with two fitted numbers."""
+
+    velocities_alone: bool = setting(
+        False, "whether the model learns velocities alone, from which their positions follow"
+    )
+    tied_lengthscales: bool = setting(
+        False, "whether all outputs of the model share lengthscales, which makes predictions faster"
+    )
+
+
+@dataclass(frozen=True)
+class RandomMotion(Settings):
+    """Exploration by random actions around those that hold the start, if they are known.
+
+    Otherwise they are around the middle of the range. With ``explore_demonstrated`` they are around
+    those that hold the robot in the mean demonstrated states, one after the other, so that the
+    model knows the way of the demonstrations from the first motion on. It suits actions that are
+    targets of servos.
+    """
+
+    random_action: float = setting(
+        0.4,
+        "how far the random actions of the first motion go",
+        above=0,
+        most=1,
+        unit="half the range of the actions",
+    )
+    explore_demonstrated: bool = setting(
+        False, "whether the first motion follows the demonstrations, around what holds the robot"
+    )
+
+
+@dataclass(frozen=True)
+class EndingSettings(Settings):
+    """When a run ends. The model that learned from the last own rollout must predict the promise.
+
+    More confirmations suit a success that is a lenient measure, or that cannot be predicted.
+    """
+
+    promise: float = setting(
+        0.95,
+        "success rate from fresh starts that a finished run promises: a lower one ends sooner",
+        above=0,
+        below=1,
+        unit="fresh starts",
+    )
+    confirmations: int = setting(
+        1,
+        "successes in a row of own rollouts without which no run ends",
+        least=1,
+        unit="own rollouts",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Method(Settings):
+    """How a task is learned: the settings of each part of the method.
+
+    Args:
+        policy: of a new policy.
+        model: of the forward model.
+        exploration: random actions, or movements of a PD controller.
+        search: budget and horizon of the policy search.
+        ending: when a run ends.
+        optimizer: of the policy search, see :func:`~torch_pmil.gp.lbfgs.minimise`.
+
+    Example:
+        >>> Method(policy=PolicySettings(num_centres=50)).adjustable["num_centres"]
+        50
+    """
+
+    policy: PolicySettings = field(default_factory=PolicySettings)
+    model: ModelSettings = field(default_factory=ModelSettings)
+    exploration: RandomMotion | PDMovements = field(default_factory=RandomMotion)
+    search: SearchSettings = field(default_factory=SearchSettings)
+    ending: EndingSettings = field(default_factory=EndingSettings)
+    optimizer: MakeOptimizer = torch.optim.LBFGS

@@ -1,0 +1,53 @@
+"""What a policy was predicted to do, and did, beside what was demonstrated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.envs.rollouts import states_of
+from torch_pmil.gp.gaussian import Gaussian
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Predicted and executed trajectories of a policy beside the demonstrations of one target.
+
+    Args:
+        label: names the target; "" where there is one task alone.
+        demonstrations: of it.
+        demonstrated: their marginals at t = 1..T, mean (T, M).
+        predicted: p(x_1..T), mean (T, D).
+        rollouts: (N, T), as the environment gives them; of a rollout that was cut short, as far as
+            it came.
+        errors: of the rollouts, infinite where one was cut short, (N,).
+        target: of a task with several, (K,).
+    """
+
+    label: str
+    demonstrations: Demonstrations
+    demonstrated: Gaussian
+    predicted: Gaussian
+    rollouts: TensorDictBase
+    errors: Tensor
+    target: Tensor | None = None
+
+    @property
+    def compared(self) -> Outcome:
+        """The outcome up to where its rollouts end: all of it, unless one was cut short."""
+        steps = self.rollouts.shape[-1]
+        positions = self.demonstrations.positions[:, : steps + 1]
+        return replace(
+            self,
+            demonstrations=replace(self.demonstrations, positions=positions),
+            demonstrated=self.demonstrated[:steps],
+            predicted=self.predicted[:steps],
+        )
+
+    @property
+    def executed(self) -> Tensor:
+        """States x_0..x_T of the rollouts, (N, T + 1, D)."""
+        return states_of(self.rollouts)

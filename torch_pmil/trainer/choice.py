@@ -1,0 +1,60 @@
+"""The choice among the policies that ran on the robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.rollout import PredictionError
+from torch_pmil.search.promise import Promise
+from torch_pmil.search.trajectory_loss import TrajectoryLoss
+from torch_pmil.trainer.trials import Candidate, Trial
+
+
+def best_candidate(
+    candidates: Sequence[Candidate],
+    trials: Sequence[Trial],
+    loss: TrajectoryLoss,
+    initial: Gaussian,
+    promise: Promise | None,
+    tolerance: float,
+) -> Candidate:
+    """The best of the policies that ran, which the loss then holds.
+
+    Among those whose own rollout was not cut short it has the highest predicted success rate, up to
+    :attr:`Promise.aim`. If several are alike, or no success is predicted, it has the smallest error
+    of the own rollout, where all successes count the same. Next come the longest own rollout and
+    the smallest predicted loss.
+
+    Args:
+        candidates: of all trials, one at least.
+        trials: all of them.
+        loss: objective with the policy (changed in place) and a model of all experience.
+        initial: p(x_0).
+        promise: by which success is predicted; None if it is not.
+        tolerance: largest error of a success.
+    """
+
+    def merit(candidate: Candidate) -> tuple[float, ...]:
+        loss.actor_network.load_state_dict(candidate.parameters)
+        alike = 0.0
+        if promise is not None:
+            alike = min(promise.predicted(loss, initial).least, promise.aim)
+        error = max(candidate.own_error, tolerance)
+        steps = trials[candidate.trial - 1].steps
+        return error < math.inf, alike, -error, steps, -_predicted_loss(loss, initial)
+
+    chosen = max(candidates, key=merit)
+    loss.actor_network.load_state_dict(chosen.parameters)
+    return chosen
+
+
+@torch.no_grad()
+def _predicted_loss(loss: TrajectoryLoss, initial: Gaussian) -> float:
+    try:
+        return loss.per_step(initial).sum().item()
+    except PredictionError:
+        return math.inf

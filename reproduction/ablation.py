@@ -43,7 +43,7 @@ LABELS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Variation(Task):
     """A task with choices made otherwise that are no settings of an experiment.
 
@@ -106,7 +106,7 @@ def variations() -> dict[str, Variation]:
     """
     task = load_experiment("double_pendulum")
     ours = Variation(**{entry.name: getattr(task, entry.name) for entry in fields(task)})
-    search = task.search
+    search = task.method.search
     at_once = replace(
         search,
         first_horizon=task.horizon,

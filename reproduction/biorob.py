@@ -23,9 +23,8 @@ from torch_pmil.plotting import (
     plot_success_over_experience,
 )
 from torch_pmil.runs.summaries import read_summary, success_over_experience
-from torch_pmil.runs.training import EVALUATION_STARTS
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Task
+from torch_pmil.tasks.task import MEASURED_STARTS, Task
 
 SEEDS, TRIALS = range(10), 4
 QUICK_SEEDS, QUICK_TRIALS = range(1), 2
@@ -46,7 +45,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     """Seeds that solved it, distance from the demonstrations, and coverage; seed 0 is drawn."""
     experiment, runs = load_experiment("biorob"), [read_summary(folder) for folder in folders]
     learned = load_learned(folders[0], experiment)
-    rollouts = learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
+    rollouts = learned.rollouts(experiment, MEASURED_STARTS, START_SEED)
     executed = states_of(rollouts) @ IN_DEGREES.mT
     predicted = learned.predicted(experiment).add_noise(experiment.noise_std**2)
     curve = success_over_experience(runs)

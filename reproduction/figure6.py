@@ -22,10 +22,9 @@ from torch_pmil.plotting import (
     plot_moment_matching,
     plot_poses,
 )
-from torch_pmil.runs.training import EVALUATION_STARTS
 from torch_pmil.search.kl import trajectory_kl
 from torch_pmil.tasks.registry import load_experiment
-from torch_pmil.tasks.task import Task
+from torch_pmil.tasks.task import MEASURED_STARTS, Task
 from torch_pmil.trainer.trials import success_rate
 
 SEED = 0
@@ -42,7 +41,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     experiment, (folder,) = load_experiment("double_pendulum"), folders
     learned = load_learned(folder, experiment)
     states = learned.predicted(experiment)
-    rollouts = learned.rollouts(experiment, EVALUATION_STARTS, START_SEED)
+    rollouts = learned.rollouts(experiment, MEASURED_STARTS, START_SEED)
     executed = states_of(rollouts)
     match_space = experiment.space.match_space
     predicted = match_space.moments(states).add_noise(experiment.noise_std**2)

@@ -15,11 +15,13 @@ from reproduction.reproduction import PaperExperiment, Results, Run, learning_ru
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.plotting import plot_writing
 from torch_pmil.runs.summaries import read_summary
-from torch_pmil.tasks.handwriting import Handwriting, Writing, handwriting
-from torch_pmil.tasks.strokes import distance_from_mean, distance_spread
+from torch_pmil.tasks.handwriting import Writing, handwriting, handwriting_biorob, writing_of
+from torch_pmil.tasks.strokes import distance_from_mean, distance_spread, lasa_strokes
+from torch_pmil.tasks.task import Task
 
 # the shapes that the experiment was developed on
 SHAPES = {"double_pendulum": ("Angle", "Sshape", "GShape", "Sine"), "biorob": ("Angle", "GShape")}
+TASKS = {"double_pendulum": handwriting, "biorob": handwriting_biorob}
 SEEDS, TRIALS = range(3), 12
 QUICK_SHAPES, QUICK_TRIALS = {"double_pendulum": ("Angle",)}, 2
 STARTS, START_SEED = 10, 7_000_000  # drawn strokes of the robot, from starts that no run has seen
@@ -34,14 +36,24 @@ FROM_SUMMARY = (
 )
 
 
+def written(shape: str, robot: str = "double_pendulum") -> Task:
+    """The task in which a robot writes a shape of the LASA set.
+
+    Raises:
+        ImportError: the set is not installed.
+    """
+    task = TASKS[robot](lasa_strokes(shape))
+    return replace(task, name=f"handwriting_{shape}_{robot}")
+
+
 def needed_runs(root: Path, quick: bool) -> list[Run]:
-    """The runs of ``pmil train experiment=handwriting shape=... robot=...``.
+    """The runs of ``pmil train experiment=handwriting demonstrations=lasa:...``.
 
     All runs of one seed come before those of the next.
     """
     seeds, trials = (SEEDS[:1], QUICK_TRIALS) if quick else (SEEDS, TRIALS)
     return [
-        learning_run(root, _experiment(shape, robot), seed, trials)
+        learning_run(root, written(shape, robot), seed, trials)
         for seed in seeds
         for robot, shape in _tasks(quick)
     ]
@@ -119,14 +131,10 @@ def measured_run(shape: str, robot: str, run: dict) -> dict[str, object]:
 
 def writing(folder: Path, shape: str, robot: str) -> Writing:
     """The people's strokes and those of a run's policy, in the plane."""
-    experiment = _experiment(shape, robot)
-    learned = load_learned(folder, experiment)
-    rollouts = learned.rollouts(experiment, STARTS, START_SEED)
-    return experiment.writing(learned.predicted(experiment), rollouts)
-
-
-def _experiment(shape: str, robot: str) -> Handwriting:
-    return handwriting(shape=shape, robot=robot)
+    task = written(shape, robot)
+    learned = load_learned(folder, task)
+    rollouts = learned.rollouts(task, STARTS, START_SEED)
+    return writing_of(task, learned.predicted(task), rollouts)
 
 
 def _tasks(quick: bool) -> list[tuple[str, str]]:

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from reproduction.ablation import success_and_experience
+from reproduction.handwriting import written
 from reproduction.learned import load_learned, measured_success
 from reproduction.plots.variants import plot_variants
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
@@ -39,9 +40,7 @@ from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.tasks.double_pendulum import double_pendulum
 from torch_pmil.tasks.handwriting import (
     SUCCESS_RATIO,
-    Handwriting,
     distance_of_tip,
-    handwriting,
     input_widths,
 )
 from torch_pmil.tasks.strokes import distance_spread
@@ -95,7 +94,7 @@ def variants() -> dict[str, dict[str, Variant]]:
 
     The strokes need the LASA recordings.
     """
-    task, written = double_pendulum(), handwriting(shape=SHAPE)
+    task, writing = double_pendulum(), written(SHAPE)
     shown = shipped_demonstrations("double_pendulum")
     own = shown.positions[WRONG]
     links, longer = (swing_ups_of(lengths) for lengths in (OTHER_LINKS, LONGER_LINKS))
@@ -114,11 +113,11 @@ def variants() -> dict[str, dict[str, Variant]]:
         "0.4 and 0.6 m, the tip alone", _named(of_tip(task, links), "links_tip"), task
     )
     strokes = {
-        "strokes": Variant("seven strokes", written, written),
+        "strokes": Variant("seven strokes", writing, writing),
         "wrong_stroke": Variant(
             "one of another shape",
-            _named(with_strokes(written, wrong_strokes(written)), "wrong_stroke"),
-            written,
+            _named(with_strokes(writing, wrong_strokes(writing)), "wrong_stroke"),
+            writing,
             UNLIKE,
         ),
     }
@@ -203,23 +202,22 @@ def of_tip(task: Task, shown: Demonstrations) -> Task:
     )
 
 
-def wrong_strokes(task: Handwriting) -> Demonstrations:
+def wrong_strokes(task: Task) -> Demonstrations:
     """Strokes of a shape among which one is of another shape, from the same start."""
-    own, other = task.demonstrations, handwriting(shape=OTHER_SHAPE).demonstrations
+    own, other = task.demonstrations, written(OTHER_SHAPE).demonstrations
     wrong = other.positions[WRONG]
     return _with_one(own, wrong - wrong[0] + own.positions[WRONG, 0])
 
 
-def with_strokes(task: Handwriting, strokes: Demonstrations) -> Handwriting:
+def with_strokes(task: Task, strokes: Demonstrations) -> Task:
     """The task with other strokes where the robot writes, and what a success is by these."""
     states = states_of_strokes(pendulum_writer(), strokes).flatten(0, 1)
     return replace(
-        task,
+        task.with_settings(input_widths=input_widths(states, task.space)),
         demonstrations=strokes,
         demonstrated_states=states,
         error=of_states(partial(distance_of_tip, space=task.space, strokes=strokes)),
         tolerance=SUCCESS_RATIO * distance_spread(strokes),
-        input_widths=input_widths(states, task.space),
     )
 
 

@@ -44,7 +44,13 @@ class Learned:
     @torch.no_grad()
     def rollouts(self, experiment: Task, starts: int, seed: int) -> TensorDictBase:
         """Rollouts of the robot from fresh starts, (starts, T), as the environment gives them."""
-        return experiment.executed(self.policy, starts, seed)
+        return executed(self.policy, experiment, starts, seed)
+
+
+@torch.no_grad()
+def executed(policy: StatePolicy, task: Task, starts: int, seed: int) -> TensorDictBase:
+    """Rollouts of a policy from fresh starts, over the whole horizon, (starts, T)."""
+    return task.robots(starts, seed).rollout(task.horizon, policy.as_tensordict_module())
 
 
 def load_learned(folder: Path, experiment: Task) -> Learned:
@@ -93,7 +99,7 @@ def measured_success(policy: StatePolicy, experiment: Task, starts: int, seed: i
     Returns:
         Fraction from 0 to 1.
     """
-    rollouts = without_sensor_noise(experiment.executed(policy, starts, seed))
+    rollouts = without_sensor_noise(executed(policy, experiment, starts, seed))
     return success_rate(experiment.error(rollouts), experiment.tolerance)
 
 

@@ -38,7 +38,7 @@ def noisy() -> dict[str, Task]:
     remembering = with_history(plain, past_entries=PAST, past_actions=PAST)
     name = f"{plain.name}_remembered"
     return {
-        "three readings": replace(remembering, name=name, tied_lengthscales=True),
+        "three readings": replace(remembering.with_settings(tied_lengthscales=True), name=name),
         "one reading": plain,
     }
 

@@ -10,7 +10,7 @@ one, and else their own.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -44,7 +44,7 @@ class Method:
         name: in the numbers; that of ours begins with "ours".
         label: in the figures.
         peer: the learner, None for ours.
-        settings: of a peer other than its own, or of ours other than the task's.
+        settings: of a peer, other than its own.
         factor: rollouts of a peer in place of each one of ours.
         confirmations: successes of own rollouts in a row that end a run of a peer, as a promise
             does ours; None for none.
@@ -61,22 +61,15 @@ class Method:
         """Its run of a task, over ``end`` seconds of our experience at most.
 
         Example:
-            >>> str(planned(10.0).run(Path("runs"), "double_pendulum", 3, 50.0).out)
-            'runs/double_pendulum_planned/seed_3'
+            >>> str(ALONE.run(Path("runs"), "double_pendulum", 3, 50.0).out)
+            'runs/double_pendulum/seed_3'
         """
         experiment = named(task)
         trials = trials_until(end, experiment)
         if self.peer is not None:
             rest = seed, trials, self.factor, self.settings, self.confirmations
             return peer_run(root, experiment, self.peer, *rest)
-        name = experiment.name + self.name.removeprefix("ours")
-        ours = replace(experiment.with_settings(**self.settings), name=name)
-        return learning_run(root, ours, seed, trials)
-
-
-def planned(weight: float) -> Method:
-    """Ours, with plans as other starts of its searches."""
-    return Method("ours_planned", "ours, with plans", settings={"plan_weight": weight})
+        return learning_run(root, experiment, seed, trials)
 
 
 def peer(
@@ -99,7 +92,6 @@ ALONE = Method("ours", OURS)
 TASKS: dict[str, tuple[Method, ...]] = {
     "double_pendulum": (
         ALONE,
-        planned(1.0),
         peer("gp_tracker", action_weight=1.0),
         peer("mc_pilco", confirmations=2),
         peer("ensemble_cem"),
@@ -112,7 +104,6 @@ TASKS: dict[str, tuple[Method, ...]] = {
     ),
     "double_pendulum_servo": (
         ALONE,
-        planned(100.0),
         peer("gp_tracker", action_weight=100.0),
         peer("ensemble_cem", **LARGE_PLANNER),
         peer("bco_told", noise=0.03),
@@ -121,7 +112,6 @@ TASKS: dict[str, tuple[Method, ...]] = {
     ),
     "Sshape": (
         ALONE,
-        planned(1.0),
         peer("gp_tracker", action_weight=1.0),
         peer("ensemble_cem", **LARGE_PLANNER),
         peer("bco", noise=0.03),

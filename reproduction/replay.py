@@ -227,7 +227,7 @@ def _along_the_trajectory(
     predicted = loss.predict_states(experiment.initial)
     step_loss = loss.step_loss_for_trust(experiment.initial)
     (outcome,) = experiment.outcomes(predicted, rollout[None], torch.zeros(1))
-    threshold = experiment.search.trust_threshold
+    threshold = experiment.method.search.trust_threshold
     matched = first_mismatch(step_loss, threshold) is None
     return {
         "complete": horizon == experiment.horizon and matched,

@@ -212,7 +212,7 @@ def separate_policies(learned: Learned, experiment: TargetTask) -> list[StatePol
         loss = TrajectoryKLLoss(
             policy, learned.dynamics, experiment.space, demonstrated[i], experiment.noise_std
         )
-        search_policy(loss, experiment.initial, experiment.search)
+        search_policy(loss, experiment.initial, experiment.method.search)
         policy.requires_grad_(False)
         time_step = experiment.demonstrations.time_step
         policies.append(StatePolicy(policy, experiment.space, time_step))

@@ -36,8 +36,8 @@ from torch_pmil.envs.rollouts import states_of
 from torch_pmil.plotting import Figure, plot_distributions, plot_photo_series
 from torch_pmil.runs.pictures import steps_of
 from torch_pmil.runs.telling import tell
-from torch_pmil.runs.training import EVALUATION_STARTS, train
-from torch_pmil.tasks.task import Task
+from torch_pmil.runs.training import train
+from torch_pmil.tasks.task import MEASURED_STARTS, Task
 from torch_pmil.trainer.trials import success_rate
 
 SEEDS = {"ur5e": range(10), "panda": range(5), "pilco": range(3)}
@@ -99,7 +99,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         figures |= drawn(arm, first[arm.name], tasks[arm.name])
     servos = {
         f"servo_alone_ratio_{arm.name}": ratio_of(
-            servo_alone(tasks[arm.name], EVALUATION_STARTS, START_SEED), tasks[arm.name]
+            servo_alone(tasks[arm.name], MEASURED_STARTS, START_SEED), tasks[arm.name]
         )
         for arm in (UR5E, PANDA)
     }
@@ -112,13 +112,13 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         f"spread_deg_{arm.name}": math.degrees(spread(tasks[arm.name].demonstrations))
         for arm in (UR5E, PANDA)
     }
-    details = {"tolerated_ratio": TOLERATED, "starts": EVALUATION_STARTS, "measured": measured}
+    details = {"tolerated_ratio": TOLERATED, "starts": MEASURED_STARTS, "measured": measured}
     return Results(headline | servos | degrees, figures, details)
 
 
 def measured_run(learned: Learned, task: Task) -> dict[str, Any]:
     """The main numbers of a run, measured from fresh starts that it has not seen."""
-    executed = states_of(learned.rollouts(task, EVALUATION_STARTS, START_SEED))
+    executed = states_of(learned.rollouts(task, MEASURED_STARTS, START_SEED))
     distances, summary = Distance(task.demonstrations)(executed), learned.summary
     kept = ("seed", "experience_s", "wall_seconds", "stop_reason", "two_sigma_coverage")
     return {name: summary[name] for name in kept} | {
@@ -150,7 +150,7 @@ def headline_of(runs: Sequence[dict[str, Any]]) -> dict[str, float | None]:
 
 def drawn(arm: Arm, learned: Learned, task: Task) -> dict[str, Figure]:
     """Joints over time, and pictures of the mean demonstration above those of a rollout."""
-    rollouts = learned.rollouts(task, EVALUATION_STARTS, START_SEED)
+    rollouts = learned.rollouts(task, MEASURED_STARTS, START_SEED)
     count = len(arm.joints)
     to_degrees = torch.eye(2 * count, dtype=torch.float64)[:count].rad2deg()
     own = torch.eye(count, dtype=torch.float64).rad2deg()

@@ -44,7 +44,7 @@ def velocities_alone() -> Task:
         2
     """
     task = load_experiment("double_pendulum")
-    return replace(task, name="double_pendulum_velocities", velocities_alone=True)
+    return replace(task.with_settings(velocities_alone=True), name="double_pendulum_velocities")
 
 
 def needed_runs(root: Path, quick: bool) -> list[Run]:

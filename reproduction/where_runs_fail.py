@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from reproduction.handwriting import SHAPES, left_out_ratios
+from reproduction.handwriting import SHAPES, left_out_ratios, written
 from reproduction.plots.counts import plot_counts
 from reproduction.replay import replayed
 from reproduction.replayed_runs import (
@@ -27,12 +27,12 @@ from reproduction.replayed_runs import (
     tables,
 )
 from reproduction.reproduction import OF_RUN, PaperExperiment, Results, Run, learning_run
-from reproduction.soak.tasks import ROBOT, TASKS, Task
+from reproduction.soak.tasks import ROBOT, TASKS, SoakTask
 from torch_pmil.files import read_json, write_json
 from torch_pmil.plotting import Figure
 from torch_pmil.plotting.calibration import plot_success_calibration
 from torch_pmil.runs.summaries import is_finished, read_summary
-from torch_pmil.tasks.handwriting import SUCCESS_RATIO, handwriting
+from torch_pmil.tasks.handwriting import SUCCESS_RATIO
 from torch_pmil.tasks.task import Task
 
 PREDICTIONS = ("predicted_before", "predicted_after")
@@ -49,7 +49,7 @@ class Size:
         samples: imagined rollouts of each prediction.
     """
 
-    tasks: Sequence[Task]
+    tasks: Sequence[SoakTask]
     seeds: Sequence[int]
     trials: int
     samples: int
@@ -97,7 +97,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     counted = dict(told["counts"])
     total = counted.pop(ALL)
     shapes = SHAPES[ROBOT]
-    writers = {shape: left_out_ratios(handwriting(shape=shape).demonstrations) for shape in shapes}
+    writers = {shape: left_out_ratios(written(shape).demonstrations) for shape in shapes}
     inside = [ratio <= SUCCESS_RATIO for ratios in writers.values() for ratio in ratios]
     headline = {
         **total["totals"],

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from reproduction.baselines.dmp import DMP
@@ -30,9 +29,10 @@ from torch_pmil.runs.run_folder import (
     provenance,
     write_metrics,
 )
-from torch_pmil.runs.training import EVALUATION_STARTS
+from torch_pmil.seeds import Stream, generator_of
 from torch_pmil.tasks.double_pendulum import states_from_positions
-from torch_pmil.tasks.task import Task
+from torch_pmil.tasks.method import RandomMotion
+from torch_pmil.tasks.task import MEASURED_STARTS, Task
 from torch_pmil.trainer.ending import LIMIT
 from torch_pmil.trainer.trials import Measurement, success_rate
 
@@ -107,7 +107,7 @@ def run_dmp(
     hold = _hold(experiment.demonstrations.time_step, feedback_period)
     env = experiment.make_env(control_period=feedback_period, seed=seed)
     fresh = experiment.make_env(
-        control_period=feedback_period, num_envs=EVALUATION_STARTS, seed=seed + 2_000_000
+        control_period=feedback_period, num_envs=MEASURED_STARTS, seed=seed + Stream.MEASURED_STARTS
     )
     clear_folder(out, overwrite=True)  # it takes less than a minute
     prepare_folder(out)
@@ -153,9 +153,9 @@ def make_learner(experiment: Task, hold: int) -> InverseDynamicsLearner:
 
 def random_rollout(experiment: Task, env: MujocoRobotEnv, hold: int, seed: int) -> Motion:
     """The first experience: the random rollout that our learner gets with that seed."""
-    generator = torch.Generator().manual_seed(seed + 1_000_000)
+    generator = generator_of(Stream.MOTION, seed)
     torques = random_torques(
-        experiment.actions.half_range, experiment.random_action, hold, generator
+        experiment.actions.half_range, _random_action(experiment), hold, generator
     )
     # our learner's collector, too, tries out robot and torques when it is made
     torques(0, env.reset()["observation"])
@@ -195,7 +195,7 @@ def settings(experiment: Task, trials: int, feedback_period: float) -> dict[str,
         "feedback_period": feedback_period,
         "position_gain": POSITION_GAIN,
         "velocity_gain": VELOCITY_GAIN,
-        "random_action": experiment.random_action,
+        "random_action": _random_action(experiment),
         "tolerance": experiment.tolerance,
     }
 
@@ -218,3 +218,8 @@ def _hold(control_period: float, feedback_period: float) -> int:
             f"{feedback_period} s"
         )
     return hold
+
+
+def _random_action(experiment: Task) -> float:
+    assert isinstance(experiment.method.exploration, RandomMotion)
+    return experiment.method.exploration.random_action

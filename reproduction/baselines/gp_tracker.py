@@ -5,15 +5,16 @@ from __future__ import annotations
 from torch import Tensor
 
 from reproduction.baselines.model_peer import ModelPeer
+from reproduction.baselines.plan_tracking import plan_tracking
 from torch_pmil.tasks.task import Task
 
 
 class GPTracker(ModelPeer):
     """Plans on the mean of our Gaussian process, and follows the plan by linear feedback.
 
-    The model learns from all transitions as ours does; the plan is that of
-    :class:`~reproduction.baselines.plan_tracking.PlanTracking`, sought from the last one on, and anew.
-    What the model does not know is not seen: that is what our own objective adds.
+    The model learns from all transitions as ours does. The plan is sought from the last one on, and
+    anew (:func:`~reproduction.baselines.plan_tracking.plan_tracking`). It ignores the model's
+    uncertainty, which our own objective accounts for.
 
     Args:
         experiment, seed: as of :class:`Peer`.
@@ -24,7 +25,7 @@ class GPTracker(ModelPeer):
 
     def __init__(self, experiment: Task, seed: int, action_weight: float = 1.0) -> None:
         super().__init__(experiment, seed)
-        self.tracking = experiment.plan_tracking(action_weight)
+        self.tracking = plan_tracking(experiment, action_weight)
         self._last = self.tracking.first_guess
 
     def fit(self) -> None:

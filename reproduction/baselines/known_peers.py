@@ -9,7 +9,7 @@ from reproduction.baselines.gp_tracker import GPTracker
 from reproduction.baselines.mc_pilco import MCPilco
 from reproduction.baselines.peer import Peer
 from reproduction.baselines.told_bco import ToldBCO
-from torch_pmil.tasks.handwriting import handwriting
+from reproduction.handwriting import written
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -25,7 +25,7 @@ def named(name: str) -> Task:
         >>> named("double_pendulum").name
         'double_pendulum'
     """
-    return handwriting(shape=name) if name[0].isupper() else load_experiment(name)
+    return written(name) if name[0].isupper() else load_experiment(name)
 
 
 def trials_until(end: float, experiment: Task) -> int:

@@ -35,7 +35,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import ClassVar
 
 import torch
@@ -85,7 +84,7 @@ class MCPilco(ModelPeer):
         demonstrated = experiment.demonstrated
         L = torch.linalg.cholesky(demonstrated.cov)
         self._target, self._factor = demonstrated.mean, L * math.sqrt(scale)
-        first = replace(experiment, num_centres=centres).make_policy(self.generator)
+        first = experiment.with_settings(num_centres=centres).make_policy(self.generator)
         basis, actions = first.controller.network, experiment.actions
         widths = math.sqrt(2) * first.scale  # our basis functions are exp(-1/2) at their width
         self.policy = SquashedNetwork(
@@ -145,4 +144,4 @@ def _bounded(most: float) -> Callable[[Tensor], Tensor]:
 def _speed_model(experiment: Task) -> GPDynamics:
     """A model of the velocities of a robot, from which its positions follow, if it has any."""
     velocities = bool(rates_of(experiment.space.names))
-    return replace(experiment, velocities_alone=velocities).make_dynamics()
+    return experiment.with_settings(velocities_alone=velocities).make_dynamics()

@@ -26,8 +26,8 @@ from torch_pmil.runs.run_folder import (
     provenance,
     write_metrics,
 )
-from torch_pmil.runs.training import EVALUATION_STARTS
-from torch_pmil.tasks.task import Task
+from torch_pmil.seeds import Stream, generator_of
+from torch_pmil.tasks.task import MEASURED_STARTS, Task
 from torch_pmil.trainer.ending import LIMIT
 from torch_pmil.trainer.trials import Measurement, own_error, success_rate
 
@@ -122,7 +122,7 @@ def _learn(
         "experience_s": practice.experience_s,
         "saved_trial": len(rows),
         "saved_success_rate": practice.measured(),
-        "saved_n_eval": EVALUATION_STARTS,
+        "saved_n_eval": MEASURED_STARTS,
         "trials": [_plain(row) for row in rows],
     }
     write_json(out / "summary.json", summary)
@@ -153,8 +153,8 @@ class Practice:
         self.robot = experiment.robot(seed)
         if experiment.state_box is not None:
             self.robot.guard = experiment.state_box.guard
-        self.fresh = experiment.robots(EVALUATION_STARTS, seed + 2_000_000)
-        generator = torch.Generator().manual_seed(seed + 1_000_000)
+        self.fresh = experiment.robots(MEASURED_STARTS, seed + Stream.MEASURED_STARTS)
+        generator = generator_of(Stream.MOTION, seed)
         motion, exploration = experiment.exploration.motion(generator), experiment.exploration
         # our learner's collector, too, tries out robot and motion when it is made
         motion(self.robot.reset()["observation"])
@@ -178,7 +178,7 @@ class Practice:
         rate = self.measured()
         error = max(self._own_rollout() for _ in range(self.factor))
         success = error <= self.experiment.tolerance
-        return Measurement(number, experience_s, rate, EVALUATION_STARTS, error, success)
+        return Measurement(number, experience_s, rate, MEASURED_STARTS, error, success)
 
     def measured(self) -> float:
         """Success rate from fresh starts, which are no experience."""

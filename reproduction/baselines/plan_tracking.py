@@ -27,11 +27,14 @@ from reproduction.teachers.trajectory_optimization import (
     roll_out,
     tracking_gains,
 )
+from torch_pmil.checks import check_positive
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.rbf_policy import RBFPolicy
+from torch_pmil.control.recovered_states import without_turns
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import normal
 from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.tasks.task import Task
 
 TURN = 2 * np.pi  # rad
 SAMPLES = 20  # states a time step, at which a policy is fitted
@@ -175,3 +178,43 @@ class PlanTracking:
             states.append(planned + std[step] * white)
             actions.append(tracked.act(step, states[-1]))
         policy.fit_weights(self.space.features(torch.cat(states)), torch.cat(actions))
+
+
+def plan_tracking(task: Task, action_weight: float) -> PlanTracking:
+    """How to plan on the mean of the model towards the mean demonstrated states of a task.
+
+    Args:
+        task: of one target.
+        action_weight: weight of the actions, above 0.
+
+    Raises:
+        ValueError: the weight is not positive, or the demonstrations give no states to follow.
+    """
+    check_positive("action_weight", action_weight)
+    count, samples = task.demonstrations.positions.shape[:2]
+    several = task.demonstrations.targets is not None
+    if several or len(task.demonstrated_states) != count * samples:
+        raise ValueError(
+            "a plan needs demonstrations of one task, and demonstrated_states of all "
+            f"{count} times {samples} samples, got {len(task.demonstrated_states)} states"
+            f"{' of several targets' if several else ''}"
+        )
+    turned = task.demonstrated_states.unflatten(0, (count, samples))
+    states = without_turns(turned, task.initial.mean, task.space.angles)
+    mean, held = states.mean(0), task.holding_actions
+    variance = states.var(0) + task.initial.std.square()
+    least = variance.amin(0).tolist()
+    if still := [name for name, v in zip(task.space.names, least, strict=True) if not v > 0]:
+        raise ValueError(
+            "a plan needs states that vary, between demonstrations or starts, got no variance of "
+            f"{', '.join(still)}"
+        )
+    return PlanTracking(
+        task.space,
+        task.actions,
+        task.initial.mean,
+        mean,
+        variance,
+        None if held is None else held(mean[:-1]),
+        action_weight,
+    )

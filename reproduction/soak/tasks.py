@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from itertools import count, islice
 from pathlib import Path
 
-from reproduction.handwriting import SHAPES
+from reproduction.handwriting import SHAPES, written
 from reproduction.soak.processes import Job
-from torch_pmil.tasks.handwriting import handwriting_name
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
@@ -18,7 +17,7 @@ ROBOT = "double_pendulum"  # which writes
 
 
 @dataclass(frozen=True)
-class Task:
+class SoakTask:
     """A task as ``pmil train`` names it.
 
     Args:
@@ -27,7 +26,7 @@ class Task:
         shape: what is written, for handwriting.
 
     Example:
-        >>> Task("handwriting", "handwriting Angle", "Angle").name
+        >>> SoakTask("handwriting", "handwriting Angle", "Angle").name
         'handwriting_Angle_double_pendulum'
     """
 
@@ -38,24 +37,25 @@ class Task:
     @property
     def name(self) -> str:
         """Name of the experiment in summaries."""
-        return handwriting_name(self.shape, ROBOT) if self.shape else self.experiment
+        return f"handwriting_{self.shape}_{ROBOT}" if self.shape else self.experiment
 
     @property
     def settings(self) -> list[str]:
         """The words of the command line that name it."""
-        return [f"experiment={self.experiment}", *([f"shape={self.shape}"] if self.shape else [])]
+        strokes = [f"demonstrations=lasa:{self.shape}"] if self.shape else []
+        return [f"experiment={self.experiment}", *strokes]
 
     def load(self) -> Task:
         """The experiment; raises ImportError where the LASA set is not installed."""
-        return load_experiment(self.experiment, shape=self.shape)
+        return written(self.shape) if self.shape else load_experiment(self.experiment)
 
 
 TASKS = (
-    Task("double_pendulum", "double pendulum"),
-    Task("gym_pendulum", "Pendulum-v1"),
-    Task("inverted_pendulum", "inverted pendulum"),
-    Task("biorob", "BioRob"),
-    *(Task("handwriting", f"handwriting {shape}", shape) for shape in SHAPES[ROBOT]),
+    SoakTask("double_pendulum", "double pendulum"),
+    SoakTask("gym_pendulum", "Pendulum-v1"),
+    SoakTask("inverted_pendulum", "inverted pendulum"),
+    SoakTask("biorob", "BioRob"),
+    *(SoakTask("handwriting", f"handwriting {shape}", shape) for shape in SHAPES[ROBOT]),
 )
 
 
@@ -69,7 +69,7 @@ class SoakRun:
         folder: of the run.
     """
 
-    task: Task
+    task: SoakTask
     seed: int
     folder: Path
 

@@ -4,8 +4,9 @@
 PYTHON ?= $(shell for p in python3.14 python3.13 python3.12 python3.11; do $$p -c '' 2>/dev/null && echo $$p && break; done || echo python3)
 PIP := .venv/bin/python -m pip install -qq --disable-pip-version-check --root-user-action=ignore
 ARGS ?=
-SETTINGS := experiment shape robot seed demonstrations trials out resume overwrite logger num_centres noise_std random_action explore_demonstrated initial_weight_std input_scale input_widths least_widths tolerance promise confirmations evaluated velocities_alone tied_lengthscales plan_weight target_scale target cost_width velocity_std velocity_limit exploration.rollouts exploration.steps exploration.hold exploration.pose exploration.reach exploration.gain search.mean_iterations search.stage_iterations search.final_iterations search.first_horizon search.horizon_step search.trust_threshold search.skip_matched_steps search.restarts
-GIVEN = $(foreach name,$(SETTINGS),$(if $(filter command,$(origin $(name))),$(name)='$($(name))'))
+# variables of this file; all others that are given on the command line are settings of pmil train
+OF_MAKE := PYTHON PIP ARGS TORCH_ARGS SOAK_RUNS SOAK_SEED MAKEFLAGS MAKEOVERRIDES -*-command-variables-*-
+GIVEN = $(foreach name,$(filter-out $(OF_MAKE),$(.VARIABLES)),$(if $(filter command,$(origin $(name))),$(name)='$($(name))'))
 SEEDS := 0 1 2 3 4 5 6 7 8 9
 LEARNED := $(patsubst %,results/tasks/%/summary.json,double_pendulum gym_pendulum inverted_pendulum)
 TORCH_ARGS ?=

@@ -80,7 +80,7 @@ def measured(folder: Path, experiment: Task) -> dict[str, object]:
         "experiment": experiment.name,
         "success_rate": success_rate(errors, experiment.tolerance),
         **{name: worst(name, of_each) for name in of_each[0]},
-        "mismatch": largest_loss / experiment.search.trust_threshold,
+        "mismatch": largest_loss / experiment.method.search.trust_threshold,
         "causes": [reason.cause for reason in reasons],
     }
 

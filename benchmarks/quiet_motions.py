@@ -122,7 +122,8 @@ def quiet_experiment(task: str, motion: str) -> Task:
     def distance(states: Tensor) -> Tensor:
         return ((space.observe(states[..., 1:, :]) - mean) / noise_std).abs().amax((-2, -1))
 
-    return replace(experiment, error=of_states(distance), tolerance=TOLERANCE, confirmations=2)
+    experiment = replace(experiment, error=of_states(distance), tolerance=TOLERANCE)
+    return experiment.with_settings(confirmations=2)
 
 
 def quiet_demonstrations(task: str, motion: str) -> Demonstrations:

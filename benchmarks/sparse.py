@@ -175,7 +175,7 @@ def searched(problem: Problem, dynamics: GPDynamics) -> RBFPolicy:
     """The policy of a search on the model, from the experiment's first policy."""
     task = problem.experiment
     policy = task.make_policy(torch.Generator().manual_seed(0))
-    search_policy(task.make_loss(policy, dynamics), task.initial, task.search)
+    search_policy(task.make_loss(policy, dynamics), task.initial, task.method.search)
     return policy
 
 

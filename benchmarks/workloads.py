@@ -85,7 +85,7 @@ def make_problem(n: int, horizon: int, raw_angles: bool = False, fitted: bool = 
     experiment = load_experiment("double_pendulum")
     if raw_angles:
         space = replace(experiment.space, angles=())
-        experiment = replace(experiment, space=space, least_widths=None)
+        experiment = replace(experiment.with_settings(least_widths=None), space=space)
     generator = torch.Generator().manual_seed(SEED)
     states, torques, successors = random_transitions(experiment, n, generator)
     inputs = torch.cat([experiment.space.features(states), torques], -1)

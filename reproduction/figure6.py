@@ -23,6 +23,7 @@ from torch_pmil.plotting import (
     plot_poses,
 )
 from torch_pmil.search.kl import trajectory_kl
+from torch_pmil.tasks.double_pendulum import joints_of
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import MEASURED_STARTS, Task
 from torch_pmil.trainer.trials import success_rate
@@ -56,7 +57,9 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
         "figure2": gp_figure(),
         "figure3": demonstrations_figure(experiment),
         "figure4": figure4,
-        "figure5": plot_poses(match_space(executed[0]), experiment.demonstrations.time_step),
+        "figure5": plot_poses(
+            joints_of(match_space(executed[0])), experiment.demonstrations.time_step
+        ),
         "figure6": plot_distributions(
             match_space.names,
             match_space.units,

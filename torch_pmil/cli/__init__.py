@@ -37,11 +37,11 @@ the same in Python: import torch_pmil; help(torch_pmil)"""
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, without the usage: ``--help`` tells that."""
+    """A parser whose errors are one line, without the usage, which ``--help`` shows."""
 
     def error(self, message: str) -> NoReturn:
         """End the command with what is wrong with its command line."""
-        self.exit(2, f"error: {message} ({self.prog} --help tells what it takes)\n")
+        self.exit(2, f"error: {message} ({self.prog} --help lists what it takes)\n")
 
 
 class LastingOutput:

@@ -34,15 +34,20 @@ def double_pendulum_space() -> StateSpace:
     return StateSpace(names, ("rad", "rad/s", "rad", "rad/s"), (0, 2), match_space)
 
 
-def link_ends(states: Tensor) -> Tensor:
+def joints_of(positions: Tensor) -> Tensor:
+    """Base, elbow and tip (*batch, 3, 2), m, of link positions (*batch, 4)."""
+    ends = positions.unflatten(-1, (2, 2))
+    return torch.cat([torch.zeros_like(ends[..., :1, :]), ends], -2)
+
+
+def joints_at(states: Tensor) -> Tensor:
     """Base, elbow and tip (*batch, 3, 2), m, at states (*batch, 4).
 
     Example:
-        >>> link_ends(torch.zeros(4, dtype=torch.float64)).tolist()
+        >>> joints_at(torch.zeros(4, dtype=torch.float64)).tolist()
         [[0.0, 0.0], [0.0, 0.5], [0.0, 1.0]]
     """
-    ends = double_pendulum_space().observe(states).unflatten(-1, (2, 2))
-    return torch.cat([torch.zeros_like(ends[..., :1, :]), ends], -2)
+    return joints_of(double_pendulum_space().observe(states))
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
@@ -129,5 +134,5 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Task:
         ),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
-        sketch=link_ends,
+        sketch=joints_at,
     )

@@ -13,7 +13,7 @@ from torch_pmil.tasks.double_pendulum import (
     REACH_DISTANCE,
     distance_from_target,
     double_pendulum_space,
-    link_ends,
+    joints_at,
     states_from_positions,
 )
 from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
@@ -54,5 +54,5 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
         error=distance_of_tip,
         tolerance=REACH_DISTANCE,
         method=Method(ending=EndingSettings(confirmations=2)),
-        sketch=link_ends,
+        sketch=joints_at,
     )

@@ -131,10 +131,7 @@ class Settings:
         """Its own settings by their full names, without those of groups."""
         return {
             f"{cls.prefix}{entry.name}": Setting(
-                **{
-                    **entry.metadata,
-                    "kind": entry.metadata["kind"] or str(entry.type),
-                }
+                **{**entry.metadata, "kind": entry.metadata["kind"] or _kind(entry.type)}
             )
             for entry in fields(cls)  # type: ignore[arg-type]
             if "meaning" in entry.metadata
@@ -195,6 +192,12 @@ class Settings:
         """Names of all groups, those within groups too."""
         own = self._own_groups()
         return [*own, *(name for group in own.values() for name in group._groups())]
+
+
+def _kind(annotation: object) -> str:
+    """An annotation as text, whether or not it was evaluated."""
+    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    return text.replace("torch.", "")
 
 
 def _plain(value: object) -> object:

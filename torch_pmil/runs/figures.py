@@ -29,7 +29,7 @@ MARGIN = 0.3  # around the executed motion, in its range
 def figures_of(task: Task, result: RunResult) -> Iterator[tuple[str, plotting.Figure]]:
     """All figures of a run with their names, one after the other.
 
-    Those that show a prediction alone are left out where there is none.
+    Those that show a prediction alone are left out if the model cannot predict.
     Names of the figures of a target end in ``_target_0``, ``_target_1``, ...
     """
     yield "learning_curve", _learning_curve(task, result)

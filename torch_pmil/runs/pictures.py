@@ -76,7 +76,7 @@ def film(task: Task, result: RunResult, path: Path) -> None:
 def film_outcome(env: MujocoRobotEnv, task: Task, outcome: Outcome, path: Path) -> None:
     """Film the first executed rollout, as the simulator draws it.
 
-    Without OpenGL it is drawn as lines. Raises RuntimeError where there are none for this robot.
+    Without OpenGL it is drawn as lines. Raises RuntimeError if the robot has no sketch.
     """
     start, actions = outcome.executed[0, 0], outcome.rollouts["action"][0]
     frames = frames_per_step(env)

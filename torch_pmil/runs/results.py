@@ -80,7 +80,7 @@ def _measured(
 ) -> dict[str, object]:
     """The results of a run, with the saved policy measured anew from starts that no trial saw.
 
-    Without such starts its own rollout tells. Of several targets it is the mean.
+    Without such starts its own rollout is judged. For several targets it is the mean.
     """
     match_space, measured = task.space.match_space, trainer.evaluation_env is not None
     rates = {outcome.label: success_rate(outcome.errors, task.tolerance) for outcome in outcomes}

@@ -178,7 +178,7 @@ def rewind_logs(logger: Logger | None, step: int) -> None:
     Of another logger nothing is taken back.
 
     Raises:
-        RunError: a file is none that a logger writes.
+        RunError: a file was not written by a logger.
         OSError: it cannot be replaced.
     """
     if not isinstance(logger, CSVLogger):

@@ -34,7 +34,7 @@ FILE_BYTES = 2**14
 MOST_LISTS = 200  # in a file: one within the other they take long to read
 MOST_RUNS = 10_000  # of a sweep
 LAUNCHER = "hydra/launcher"
-# what a launcher is told: numbers and names, but not what it imports
+# settings of a launcher, numbers and names, but not what it imports
 OF_LAUNCHER = re.compile(r"hydra\.launcher\.(?!.*_target_)[\w.]+")
 PLAIN = re.compile(r"(?!(null|true|false|nan|inf)$)(\.{0,2}/)?[a-z_][\w./-]*", re.IGNORECASE)
 WIDTH = 100  # characters of a line of help

@@ -54,7 +54,7 @@ class RunResult:
         summary: what ``summary.json`` holds.
         trials: all of them.
         outcomes: what the saved policy was predicted to do under the newest model, and did from
-            fresh starts, or in its own rollout where there are none, task by task.
+            fresh starts, or in its own rollout if none were measured, target by target.
         policy: the saved policy.
         dynamics: the newest model.
     """

@@ -32,8 +32,8 @@ class Admission:
         leaving_probability: bound on the predicted probability that its rollout leaves the box;
             None without a box.
         refused: number of policies that were refused before it.
-        steps: first steps that the robot may do, of which the accumulated probability is below the
-            threshold: all, if the policy is admitted.
+        steps: number of first steps that the robot may do, up to which the accumulated probability
+            is below the threshold: all, if the policy is admitted.
     """
 
     result: SearchResult

@@ -67,7 +67,7 @@ def gaussian_cross_entropy(q: Gaussian, p: Gaussian) -> Tensor:
         Nats, (*batch).
 
     Raises:
-        ValueError, NotPositiveDefiniteError: as of :func:`gaussian_kl`.
+        ValueError, NotPositiveDefiniteError: as in :func:`gaussian_kl`.
 
     Example:
         >>> p = Gaussian(torch.zeros(2), torch.eye(2))
@@ -157,8 +157,8 @@ def trajectory_kl(demonstrated: Gaussian, predicted: Gaussian) -> Tensor:
         Nats, (*batch).
 
     Raises:
-        ValueError: the two have other steps or entries, or as of :func:`gaussian_kl`.
-        NotPositiveDefiniteError: as of :func:`gaussian_kl`.
+        ValueError: the two differ in steps or entries, or as in :func:`gaussian_kl`.
+        NotPositiveDefiniteError: as in :func:`gaussian_kl`.
 
     Example:
         >>> marginals = Gaussian(torch.zeros(25, 4), torch.eye(4).expand(25, 4, 4))

@@ -42,7 +42,7 @@ class TrajectoryKLLoss(TrajectoryLoss):
     Raises:
         ValueError: the demonstrated marginals or the noise are not in the match space, or not
             finite, there is no step, the noise is negative, or the reduction is unknown.
-        NotPositiveDefiniteError: a demonstrated covariance is none.
+        NotPositiveDefiniteError: a demonstrated covariance is not positive definite.
 
     Example:
         >>> from tensordict import TensorDict

@@ -1,4 +1,4 @@
-"""The success rate that a policy shall keep from all of the robot's starts, judged by its model."""
+"""The success rate that a policy must reach from all of the robot's starts, by its model."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ class Promise:
     """A success rate from fresh starts, and the error by which trajectories are judged.
 
     A start is drawn from p(x_0), and each step from the model's posterior: what the model does not
-    know makes trajectories differ, and fail. Moment matching alone does not tell how many fail,
+    know makes trajectories differ, and fail. Moment matching alone does not show how many fail,
     since a Gaussian hides a few trajectories that go elsewhere.
 
     A policy keeps the promise if :attr:`PredictedSuccess.least` is at least :attr:`aim`.
 
     Args:
-        rate: that shall be kept, above 0 and below 1.
+        rate: the success rate, above 0 and below 1.
         error: of states x_0..x_T, (N, T + 1, D) to (N).
         tolerance: error up to which a trajectory is a success.
 

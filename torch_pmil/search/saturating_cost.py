@@ -49,7 +49,7 @@ def expected_saturating_cost(residual: Gaussian) -> Tensor:
         Expected costs, (*batch), between 0 and 1, without unit.
 
     Raises:
-        ValueError: the mean is not finite, or a dtype is none of floats.
+        ValueError: the mean is not finite, or a dtype is not a float.
         NotPositiveDefiniteError: names the batch element whose S is not finite, not symmetric, or
             has an eigenvalue that is clearly negative beside those of I.
 

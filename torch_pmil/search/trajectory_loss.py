@@ -60,7 +60,7 @@ class TrajectoryLoss(LossModule):
         mean_prediction: how the trajectory of the model's mean alone is predicted.
 
     Raises:
-        ValueError: the reduction is none of these.
+        ValueError: the reduction is another one.
     """
 
     _penalty: Penalty | None = None
@@ -178,7 +178,7 @@ class TrajectoryLoss(LossModule):
     def step_loss_for_trust(self, initial: Gaussian, horizon: int | None = None) -> Tensor:
         """Loss of each predicted marginal by which a search trusts it, (*batch, horizon).
 
-        A search relies on a marginal the less, the higher this is; here it is the cost itself.
+        The higher this is, the less the search trusts the marginal. By default it is the cost.
         Raises PredictionError.
         """
         return self.per_step(initial, horizon)
@@ -255,7 +255,7 @@ class TrajectoryLoss(LossModule):
         """Nothing to do: the loss has no value estimator."""
 
     def _steps(self, horizon: int | None) -> int:
-        """The steps that are predicted: all unless told. Raises ValueError at more than all."""
+        """Number of steps to predict, all if None; raises ValueError if there are fewer."""
         if horizon is None:
             return self.horizon
         check_whole("horizon", horizon, 1, self.horizon)

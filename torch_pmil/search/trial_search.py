@@ -174,7 +174,7 @@ def search_for_success(
         promise: what the policy must keep.
         settings: budget and horizon of the searches.
         result: of the search that found the policy, which matches the whole horizon.
-        policies: random policies of the same shape, of which no more are taken than are needed.
+        policies: random policies of the same shape; no more are taken than are needed.
         report, optimizer: as for :func:`search_policy`.
 
     Returns:

@@ -24,7 +24,7 @@ def double_pendulum_servo(demonstrations: Demonstrations | None = None) -> Task:
     motion is around what holds the start.
 
     Args:
-        demonstrations: as of :func:`double_pendulum`.
+        demonstrations: as for :func:`double_pendulum`.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.

@@ -1,4 +1,4 @@
-"""Parts of which a task is made: its start, its actions, and demonstrations that fit its robot."""
+"""Parts of a task: its start, its actions, and demonstrations that fit its robot."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def pendubot(demonstrations: Demonstrations | None = None) -> Task:
 
 
 def acrobot(demonstrations: Demonstrations | None = None) -> Task:
-    """Swing the acrobot up as demonstrated, in 3 s at 25 Hz; all else is as of :func:`pendubot`."""
+    """Swing the acrobot up as demonstrated, in 3 s at 25 Hz; all else is as in :func:`pendubot`."""
     return _one_motor("acrobot", AcrobotEnv, demonstrations)
 
 

@@ -1,4 +1,4 @@
-"""The task of one's own robot, with defaults for all that robot and recordings can tell."""
+"""The task of one's own robot, with defaults estimated from robot and recordings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LEAST_RANGE = 0.2  # range of an entry that hardly changes, in the largest of al
 TOLERANCE = 2.0  # standard deviations of the demonstrations
 CENTRES = 50
 INPUT_SCALE = 3.0  # a few demonstrations show less of the state than fresh starts reach
-PLACE = 3  # numbers that tell where a site is
+PLACE = 3  # coordinates of a site
 CONFIRMATIONS = 3  # where the success of other starts cannot be predicted
 
 Robot = OneRobot | MujocoRobot
@@ -64,17 +64,21 @@ def own_robot(
 ) -> Task:
     """An experiment with one's own robot and recordings.
 
-    What is not said is told from them: the start by 20 resets, unless ``initial`` is given, or by
-    the demonstrations' starts, with a standard deviation of 5 % of what was demonstrated at least,
-    for a robot that makes no motion but its own rollouts (``evaluated`` is False, as it is for a
-    physical robot, which is not reset here); the range of the actions by the environment; the
-    observation noise as 5 % of each entry's demonstrated range (of an entry that hardly changes, as
-    1 % of the largest range); the demonstrated states by
-    :func:`~torch_pmil.control.recovered_states.recover_states`; and a success as a rollout that
-    differs from the demonstrations' mean by at most twice their standard deviation (noise
-    included), in root mean square over all entries and times. Actions that have the names of
-    entries of the state are targets of these entries, so that the first policy holds the robot
-    where it is.
+    Anything you leave out is estimated:
+
+    - The start distribution comes from 20 resets, unless ``initial`` is given. For a robot that is
+      not reset here (``evaluated`` is False, as it is for a physical robot), it comes from the
+      demonstrations' starts, with a standard deviation of at least 5 % of the demonstrated values.
+    - The range of the actions is that of the environment.
+    - The observation noise is 5 % of each entry's demonstrated range; for an entry that hardly
+      changes, 1 % of the largest range.
+    - The demonstrated states come from
+      :func:`~torch_pmil.control.recovered_states.recover_states`.
+    - A success is a rollout within twice the standard deviation of the demonstrations (noise
+      included) of their mean, in root mean square over all entries and times.
+
+    Actions that have the names of entries of the state are targets of these entries, so the first
+    policy holds the robot where it is.
 
     Args:
         env: an environment of TorchRL or gymnasium, or the name of one of gymnasium, or a
@@ -246,7 +250,7 @@ def _space(
 
 
 def _pairs(observed: Sequence[str]) -> list[CosSin]:
-    """The angles of which an observation holds cosine and sine."""
+    """The angles whose cosine and sine an observation holds."""
     return [
         CosSin(index, _index_of(f"sin {name[4:]}", observed))
         for index, name in enumerate(observed)
@@ -328,7 +332,7 @@ def _noise(shown: Demonstrations) -> Tensor:
 
 
 def _start(starts: Tensor | None, states: Tensor) -> Gaussian:
-    """p(x_0) by resets (N, D), or by the demonstrated states, (N, T + 1, D), where there are none.
+    """p(x_0) by resets (N, D), or, without resets, by the demonstrated states, (N, T + 1, D).
 
     All entries vary, since no robot starts twice the same: the least standard deviation is a share
     of the largest demonstrated value.

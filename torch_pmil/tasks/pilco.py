@@ -43,9 +43,9 @@ SEARCH = SearchSettings(
 class PilcoTask(Task):
     """A task learned from the expected saturating cost of not being at a target (Eq. 28).
 
-    Demonstrations give the number of steps and are drawn beside the prediction, nothing more: the
-    policy's centres are spread over the state space, and what is too fast to learn from is told by
-    the sampling.
+    Demonstrations give the number of steps and are drawn beside the prediction, nothing more. The
+    policy's centres are spread over the state space, and ``velocity_limit`` leaves out what is too
+    fast for the sampling rate.
 
     Example:
         >>> pilco = double_pendulum_pilco()
@@ -119,7 +119,7 @@ def double_pendulum_pilco(demonstrations: Demonstrations | None = None) -> Pilco
     Arguments and errors are those of :func:`double_pendulum`.
 
     The model learns from states up to half a turn in a control step: of faster ones the samples do
-    not tell how far a joint turned.
+    not show how far a joint turned.
     """
     task = double_pendulum(demonstrations)
     same = {entry.name: getattr(task, entry.name) for entry in fields(task)}

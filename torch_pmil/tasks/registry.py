@@ -117,7 +117,7 @@ def _module_at(path: Path) -> ModuleType:
     """The module of a file, whose folder may hold others that it imports."""
     path.stat()  # raises if it is missing
     spec = spec_from_file_location(path.stem, path.absolute())
-    assert spec is not None and spec.loader is not None  # as of any .py file
+    assert spec is not None and spec.loader is not None  # true of any .py file
     module = module_from_spec(spec)
     with _importing_from(path.absolute().parent):
         spec.loader.exec_module(module)

@@ -30,21 +30,21 @@ def with_history(
 ) -> Task:
     """The same task for a robot whose sensors do not show all that its motion depends on.
 
-    The model learns the measured entries alone, and the rest of the state follows from them. Policy
-    and model see the whole state.
+    The model learns the measured entries alone; the rest of the state follows from them. Policy and
+    model see the whole state.
 
     Args:
-        task: of the robot.
-        past_entries: number of past values of all entries but positions that tell a velocity: what
-            is hidden, as a spring, shows in them, and the noise of sensors averages out. Of angles
-            they are plain numbers, in which a full turn is a difference.
-        past_actions: number of past actions: those that still act where there is a delay.
-        positions_only: whether the sensors show no velocities. Those of the state are then told by
-            the last two positions, which need ``past_actions=1`` beside them to say as much.
+        past_entries: number of past values of all entries but positions that determine a velocity.
+            What is hidden, such as a spring, shows in them, and the noise of sensors averages out.
+            Past angles are plain numbers, in which a full turn is a difference.
+        past_actions: number of past actions: those that still act if there is a delay.
+        positions_only: whether the sensors show no velocities. Those of the state are then
+            estimated from the last two positions, which need ``past_actions=1`` beside them to be
+            as informative.
 
     Raises:
-        ValueError: it has a history already, no entry of its state is a velocity that positions
-            could tell, or a number is no whole number from 0 on.
+        ValueError: the task has a history already, no entry of its state is a velocity of a
+            position, or a number is not a whole number of at least 0.
 
     Example:
         >>> from torch_pmil import load_experiment
@@ -60,13 +60,13 @@ def with_history(
             "positions_only needs entries of the state that are velocities of others, dNAME beside "
             f"NAME, of any value, got {', '.join(names)}"
         )
-    told = set(velocities.values()) if positions_only else set()
+    measured = set(velocities.values()) if positions_only else set()
     history = History(
         names,
         task.actions.names,
         task.demonstrations.time_step,
         hidden=tuple(names[rate] for rate in velocities) if positions_only else (),
-        past=tuple(name for entry, name in enumerate(names) if entry not in told),
+        past=tuple(name for entry, name in enumerate(names) if entry not in measured),
         past_entries=past_entries,
         past_actions=past_actions,
     )

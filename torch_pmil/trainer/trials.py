@@ -21,7 +21,7 @@ class Measurement:
         trial: 1, 2, ...
         experience_s: seconds of experience from which was learned.
         success_rate: success rate of ``n_eval`` rollouts from fresh starts, which are no
-            experience; None where there are none, and the own rollout alone tells.
+            experience; None if none were measured, and the own rollout alone is judged.
         n_eval: number of these rollouts.
         own_error: error of the trial's own rollout (m in the double pendulum), which becomes
             experience; the largest of all targets.
@@ -57,7 +57,7 @@ class Trial(Measurement):
             is a failure of infinite error.
         cut_short: why the own rollout was cut short, "" if it was not.
         leaving_probability: bound on the predicted probability that the own rollout leaves the box
-            of the motion; None where there is none.
+            of the motion; None without a box.
         refused: number of policies that were refused before, since they were likely to leave it.
     """
 

@@ -89,21 +89,15 @@ class PMILTrainer(Trainer):
         logger: Logger | None = None,
         checkpoint_rotation: CheckpointRotation | None = None,
     ) -> None:
-        for name, value, kind in (
-            ("problem", problem, Problem),
-            ("ending", ending, Ending),
-            ("search", search, SearchSettings),
-        ):
+        for value, kind in ((problem, Problem), (ending, Ending), (search, SearchSettings)):
             if not isinstance(value, kind):
-                raise TypeError(f"{name} must be {kind.__name__}, got {type(value).__name__}")
+                raise TypeError(f"expected {kind.__name__}, got {type(value).__name__}")
         check_whole("seed", seed, *SEEDS)
         self.problem, self.ending, self.promise = problem, ending, ending.promise
         self.initial, self.error, self.tolerance = problem.initial, problem.error, problem.tolerance
         self.evaluation_env, self.on_trial = problem.measured, on_trial
         env, loss = problem.env, problem.loss
-        policies, motions = (
-            generator_of(stream, seed) for stream in (Stream.POLICIES, Stream.MOTION)
-        )
+        policies, motions = generator_of(Stream.POLICIES, seed), generator_of(Stream.MOTION, seed)
         loss.actor_network.load_state_dict(problem.make_policy(policies).state_dict())
         motion = problem.exploration.motion(motions)
         if problem.box is not None:
@@ -122,7 +116,11 @@ class PMILTrainer(Trainer):
         frames = problem.frames(ending.trials)
         super().__init__(
             collector=RolloutCollector(
-                env, self.robot_policy, self.actor, problem.exploration.steps, self._is_measured
+                env,
+                self.robot_policy,
+                self.actor,
+                problem.exploration.steps,
+                tries=problem.measured is not None,
             ),
             total_frames=frames,
             frame_skip=1,
@@ -211,14 +209,8 @@ class PMILTrainer(Trainer):
             why = self.stop_reason or "call train first"
             raise RuntimeError(f"a policy must have run to be the best, got none: {why}")
         self.fit_dynamics()
-        return best_candidate(
-            self.candidates,
-            self.trials,
-            self.loss_module,
-            self.initial,
-            self.promise,
-            self.tolerance,
-        )
+        loss, judged = self.loss_module, (self.initial, self.promise, self.tolerance)
+        return best_candidate(self.candidates, self.trials, loss, *judged)
 
     def promised_success_rate(self) -> float | None:
         """Success rate that the loss's policy has at least, by its model, with 95 % confidence.
@@ -242,19 +234,14 @@ class PMILTrainer(Trainer):
         ]
 
     def resume(self, saved: SavedRun | None = None) -> Path | None:
-        """Continue from a checkpoint; return its path, or None if there is no checkpoint.
+        """Continue from a checkpoint, or the newest undamaged one; return its path, or None.
 
-        Nothing that it carries is executed, and all of it is checked before it is loaded. If it
-        does not fit, the one before it is taken, with a warning, if that is of the same run.
-
-        Args:
-            saved: a checkpoint; None for the newest undamaged one, with a warning for each damaged
-                one.
+        All of it is checked before it is loaded, and nothing is executed. If it does not fit, the
+        one before it of the same run is taken, with a warning.
 
         Raises:
             ValueError: there is neither a checkpoint nor a rotation to look for one.
-            CheckpointError: all checkpoints are damaged or do not fit; the message is about the
-                newest.
+            CheckpointError: all are damaged or do not fit; the message is about the newest.
         """
         if saved is None and self.rotation is None:
             raise ValueError("resume must be given a checkpoint or a checkpoint_rotation, got none")
@@ -266,10 +253,6 @@ class PMILTrainer(Trainer):
         loaded = restore(components, saved, self.rotation, widths)
         self.collector.update_policy_weights_()
         return loaded.path
-
-    @property
-    def _is_measured(self) -> bool:
-        return self.problem.measured is not None
 
     def _register_state(self, policies: torch.Generator, motions: torch.Generator) -> None:
         """Register all that a checkpoint holds besides TorchRL's own parts."""
@@ -385,16 +368,9 @@ class PMILTrainer(Trainer):
 
     def _admit(self) -> Admission:
         """What the robot may do with the policy that was found."""
-        search = self.search
-        return admit(
-            self.loss_module,
-            self.initial,
-            self.problem.box,
-            search.settings,
-            search.result,
-            self._report,
-            search.optimizer,
-        )
+        search, box = self.search, self.problem.box
+        of_search = search.settings, search.result, self._report, search.optimizer
+        return admit(self.loss_module, self.initial, box, *of_search)
 
     def _measure(self) -> tuple[float | None, int]:
         """Success rate of the policy from fresh starts and their number, if there are any."""

@@ -14,7 +14,7 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partialmethod
 from pathlib import Path
 
@@ -30,7 +30,7 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.training import RunResult, train
 from torch_pmil.search import policy_search
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks.registry import load_experiment
+from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
 from torch_pmil.tasks.task import Task
 
 STEPS, TRIALS, SEED = 4, 3, 5
@@ -53,19 +53,25 @@ PHASES = {  # what is called there
 
 
 def short_experiment(steps: int = STEPS, name: str = "double_pendulum", **changes: object) -> Task:
-    """The first steps of the double pendulum (or of PILCO on it), five basis functions and searches
-    of a few evaluations.
+    """The first steps of a task, with five basis functions and searches of a few evaluations.
+
+    Args:
+        changes: settings and groups of them, and fields of the task.
     """
-    experiment = load_experiment(name)
+    task = load_experiment(name)
     beginning = replace(
-        experiment.demonstrations, positions=experiment.demonstrations.positions[:, : steps + 1]
+        task.demonstrations, positions=task.demonstrations.positions[:, : steps + 1]
     )
-    return replace(
-        experiment,
-        demonstrations=beginning,
-        num_centres=5,
-        **{"search": SearchSettings(1, 1, 1, first_horizon=steps)} | changes,
-    )
+    quick = SearchSettings(1, 1, 1, first_horizon=steps)
+    changes = {"demonstrations": beginning, "num_centres": 5, "search": quick} | changes
+    return changed(task, **changes)
+
+
+def changed(task: Task, **changes: object) -> Task:
+    """A task with other fields, groups of settings and settings, by their names."""
+    own = {entry.name for entry in fields(task)} & changes.keys()
+    settings = {name: value for name, value in changes.items() if name not in own}
+    return replace(task, **{name: changes[name] for name in own}).with_settings(**settings)
 
 
 def quick_fits(patch: pytest.MonkeyPatch) -> None:
@@ -74,15 +80,24 @@ def quick_fits(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(dynamics, "pilco_starts", lambda *data: pilco_starts(*data)[:1])
 
 
+def replace_task(patch: pytest.MonkeyPatch, task: Task, name: str = "double_pendulum") -> None:
+    """Let a name stand for another task, whatever the demonstrations."""
+    module = f"torch_pmil.tasks.{EXPERIMENTS[name]}"
+    patch.setattr(f"{module}.{name}", lambda demonstrations=None: task)
+
+
+def stalling(name: str = "double_pendulum", **changes: object) -> Task:
+    """A short task of which no step counts as matched: searches stall and begin anew."""
+    search = SearchSettings(1, 1, 1, first_horizon=STEPS, trust_threshold=1e-9)
+    return short_experiment(name=name, search=search, **changes)
+
+
 def run(
-    folder: Path, resume: bool = False, name: str = "double_pendulum", **changes: object
+    folder: Path, resume: bool = False, task: Task | None = None, **changes: object
 ) -> RunResult:
-    """Learn it, or go on. No step counts as matched, so that searches stall and begin anew."""
+    """Learn a short task, or continue."""
     arguments = {"seed": SEED, "trials": TRIALS, "command": COMMAND, **changes}
-    experiment = short_experiment(
-        name=name, search=SearchSettings(1, 1, 1, first_horizon=STEPS, trust_threshold=1e-9)
-    )
-    return train(experiment, out=folder, progress_bar=False, resume=resume, **arguments)
+    return train(task or stalling(), out=folder, progress_bar=False, resume=resume, **arguments)
 
 
 def stop_in(patch: pytest.MonkeyPatch, phase: str, count: int, stop: Callable[[], None]) -> None:
@@ -111,12 +126,14 @@ def stop() -> None:
     raise Stopped
 
 
-def stopped_run(folder: Path, phase: str, count: int) -> Path:
+def stopped_run(
+    folder: Path, phase: str, count: int, task: Task | None = None, **changes: object
+) -> Path:
     """The folder of a run that was stopped where a phase is reached for the COUNT-th time."""
     with pytest.MonkeyPatch.context() as patch:
         stop_in(patch, phase, count, stop)
         with pytest.raises(Stopped):
-            run(folder)
+            run(folder, task=task, **changes)
     return folder
 
 

@@ -85,7 +85,7 @@ def test_first_steps_are_left_of_a_policy_that_leaves_whatever_the_penalty(
     loss, result = searched
     leaving = torch.tensor([0.01, 0.02, 0.03, 0.5], dtype=torch.float64)
     monkeypatch.setattr(StateBox, "leaving_by_step", lambda box, states: leaving)
-    monkeypatch.setattr("torch_pmil.search.admission.search_policy", lambda *args: result)
+    monkeypatch.setattr("torch_pmil.search.admission.search_policy", lambda *_, **__: result)
     admission = admit(loss, INITIAL, box(0.5), SETTINGS, result)
     assert (admission.refused, admission.steps) == (3, 2)
     assert admission.leaving_probability == pytest.approx(0.56)
@@ -115,7 +115,7 @@ def test_steps_that_cannot_be_predicted_leave(
     searched: tuple[TrajectoryLoss, SearchResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loss, result = searched
-    monkeypatch.setattr("torch_pmil.search.admission.search_policy", lambda *args: result)
+    monkeypatch.setattr("torch_pmil.search.admission.search_policy", lambda *_, **__: result)
     predict = loss.predict_states
 
     def failing(initial: Gaussian, horizon: int | None = None) -> Gaussian:

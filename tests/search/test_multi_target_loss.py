@@ -169,18 +169,15 @@ def test_search_lowers_the_loss_of_all_targets_together(initial: Gaussian) -> No
 
 def test_refitted_policy_acts_as_the_old_one_at_every_target(initial: Gaussian) -> None:
     loss, draws = make_loss(4, centres=80), Draws(5)
-    starts, old = initial.sample(50, draws.generator), PolicyAtTargets(loss.actor_network, TARGETS)
-    features = SPACE.features(starts)[:, None]
-    before = old.controller(features)
-    refit_policy(
-        loss,
-        initial,
-        make_policy(draws, 80),
-        SearchSettings(first_horizon=1, trust_threshold=0.0),
-        draws.generator,
+    features = SPACE.features(initial.sample(50, draws.generator))[:, None]
+    settings = SearchSettings(first_horizon=1, trust_threshold=0.0)
+    new = refit_policy(loss, initial, make_policy(draws, 80), settings, draws.generator)
+    before, after = (
+        PolicyAtTargets(policy, TARGETS).controller(features)
+        for policy in (loss.actor_network, new)
     )
     assert before.std(1).mean() > 0.1
-    assert (old.controller(features) - before).abs().mean() < 0.2 * before.std()
+    assert (after - before).abs().mean() < 0.2 * before.std()
 
 
 def test_failed_prediction_of_one_target_is_an_error_that_names_its_step(initial: Gaussian) -> None:

@@ -1,8 +1,9 @@
-"""The search that goes on where a policy matches the demonstrations and yet fails too often."""
+"""The searches of a trial: from which starts, in which order, and which policy is kept."""
 
 from __future__ import annotations
 
 import copy
+import math
 
 import pytest
 import torch
@@ -13,11 +14,18 @@ from tests.helpers.integrator import damped_integrator
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.search import success_search
+from torch_pmil.search import trial_search
 from torch_pmil.search.losses import ExpectedSaturatingCost, TrajectoryKLLoss
 from torch_pmil.search.policy_search import SearchResult, SearchSettings, search_policy
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess, Promise
-from torch_pmil.search.trial_search import STEADYINGS, search_for_success, steady_policy
+from torch_pmil.search.trial_search import (
+    PROGRESS,
+    STEADYINGS,
+    SUCCESS_SEARCHES,
+    TrialSearch,
+    search_for_success,
+    steady_policy,
+)
 
 HORIZON, U_MAX = 6, torch.tensor([2.0], dtype=torch.float64)
 SPACE = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
@@ -82,7 +90,7 @@ def test_steadied_policy_succeeds_more_often(
     assert found.evaluations > result.evaluations
 
 
-class Scripted:
+class ScriptedPromise:
     """Predictions of success, one after the other."""
 
     aim = 0.9
@@ -94,32 +102,39 @@ class Scripted:
         return PredictedSuccess(round(next(self._rates) * SAMPLES))
 
 
+def outcome(loss: float, horizon: int = HORIZON, matched: bool = True) -> SearchResult:
+    """Of a search with 10 evaluations."""
+    per_step = torch.full((HORIZON,), loss / HORIZON, dtype=torch.float64)
+    return SearchResult(loss, per_step, horizon, matched, 10, 1, 0.5, "iteration limit")
+
+
 @pytest.fixture
 def scripted(monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss) -> list[str]:
-    """Names of the searches that were made; the weights are then their number."""
+    """Names of the searches that were made; the weights are then their number, and so is the KL."""
     made: list[str] = []
-
-    def result(number: int) -> SearchResult:
-        loss.actor_network.weights.data.fill_(number)
-        per_step = torch.ones(HORIZON, dtype=torch.float64)
-        return SearchResult(float(number), per_step, HORIZON, True, 10, 0, 0.5, "iteration limit")
 
     def search(name: str) -> SearchResult:
         made.append(name)
-        return result(len(made))
+        loss.actor_network.weights.data.fill_(len(made))
+        return outcome(float(len(made)))
 
-    monkeypatch.setattr(success_search, "search_policy", lambda *_, **__: search("random"))
-    monkeypatch.setattr(success_search, "steady_policy", lambda *_: search("steady"))
-    result(0)
+    monkeypatch.setattr(trial_search, "search_policy", lambda *_: search("random"))
+    monkeypatch.setattr(trial_search, "steady_policy", lambda *_: search("steady"))
+    loss.actor_network.weights.data.zero_()
     return made
+
+
+def kept_by(loss: TrajectoryKLLoss) -> int:
+    """Number of the search whose policy the loss holds."""
+    return int(loss.actor_network.weights[0, 0].item())
 
 
 def go_on(loss: TrajectoryKLLoss, restarts: int, *rates: float) -> tuple[int, SearchResult]:
     """Number of the search whose policy was kept, and the outcome."""
-    first = SearchResult(0.0, torch.ones(HORIZON), HORIZON, True, 10, 0, 0.5, "iteration limit")
     policies = (make_policy(seed) for seed in range(restarts))
-    found = search_for_success(loss, INITIAL, Scripted(*rates), SETTINGS, first, policies)
-    return int(loss.actor_network.weights[0, 0].item()), found
+    promise = ScriptedPromise(*rates)
+    found = search_for_success(loss, INITIAL, promise, SETTINGS, outcome(0.0), policies)
+    return kept_by(loss), found
 
 
 @pytest.mark.parametrize(
@@ -165,3 +180,138 @@ def test_cost_without_demonstrations_is_not_steadied(
     cost = ExpectedSaturatingCost(network, loss.dynamics, SPACE, torch.zeros(1), 0.5, HORIZON)
     go_on(cost, 1, 0.1, 0.2)
     assert scripted == ["random"]
+
+
+# the order of the searches
+
+
+class Searches:
+    """A trial search whose searches end with these results, one after the other.
+
+    The policy's weights are then the number of the search, 1, 2, ...
+    """
+
+    def __init__(
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        loss: TrajectoryKLLoss,
+        results: list[tuple[float, int, bool]],
+        restarts: int = 0,
+    ) -> None:
+        self.loss, self._results, self.searches = loss, iter(results), 0
+        self.refitted_from: list[int] = []  # numbers of the searches whose policies were refitted
+        self.random_at: list[int] = []  # and of those from a random policy
+        self.optimizers: list[object] = []
+        self.loss.actor_network.weights.data.zero_()
+        monkeypatch.setattr(trial_search, "search_policy", self._search)
+        monkeypatch.setattr(trial_search, "refit_policy", self._refit)
+        self.search = TrialSearch(
+            SearchSettings(restarts=restarts), self._random, torch.Generator(), optimizer=OPTIMIZER
+        )
+
+    def _random(self) -> RBFPolicy:
+        policy = make_policy()
+        policy.weights.data.fill_(-1)
+        return policy
+
+    def _refit(self, loss: TrajectoryKLLoss, _: object, new: RBFPolicy, *__: object) -> RBFPolicy:
+        self.refitted_from.append(kept_by(loss))
+        return new
+
+    def _search(
+        self, loss: TrajectoryKLLoss, *_: object, random: bool = False, optimizer: object
+    ) -> SearchResult:
+        assert not random or kept_by(loss) in (-1, 0)
+        self.searches += 1
+        self.random_at += [self.searches] if random else []
+        self.optimizers.append(optimizer)
+        loss.actor_network.weights.data.fill_(self.searches)
+        return outcome(*next(self._results))
+
+    def trial(self, succeeded: bool = True) -> int:
+        """Number of the search whose policy one trial keeps, after a rollout."""
+        self.search.run(self.loss, INITIAL, succeeded)
+        return kept_by(self.loss)
+
+
+OPTIMIZER = torch.optim.Adam
+SLOW = 1.1 * PROGRESS * 100  # after a search that came to 100
+
+
+@pytest.mark.parametrize(
+    ("results", "restarts", "succeeded", "kept", "refitted_from", "random_at"),
+    [
+        ([(100, 2, False), (0.9 * PROGRESS * 100, 2, False)], 0, True, [1, 2], [], [1]),
+        ([(100, 2, False), (SLOW, HORIZON, True)], 0, True, [1, 2], [], [1]),
+        ([(100, 6, True), (SLOW, HORIZON, True), (1, 6, True)], 0, False, [1, 3], [2], [1]),
+        ([(100, 2, False), (SLOW, 3, False), (50, 2, False)], 0, True, [1, 3], [2], [1]),
+        ([(100, 2, False), (SLOW, 3, False), (99, 2, False)], 0, True, [1, 2], [2], [1]),
+        (
+            [(100, 2, False), *[(SLOW, 2, False)] * 2, (99, 2, False), (50, 2, False)],
+            3,
+            True,
+            [1, 5],
+            [2],
+            [1, 4, 5],
+        ),
+        (
+            [(100, 2, False), (150, 2, False), (140, 2, False), (SLOW, 2, False), (95, 2, False)],
+            0,
+            True,
+            [1, 3, 4],
+            [2, 4],
+            [1],
+        ),
+        ([(math.inf, 2, False), (50, 2, False)], 0, None, [2], [1], [1]),
+    ],
+    ids=[
+        "well below",
+        "complete",
+        "complete, but the rollout failed",
+        "the renewed policy is better",
+        "the renewed policy is worse",
+        "random policies until one brings enough",
+        "progress is from the least of all trials",
+        "a prediction that fails is no progress",
+    ],
+)
+def test_searches_follow_until_one_brings_enough_and_the_best_is_kept(
+    monkeypatch: pytest.MonkeyPatch,
+    loss: TrajectoryKLLoss,
+    results: list[tuple[float, int, bool]],
+    restarts: int,
+    succeeded: bool | None,
+    kept: list[int],
+    refitted_from: list[int],
+    random_at: list[int],
+) -> None:
+    scripted = Searches(monkeypatch, loss, results, restarts)
+    begun = []
+    assert [begun.append(scripted.searches) or scripted.trial(succeeded) for _ in kept] == kept
+    assert (scripted.refitted_from, scripted.random_at) == (refitted_from, random_at)
+    assert scripted.searches == len(results)
+    last = len(results) - begun[-1]
+    result = scripted.search.result
+    assert (result.evaluations, result.failures, result.seconds) == (10 * last, last, 0.5 * last)
+    assert result.loss == results[kept[-1] - 1][0]
+    assert scripted.search.refitted == (last > 1)
+    assert scripted.optimizers == [OPTIMIZER] * len(results)
+
+
+def test_searches_for_success_from_random_policies_are_so_many_in_a_whole_run(
+    monkeypatch: pytest.MonkeyPatch, loss: TrajectoryKLLoss
+) -> None:
+    """And only after a rollout that succeeded."""
+    scripted = Searches(monkeypatch, loss, [(1.0, HORIZON, True)] * 4)
+    given: list[int] = []
+
+    def counted(*arguments: object) -> SearchResult:
+        given.append(len(list(arguments[5])))
+        return arguments[4]
+
+    monkeypatch.setattr(trial_search, "search_for_success", counted)
+    scripted.search.promise = ScriptedPromise()
+    for succeeded in (None, False, True, True):
+        monkeypatch.setattr(scripted.search, "_least", 100.0)
+        scripted.trial(succeeded)
+    assert given == [0, 0, SUCCESS_SEARCHES, 0]

@@ -6,32 +6,27 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
-from reproduction.robustness import with_noise
 from tests.helpers.short_run import (
-    COMMAND,
     PD_MOVEMENTS,
     SEED,
     STEPS,
     TRIALS,
-    Stopped,
     quick_fits,
     run,
-    short_experiment,
-    stop,
-    stop_in,
+    stalling,
     stopped_run,
 )
 from torch_pmil.runs.run_folder import FinishedRunError, UnfinishedRunError
-from torch_pmil.runs.training import train
-from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
+from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.checkpoints import rotation_in, saved_checkpoints
 from torch_pmil.trainer.collector import RolloutCollector
 
@@ -131,40 +126,36 @@ def test_killed_run_ends_as_one_that_was_not_killed(
     assert_same_end(folder, whole)
 
 
-@pytest.mark.robot
-def test_run_of_the_baseline_goes_on_too(tmp_path: Path) -> None:
-    pilco = {"name": "double_pendulum_pilco"}
-    run(tmp_path / "whole", **pilco)
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
-        stop_in(patch, "search", 5, stop)
-        run(tmp_path / "stopped", **pilco)
-    run(tmp_path / "stopped", resume=True, **pilco)
-    assert_same_end(tmp_path / "stopped", tmp_path / "whole")
-
-
-@pytest.mark.robot
-def test_run_with_noisy_sensors_goes_on_with_the_same_noise(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    noisy = with_noise(0.02)
-    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: noisy)
-    run(tmp_path / "whole")
-    run(stopped_run(tmp_path / "stopped", "search", 5), resume=True)
-    assert_same_end(tmp_path / "stopped", tmp_path / "whole")
-
-
-@pytest.mark.robot
-@pytest.mark.parametrize(("phase", "count"), [("fit", 1), ("search", 5)], ids=str)
-def test_run_with_an_exploration_of_its_own_goes_on_too(
-    phase: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    experiment = replace(load_experiment("double_pendulum"), pd_movements=PD_MOVEMENTS)
-    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: experiment)
-    run(tmp_path / "whole")
-    assert numbers(tmp_path / "whole")["experience_s"] == pytest.approx(
-        0.1 * (2 * 7 + TRIALS * STEPS)
+def noisy() -> Task:
+    """The states that are seen and learned from have noise."""
+    noise = torch.tensor([0.02, 0.2, 0.02, 0.2], dtype=torch.float64)
+    plain = stalling()
+    return replace(
+        plain,
+        make_env=partial(plain.make_env, observation_std=noise.tolist()),
+        initial=plain.initial.add_noise(noise**2),
     )
-    run(stopped_run(tmp_path / "stopped", phase, count), resume=True)
+
+
+@pytest.mark.robot
+@pytest.mark.parametrize(
+    ("make", "phase", "count"),
+    [
+        (partial(stalling, "double_pendulum_pilco"), "search", 5),
+        (noisy, "search", 5),
+        (partial(stalling, exploration=PD_MOVEMENTS), "fit", 1),
+        (partial(stalling, exploration=PD_MOVEMENTS), "search", 5),
+    ],
+    ids=["PILCO", "noisy sensors", "PD movements, first fit", "PD movements"],
+)
+def test_run_of_another_task_goes_on_too(
+    make: Callable[[], Task], phase: str, count: int, tmp_path: Path
+) -> None:
+    whole = run(tmp_path / "whole", task=make())
+    explored = whole.summary["settings"]["exploration"]
+    moved = 0.1 * (explored["rollouts"] * explored["steps"] + TRIALS * STEPS)
+    assert whole.summary["experience_s"] == pytest.approx(moved)
+    run(stopped_run(tmp_path / "stopped", phase, count, make()), resume=True, task=make())
     assert_same_end(tmp_path / "stopped", tmp_path / "whole")
 
 
@@ -172,19 +163,15 @@ def test_run_with_an_exploration_of_its_own_goes_on_too(
 def test_run_goes_on_with_another_logger(
     before: str | None, after: str | None, whole: Path, tmp_path: Path
 ) -> None:
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
-        stop_in(patch, "search", 5, stop)
-        run(tmp_path / "run", logger=before)
+    stopped_run(tmp_path / "run", "search", 5, logger=before)
     run(tmp_path / "run", resume=True, logger=after)
     assert_same_end(tmp_path / "run", whole)
     assert after is None or any((tmp_path / "run" / "logs").rglob("*.csv"))
 
 
 def test_run_may_be_stopped_again_and_again(whole: Path, stopped: Path) -> None:
-    for phase, count in (("fit", 1), ("evaluation", 1), ("renaming", 1)):
-        with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
-            stop_in(patch, phase, count, stop)
-            run(stopped, resume=True)
+    for phase in ("fit", "evaluation", "renaming"):
+        stopped_run(stopped, phase, 1, resume=True)
     run(stopped, resume=True)
     assert_same_end(stopped, whole)
 
@@ -256,9 +243,7 @@ def test_stopped_run_is_not_overwritten(stopped: Path) -> None:
 
 def test_finished_run_that_was_stopped_as_it_went_on_is_not_overwritten(tmp_path: Path) -> None:
     run(tmp_path, trials=TRIALS - 1)
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
-        stop_in(patch, "search", 1, stop)
-        run(tmp_path, resume=True)
+    stopped_run(tmp_path, "search", 1, resume=True)
     with pytest.raises(UnfinishedRunError):
         run(tmp_path)
 
@@ -279,9 +264,7 @@ def test_replaced_run_that_is_stopped_leaves_nothing_of_the_old_one(
     whole: Path, tmp_path: Path
 ) -> None:
     folder = shutil.copytree(whole, tmp_path / "run")
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
-        stop_in(patch, "search", 1, stop)
-        run(folder, overwrite=True)
+    stopped_run(folder, "search", 1, overwrite=True)
     assert {path.name for path in folder.iterdir()} == {
         "run.json",
         "settings.yaml",
@@ -313,21 +296,3 @@ def test_robot_moves_as_often_as_in_a_run_without_stops(
     )
     run(stopped_run(tmp_path / "run", "search", 5), resume=True)
     assert len(rollouts) == TRIALS + 1
-
-
-def test_run_with_plans_goes_on_from_its_last_plan(tmp_path: Path) -> None:
-    states = load_experiment("double_pendulum").demonstrated_states.unflatten(0, (5, -1))
-    experiment = short_experiment(
-        demonstrated_states=states[:, : STEPS + 1].flatten(0, 1), plan_weight=1.0
-    )
-
-    def learn(folder: Path, resume: bool = False) -> None:
-        train(experiment, SEED, TRIALS, folder, COMMAND, progress_bar=False, resume=resume)
-
-    learn(tmp_path / "whole")
-    with pytest.MonkeyPatch.context() as patch:
-        stop_in(patch, "collection", 3 * STEPS + 2, stop)  # in the second own rollout
-        with pytest.raises(Stopped):
-            learn(tmp_path / "stopped")
-    learn(tmp_path / "stopped", resume=True)
-    assert_same_end(tmp_path / "stopped", tmp_path / "whole")

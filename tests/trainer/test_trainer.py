@@ -5,13 +5,11 @@ few evaluations.
 from __future__ import annotations
 
 import io
-import math
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -25,11 +23,8 @@ from torch_pmil.envs.rollouts import rollout_of, states_of, without_sensor_noise
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.runs.training import make_trainer
-from torch_pmil.search.policy_search import SearchResult, SearchSettings
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess
-from torch_pmil.trainer import search_stepper as stepper_module
 from torch_pmil.trainer.collector import RobotActor
-from torch_pmil.trainer.search_stepper import PROGRESS, PolicySearchStepper
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Candidate, Trial
 
@@ -99,7 +94,7 @@ def test_first_rollout_is_random_within_a_fraction_of_the_limit() -> None:
 
 
 def test_first_motion_may_be_several_rollouts_of_another_length() -> None:
-    trainer, told = make(trials=2, pd_movements=PD_MOVEMENTS)
+    trainer, told = make(trials=2, exploration=PD_MOVEMENTS)
     sizes: list[int] = []
     trainer.register_op(
         "post_optim", lambda: sizes.append(len(trainer.loss_module.dynamics.train_inputs))
@@ -121,7 +116,7 @@ def test_first_motion_may_be_several_rollouts_of_another_length() -> None:
 
 def test_first_motion_is_that_of_the_pd_controller_from_the_robots_starts() -> None:
     """The collector tries out robot and motion when it is made."""
-    trainer, _ = make(trials=1, pd_movements=PD_MOVEMENTS)
+    trainer, _ = make(trials=1, exploration=PD_MOVEMENTS)
     trainer.train()
     env, motion = (
         short_experiment().make_env(seed=0),
@@ -250,12 +245,19 @@ class ScriptedPromise:
         return PredictedSuccess(round(next(self._rates) * SAMPLES))
 
 
+def promised(trainer: PMILTrainer, *rates: float) -> ScriptedPromise:
+    """The promise that a trainer must keep from now on."""
+    trainer.promise = promise = ScriptedPromise(*rates)
+    trainer.ending = replace(trainer.ending, promise=promise)
+    return promise
+
+
 def test_training_ends_when_the_model_that_learned_from_a_success_predicts_the_promised_rate() -> (
     None
 ):
     trainer, told = make(trials=6, error=own_errors(0.1, 0.9, 0.1), tolerance=0.5)
     # before the rollout of each trial, and after those that succeeded
-    trainer.promise = promise = ScriptedPromise(0.99, 0.8, 0.99, 0.7, 1.0)
+    promise = promised(trainer, 0.99, 0.8, 0.99, 0.7, 1.0)
     trainer.train()
     rates = [(trial.predicted_success_rate, trial.promised_success_rate) for trial in told]
     least = [PredictedSuccess(round(rate * SAMPLES)).least for rate in (0.8, 1.0)]
@@ -277,7 +279,7 @@ def test_model_is_fitted_once_to_the_same_experience(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(GPDynamics, "fit", counted)
     trainer, _ = make(trials=2, error=own_errors(0.1, 0.1), tolerance=0.5)
-    trainer.promise = ScriptedPromise(0.5, 0.5, 0.5, 0.5, 0.5, 0.5)
+    promised(trainer, *[0.5] * 6)
     trainer.train()
     trainer.best_policy()
     assert sizes == [HORIZON, 2 * HORIZON, 3 * HORIZON]
@@ -409,8 +411,8 @@ def candidates(trained: PMILTrainer, monkeypatch: pytest.MonkeyPatch) -> Callabl
                 raise PredictionError("prediction of step 2 failed", 2)
             return torch.tensor([kl / 2, kl / 2])
 
-        monkeypatch.setattr(trained, "candidates", made)
-        monkeypatch.setattr(trained, "trials", [SimpleNamespace(steps=HORIZON)] * len(made))
+        monkeypatch.setattr(trained.state, "candidates", made)
+        monkeypatch.setattr(trained.state, "trials", [SimpleNamespace(steps=HORIZON)] * len(made))
         monkeypatch.setattr(trained, "promise", promise)
         monkeypatch.setattr(trained, "tolerance", 0.25)
         monkeypatch.setattr(trained.loss_module, "per_step", per_step)
@@ -461,170 +463,6 @@ def test_best_policy_is_chosen_under_a_model_of_all_experience(
 ) -> None:
     candidates((0.1, 1.0))
     assert len(trained.loss_module.dynamics.train_inputs) == len(trained.experience)
-
-
-# the search of a trial
-
-
-class ScriptedSearches:
-    """A stepper whose searches end with these results; the policy's weights are then the number of
-    the search, 1, 2, ...
-    """
-
-    def __init__(
-        self,
-        monkeypatch: pytest.MonkeyPatch,
-        results: list[tuple[float, int, bool]],
-        restarts: int = 0,
-        tracking: SimpleNamespace | None = None,
-    ) -> None:
-        self.loss = make(trials=1)[0].loss_module
-        self.refitted_from: list[int] = []  # numbers of the searches whose policies were refitted
-        self.random_at: list[int] = []  # and of those that were told that theirs is random
-        self.searches = 0
-        self._results = iter(results)
-        monkeypatch.setattr(stepper_module, "search_policy", self._search)
-        monkeypatch.setattr(
-            stepper_module, "refit_policy", lambda *_: self.refitted_from.append(self.kept)
-        )
-        self.stepper = PolicySearchStepper(
-            SearchSettings(restarts=restarts),
-            None,
-            self._random,
-            torch.Generator(),
-            lambda *_: None,
-            tracking,
-        )
-
-    def _random(self) -> RBFPolicy:
-        policy = RBFPolicy(torch.zeros(5, 6), torch.ones(2), torch.ones(6))
-        policy.weights.data.fill_(-1)
-        return policy
-
-    def _search(self, loss: torch.nn.Module, *_: object, random: bool) -> SearchResult:
-        assert not random or self.kept in (-1, 0)
-        self.searches += 1
-        self.random_at += [self.searches] if random else []
-        loss.actor_network.weights.data.fill_(self.searches)
-        kl, horizon, matched = next(self._results)
-        per_step = torch.full((HORIZON,), kl / HORIZON, dtype=torch.float64)
-        return SearchResult(
-            kl,
-            per_step,
-            horizon,
-            matched,
-            evaluations=10,
-            failures=1,
-            seconds=0.5,
-            stop_reason="iteration limit",
-        )
-
-    @property
-    def kept(self) -> int:
-        """Number of the search whose policy the loss holds."""
-        return int(self.loss.actor_network.weights[0, 0].item())
-
-    def step(self, failed: bool = False) -> int:
-        """One trial's search, after a rollout that may have failed; number of the kept policy's."""
-        start = TensorDict({"observation": {"mean": torch.zeros(4), "var": torch.eye(4)}})
-        trials = [SimpleNamespace(own_success=True), SimpleNamespace(own_success=not failed)]
-        trainer = SimpleNamespace(loss_module=self.loss, trials=trials)
-        loss = self.stepper.step(trainer, start)["loss_kl"]
-        assert loss.item() == self.stepper.result.loss
-        return self.kept
-
-
-SLOW = 1.1 * PROGRESS * 100  # after a search that came to 100
-
-
-@pytest.mark.parametrize(
-    "second", [(0.9 * PROGRESS * 100, 2, False), (SLOW, 4, True)], ids=["well below", "complete"]
-)
-def test_search_that_makes_progress_is_the_only_one(
-    monkeypatch: pytest.MonkeyPatch, second: tuple[float, int, bool]
-) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(100.0, 2, False), second])
-    assert [scripted.step(), scripted.step()] == [1, 2]
-    assert (scripted.refitted_from, scripted.random_at, scripted.stepper.refitted) == (
-        [],
-        [1],
-        False,
-    )
-
-
-@pytest.mark.parametrize(("planned", "kept"), [(50.0, 2), (150.0, 1)], ids=["better", "worse"])
-def test_search_from_a_plan_is_made_too_and_the_better_is_kept(
-    monkeypatch: pytest.MonkeyPatch, planned: float, kept: int
-) -> None:
-    guesses: list[float] = []
-
-    def plan(dynamics: object, last: np.ndarray) -> SimpleNamespace:
-        guesses.append(last.item())
-        return SimpleNamespace(plan=SimpleNamespace(actions=np.ones((1, 1))))
-
-    tracking = SimpleNamespace(first_guess=np.zeros((1, 1)), plan=plan, fit_policy=lambda *_: None)
-    searches = [(100.0, 4, True), (planned, 4, True), (1.0, 4, True), (2.0, 4, True)]
-    scripted = ScriptedSearches(monkeypatch, searches, tracking=tracking)
-    assert [scripted.step(), scripted.step()] == [kept, 3]
-    assert (scripted.random_at, guesses) == ([1], [0.0, 1.0])
-
-
-def test_matching_the_whole_horizon_is_not_enough_after_a_rollout_that_failed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(100.0, 4, True), (SLOW, 4, True), (1.0, 4, True)])
-    assert [scripted.step(), scripted.step(failed=True)] == [1, 3]
-    assert (scripted.refitted_from, scripted.stepper.refitted) == ([2], True)
-
-
-@pytest.mark.parametrize(("refitted", "kept"), [(50.0, 3), (99.0, 2)], ids=["better", "worse"])
-def test_search_without_progress_is_followed_by_one_of_the_renewed_policy_and_the_better_is_kept(
-    monkeypatch: pytest.MonkeyPatch, refitted: float, kept: int
-) -> None:
-    scripted = ScriptedSearches(
-        monkeypatch, [(100.0, 2, False), (SLOW, 3, False), (refitted, 2, False)]
-    )
-    assert [scripted.step(), scripted.step()] == [1, kept]
-    assert (scripted.refitted_from, scripted.stepper.refitted) == ([2], True)
-    result = scripted.stepper.result
-    assert result.loss == min(refitted, SLOW)
-    assert (result.evaluations, result.failures, result.seconds) == (20, 2, 1.0)
-
-
-def test_searches_from_random_policies_follow_until_one_brings_enough(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    results = [
-        (100.0, 2, False),
-        (SLOW, 2, False),
-        (SLOW, 2, False),
-        (99.0, 2, False),
-        (50.0, 2, False),
-    ]
-    scripted = ScriptedSearches(monkeypatch, results, restarts=3)
-    assert [scripted.step(), scripted.step()] == [1, 5]
-    assert (scripted.refitted_from, scripted.random_at) == ([2], [1, 4, 5])
-    assert scripted.stepper.result.evaluations == 40
-
-
-def test_progress_is_from_the_least_loss_of_all_trials(monkeypatch: pytest.MonkeyPatch) -> None:
-    scripted = ScriptedSearches(
-        monkeypatch,
-        [
-            (100.0, 2, False),
-            (150.0, 2, False),
-            (140.0, 2, False),
-            (SLOW, 2, False),
-            (95.0, 2, False),
-        ],
-    )
-    assert [scripted.step() for _ in range(3)] == [1, 3, 4]
-    assert scripted.refitted_from == [2, 4]
-
-
-def test_prediction_that_still_fails_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    scripted = ScriptedSearches(monkeypatch, [(math.inf, 2, False), (50.0, 2, False)])
-    assert scripted.step() == 2
 
 
 # what the robot executes

@@ -55,7 +55,7 @@ def test_policy_that_is_likely_to_leave_runs_for_its_first_steps_alone(
     """A rollout that is cut short is a failure, and experience."""
     monkeypatch.setattr(
         "torch_pmil.trainer.trainer.admit",
-        lambda loss, initial, box, settings, result, report: Admission(result, 0.3, 3, steps=2),
+        lambda loss, initial, box, settings, result, *rest: Admission(result, 0.3, 3, steps=2),
     )
     trainer = trained(box=WIDE)
     for trial in trainer.trials:

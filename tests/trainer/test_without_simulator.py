@@ -65,7 +65,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same, with a first motion of two rollouts."""
     folder = tmp_path_factory.mktemp("runs") / "moved"
-    run(folder, Attended(), pd_movements=PD_MOVEMENTS)
+    run(folder, Attended(), exploration=PD_MOVEMENTS)
     return folder
 
 
@@ -214,7 +214,7 @@ def test_rollout_of_the_first_motion_may_be_discarded_too(
     keys: Sequence[str], moved: Path, tmp_path: Path
 ) -> None:
     operator = Operator(keys)
-    run(tmp_path / "run", Attended(operator), pd_movements=PD_MOVEMENTS)
+    run(tmp_path / "run", Attended(operator), exploration=PD_MOVEMENTS)
     assert_same_end(tmp_path / "run", moved)
     assert operator.asked == 2 + TRIALS + 2  # the key, and one rollout once more
 
@@ -269,8 +269,8 @@ def test_rollout_in_whose_midst_a_run_stopped_is_all_that_it_loses(
     operator = Operator()
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Stopped):
         stop_in(patch, "collection", 7 + count, stop)
-        run(tmp_path / "run", Attended(operator), pd_movements=PD_MOVEMENTS)
-    run(tmp_path / "run", Attended(operator), resume=True, pd_movements=PD_MOVEMENTS)
+        run(tmp_path / "run", Attended(operator), exploration=PD_MOVEMENTS)
+    run(tmp_path / "run", Attended(operator), resume=True, exploration=PD_MOVEMENTS)
     assert_same_end(tmp_path / "run", moved)
     assert operator.asked == 2 + TRIALS + 1
 

@@ -8,11 +8,11 @@ from torch import Tensor
 
 from torch_pmil.control.exploration import PDMovements
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.biorob import JOINTS, BioRobEnv, holding_torques
 from torch_pmil.envs.racket import distance_along
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import EndingSettings, Method, PolicySettings
 from torch_pmil.tasks.task import Task
 
@@ -104,19 +104,15 @@ def biorob(demonstrations: Demonstrations | None = None) -> Task:
     Raises:
         DemonstrationError: they hold something else, or at another rate.
     """
-    demonstrations = demonstrations or shipped_demonstrations("biorob")
-    env, space = BioRobEnv(), biorob_space()
-    demonstrations = fitting(demonstrations, space, env)
-    actions = actions_of(env)
+    env = BioRobEnv()
+    parts = simulated_parts("biorob", env, biorob_space(), demonstrations)
+    positions, start = parts["demonstrations"].positions, env.initial_mean
+    reach = demonstrated_reach(positions[..., : len(JOINTS)], start[: len(JOINTS)])
     return Task(
-        name="biorob",
+        **parts,
         make_env=BioRobEnv,
-        space=space,
-        demonstrations=demonstrations,
         noise_std=torch.tensor(NOISE_STD, dtype=torch.float64),
-        initial=independent_start(env.initial_mean, env.initial_std),
-        actions=actions,
-        demonstrated_states=demonstrations.positions.reshape(-1, space.dim),
+        demonstrated_states=positions.flatten(0, 1),
         error=distance_from_ball,
         tolerance=0.0,
         predicted_error=distance_along,
@@ -125,13 +121,7 @@ def biorob(demonstrations: Demonstrations | None = None) -> Task:
             policy=PolicySettings(
                 num_centres=80, input_widths=torch.tensor(INPUT_WIDTHS, dtype=torch.float64)
             ),
-            exploration=movements_around(
-                env.initial_mean,
-                demonstrated_reach(
-                    demonstrations.positions[..., : len(JOINTS)], env.initial_mean[: len(JOINTS)]
-                ),
-                actions.half_range,
-            ),
+            exploration=movements_around(start, reach, parts["actions"].half_range),
             search=SEARCH,
             ending=EndingSettings(confirmations=4),
         ),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.hitting_plane import TARGET_NAMES, ball_at
 from torch_pmil.tasks.biorob import (
@@ -19,7 +19,7 @@ from torch_pmil.tasks.biorob import (
     holding_torques_at,
     movements_around,
 )
-from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import EndingSettings, Method, PolicySettings
 from torch_pmil.tasks.targets import TargetTask
 
@@ -61,29 +61,22 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetTask:
     Raises:
         DemonstrationError: they hold something else, or at another rate.
     """
-    demonstrations = demonstrations or shipped_demonstrations("biorob_targets")
-    env, space = BioRobEnv(), biorob_space()
-    demonstrations = fitting(demonstrations, space, env, TARGET_NAMES)
-    actions = actions_of(env)
+    env = BioRobEnv()
+    parts = simulated_parts("biorob_targets", env, biorob_space(), demonstrations, TARGET_NAMES)
     widths, widened = torch.tensor([INPUT_WIDTHS, WIDENED], dtype=torch.float64)
     reach = torch.tensor(REACH, dtype=torch.float64)
+    movements = movements_around(env.initial_mean, reach, parts["actions"].half_range)
     return TargetTask(
-        name="biorob_targets",
+        **parts,
         make_env=robots_before_balls,
-        space=space,
-        demonstrations=demonstrations,
         noise_std=torch.tensor(NOISE_STD, dtype=torch.float64),
-        initial=independent_start(env.initial_mean, env.initial_std),
-        actions=actions,
-        demonstrated_states=demonstrations.positions.reshape(-1, space.dim),
+        demonstrated_states=parts["demonstrations"].positions.flatten(0, 1),
         error=distance_from_ball,
         tolerance=0.0,
         holding_actions=holding_torques_at,
         method=Method(
             policy=PolicySettings(num_centres=250, input_widths=widths * widened),
-            exploration=replace(
-                movements_around(env.initial_mean, reach, actions.half_range), rollouts=1
-            ),
+            exploration=replace(movements, rollouts=1),
             search=replace(SEARCH, final_iterations=60),
             ending=EndingSettings(confirmations=4),
         ),

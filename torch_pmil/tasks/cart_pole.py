@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.cart_pole import POLE_LENGTH, CartPoleEnv
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.tasks.double_pendulum import unwrapped
-from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.inverted_pendulum import cart_and_tip
-from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.method import with_least_widths
 from torch_pmil.tasks.task import Task
 
 NOISE_STD = 0.03  # m
@@ -75,31 +75,21 @@ def cart_pole(demonstrations: Demonstrations | None = None) -> Task:
     the last 0.5 s.
 
     Args:
-        demonstrations: of the positions x_cart, x_tip, z_tip at 10 Hz; those that come with the
-            package if None.
+        demonstrations: of the positions x_cart, x_tip, z_tip at 10 Hz; None for those that come
+            with the package.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.
     """
-    demonstrations = demonstrations or shipped_demonstrations("cart_pole")
-    space, env = cart_pole_space(), CartPoleEnv()
-    demonstrations = fitting(demonstrations, space, env)
-    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
-    goal = demonstrations.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
+    parts = simulated_parts("cart_pole", CartPoleEnv(), cart_pole_space(), demonstrations)
+    shown = parts["demonstrations"]
+    goal = shown.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
     return Task(
-        name="cart_pole",
+        **parts,
         make_env=CartPoleEnv,
-        space=space,
-        demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=independent_start(env.initial_mean, env.initial_std),
-        actions=actions_of(env),
-        demonstrated_states=states.reshape(-1, 4),
-        method=Method(
-            policy=PolicySettings(
-                num_centres=100, least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64)
-            )
-        ),
+        demonstrated_states=states_from_positions(shown.positions, shown.time_step).flatten(0, 1),
         error=of_states(lambda states: distance_from_goal(states, goal)),
         tolerance=SUCCESS_DISTANCE,
+        method=with_least_widths(LEAST_WIDTHS),
     )

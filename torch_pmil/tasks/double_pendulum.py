@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.state_space import MatchSpace, StateSpace
-from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.double_pendulum import LINK_LENGTH, DoublePendulumEnv
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
-from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.fitting import simulated_parts
+from torch_pmil.tasks.method import with_least_widths
 from torch_pmil.tasks.task import Task
 
 NOISE_STD = 0.05  # m
@@ -62,6 +62,11 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
     return torch.stack([q1, dq1, q2, dq2], -1)
 
 
+def demonstrated_states(shown: Demonstrations) -> Tensor:
+    """States (S, 4) of two links that show the demonstrated link positions."""
+    return states_from_positions(shown.positions, shown.time_step).flatten(0, 1)
+
+
 def unwrapped(angles: Tensor) -> Tensor:
     """Angles (..., T), rad, without jumps of whole turns, from the first one on.
 
@@ -108,31 +113,22 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """The experiment of Section 5.1: 100 basis functions, 812 policy parameters, 2.5 s at 10 Hz.
 
     Args:
-        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz; those that come with the
-            package if None.
+        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz; None for those that come
+            with the package.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.
     """
-    demonstrations = demonstrations or shipped_demonstrations("double_pendulum")
-    env = DoublePendulumEnv()
-    demonstrations = fitting(demonstrations, double_pendulum_space(), env)
-    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    parts = simulated_parts(
+        "double_pendulum", DoublePendulumEnv(), double_pendulum_space(), demonstrations
+    )
     return Task(
-        name="double_pendulum",
+        **parts,
         make_env=DoublePendulumEnv,
-        space=double_pendulum_space(),
-        demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=independent_start(env.initial_mean, env.initial_std),
-        actions=actions_of(env),
-        demonstrated_states=states.reshape(-1, 4),
-        method=Method(
-            policy=PolicySettings(
-                num_centres=100, least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64)
-            )
-        ),
+        demonstrated_states=demonstrated_states(parts["demonstrations"]),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
+        method=with_least_widths(LEAST_WIDTHS),
         sketch=joints_at,
     )

@@ -5,18 +5,18 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.tasks.double_pendulum import (
     NOISE_STD,
     REACH_DISTANCE,
+    demonstrated_states,
     distance_from_target,
     double_pendulum_space,
     joints_at,
-    states_from_positions,
 )
-from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
+from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import EndingSettings, Method
 from torch_pmil.tasks.targets import TargetTask
 
@@ -38,19 +38,18 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
     Raises:
         DemonstrationError: they hold something else, or at another rate.
     """
-    demonstrations = demonstrations or shipped_demonstrations("double_pendulum_targets")
-    env = DoublePendulumEnv()
-    demonstrations = fitting(demonstrations, double_pendulum_space(), env, ("x", "y"))
-    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    parts = simulated_parts(
+        "double_pendulum_targets",
+        DoublePendulumEnv(),
+        double_pendulum_space(),
+        demonstrations,
+        ("x", "y"),
+    )
     return TargetTask(
-        name="double_pendulum_targets",
+        **parts,
         make_env=DoublePendulumEnv,
-        space=double_pendulum_space(),
-        demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=independent_start(env.initial_mean, env.initial_std),
-        actions=actions_of(env),
-        demonstrated_states=states.reshape(-1, 4),
+        demonstrated_states=demonstrated_states(parts["demonstrations"]),
         error=distance_of_tip,
         tolerance=REACH_DISTANCE,
         method=Method(ending=EndingSettings(confirmations=2)),

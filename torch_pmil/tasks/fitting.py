@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.demonstrations import DemonstrationError, Demonstrations
+from torch_pmil.demonstrations import (
+    DemonstrationError,
+    Demonstrations,
+    shipped_demonstrations,
+)
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.gp.gaussian import Gaussian
 
@@ -52,3 +58,34 @@ def fitting(
             f"{env.control_period} resamples a recording"
         )
     return demonstrations
+
+
+def simulated_parts(
+    name: str,
+    env: MujocoRobotEnv | AdaptedEnv,
+    space: StateSpace,
+    demonstrations: Demonstrations | None,
+    target_names: tuple[str, ...] = (),
+) -> dict[str, Any]:
+    """Fields of the task of a simulated robot that follow from the robot and the demonstrations.
+
+    Args:
+        name: of the task, and of the demonstrations that come with the package.
+        env: the robot, which knows its start.
+        space: its state space.
+        demonstrations: of the match space at the control period; None for the package's own.
+        target_names: of the demonstrations' targets.
+
+    Raises:
+        DemonstrationError: the demonstrations hold something else, or at another rate.
+    """
+    own = demonstrations or shipped_demonstrations(name)
+    parts = {
+        "name": name,
+        "space": space,
+        "demonstrations": fitting(own, space, env, target_names),
+        "actions": actions_of(env),
+    }
+    if isinstance(env, MujocoRobotEnv):
+        parts["initial"] = independent_start(env.initial_mean, env.initial_std)
+    return parts

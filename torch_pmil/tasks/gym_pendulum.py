@@ -6,12 +6,12 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.state_space import MatchSpace, StateSpace
-from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.gym_tasks import HANGING_MEAN, HANGING_STD, gym_pendulum_env
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.tasks.double_pendulum import unwrapped
-from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
-from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.fitting import independent_start, simulated_parts
+from torch_pmil.tasks.method import with_least_widths
 from torch_pmil.tasks.task import Task
 
 LENGTH = 1.0  # m
@@ -63,26 +63,17 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Task:
         DemonstrationError: they hold something else, or at another rate.
         ModuleNotFoundError: gymnasium is not installed.
     """
-    demonstrations = demonstrations or shipped_demonstrations("gym_pendulum")
-    space, env = gym_pendulum_space(), gym_pendulum_env()
-    demonstrations = fitting(demonstrations, space, env)
-    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    parts = simulated_parts(
+        "gym_pendulum", gym_pendulum_env(), gym_pendulum_space(), demonstrations
+    )
+    shown, start = parts["demonstrations"], torch.tensor([HANGING_MEAN, HANGING_STD]).double()
     return Task(
-        name="gym_pendulum",
+        **parts,
         make_env=gym_pendulum_env,
-        space=space,
-        demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=independent_start(
-            torch.tensor(HANGING_MEAN).double(), torch.tensor(HANGING_STD).double()
-        ),
-        actions=actions_of(env),
-        demonstrated_states=states.reshape(-1, 2),
-        method=Method(
-            policy=PolicySettings(
-                num_centres=50, least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64)
-            )
-        ),
+        initial=independent_start(*start),
+        demonstrated_states=states_from_positions(shown.positions, shown.time_step).flatten(0, 1),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
+        method=with_least_widths(LEAST_WIDTHS, num_centres=50),
     )

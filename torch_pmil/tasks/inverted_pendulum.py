@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.state_space import MatchSpace, StateSpace
-from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.gym_tasks import CART_START, inverted_pendulum_env
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks.fitting import actions_of, fitting
+from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import Method, PolicySettings, RandomMotion
 from torch_pmil.tasks.task import Task
 
@@ -81,26 +81,21 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
         DemonstrationError: they hold something else, or at another rate.
         ModuleNotFoundError: gymnasium is not installed.
     """
-    demonstrations = demonstrations or shipped_demonstrations("inverted_pendulum")
     space, env = inverted_pendulum_space(), inverted_pendulum_env()
-    demonstrations = fitting(demonstrations, space, env)
-    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
-    tip = demonstrations.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
-    # mean and covariance of the uniform start
-    initial = Gaussian(torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double())
+    parts = simulated_parts("inverted_pendulum", env, space, demonstrations)
+    shown = parts["demonstrations"]
+    tip = shown.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
 
     def distance_from_demonstrated(states: Tensor) -> Tensor:
         return (space.observe(states[..., -FINAL_SAMPLES:, :])[..., 1:] - tip).norm(dim=-1).amax(-1)
 
     return Task(
-        name="inverted_pendulum",
+        **parts,
         make_env=inverted_pendulum_env,
-        space=space,
-        demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=initial,
-        actions=actions_of(env),
-        demonstrated_states=states.reshape(-1, 4),
+        # mean and covariance of the uniform start
+        initial=Gaussian(torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double()),
+        demonstrated_states=states_from_positions(shown.positions, shown.time_step).flatten(0, 1),
         error=of_states(distance_from_demonstrated),
         tolerance=SUCCESS_DISTANCE,
         method=Method(

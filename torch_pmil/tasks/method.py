@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -135,3 +136,9 @@ class Method(Settings):
     search: SearchSettings = field(default_factory=SearchSettings)
     ending: EndingSettings = field(default_factory=EndingSettings)
     optimizer: MakeOptimizer = torch.optim.LBFGS
+
+
+def with_least_widths(widths: Sequence[float], num_centres: int = 100) -> Method:
+    """A method whose new policies have so many basis functions of at least these widths."""
+    least = torch.tensor(widths, dtype=torch.float64)
+    return Method(PolicySettings(num_centres=num_centres, least_widths=least))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from torch_pmil.control.state_space import MatchSpace, StateSpace
-from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.pendubot import (
     CONTROL_PERIOD,
     LINK_LENGTHS,
@@ -15,9 +14,9 @@ from torch_pmil.envs.pendubot import (
     tip_height,
 )
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.tasks.double_pendulum import states_from_positions
-from torch_pmil.tasks.fitting import actions_of, fitting, independent_start
-from torch_pmil.tasks.method import Method, PolicySettings
+from torch_pmil.tasks.double_pendulum import demonstrated_states
+from torch_pmil.tasks.fitting import simulated_parts
+from torch_pmil.tasks.method import with_least_widths
 from torch_pmil.tasks.task import Task
 
 NOISE_STD = 0.025  # m
@@ -70,24 +69,13 @@ def acrobot(demonstrations: Demonstrations | None = None) -> Task:
 def _one_motor(
     name: str, make_env: type[PendubotEnv], demonstrations: Demonstrations | None
 ) -> Task:
-    demonstrations = demonstrations or shipped_demonstrations(name)
-    env = make_env()
-    demonstrations = fitting(demonstrations, one_motor_space(), env)
-    states = states_from_positions(demonstrations.positions, demonstrations.time_step)
+    parts = simulated_parts(name, make_env(), one_motor_space(), demonstrations)
     return Task(
-        name=name,
+        **parts,
         make_env=make_env,
-        space=one_motor_space(),
-        demonstrations=demonstrations,
         noise_std=NOISE_STD,
-        initial=independent_start(env.initial_mean, env.initial_std),
-        actions=actions_of(env),
-        demonstrated_states=states.reshape(-1, 4),
-        method=Method(
-            policy=PolicySettings(
-                num_centres=100, least_widths=torch.tensor(LEAST_WIDTHS, dtype=torch.float64)
-            )
-        ),
+        demonstrated_states=demonstrated_states(parts["demonstrations"]),
         error=of_states(depth_below_upright),
         tolerance=sum(LINK_LENGTHS) - LINE,
+        method=with_least_widths(LEAST_WIDTHS),
     )

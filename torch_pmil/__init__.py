@@ -4,7 +4,7 @@ The method is that of Englert, Paraschos, Peters and Deisenroth (2013). Each roo
 those above it in this table:
 
 ===================  ===========================================================================
-``envs``             robots, and teachers that record demonstrations on them
+``envs``             robots as environments of TorchRL
 ``gp``               Gaussian beliefs, GPs, RBF networks: exact moments (Eqs. 5-7, 14-18)
 ``control``          state space, policy, its file, exploration (Eqs. 25-27)
 ``demonstrations``   readers of files, preparation, the demonstrated distribution (Eqs. 9-12)
@@ -13,12 +13,12 @@ those above it in this table:
 ``torchrl_interop``  drop-ins for TorchRL's world model, policy and imagined environment
 ``trainer``          Algorithm 1 on TorchRL: trainer, collector, checkpoints
 ``plotting``         figures and videos
-``experiments``      tasks, diagnosis, runs with their folders and reports
+``tasks``            tasks, and the settings of the method by which they are learned
+``runs``             runs with their folders, diagnosis and reports
 ``cli``              the commands of ``pmil``
 ===================  ===========================================================================
 
-Every public name is imported when it is first asked for, so that a part costs no more than what it
-uses.
+Every public name is imported on its first use, so that a part costs no more than what it uses.
 """
 
 from __future__ import annotations

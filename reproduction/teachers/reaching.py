@@ -16,7 +16,7 @@ from torch import Tensor
 
 from reproduction.teachers.swing_up import STEPS, TORQUE_NOISE, demonstrate, teacher_for
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, double_pendulum_model, pose_at
-from torch_pmil.envs.exact_tracking import tracking_torques
+from torch_pmil.envs.joint_torques import tracking_torques
 from torch_pmil.search.trajectory_optimization import (
     Array,
     QuadraticCost,

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from torch_pmil.envs.robot import Array
 
 # of an action, at an actuator that turns, and at one that pulls
 UNITS = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ from torch import Tensor
 from torchrl.data import Binary, Unbounded
 
 from torch_pmil.envs.equilibrium import Equilibrium
-from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.mujoco import MujocoRobotEnv, RobotSettings
 from torch_pmil.envs.mujoco_model import state_columns
 
 JOINTS = ("yaw", "shoulder", "elbow")
@@ -51,21 +51,10 @@ class BioRobEnv(MujocoRobotEnv):
     Args:
         ball: where the ball hangs, (3,) for all robots or (num_envs, 3) one for each, in m; x
             forwards, y to the left, z up from the floor.
-        initial_mean: mean of the start state, length 6.
-        initial_std: standard deviations of the start state, length 6.
-        observation_std: standard deviations of the sensors' noise, length 6; None for exact
-            sensors.
-        control_period: seconds between two actions; a whole number of 1 ms steps.
-        targets: what each robot is to do, (num_envs, K) or (K,) for one robot, shown under
-            ``"target"``; None for nothing. The ball hangs where ``ball`` says, see ``ball_at`` of
-            the hitting plane.
-        num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
-        from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
-        seed: of the generator of starts and noise; None takes entropy from the system.
+        settings: such as ``num_envs`` and ``seed``: see :class:`MujocoRobotEnv`.
 
     Raises:
-        ValueError: a setting has the wrong shape or range; the message says what was expected and
-            what came.
+        ValueError: a setting has the wrong shape or range.
 
     Example:
         >>> env = BioRobEnv(seed=0)
@@ -77,32 +66,16 @@ class BioRobEnv(MujocoRobotEnv):
     _hit: Tensor
 
     def __init__(
-        self,
-        ball: Sequence[float] | Tensor = BALL,
-        *,
-        initial_mean: Sequence[float] | Tensor = START,
-        initial_std: Sequence[float] | Tensor = START_STD,
-        observation_std: Sequence[float] | Tensor | None = None,
-        control_period: float = 0.1,
-        targets: Tensor | None = None,
-        num_envs: int | None = None,
-        from_pixels: bool = False,
-        seed: int | None = None,
+        self, ball: Sequence[float] | Tensor = BALL, **settings: Unpack[RobotSettings]
     ) -> None:
+        num_envs = settings.get("num_envs")
+        defaults = RobotSettings(initial_mean=START, initial_std=START_STD, pixel_size=(480, 480))
         super().__init__(
             _models(ball, num_envs),
             JOINTS,
-            initial_mean=initial_mean,
-            initial_std=initial_std,
             positions_first=True,
-            observation_std=observation_std,
             torque_limit=TORQUE_LIMIT,
-            control_period=control_period,
-            targets=targets,
-            num_envs=num_envs,
-            from_pixels=from_pixels,
-            pixel_size=(480, 480),
-            seed=seed,
+            **(defaults | settings),
         )
         self.register_buffer("_hit", torch.zeros(num_envs or 1, dtype=torch.bool))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from importlib import resources
+from typing import Unpack
 
 import mujoco
 import numpy as np
@@ -12,12 +13,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.mujoco import MujocoRobotEnv, RobotSettings
 
 LINK_LENGTH = 0.5  # m, paper
 HANGING = (math.pi, 0.0, 0.0, 0.0)  # rad and rad/s, the mean of the start
 START_STD = (0.05, 0.1, 0.05, 0.1)  # rad and rad/s
 PICTURE = (480, 480)  # pixels
+HANGS_AT_REST = RobotSettings(initial_mean=HANGING, initial_std=START_STD, pixel_size=PICTURE)
 
 
 class DoublePendulumEnv(MujocoRobotEnv):
@@ -35,20 +37,10 @@ class DoublePendulumEnv(MujocoRobotEnv):
     Args:
         link_masses: masses of the two rods in kg.
         torque_limit: largest absolute torque in N·m, one for both motors or one each.
-        initial_mean: mean of the start state, length 4.
-        initial_std: standard deviations of the start state, length 4.
-        observation_std: standard deviations of the sensors' noise, length 4; None for exact
-            sensors.
-        control_period: seconds between two actions; a whole number of 2 ms steps.
-        targets: what each robot is to do, (num_envs, K) or (K,) for one robot, shown under
-            ``"target"``; None for nothing.
-        num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
-        from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
-        seed: of the generator of starts and noise; None takes entropy from the system.
+        settings: such as ``num_envs`` and ``seed``: see :class:`MujocoRobotEnv`.
 
     Raises:
-        ValueError: a setting has the wrong shape or range; the message says what was expected and
-            what came.
+        ValueError: a setting has the wrong shape or range.
 
     Example:
         >>> env = DoublePendulumEnv(seed=0)
@@ -65,28 +57,11 @@ class DoublePendulumEnv(MujocoRobotEnv):
         link_masses: Sequence[float] = (0.5, 0.5),
         *,
         torque_limit: float | Sequence[float] = 3.5,
-        initial_mean: Sequence[float] | Tensor = HANGING,
-        initial_std: Sequence[float] | Tensor = START_STD,
-        observation_std: Sequence[float] | Tensor | None = None,
-        control_period: float = 0.1,
-        targets: Tensor | None = None,
-        num_envs: int | None = None,
-        from_pixels: bool = False,
-        seed: int | None = None,
+        **settings: Unpack[RobotSettings],
     ) -> None:
+        model = double_pendulum_model(link_masses)
         super().__init__(
-            double_pendulum_model(link_masses),
-            joints=("q1", "q2"),
-            initial_mean=initial_mean,
-            initial_std=initial_std,
-            observation_std=observation_std,
-            torque_limit=torque_limit,
-            control_period=control_period,
-            targets=targets,
-            num_envs=num_envs,
-            from_pixels=from_pixels,
-            pixel_size=PICTURE,
-            seed=seed,
+            model, ("q1", "q2"), torque_limit=torque_limit, **(HANGS_AT_REST | settings)
         )
 
 

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from torch_pmil.envs.robot import Array
 
 TOLERANCE = 1e-9  # N·m, of what is left unbalanced
 MAX_ITERATIONS = 30

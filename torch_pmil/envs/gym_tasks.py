@@ -15,9 +15,9 @@ from torch_pmil.envs.robot import Array
 
 try:
     import gymnasium
-    from gymnasium import Wrapper
+    from gymnasium import Env, Wrapper
 except ModuleNotFoundError:  # an optional extra
-    gymnasium, Wrapper = None, object
+    gymnasium, Env, Wrapper = None, object, object
 
 CART_START = 0.1  # largest absolute value of each entry of the cart's first state
 HANGING_MEAN, HANGING_STD = (math.pi, 0.0), (0.05, 0.1)  # rad, rad/s

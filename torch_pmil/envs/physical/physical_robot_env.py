@@ -14,9 +14,8 @@ from torch import Tensor
 from torchrl.data import Binary, Unbounded
 
 from torch_pmil.envs.operator import RobotError, prompt
-from torch_pmil.envs.physical.control_clock import ControlClock
 from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
-from torch_pmil.envs.physical.readings import Readings
+from torch_pmil.envs.physical.readings import ControlClock, Readings
 from torch_pmil.envs.physical.watched_robot import WatchedRobot
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.files import bounded_line

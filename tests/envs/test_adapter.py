@@ -17,7 +17,7 @@ from torchrl.envs import EnvBase, GymEnv
 from torchrl.envs.utils import check_env_specs
 
 from torch_pmil.envs import AdaptedEnv, CosSin
-from torch_pmil.envs.adapter import LARGEST_SEED
+from torch_pmil.envs.adapter import SEEDS
 
 CART = partial(GymEnv, "InvertedPendulum-v5", reset_noise_scale=0.1)
 BOX = Bounded(-1.0, 3.0, (1,))
@@ -102,9 +102,7 @@ def test_observations_are_those_of_gymnasium_itself() -> None:
     )
     ours = drive(AdaptedEnv(CART, 0.04, seed=5), actions)
     robot = gymnasium.make("InvertedPendulum-v5", reset_noise_scale=0.1)
-    robot.reset(
-        seed=int(torch.randint(LARGEST_SEED, (), generator=torch.Generator().manual_seed(5)))
-    )
+    robot.reset(seed=int(torch.randint(SEEDS, (), generator=torch.Generator().manual_seed(5))))
     theirs = [robot.reset()[0]] + [robot.step(action.float().numpy())[0] for action in actions]
     assert torch.equal(ours, torch.stack([torch.from_numpy(observation) for observation in theirs]))
 

@@ -94,7 +94,7 @@ def test_target_of_an_observation_is_a_copy() -> None:
         (3, TARGETS[0], r"targets must have shape \(3, entries\), got \(2,\)"),
         (2, TARGETS, r"targets must have shape \(2, entries\), got \(3, 2\)"),
         (3, TARGETS[:, :0], r"targets must have shape \(3, entries\), got \(3, 0\)"),
-        (None, TARGETS, r"targets must have shape \(entries\), got \(3, 2\)"),
+        (None, TARGETS, r"targets must have shape \(entries,\), got \(3, 2\)"),
         (None, TARGETS[0] / 0, "targets must be finite, got"),
     ],
 )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from importlib import resources
 from typing import Unpack
 
 import mujoco
 
 from torch_pmil.envs.double_pendulum import PICTURE
 from torch_pmil.envs.mujoco import MujocoRobotEnv, RobotSettings
+from torch_pmil.envs.mujoco_model import asset
 
 POLE_LENGTH = 0.6  # m, published
 HANGING = (0.0, 0.0, math.pi, 0.0)  # m, m/s, rad and rad/s, the mean of the start
@@ -62,5 +62,4 @@ def cart_pole_model() -> mujoco.MjModel:
         >>> cart_pole_model().body("pole").mass
         array([0.5])
     """
-    asset = resources.files("torch_pmil.envs").joinpath("assets", "cart_pole.xml")
-    return mujoco.MjSpec.from_string(asset.read_text(encoding="utf-8")).compile()
+    return asset("cart_pole.xml").compile()

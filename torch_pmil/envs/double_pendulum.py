@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from importlib import resources
 from typing import Unpack
 
 import mujoco
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torch_pmil.envs.mujoco import MujocoRobotEnv, RobotSettings
+from torch_pmil.envs.mujoco_model import asset
 
 LINK_LENGTH = 0.5  # m, paper
 HANGING = (math.pi, 0.0, 0.0, 0.0)  # rad and rad/s, the mean of the start
@@ -66,13 +66,9 @@ class DoublePendulumEnv(MujocoRobotEnv):
 
 
 def link_positions(state: Tensor) -> Tensor:
-    """Positions of the two link ends.
+    """Positions [x1, y1, x2, y2] of the two link ends in states (*batch, 4): (*batch, 4), m.
 
-    Args:
-        state: [q1, dq1, q2, dq2], (*batch, 4).
-
-    Returns:
-        [x1, y1, x2, y2] in m, (*batch, 4); x to the right, y up, the base at the origin.
+    x points to the right, y up; the base is at the origin.
 
     Example:
         >>> link_positions(torch.zeros(4))
@@ -89,17 +85,14 @@ def double_pendulum_model(
     link_masses: Sequence[float] = (0.5, 0.5),
     link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH),
 ) -> mujoco.MjModel:
-    """The MuJoCo model of the double pendulum with the given rods.
+    """The MuJoCo model of the double pendulum, Runge-Kutta at 2 ms.
 
     Args:
         link_masses: masses of the two rods in kg; their inertia about the centre is m l²/12.
         link_lengths: their lengths in m.
 
-    Returns:
-        The compiled model, Runge-Kutta at 2 ms.
-
     Raises:
-        ValueError: not two positive finite masses or lengths.
+        ValueError: masses or lengths are not two positive finite numbers.
 
     Example:
         >>> double_pendulum_model((0.5, 0.15)).body("link2").mass
@@ -113,15 +106,14 @@ def double_pendulum_model(
 def double_pendulum_spec(
     link_masses: Sequence[float], link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH)
 ) -> mujoco.MjSpec:
-    """The MuJoCo model of :func:`double_pendulum_model` before it is compiled."""
+    """Specification of :func:`double_pendulum_model`."""
     masses = _two_positive("link_masses", link_masses, "kg")
     lengths = _two_positive("link_lengths", link_lengths, "m")
-    asset = resources.files("torch_pmil.envs").joinpath("assets", "double_pendulum.xml")
-    spec = mujoco.MjSpec.from_string(asset.read_text(encoding="utf-8"))
+    spec = asset("double_pendulum.xml")
     for number, (mass, length) in enumerate(zip(masses, lengths, strict=True), start=1):
         inertia, link = mass * length**2 / 12, spec.body(f"link{number}")
         link.mass = mass
-        # the third is about the rod's own axis, around which it never turns: any number
+        # the third, about the rod's own axis, has no effect
         link.inertia = [inertia, inertia, inertia / 100]
         link.ipos = [0, 0, length / 2]
         spec.geom(f"rod{number}").fromto[5] = length
@@ -138,18 +130,13 @@ def _two_positive(name: str, numbers: Sequence[float], unit: str) -> NDArray[np.
 
 
 def pose_at(targets: Tensor) -> Tensor:
-    """Angles [q1, q2] with which the tip is at the targets.
+    """Angles [q1, q2], (*batch, 2), rad, with the tip at targets [x, y], (*batch, 2), m.
 
-    Seen from the base the elbow is on their left, hence q2 < 0.
-
-    Args:
-        targets: [x, y] of the tip, (*batch, 2), m.
-
-    Returns:
-        (*batch, 2), rad; q1 from 0 to 2 pi about hanging (pi), q2 from -pi to 0.
+    The elbow is to the left of the target as seen from the base. So q2 is from -pi to 0, and q1
+    from 0 to 2 pi about hanging (pi).
 
     Raises:
-        ValueError: a target is the base itself or farther away than the arm is long.
+        ValueError: a target is the base itself or out of reach.
 
     Example:
         >>> target = torch.tensor([0.5, -0.5], dtype=torch.float64)

@@ -16,11 +16,11 @@ SERVOS = {"tau1": "setpoint1", "tau2": "setpoint2"}  # in place of the motors
 
 
 class DoublePendulumServoEnv(MujocoRobotEnv):
-    r"""The double pendulum whose actions are angles for its servos, in MuJoCo, at 10 Hz.
+    r"""The double pendulum with angles of its servos as actions, in MuJoCo, at 10 Hz.
 
-    State, links and starts are those of :class:`DoublePendulumEnv`; the action is the setpoint u of
-    each joint's servo in rad, held for a control period. A servo's torque is
-    :math:`k_p (u - q) - k_v \dot q`, within its limit.
+    State, links and starts are those of :class:`DoublePendulumEnv`. The action is the setpoint u of
+    each joint's servo in rad. A servo's torque is :math:`k_p (u - q) - k_v \dot q`, within its
+    limit.
 
     Args:
         link_masses: masses of the two rods in kg.
@@ -63,12 +63,7 @@ def double_pendulum_servo_model(
 ) -> mujoco.MjModel:
     """The MuJoCo model of the double pendulum with position servos in place of its motors.
 
-    Args:
-        link_masses: masses of the two rods in kg.
-        stiffness, damping, torque_limit: of both servos, in N·m/rad, N·m·s/rad and N·m.
-
-    Returns:
-        The compiled model, Runge-Kutta at 2 ms.
+    Arguments are those of :class:`DoublePendulumServoEnv`.
 
     Raises:
         ValueError: a number is not positive and finite.

@@ -8,12 +8,7 @@ import torch
 from scipy.interpolate import CubicSpline
 from torch import Tensor
 
-from torch_pmil.envs.actuators import (
-    actions_for,
-    actuator_names,
-    actuator_units,
-    force_limits,
-)
+from torch_pmil.envs.actuators import actions_for, actuator_names, actuator_units, force_limits
 from torch_pmil.envs.robot import Array, RobotEnv
 
 MOMENTS = 5  # of a control period, at which inverse dynamics are averaged
@@ -32,20 +27,15 @@ class ModelledRobot(RobotEnv):
 
         Example:
             >>> from torch_pmil.envs import DoublePendulumEnv
-            >>> DoublePendulumEnv().action_names
-            ('tau1', 'tau2')
+            >>> env = DoublePendulumEnv()
+            >>> env.action_names, env.action_units
+            (('tau1', 'tau2'), ('N·m', 'N·m'))
         """
         return actuator_names(self.model)
 
     @property
     def action_units(self) -> tuple[str, ...]:
-        """Units of the actions; "" for an actuator that is neither a motor nor a servo.
-
-        Example:
-            >>> from torch_pmil.envs import DoublePendulumEnv
-            >>> DoublePendulumEnv().action_units
-            ('N·m', 'N·m')
-        """
+        """Units of the actions; "" for an actuator that is neither a motor nor a servo."""
         return actuator_units(self.model)
 
     @property

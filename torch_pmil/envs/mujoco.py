@@ -13,6 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 
+from torch_pmil.checks import check_tensor
 from torch_pmil.envs.joint_torques import ModelledRobot
 from torch_pmil.envs.mujoco_model import (
     FULL_PHYSICS,
@@ -120,7 +121,10 @@ class MujocoRobotEnv(ModelledRobot):
         self.observation_std = None
         if observation_std is not None:
             self.observation_std = _deviations("observation_std", observation_std, dim)
-        self.targets = None if targets is None else _targets(targets, self.batch_size)
+        self.targets = None
+        if targets is not None:
+            self.targets = torch.as_tensor(targets, dtype=torch.float64).clone()
+            check_tensor("targets", self.targets, (*self.batch_size, "entries"))
         starts = self.initial_mean.expand(num_envs or 1, -1)
         self.register_buffer("_physics", self._physics_from_state(starts, self._models))
         self._make_specs()
@@ -142,14 +146,8 @@ class MujocoRobotEnv(ModelledRobot):
             RuntimeError: a simulation diverged.
         """
         models = self._models[robot : robot + 1]
-        if state.shape != (len(state), self._state_columns.numel()) or action.shape != (
-            len(state),
-            self.model.nu,
-        ):
-            raise ValueError(
-                f"state and action must be (N, {self._state_columns.numel()}) and (N, "
-                f"{self.model.nu}), got {tuple(state.shape)} and {tuple(action.shape)}"
-            )
+        check_tensor("state", state, (len(state), self._state_columns.numel()), finite=False)
+        check_tensor("action", action, (len(state), self.model.nu), finite=False)
         physics, _ = self._integrate(self._physics_from_state(state, models), action, models)
         return self.state_of(physics[:, -1])
 
@@ -250,7 +248,7 @@ class MujocoRobotEnv(ModelledRobot):
         given = None if tensordict is None else tensordict.get("observation", None)
         mask = None if tensordict is None else tensordict.get("_reset", None)
         self.cut_short = ""
-        start = self._draw_starts() if given is None else self._check_starts(given)
+        start = self._draw_starts() if given is None else self._rows("start observation", given)
         physics = self._physics_from_state(start, self._models)
         if mask is not None:
             physics = torch.where(mask.reshape(-1, 1), physics, self._physics)
@@ -259,7 +257,7 @@ class MujocoRobotEnv(ModelledRobot):
         return self._measure(sensors)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = self._check_action(tensordict["action"])
+        action = self._rows("action", tensordict["action"])
         physics, sensors = self._integrate(self._physics, action, self._models)
         self._physics = physics[:, -1].clone()
         return self._without_reward(self._measure(sensors))
@@ -284,28 +282,11 @@ class MujocoRobotEnv(ModelledRobot):
         noise = torch.randn(shape, generator=self._generator, dtype=torch.float64)
         return self.initial_mean + self.initial_std * noise
 
-    def _check_starts(self, state: Tensor) -> Tensor:
-        expected = self.observation_spec["observation"].shape
-        if state.shape != expected:
-            raise ValueError(
-                f"start observation must have shape {tuple(expected)}, got {tuple(state.shape)}"
-            )
-        if not state.isfinite().all():
-            raise ValueError(f"start observation must be finite, got {state.tolist()}")
-        return state.reshape(self._physics.shape[0], -1).to(torch.float64)
-
-    def _check_action(self, action: Tensor) -> Tensor:
-        if action.is_complex():
-            raise ValueError(f"action must hold real numbers, got {action.dtype}")
-        if action.shape != (*self.batch_size, self.model.nu):
-            raise ValueError(
-                f"action must have shape {(*self.batch_size, self.model.nu)}, got "
-                f"{tuple(action.shape)}"
-            )
-        action = action.detach().to(torch.float64)
-        if not action.isfinite().all():
-            raise ValueError(f"action must be finite, got {action.tolist()}")
-        return action.reshape(self._physics.shape[0], -1)
+    def _rows(self, name: str, values: Tensor) -> Tensor:
+        """Actions or starts (*batch, n) as (N, n), float64. Raises ValueError if they misfit."""
+        length = self.model.nu if name == "action" else self._state_columns.numel()
+        check_tensor(name, values, (*self.batch_size, length))
+        return values.detach().to(torch.float64).reshape(self._physics.shape[0], -1)
 
     def _integrate(
         self, physics: Tensor, action: Tensor, models: Sequence[mujoco.MjModel]
@@ -343,17 +324,6 @@ class MujocoRobotEnv(ModelledRobot):
         if self._renderer is None:
             self._renderer = open_renderer(self.model, self.pixel_size)
         return self._renderer
-
-
-def _targets(values: Tensor, batch: Sequence[int]) -> Tensor:
-    targets = torch.as_tensor(values, dtype=torch.float64).clone()
-    shape = tuple(targets.shape)
-    if len(shape) != len(batch) + 1 or shape[:-1] != tuple(batch) or shape[-1] < 1:
-        wanted = ", ".join(map(str, [*batch, "entries"]))
-        raise ValueError(f"targets must have shape ({wanted}), got {shape}")
-    if not targets.isfinite().all():
-        raise ValueError(f"targets must be finite, got {targets.tolist()}")
-    return targets
 
 
 def _state_vector(name: str, values: Sequence[float] | Tensor, dim: int) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from typing import ClassVar, Unpack
 
 import mujoco
@@ -10,6 +9,7 @@ from torch import Tensor
 
 from torch_pmil.envs.double_pendulum import HANGS_AT_REST
 from torch_pmil.envs.mujoco import MujocoRobotEnv, RobotSettings
+from torch_pmil.envs.mujoco_model import asset
 
 LINK_LENGTHS = (0.2, 0.3)  # m, published
 MOTORS = ("tau1", "tau2")
@@ -83,8 +83,7 @@ def one_motor_model(motor: str) -> mujoco.MjModel:
         >>> one_motor_model("tau2").nu
         1
     """
-    asset = resources.files("torch_pmil.envs").joinpath("assets", "pendubot.xml")
-    spec = mujoco.MjSpec.from_string(asset.read_text(encoding="utf-8"))
+    spec = asset("pendubot.xml")
     for other in set(MOTORS) - {motor}:
         spec.delete(spec.actuator(other))
     return spec.compile()

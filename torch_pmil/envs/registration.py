@@ -74,10 +74,7 @@ class GymnasiumRobot(Env):
         return self._state.numpy().copy(), 0.0, False, False, {}
 
     def render(self) -> np.ndarray | None:
-        """A picture (height, width, 3), uint8, with render_mode "rgb_array".
-
-        Raises RuntimeError without OpenGL.
-        """
+        """A picture (height, width, 3), uint8. Raises RuntimeError without OpenGL."""
         return None if self.render_mode is None else self._robot.render(self._state)
 
     def close(self) -> None:

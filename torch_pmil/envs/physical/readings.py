@@ -43,17 +43,11 @@ class ControlClock:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """A state and its times.
+    """A state and its times."""
 
-    Args:
-        state: (D,).
-        stamp: time of the measurement, in s of the robot's clock.
-        taken: time of arrival, in s of ``time.monotonic``.
-    """
-
-    state: Tensor
-    stamp: float
-    taken: float
+    state: Tensor  # (D,)
+    stamp: float  # of the measurement, in s of the robot's clock
+    taken: float  # of the arrival, in s of time.monotonic
 
 
 class Readings:

@@ -238,14 +238,6 @@ def test_unsuitable_environment_is_refused_in_one_line(
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("period", [0.0, -0.1, math.nan, math.inf])
-def test_control_period_must_be_positive(period: float) -> None:
-    with pytest.raises(
-        ValueError, match="control_period must be positive and finite, in seconds, got"
-    ):
-        AdaptedEnv(CART, period)
-
-
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_action_that_is_not_finite_is_refused(bad: float) -> None:
     env = adapted_wheel()

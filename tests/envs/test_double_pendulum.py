@@ -46,6 +46,15 @@ def lagrange_equations(_, x, masses, torques, lengths=(LENGTH, LENGTH)):
     return [v1, acceleration1, v2 - v1, acceleration2 - acceleration1]
 
 
+def exact_motion(start, times, *args):
+    """States of the equations of motion at times, (T, 4)."""
+    tight = {"rtol": 1e-12, "atol": 1e-12}
+    solution = solve_ivp(
+        lagrange_equations, (0, times[-1]), start, "DOP853", times, args=args, **tight
+    )
+    return solution.y.T
+
+
 def start_at(env, state):
     return env.reset(
         TensorDict({"observation": torch.as_tensor(state, dtype=torch.float64)}, env.batch_size)
@@ -97,16 +106,7 @@ def test_motion_agrees_with_lagrange_equations(masses, lengths, torque):
         )
     simulated = run(env, start, torch.tensor([torque] * 25, dtype=torch.float64))
     times = np.linspace(0, 2.5, 26)
-    exact = solve_ivp(
-        lagrange_equations,
-        (0, 2.5),
-        start,
-        "DOP853",
-        times,
-        args=(masses, torque, lengths),
-        rtol=1e-12,
-        atol=1e-12,
-    ).y.T
+    exact = exact_motion(start, times, masses, torque, lengths)
     np.testing.assert_allclose(simulated.numpy(), exact, rtol=0, atol=1e-6)
 
 
@@ -235,16 +235,7 @@ def test_substates_end_where_simulate_does_and_lie_on_the_motion(count):
     assert states.shape == (count, 4)
     assert torch.equal(states[-1], env.simulate(start[None], torque[None])[0])
     times = np.linspace(0, 0.1, count + 1)[1:]
-    exact = solve_ivp(
-        lagrange_equations,
-        (0, 0.1),
-        start,
-        "DOP853",
-        times,
-        args=((0.5, 0.5), torque.numpy()),
-        rtol=1e-12,
-        atol=1e-12,
-    ).y.T
+    exact = exact_motion(start, times, (0.5, 0.5), torque.numpy())
     np.testing.assert_allclose(states.numpy(), exact, rtol=0, atol=1e-6)
 
 

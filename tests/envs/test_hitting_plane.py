@@ -59,6 +59,13 @@ def peak_torques(strike: Strike) -> np.ndarray:
     return np.abs(torques).max(0)
 
 
+def table(values: np.ndarray) -> str:
+    """Values (35,) as they hang: the highest row first."""
+    return "\n".join(
+        " ".join(f"{value:5.1f}" for value in row) for row in np.reshape(values, (5, 7))[::-1]
+    )
+
+
 def test_plane_is_perpendicular_to_x_and_begins_at_the_ball_of_the_single_target() -> None:
     assert ball_at(torch.zeros(2)).tolist() == list(BALL)
     shift = ball_at(GRID) - torch.tensor(BALL, dtype=torch.float64)
@@ -81,6 +88,7 @@ def test_grid_is_regular_and_reaches_beyond_the_training_targets() -> None:
         GRID.amax(0) > TRAINING_TARGETS.amax(0)
     ).all()
     inside = (Delaunay(TRAINING_TARGETS * (1 + 1e-9)).find_simplex(GRID) >= 0).sum()
+    print(f"{inside} of 35 balls in the training triangle")
     assert inside == 9
 
 
@@ -123,6 +131,11 @@ def test_ball_out_of_reach_is_refused_in_one_line() -> None:
 
 def test_motors_can_move_the_arm_along_the_strike_at_every_ball() -> None:
     peaks = np.array([peak_torques(strike_at(tuple(target))) for target in GRID.tolist()])
+    for index, name in enumerate(JOINTS):
+        print(
+            f"\npeak torque of the {name}'s motor, limit {TORQUE_LIMIT[index]:.0f} "
+            f"N·m\n{table(peaks[:, index])}"
+        )
     assert (peaks < TORQUE_LIMIT).all()
 
 
@@ -146,5 +159,13 @@ def test_each_ball_is_hit_by_its_own_strike_but_many_not_by_the_nearest_that_is_
             ]
         ).reshape(5, 7)
         for aims in (GRID, nearest, torch.zeros_like(GRID))
+    )
+    print(
+        f"\nof 35 balls the strike at each hits {own.sum()}, at the nearest training target "
+        f"{near.sum()}, at the first one {first.sum()}"
+    )
+    print(
+        "of the 5 balls above and below the first one the strike at the first one hits "
+        f"{first[:, 3].sum()}"
     )
     assert own.all() and near.sum() <= 24 and first.sum() <= 12 and first[:, 3].all()

@@ -1310,7 +1310,7 @@ ROBOTS = {
     ),
     "simulate, a state of other entries": misuse(
         lambda: robot().simulate(torch.zeros(1, 3), torch.zeros(1, 2)),
-        "state and action must be (N,",
+        "state must have shape (1, 4), got (1, 3)",
     ),
     "AdaptedEnv, an observation that is not there": misuse(
         lambda: AdaptedEnv(DoublePendulumEnv, 0.1, observation="state"), "the environment must have"

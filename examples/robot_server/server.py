@@ -31,7 +31,7 @@ from examples.robot_server.messages import (
 )
 from examples.robot_server.simulated_robot import SimulatedRobot
 from torch_pmil.envs import MujocoRobotEnv
-from torch_pmil.envs.physical.control_clock import ControlClock
+from torch_pmil.envs.physical.readings import ControlClock
 
 PATIENCE = 1.8  # control periods without an action after which the robot stops
 

@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from reproduction.baselines.behavioral_cloning import clone_behavior
+from reproduction.teachers.exact_tracking import motion_of
 from reproduction.teachers.swing_up import demonstrate, swing_up_teacher
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, double_pendulum_model
-from torch_pmil.envs.exact_tracking import motion_of, tracking_torques
+from torch_pmil.envs.joint_torques import tracking_torques
 from torch_pmil.tasks.registry import load_experiment
 
 FIRST_LINK = 0.5  # kg, of all robots

@@ -21,7 +21,7 @@ from reproduction.teachers.trajectory_optimization import (
     TrackingController,
 )
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, double_pendulum_model, pose_at
-from torch_pmil.envs.exact_tracking import tracking_torques
+from torch_pmil.envs.joint_torques import tracking_torques
 
 # (3, 2), m
 TRAINING_TARGETS = torch.tensor([[0.1, -0.6], [0.5, -0.6], [0.3, -0.4]], dtype=torch.float64)

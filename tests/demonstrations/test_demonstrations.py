@@ -60,22 +60,7 @@ def write_csv(path, lines):
             ("x",),
             "positions must have shape (demonstrations, steps, columns), got (3, 5)",
         ),
-        (walk(1, 5, 1), 0.1, ("x",), "positions must hold at least two demonstrations, got 1"),
-        (walk(2, 1, 1), 0.1, ("x",), "positions must hold at least two steps, got 1"),
         (walk(2, 5, 2), 0.1, ("x",), "names must be 2 different names, one per column, got ('x',)"),
-        (
-            walk(2, 5, 2),
-            0.1,
-            ("x", "x"),
-            "names must be 2 different names, one per column, got ('x', 'x')",
-        ),
-        (walk(2, 5, 1), 0.0, ("x",), "time_step must be positive and finite, in seconds, got 0.0"),
-        (
-            walk(2, 5, 1),
-            float("nan"),
-            ("x",),
-            "time_step must be positive and finite, in seconds, got nan",
-        ),
         (
             with_value(walk(2, 5, 2), (1, 3, 1), torch.nan),
             0.1,
@@ -86,14 +71,6 @@ def write_csv(path, lines):
 )
 def test_malformed_demonstrations_are_refused(positions, time_step, names, message):
     assert refused(Demonstrations, positions, time_step, names) == message
-
-
-def test_saved_demonstrations_load_unchanged(tmp_path):
-    saved = Demonstrations(walk(3, 5, 2), 0.1, ("x", "y"))
-    saved.save(tmp_path / "walks.npz")
-    loaded = load_demonstrations(tmp_path / "walks.npz")
-    assert torch.equal(loaded.positions, saved.positions)
-    assert (loaded.time_step, loaded.names) == (saved.time_step, saved.names)
 
 
 def test_interrupted_save_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
@@ -128,25 +105,17 @@ def test_other_kind_of_file_is_refused(tmp_path):
     assert refused(load_demonstrations, path) == refused(load_recordings, path) == expected
 
 
-@pytest.mark.parametrize("content", [b"", b"not a zip archive", b"PK\x03\x04 cut"])
-def test_corrupt_npz_is_refused(tmp_path, content):
-    path = tmp_path / "corrupt.npz"
-    path.write_bytes(content)
-    assert refused(load_demonstrations, path).startswith(f"{path}: not a readable NPZ file")
-
-
-@pytest.mark.parametrize("cut", [10, 200, 400, -30])
-def test_truncated_npz_is_refused(tmp_path, cut):
+@pytest.mark.parametrize(
+    "damage",
+    [
+        *(lambda file, content=content: content for content in (b"", b"no archive", b"PK\3\4 cut")),
+        *(lambda file, cut=cut: file[:cut] for cut in (10, 200, 400, -30)),
+        lambda file: file[:250] + bytes([file[250] ^ 0xFF]) + file[251:],
+    ],
+)
+def test_damaged_npz_is_refused(tmp_path, damage):
     path = write_npz(tmp_path / "walks.npz")
-    path.write_bytes(path.read_bytes()[:cut])
-    assert refused(load_demonstrations, path).startswith(f"{path}: not a readable NPZ file")
-
-
-def test_damaged_npz_is_refused(tmp_path):
-    path = write_npz(tmp_path / "walks.npz")
-    damaged = bytearray(path.read_bytes())
-    damaged[250] ^= 0xFF
-    path.write_bytes(bytes(damaged))
+    path.write_bytes(damage(path.read_bytes()))
     assert refused(load_demonstrations, path).startswith(f"{path}: not a readable NPZ file")
 
 
@@ -158,13 +127,6 @@ def test_missing_array_is_named(tmp_path, name):
     )
 
 
-def test_pickled_objects_are_never_loaded(tmp_path):
-    ragged = np.empty(2, dtype=object)
-    ragged[:] = [np.zeros(3), np.zeros(4)]
-    path = write_npz(tmp_path / "walks.npz", positions=ragged)
-    assert "not a readable NPZ file without object arrays" in refused(load_demonstrations, path)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -173,9 +135,10 @@ def test_pickled_objects_are_never_loaded(tmp_path):
             "arrays positions and time_step must hold real numbers",
         ),
         ({"time_step": np.ones(2)}, "array time_step must be one number and names a list"),
+        ({"positions": walk(1, 3, 2)}, "positions must hold at least two demonstrations, got 1"),
         (
-            {"positions": np.zeros((1, 3, 2))},
-            "positions must hold at least two demonstrations, got 1",
+            {"targets": np.array([["a"]] * 3), "target_names": np.array(["y"])},
+            "array targets must hold real numbers and target_names be a list",
         ),
     ],
 )
@@ -337,16 +300,6 @@ def test_recordings_have_lengths_and_times_of_their_own(tmp_path):
     ]
 
 
-def test_recordings_whose_time_goes_back_are_refused_naming_file_and_row(tmp_path):
-    lines = csv_lines()
-    lines[3] = "1,0.1,2,2"
-    path = write_csv(tmp_path / "walks.csv", lines)
-    assert (
-        refused(load_recordings, path)
-        == f"{path}: row 4, time must increase, got 0.1 s after 0.1 s"
-    )
-
-
 def test_shipped_demonstrations_swing_up_and_balance():
     demonstrations = shipped_demonstrations("double_pendulum")
     assert demonstrations.positions.shape == (5, 26, 4)
@@ -379,17 +332,8 @@ def test_shipped_demonstrations_with_targets_hold_the_tip_at_each_target_and_sta
 
 
 def test_unknown_shipped_demonstrations_are_refused():
-    shipped = [
-        "acrobot",
-        "biorob",
-        "biorob_targets",
-        "cart_pole",
-        "double_pendulum",
-        "double_pendulum_targets",
-        "gym_pendulum",
-        "inverted_pendulum",
-        "pendubot",
-    ]
+    names = "acrobot biorob biorob_targets cart_pole double_pendulum double_pendulum_targets "
+    shipped = [*names.split(), "gym_pendulum", "inverted_pendulum", "pendubot"]
     assert f"must be one of {shipped}, got triple" in refused(shipped_demonstrations, "triple")
 
 
@@ -407,11 +351,14 @@ def test_demonstrations_of_several_targets_are_told_apart():
     assert torch.equal(torch.cat([one.positions for one in sets]), shown.positions)
 
 
-def test_saved_targets_are_loaded(tmp_path):
-    shown = reaching()
-    shown.save(tmp_path / "d.npz")
+@pytest.mark.parametrize("saved", [Demonstrations(walk(3, 5, 2), 0.1, ("x", "y")), reaching()])
+def test_saved_demonstrations_load_unchanged(tmp_path, saved):
+    saved.save(tmp_path / "d.npz")
     loaded = load_demonstrations(tmp_path / "d.npz")
-    assert torch.equal(loaded.targets, shown.targets) and loaded.target_names == ("y", "z")
+    assert torch.equal(loaded.positions, saved.positions)
+    assert (loaded.time_step, loaded.names) == (saved.time_step, saved.names)
+    assert loaded.target_names == saved.target_names
+    assert loaded.targets is saved.targets is None or torch.equal(loaded.targets, saved.targets)
 
 
 @pytest.mark.parametrize(
@@ -437,11 +384,6 @@ def test_saved_targets_are_loaded(tmp_path):
             ("y",),
             "targets must be finite, got nan of demonstration 0",
         ),
-        (
-            torch.tensor([[0.0], [0], [0], [0], [1]]),
-            ("y",),
-            "each target must have at least two demonstrations, got one of [1.0]",
-        ),
         (None, ("y",), "target_names must come with targets, got ('y',) alone"),
     ],
 )
@@ -453,14 +395,4 @@ def test_demonstrations_without_targets_cannot_be_told_apart_by_them():
     assert (
         refused(Demonstrations(walk(2, 5, 1), 0.1, ("x",)).by_target)
         == "demonstrations must have targets, got none"
-    )
-
-
-def test_targets_that_are_no_numbers_are_refused(tmp_path):
-    path = write_npz(
-        tmp_path / "d.npz", targets=np.array([["a"], ["a"], ["a"]]), target_names=np.array(["y"])
-    )
-    assert (
-        refused(load_demonstrations, path)
-        == f"{path}: array targets must hold real numbers and target_names be a list"
     )

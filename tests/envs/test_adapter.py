@@ -17,7 +17,7 @@ from torchrl.envs import EnvBase, GymEnv
 from torchrl.envs.utils import check_env_specs
 
 from torch_pmil.envs import AdaptedEnv, CosSin
-from torch_pmil.envs.adapter import LARGEST_SEED
+from torch_pmil.envs.adapter import SEEDS
 
 CART = partial(GymEnv, "InvertedPendulum-v5", reset_noise_scale=0.1)
 BOX = Bounded(-1.0, 3.0, (1,))
@@ -102,9 +102,7 @@ def test_observations_are_those_of_gymnasium_itself() -> None:
     )
     ours = drive(AdaptedEnv(CART, 0.04, seed=5), actions)
     robot = gymnasium.make("InvertedPendulum-v5", reset_noise_scale=0.1)
-    robot.reset(
-        seed=int(torch.randint(LARGEST_SEED, (), generator=torch.Generator().manual_seed(5)))
-    )
+    robot.reset(seed=int(torch.randint(SEEDS, (), generator=torch.Generator().manual_seed(5))))
     theirs = [robot.reset()[0]] + [robot.step(action.float().numpy())[0] for action in actions]
     assert torch.equal(ours, torch.stack([torch.from_numpy(observation) for observation in theirs]))
 
@@ -184,11 +182,6 @@ def test_checkpoint_resumes_the_coming_episodes_bit_for_bit(num_envs: int | None
 @pytest.mark.parametrize(
     ("make_env", "settings", "message"),
     [
-        (
-            Wheel,
-            {"observation": "observation"},
-            r"must have observation under 'observation', got seen",
-        ),
         (Wheel, {"action": "action"}, r"must have action under 'action', got motor"),
         (
             partial(Wheel, Bounded(0, 255, (8, 8, 3), dtype=torch.uint8)),
@@ -219,16 +212,7 @@ def test_checkpoint_resumes_the_coming_episodes_bit_for_bit(num_envs: int | None
             "action 'action' must be a vector of real",
         ),
         (Wheel, {"num_envs": 0}, "num_envs must be None or at least 1, got 0"),
-        (
-            Wheel,
-            {"angles": (CosSin(0, 3),)},
-            "angles must be of different entries of the 3 observed, got CosSin",
-        ),
-        (
-            Wheel,
-            {"angles": (CosSin(0, 1), CosSin(1, 2))},
-            "angles must be of different entries of the 3 observed, got CosSin",
-        ),
+        (Wheel, {"angles": (CosSin(0, 3),)}, "angles must be of different entries of the 3 "),
     ],
 )
 @pytest.mark.parametrize("num_envs", [None, 2])
@@ -238,14 +222,6 @@ def test_unsuitable_environment_is_refused_in_one_line(
     with pytest.raises(ValueError, match=message) as error:
         adapted_wheel(make_env, **{"num_envs": num_envs, **settings})
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("period", [0.0, -0.1, math.nan, math.inf])
-def test_control_period_must_be_positive(period: float) -> None:
-    with pytest.raises(
-        ValueError, match="control_period must be positive and finite, in seconds, got"
-    ):
-        AdaptedEnv(CART, period)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])

@@ -46,13 +46,13 @@ def lagrange_equations(_, x, masses, torques, lengths=(LENGTH, LENGTH)):
     return [v1, acceleration1, v2 - v1, acceleration2 - acceleration1]
 
 
-def energy(x, masses):
-    """Kinetic plus potential energy (*batch,) in J."""
-    (m1, m2), half = masses, LENGTH / 2
-    a1, v1, a2, v2 = x[..., 0], x[..., 1], x[..., 0] + x[..., 2], x[..., 1] + x[..., 3]
-    kinetic = (m1 / 3 + m2) * LENGTH**2 * v1**2 / 2 + m2 * LENGTH**2 / 3 * v2**2 / 2
-    kinetic = kinetic + m2 * LENGTH * half * (a1 - a2).cos() * v1 * v2
-    return kinetic + GRAVITY * ((m1 * half + m2 * LENGTH) * a1.cos() + m2 * half * a2.cos())
+def exact_motion(start, times, *args):
+    """States of the equations of motion at times, (T, 4)."""
+    tight = {"rtol": 1e-12, "atol": 1e-12}
+    solution = solve_ivp(
+        lagrange_equations, (0, times[-1]), start, "DOP853", times, args=args, **tight
+    )
+    return solution.y.T
 
 
 def start_at(env, state):
@@ -106,16 +106,7 @@ def test_motion_agrees_with_lagrange_equations(masses, lengths, torque):
         )
     simulated = run(env, start, torch.tensor([torque] * 25, dtype=torch.float64))
     times = np.linspace(0, 2.5, 26)
-    exact = solve_ivp(
-        lagrange_equations,
-        (0, 2.5),
-        start,
-        "DOP853",
-        times,
-        args=(masses, torque, lengths),
-        rtol=1e-12,
-        atol=1e-12,
-    ).y.T
+    exact = exact_motion(start, times, masses, torque, lengths)
     np.testing.assert_allclose(simulated.numpy(), exact, rtol=0, atol=1e-6)
 
 
@@ -127,30 +118,6 @@ def test_sites_of_other_links_are_at_their_ends():
     assert np.allclose(data.site("elbow").xpos, [0.4, 0, 0], atol=1e-12)
     assert np.allclose(data.site("tip").xpos[[0, 2]], [0.4, 0.6], atol=1e-12)
     assert np.allclose(data.geom("rod2").xpos[[0, 2]], [0.4, 0.3], atol=1e-12)
-
-
-def test_link_lengths_are_two_positive_numbers():
-    with pytest.raises(ValueError, match=r"^link_lengths must be two positive finite numbers in m"):
-        double_pendulum_model(link_lengths=(0.5, 0.0))
-
-
-@pytest.mark.parametrize("masses", [(0.5, 0.5), (0.5, 1.0)])
-def test_energy_is_conserved_without_torque(masses):
-    states = run(
-        DoublePendulumEnv(masses, seed=0),
-        [2.0, 0.5, 0.7, -1.0],
-        torch.zeros(25, 2, dtype=torch.float64),
-    )
-    energies = energy(states, masses)
-    assert (energies - energies[0]).abs().max() < 1e-6
-
-
-def test_second_link_mass_changes_the_motion():
-    torques, start = random_torques(0, 25, 2), [math.pi, 0.0, 0.0, 0.0]
-    light, heavy = (
-        run(DoublePendulumEnv((0.5, mass), seed=0), start, torques) for mass in (0.5, 0.6)
-    )
-    assert (light - heavy).abs().max() > 0.1
 
 
 def test_sites_are_where_the_formulas_say():
@@ -268,16 +235,7 @@ def test_substates_end_where_simulate_does_and_lie_on_the_motion(count):
     assert states.shape == (count, 4)
     assert torch.equal(states[-1], env.simulate(start[None], torque[None])[0])
     times = np.linspace(0, 0.1, count + 1)[1:]
-    exact = solve_ivp(
-        lagrange_equations,
-        (0, 0.1),
-        start,
-        "DOP853",
-        times,
-        args=((0.5, 0.5), torque.numpy()),
-        rtol=1e-12,
-        atol=1e-12,
-    ).y.T
+    exact = exact_motion(start, times, (0.5, 0.5), torque.numpy())
     np.testing.assert_allclose(states.numpy(), exact, rtol=0, atol=1e-6)
 
 
@@ -321,25 +279,14 @@ def test_partial_reset_moves_only_the_masked_robots():
 
 def test_step_counter_restarts_a_batch():
     env = TransformedEnv(DoublePendulumEnv(num_envs=2, seed=0), StepCounter(max_steps=3))
-    assert env.rollout(7, break_when_any_done=False)["step_count"][0].flatten().tolist() == [
-        0,
-        1,
-        2,
-        0,
-        1,
-        2,
-        0,
-    ]
+    counts = env.rollout(7, break_when_any_done=False)["step_count"][0].flatten()
+    assert counts.tolist() == [step % 3 for step in range(7)]
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"link_masses": (0.5, 0.0)}, "link_masses must be two positive finite numbers in kg, got"),
-        (
-            {"link_masses": (0.5, math.inf)},
-            "link_masses must be two positive finite numbers in kg, got",
-        ),
         ({"link_masses": (0.5,)}, "link_masses must be two positive finite numbers in kg, got"),
         ({"torque_limit": -1.0}, "torque_limit must be one or 2 positive finite numbers"),
         ({"initial_mean": (0.0, 0.0)}, "initial_mean must be 4 finite numbers, got"),
@@ -347,6 +294,10 @@ def test_step_counter_restarts_a_batch():
         ({"observation_std": (0.1, -0.1, 0.1, 0.1)}, "observation_std must not be negative, got"),
         ({"observation_std": (0.1,)}, "observation_std must be 4 finite numbers, got"),
         ({"num_envs": 0}, "num_envs must be None or at least 1, got 0"),
+        (
+            {"control_period": 0.101},
+            "control_period must be a whole number of 0.002 s time steps, got 0.101 s",
+        ),
     ],
 )
 def test_bad_setting_is_refused_in_one_line(settings, message):
@@ -355,34 +306,15 @@ def test_bad_setting_is_refused_in_one_line(settings, message):
     assert "\n" not in str(error.value)
 
 
-def test_control_period_must_be_whole_time_steps():
-    with pytest.raises(
-        ValueError, match=r"control_period must be a whole number of .* time steps, got 0"
-    ):
-        MujocoRobotEnv(
-            double_pendulum_model(),
-            ("q1", "q2"),
-            initial_mean=[0.0] * 4,
-            initial_std=[0.0] * 4,
-            torque_limit=1.0,
-            control_period=0.101,
-        )
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_action_that_is_not_finite_is_refused(bad):
-    env = DoublePendulumEnv(seed=0)
-    env.reset()
-    with pytest.raises(ValueError, match="action must be finite, got"):
-        env.step(TensorDict({"action": torch.tensor([0.0, bad], dtype=torch.float64)}))
+def test_link_lengths_are_two_positive_numbers():
+    with pytest.raises(ValueError, match=r"^link_lengths must be two positive finite numbers in m"):
+        double_pendulum_model(link_lengths=(0.5, 0.0))
 
 
 def test_bad_start_is_refused():
     env = DoublePendulumEnv(seed=0)
     with pytest.raises(ValueError, match=r"start observation must have shape \(4,\), got \(3,\)"):
         start_at(env, torch.zeros(3))
-    with pytest.raises(ValueError, match="start observation must be finite, got"):
-        start_at(env, [math.nan, 0, 0, 0])
 
 
 def test_diverged_simulation_names_environment_and_step(tmp_path, monkeypatch):

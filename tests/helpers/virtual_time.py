@@ -9,9 +9,9 @@ from types import ModuleType
 import pytest
 
 from tests.helpers import fake_robot
-from torch_pmil.envs.physical import control_clock, physical_robot_env, readings, watchdog
+from torch_pmil.envs.physical import physical_robot_env, readings, watched_robot
 
-SEEING: tuple[ModuleType, ...] = (control_clock, physical_robot_env, readings, watchdog, fake_robot)
+SEEING: tuple[ModuleType, ...] = (physical_robot_env, readings, watched_robot, fake_robot)
 
 
 class VirtualTime:

@@ -2,9 +2,12 @@
 
 from torch_pmil.demonstrations.dataset import Demonstrations
 from torch_pmil.demonstrations.errors import DemonstrationError
-from torch_pmil.demonstrations.loading import load_demonstrations, load_recordings
+from torch_pmil.demonstrations.loading import (
+    load_demonstrations,
+    load_recordings,
+    shipped_demonstrations,
+)
 from torch_pmil.demonstrations.recordings import Recordings
-from torch_pmil.demonstrations.shipped import shipped_demonstrations
 
 __all__ = [
     "DemonstrationError",

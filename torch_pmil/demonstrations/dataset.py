@@ -1,4 +1,4 @@
-"""Demonstrations of one length and one time step: what training takes."""
+"""Demonstrations of one length and one time step, for training."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ TIME_STEP_TOLERANCE = 1e-6  # relative difference between two time steps that co
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
-    """Observed trajectories of N demonstrations of one task, sampled at the same times from 0 on.
+    """N demonstrations of one task, sampled at the same times from 0 on.
 
     Attributes:
-        positions: what was observed, (N, T+1, M), float64; for the double pendulum [x1, y1, x2, y2]
-            in m.
+        positions: observations, (N, T+1, M), float64; for the double pendulum [x1, y1, x2, y2] in
+            m.
         time_step: seconds between two samples.
         names: names of the M observed coordinates.
-        targets: what each demonstration was for, (N, K), float64, as where the ball hung. None
-            where all are for one thing.
+        targets: target of each demonstration, (N, K), float64, such as the place of the ball; None
+            if they have no targets.
         target_names: names of the K entries of a target.
 
     Raises:
@@ -48,18 +48,14 @@ class Demonstrations:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", _numbers("positions", self.positions))
-        if not isinstance(self.time_step, SupportsFloat):
+        object.__setattr__(self, "names", tuple(str(name) for name in self.names))
+        object.__setattr__(self, "target_names", tuple(str(name) for name in self.target_names))
+        self._check_shapes()
+        if not (isinstance(self.time_step, SupportsFloat) and 0 < float(self.time_step) < math.inf):
             raise DemonstrationError(
                 f"time_step must be positive and finite, in seconds, got {self.time_step!r}"
             )
         object.__setattr__(self, "time_step", float(self.time_step))
-        object.__setattr__(self, "names", tuple(str(name) for name in self.names))
-        object.__setattr__(self, "target_names", tuple(str(name) for name in self.target_names))
-        self._check_shapes()
-        if not (math.isfinite(self.time_step) and self.time_step > 0):
-            raise DemonstrationError(
-                f"time_step must be positive and finite, in seconds, got {self.time_step}"
-            )
         bad = (~self.positions.isfinite()).nonzero()
         if len(bad):
             demonstration, step, column = bad[0].tolist()
@@ -101,10 +97,9 @@ class Demonstrations:
             )
 
     def by_target(self) -> tuple[Tensor, tuple[Demonstrations, ...]]:
-        """The S different targets (S, K), in the order in which they came, and each one's set.
+        """The S different targets (S, K), in order of appearance, and the set of each.
 
-        Raises:
-            DemonstrationError: they have no targets.
+        Raises DemonstrationError if there are no targets.
 
         Example:
             >>> two = torch.tensor([[0.0], [0.0], [1.0], [1.0]])
@@ -124,8 +119,7 @@ class Demonstrations:
     def in_order(self, names: tuple[str, ...]) -> Demonstrations:
         """The demonstrations with their columns in the order of these names.
 
-        Raises:
-            DemonstrationError: the columns have other names; the message says what changes them.
+        Raises DemonstrationError, with a command that helps, if the columns have other names.
 
         Example:
             >>> shown = Demonstrations(torch.tensor([[[1.0, 2.0]] * 2] * 2), 0.1, ("x", "y"))
@@ -141,7 +135,7 @@ class Demonstrations:
         return replace(self, positions=self.positions[..., columns], names=names)
 
     def _renaming(self, names: tuple[str, ...]) -> str:
-        """What gives a recording with these columns those names, if it has enough of them."""
+        """The command that gives the columns those names, if there are enough of them."""
         if set(self.names) > set(names):
             return f"; pmil align RECORDED OUT.npz --keys {' '.join(names)} leaves out the others"
         if len(self.names) == len(names):
@@ -171,28 +165,20 @@ class Demonstrations:
         return self.time_step * (self.positions.shape[1] - 1)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an NPZ file, wholly or not at all.
+        """Write an NPZ file, replacing an existing one, wholly or not at all.
 
-        It holds positions, time_step, names, and targets and target_names if there are any.
-
-        Args:
-            path: of the file; one that is there is replaced.
-
-        Raises:
-            OSError: the folder is missing or not writable.
+        It holds positions, time_step, names, and targets and target_names if there are any. Raises
+        OSError if the folder is missing or not writable.
         """
-        with replacing(Path(path)) as temporary, temporary.open("wb") as file:
-            np.savez(file, **self._arrays())
-
-    def _arrays(self) -> dict[str, Any]:
-        arrays = {
+        arrays: dict[str, Any] = {
             "positions": self.positions.numpy(),
             "time_step": np.array(self.time_step),
             "names": np.array(self.names),
         }
         if self.targets is not None:
             arrays |= {"targets": self.targets.numpy(), "target_names": np.array(self.target_names)}
-        return arrays
+        with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+            np.savez(file, **arrays)
 
 
 def _numbers(name: str, values: object) -> Tensor:

@@ -15,9 +15,8 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tenso
 
     .. math:: \mathcal N(\hat\mu_t^{\exp}, \hat\Sigma_t^{\exp} + \sigma_{\mathrm{obs}}^2 I)
 
-    A few demonstrations have a singular sample covariance, and positions of links lie on circles:
-    the observation noise :math:`\sigma_{\mathrm{obs}}` is therefore part of the model, and the same
-    is added to the prediction.
+    The sample covariance of a few demonstrations is singular. The observation noise
+    :math:`\sigma_{\mathrm{obs}}` is therefore part of the model, and the prediction has the same.
 
     Args:
         demonstrations: N aligned demonstrations of T + 1 samples, the first at t = 0.
@@ -28,7 +27,7 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tenso
         Mean (T, M) and covariance (T, M, M).
 
     Raises:
-        TypeError: the demonstrations are of another kind.
+        TypeError: the demonstrations have another type.
         ValueError: the noise is not positive, not finite, or has another number of entries.
 
     Example:
@@ -48,9 +47,7 @@ def expert_distribution(demonstrations: Demonstrations, noise_std: float | Tenso
 
 
 def rms_error(demonstrations: Demonstrations, executed: Tensor) -> Tensor:
-    r"""Root mean square distance of rollouts from the demonstrated mean (Eq. 10) in each entry.
-
-    The mean is over rollouts and t = 1..T.
+    r"""Root mean square distance (M,) of rollouts from the demonstrated mean (Eq. 10).
 
     .. math:: \sqrt{\frac{1}{N T} \sum_{n, t} (z_{nt} - \hat\mu_t^{\exp})^2}
 
@@ -58,12 +55,9 @@ def rms_error(demonstrations: Demonstrations, executed: Tensor) -> Tensor:
         demonstrations: of M entries.
         executed: rollouts in the match space, z_0..z_T, (N, T + 1, M).
 
-    Returns:
-        (M,), in the units of the match space.
-
     Raises:
-        TypeError: the demonstrations are of another kind.
-        ValueError: there is no rollout, or they have other samples or entries, or are not finite.
+        TypeError: the demonstrations have another type.
+        ValueError: there is no rollout, or the rollouts have another shape or are not finite.
 
     Example:
         >>> import torch
@@ -77,15 +71,11 @@ def rms_error(demonstrations: Demonstrations, executed: Tensor) -> Tensor:
 
 
 def demonstration_spread(demonstrations: Demonstrations) -> Tensor:
-    r"""Standard deviation of the demonstrations (Eq. 11) over t = 1..T, for each entry.
+    r"""Standard deviation (M,) of the demonstrations (Eq. 11), without observation noise.
 
     .. math:: \sqrt{\frac{1}{T} \sum_t \hat\Sigma_{t, jj}^{\exp}}
 
-    Unbiased, without observation noise. A further demonstration would have an rms error of
-    :math:`\sqrt{1 + 1/N}` times this.
-
-    Returns:
-        (M,), in the units of the match space.
+    The expected rms error of a further demonstration is :math:`\sqrt{1 + 1/N}` times this.
 
     Example:
         >>> import torch

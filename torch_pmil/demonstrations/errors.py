@@ -1,4 +1,4 @@
-"""The error for malformed demonstrations, which says in one line what is wrong with a file."""
+"""The one-line error for malformed demonstrations, and bounds on what is read of a file."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import BinaryIO
 
 from torch_pmil.files import MIB, FileError, LineError, opened, read_bytes
 
-# errors that parsers raise at bytes that make no sense; UnicodeDecodeError is a ValueError,
-# NotImplementedError a RuntimeError
+# raised by parsers at damaged bytes; UnicodeDecodeError is a ValueError, NotImplementedError a
+# RuntimeError
 DAMAGE = (
     OSError,
     ValueError,
@@ -28,8 +28,17 @@ DAMAGE = (
 FILE_BYTES = 256 * MIB  # of a file that is read as a whole
 TEXT_BYTES = 64 * MIB  # of a CSV file, whose cells take ten times that, or a MATLAB file
 SET_BYTES = 2**40  # of a data set of which columns are read, beside its pictures
-DEMONSTRATIONS = 10_000  # of a file or data set
-NUMBERS = 2**24  # in what is read of such a set, or of an NPZ file
+MOST = {
+    "demonstrations": 10_000,
+    "entries": 10_000,  # of a sample
+    "numbers": 2**24,  # that are read
+    "cells": 2**21,  # of CSV; each takes a hundred bytes, even in an empty row
+    "data sets": 2000,  # of HDF5, side by side in a demonstration
+    "chunks": 2**17,  # of HDF5; each takes some microseconds and 2 kB, even if empty
+    "elements": 1000,  # of a MATLAB file; those of LASA have a handful
+    "arrays": 20_000,  # within each other in a MATLAB file; those of LASA have some fifty
+    "unpacked bytes": TEXT_BYTES,  # of a MATLAB file
+}
 
 
 class DemonstrationError(LineError):
@@ -38,14 +47,9 @@ class DemonstrationError(LineError):
 
 @contextmanager
 def readable(kind: str, *failures: type[Exception]) -> Iterator[None]:
-    """Turn what a library raises at a damaged file into a line of ours.
+    """Turn a library's exception at a damaged file into a DemonstrationError.
 
-    Args:
-        kind: what the file must be, as in "not a readable <kind>".
-        failures: exceptions that only this library has.
-
-    Raises:
-        DemonstrationError: one of those was raised, or a common one.
+    The message is "not a readable ``kind``"; ``failures`` are exceptions of this library alone.
 
     Example:
         >>> try:
@@ -68,9 +72,7 @@ def readable(kind: str, *failures: type[Exception]) -> Iterator[None]:
 def content_of(path: Path, most: int = FILE_BYTES) -> bytes:
     """All of a regular file.
 
-    Raises:
-        DemonstrationError: it is a pipe, a device or a folder, or has more than ``most`` bytes.
-        OSError: it cannot be opened.
+    Raises DemonstrationError if it is not one or has more than ``most`` bytes.
     """
     try:
         return read_bytes(path, most)
@@ -80,7 +82,7 @@ def content_of(path: Path, most: int = FILE_BYTES) -> bytes:
 
 @contextmanager
 def opened_set(path: Path) -> Iterator[BinaryIO]:
-    """A regular file of a data set, open for reading. Errors as of :func:`content_of`."""
+    """A regular file of a data set, open for reading. Errors are those of :func:`content_of`."""
     try:
         with opened(path, SET_BYTES) as file:
             yield file
@@ -88,23 +90,15 @@ def opened_set(path: Path) -> Iterator[BinaryIO]:
         raise DemonstrationError(str(error)) from error
 
 
-def check_count(numbers: int) -> None:
-    """Raise DemonstrationError at more numbers than are read of a data set."""
-    if numbers > NUMBERS:
-        raise DemonstrationError(f"what is read must have at most {NUMBERS} numbers, got {numbers}")
-
-
-def check_demonstrations(count: int) -> None:
-    """Raise DemonstrationError at more demonstrations than are read."""
-    if count > DEMONSTRATIONS:
-        raise DemonstrationError(
-            f"there must be at most {DEMONSTRATIONS} demonstrations, got {count}"
-        )
+def check_count(things: str, count: int) -> None:
+    """Raise DemonstrationError if a file has more things than ``MOST``."""
+    if count > MOST[things]:
+        raise DemonstrationError(f"there must be at most {MOST[things]} {things}, got {count}")
 
 
 @contextmanager
 def within(where: object) -> Iterator[None]:
-    """Say in which file something is wrong.
+    """Add the name of the file to a DemonstrationError.
 
     Example:
         >>> try:
@@ -121,13 +115,7 @@ def within(where: object) -> Iterator[None]:
 
 
 def optional(module: str) -> ModuleType:
-    """Import a library that not everybody has.
-
-    Args:
-        module: dotted name.
-
-    Raises:
-        ImportError: it is missing; the message says how to get it.
+    """Import an optional library. The ImportError says how to install it.
 
     Example:
         >>> optional("json").loads("[1]")

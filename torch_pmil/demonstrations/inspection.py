@@ -1,4 +1,4 @@
-"""A summary of recordings, and advice on what to do before training."""
+"""A summary of recordings, and advice before training."""
 
 from __future__ import annotations
 
@@ -12,16 +12,13 @@ from scipy.interpolate import CubicSpline
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE
 from torch_pmil.demonstrations.recordings import ALIGN, Recordings
 
-SAMPLES = 101  # of a demonstration whose duration is 1
-ROUNDING = 1e-9  # of the largest number: what is smaller is shown as 0
+SAMPLES = 101  # of a stretched demonstration
+ROUNDING = 1e-9  # of the largest number: smaller ones are shown as 0
 AGREEMENT = 0.3  # relative error of a rate of change that counts as the velocity
 
 
 def describe(recordings: Recordings) -> str:
-    """A summary of recordings in some lines.
-
-    It says format, number, lengths, rate, the entries with their ranges and spread, and the
-    targets.
+    """A summary of recordings: format, number, lengths, rate, targets, entries and their ranges.
 
     Example:
         >>> import torch
@@ -62,13 +59,13 @@ def describe(recordings: Recordings) -> str:
 def advice(
     recordings: Recordings, path: str, control_period: float, options: Sequence[str] = ()
 ) -> list[str]:
-    """The steps that are still missing for training, a line each.
+    """The steps that are missing for training, a line each.
 
     Args:
         recordings: of the file.
-        path: of it, for the command that aligns it.
+        path: of the file, for the command that aligns it.
         control_period: of the robot, in s.
-        options: with which the file was read, for that command.
+        options: with which the file was read, for the same command.
     """
     found, late = list(_too_few(recordings)), list(_timing(recordings, control_period))
     found += late
@@ -90,9 +87,8 @@ def advice(
 def spread(recordings: Recordings) -> np.ndarray:
     """Standard deviation between demonstrations (of one target) in each entry, (M,).
 
-    Each demonstration is stretched to one duration; the result is the root mean square over time.
-
-    It is NaN where no two demonstrations are for the same target.
+    It is the root mean square over time, after each demonstration was stretched to one duration;
+    NaN if no two demonstrations have the same target.
     """
     stretched = _stretched(recordings)  # (N, SAMPLES, M)
     targets = np.zeros((len(stretched), 1))
@@ -108,7 +104,7 @@ def spread(recordings: Recordings) -> np.ndarray:
 
 
 def velocities_of(recordings: Recordings) -> dict[int, int]:
-    """Columns that are the rate of change of another column: velocity to position."""
+    """Columns that are the rate of change of another column: a velocity's position."""
     samples = [
         (times.numpy(), values.numpy())
         for times, values in zip(recordings.times, recordings.values, strict=True)

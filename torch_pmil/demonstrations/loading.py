@@ -1,4 +1,4 @@
-"""Files and folders of demonstrations, whatever their format."""
+"""Files and folders of demonstrations in any format, and those that come with the package."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 from torch_pmil.demonstrations.dataset import TIME_STEP_TOLERANCE, Demonstrations
@@ -41,29 +42,25 @@ def load_recordings(
     names: Sequence[str] = (),
     time_step: float | None = None,
 ) -> Recordings:
-    """Load recordings with any number of samples at any times.
+    """Load recordings with any number of samples at any times, in the order of the file.
 
     Actions are never read, and nothing in the file is executed.
 
     Args:
-        path: a file or folder: NPZ as ``Demonstrations.save`` writes it; CSV, a file with the
-            columns ``demonstration,time,NAME,...`` or a folder with a file ``time,NAME,...`` for
-            each demonstration; a shape of the LASA handwriting set, as ``DataSet/Angle`` or with
+        path: a file or folder: NPZ from ``Demonstrations.save``; CSV, a file with the columns
+            ``demonstration,time,NAME,...`` or a folder with a file ``time,NAME,...`` for each
+            demonstration; a shape of the LASA handwriting set, as ``DataSet/Angle`` with or without
             its suffix .mat; a Minari data set (HDF5); a robomimic file (.hdf5); a LeRobot data set
             or a .parquet file of one.
-        keys: what to read of it, in that order: keys or columns of the file, or single entries by
-            name. None for all of an NPZ or CSV file, the positions of a LASA file,
-            ``observation.state`` of LeRobot's, and what was observed in the others if it is one
-            data set.
-        names: of the entries, in place of those that the file has.
-        time_step: seconds between samples, for files without times: Minari's and robomimic's.
-
-    Returns:
-        The recordings, in the order of the file.
+        keys: what to read, in that order: keys or columns of the file, or single entries by name.
+            By default all of an NPZ or CSV file, the positions of a LASA file,
+            ``observation.state`` of LeRobot, and the observation of the others if it is one data
+            set.
+        names: of the entries, in place of those in the file.
+        time_step: seconds between samples, for files without times: Minari and robomimic.
 
     Raises:
-        DemonstrationError: the file is malformed, or an argument does not fit it; the message says
-            where, what was expected, what came.
+        DemonstrationError: the file is malformed, or an argument does not fit it.
         ImportError: the format needs a library that is missing.
         OSError: the file cannot be read.
     """
@@ -80,32 +77,21 @@ def load_demonstrations(
     keys: Sequence[str] = (),
     names: Sequence[str] = (),
 ) -> Demonstrations:
-    """Load demonstrations that all have equally many samples at one time step.
+    """Load demonstrations that have the same number of samples and one time step.
 
-    The file is of any kind that :func:`load_recordings` reads.
-
-    Args:
-        path: of the file or folder.
-        time_step: seconds between samples that the file must have, or has if it holds no times;
-            None takes what the file says.
-        keys, names: as for :func:`load_recordings`.
-
-    Returns:
-        The demonstrations of the file.
+    Arguments and errors are those of :func:`load_recordings`. If the file holds times, their step
+    must be ``time_step``, unless that is None.
 
     Raises:
-        DemonstrationError: the file is malformed, or lengths or time steps differ; the message
-            names file and place.
-        ImportError: the format needs a library that is missing.
-        OSError: the file cannot be read.
+        DemonstrationError: also if lengths or time steps differ.
     """
     path = _found(Path(path))
     with within(path):
         if path.suffix == ".npz":
             demonstrations = load_npz(path, keys)
         else:
-            told = time_step if _reader(path) is read_hdf5 else None
-            demonstrations = _read(path, keys, told).demonstrations()
+            given = time_step if _reader(path) is read_hdf5 else None
+            demonstrations = _read(path, keys, given).demonstrations()
         if time_step is not None and not math.isclose(
             demonstrations.time_step, time_step, rel_tol=TIME_STEP_TOLERANCE
         ):
@@ -115,8 +101,44 @@ def load_demonstrations(
         return replace(demonstrations, names=tuple(names)) if names else demonstrations
 
 
+def shipped_demonstrations(name: str = "double_pendulum") -> Demonstrations:
+    """The demonstrations that come with the package, by name.
+
+    * ``double_pendulum``: five swing-ups, [x1, y1, x2, y2] in m, 10 Hz, 2.5 s
+    * ``double_pendulum_targets``: three motions to each of three places [x, y] of the tip, likewise
+    * ``gym_pendulum``: five swing-ups of Pendulum-v1, tip [x, y] in m, 10 Hz, 4 s
+    * ``inverted_pendulum``: ten recoveries of InvertedPendulum-v5, [x_cart, x_tip, z_tip] in m,
+      25 Hz, 2 s
+    * ``pendubot``, ``acrobot``: five swing-ups by the motor in the shoulder, and in the elbow,
+      [x1, y1, x2, y2] in m, 25 Hz, 3 s
+    * ``cart_pole``: five swing-ups, [x_cart, x_tip, z_tip] in m, 10 Hz, 3 s
+    * ``biorob``: three strikes, led by hand and aligned in time, [q, dq] of yaw, shoulder and elbow
+      in rad and rad/s, 10 Hz, 1.8 s
+    * ``biorob_targets``: two such strikes at each of three balls; targets are the balls' places
+      [y, z] in the hitting plane, m
+
+    Raises:
+        DemonstrationError: there are no demonstrations of that name.
+
+    Example:
+        >>> shipped_demonstrations().positions.shape
+        torch.Size([5, 26, 4])
+    """
+    shipped = {
+        file.name.removesuffix(".npz"): file
+        for file in resources.files("torch_pmil.demonstrations").joinpath("data").iterdir()
+    }
+    shipped = {stem: file for stem, file in shipped.items() if file.name == f"{stem}.npz"}
+    if name not in shipped:
+        raise DemonstrationError(
+            f"shipped demonstrations must be one of {sorted(shipped)}, got {name}"
+        )
+    with resources.as_file(shipped[name]) as path:
+        return load_demonstrations(path)
+
+
 def _found(path: Path) -> Path:
-    """The path, or the file of the LASA shape that it names without its suffix."""
+    """The path, or the file of a LASA shape named without its suffix."""
     if not path.exists() and (shape := path.with_name(f"{path.name}.mat")).is_file():
         return shape
     path.stat()  # raises if it is missing

@@ -1,4 +1,4 @@
-"""Demonstrations as they were recorded: of lengths and at times of their own."""
+"""Recorded demonstrations of any length, sampled at any times."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ ALIGN = "pmil align"
 
 @dataclass(frozen=True, eq=False)
 class Recordings:
-    """Demonstrations as they were recorded: of lengths and at times of their own.
+    """Recorded demonstrations of any length, sampled at any times.
 
     Attributes:
         labels: number or name of each of the N demonstrations.
         times: of the samples of each, increasing, in s, (T_n,), float64.
-        values: what was observed, (T_n, M), float64.
+        values: observations of each, (T_n, M), float64.
         names: of the M observed entries.
-        targets: what each was for, (N, K), float64; None where the file has none.
+        targets: target of each, (N, K), float64, or None.
         target_names: of the K entries of a target.
-        units: of the M entries; empty where the file's format has none.
+        units: of the M entries, if known.
         format: of the file.
-        places: what a message calls each sample, as "row 3"; empty for demonstration and number.
+        places: name of each sample in messages, such as "row 3"; by default its number.
 
     Raises:
-        DemonstrationError: there is nothing, a shape does not fit, a name comes twice, a number is
-            not finite, or a time does not increase.
+        DemonstrationError: there is no demonstration or entry, a shape is wrong, a name occurs
+            twice, a number is not finite, or a time does not increase.
 
     Example:
         >>> time = torch.arange(3, dtype=torch.float64)
@@ -94,16 +94,16 @@ class Recordings:
         return [(times[-1] - times[0]).item() for times in self.times]
 
     def place(self, demonstration: int, sample: int) -> str:
-        """The words with which a message names a sample."""
+        """Name of a sample in messages."""
         if self.places:
             return self.places[demonstration][sample]
         return f"demonstration {self.labels[demonstration]}, sample {sample}"
 
     def demonstrations(self) -> Demonstrations:
-        """The recordings as demonstrations, if they have one length and one time step.
+        """The recordings as demonstrations.
 
-        Raises:
-            DemonstrationError: they have not, or there are fewer than two (of each target).
+        Raises DemonstrationError unless they have one length and one time step, and there are two
+        at least (of each target).
         """
         if len(self.labels) < 2:
             raise DemonstrationError(

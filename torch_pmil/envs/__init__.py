@@ -5,12 +5,12 @@ import importlib
 import os
 
 if "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
-    # pictures without a display; MuJoCo reads this when it is first imported
+    # pictures without a display; MuJoCo reads this at its first import
     os.environ.setdefault("MUJOCO_GL", "egl")
 try:
     importlib.import_module("mujoco")
 except (RuntimeError, AttributeError, OSError):
-    # a backend that is misspelt or broken: robots move without pictures, and open_renderer says so
+    # a misspelt or broken backend: robots move without pictures, and open_renderer reports it
     chosen = os.environ.get("MUJOCO_GL", "")
     os.environ["MUJOCO_GL"] = "disable"
     importlib.import_module("mujoco")

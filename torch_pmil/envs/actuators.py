@@ -1,4 +1,4 @@
-r"""What the actuators of a MuJoCo model are: motors, and servos of positions or velocities.
+r"""Kinds of actuators in a MuJoCo model: motors, and servos of positions or velocities.
 
 A servo's force is :math:`g\,u + b_0 + b_1 l + b_2 \dot l` of its action u and the length l of its
 transmission (the angle of a joint), within its force range: :math:`g = k_p, b_1 = -k_p, b_2 = -k_v`
@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from torch_pmil.envs.robot import Array
 
 # of an action, at an actuator that turns, and at one that pulls
 UNITS = {
@@ -24,13 +23,13 @@ UNITS = {
 
 
 def actuator_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names of the actuators, as the model has them; the number of one without a name."""
+    """Names of the actuators in the model, or their numbers."""
     numbers = range(model.nu)
     return tuple(model.actuator(number).name or str(number) for number in numbers)
 
 
 def actuator_kinds(model: mujoco.MjModel) -> tuple[str, ...]:
-    """What each actuator is: "motor", "position" or "velocity" (servos), or "other".
+    """Kind of each actuator: "motor", "position" or "velocity" (servos), or "other".
 
     Example:
         >>> from torch_pmil.envs.double_pendulum import double_pendulum_model
@@ -41,7 +40,7 @@ def actuator_kinds(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def actuator_units(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Unit of each action, "" where it is not known."""
+    """Unit of each action, "" if unknown."""
     kinds = enumerate(actuator_kinds(model))
     return tuple(UNITS[kind][not _turns(model, number)] for number, kind in kinds)
 
@@ -55,12 +54,9 @@ def force_limits(model: mujoco.MjModel) -> Array:
 
 
 def actions_for(model: mujoco.MjModel, forces: Array, positions: Array) -> Array:
-    """Actions (S, F) by which actuators at rest pull their joints with forces (S, F).
+    """Actions (S, F) of actuators at rest that give their joints forces (S, F), N·m or N.
 
-    Args:
-        model: whose actuators each move one joint.
-        forces: on the joints, N·m or N.
-        positions: of the joints, (S, F), rad or m.
+    Each actuator moves one joint; ``positions`` (S, F) are those of the joints, rad or m.
     """
     gear = model.actuator_gear[:, 0]
     b_0, b_1, _ = _bias(model)
@@ -87,7 +83,7 @@ def _kind(model: mujoco.MjModel, number: int) -> str:
 
 
 def _turns(model: mujoco.MjModel, number: int) -> bool:
-    """Whether an actuator acts on a hinge, and not on a slide or a tendon."""
+    """Whether an actuator acts on a hinge, not on a slide or a tendon."""
     joint = model.actuator_trnid[number, 0]
     of_joint = model.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_JOINT
     return bool(of_joint and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,17 +16,17 @@ from torchrl.envs import EnvBase, SerialEnv, step_mdp
 
 from torch_pmil.envs.robot import RobotEnv, check_num_envs
 
-LARGEST_SEED = 2**31 - 1
+SEEDS = 2**31 - 1  # of other environments
 
 
 @dataclass(frozen=True)
 class CosSin:
-    """An angle of which an environment shows the cosine and the sine.
+    """An angle that an environment shows as cosine and sine.
 
     Args:
         cos, sin: indices of the two entries of the observation.
-        near: an angle near which episodes start (rad): cosine and sine do not tell a turn from the
-            next.
+        near: an angle near which episodes start (rad), because cosine and sine are the same after a
+            whole turn.
     """
 
     cos: int
@@ -36,36 +35,34 @@ class CosSin:
 
 
 class AdaptedEnv(RobotEnv):
-    """A robot made of a TorchRL environment, in float64 and with starts of its own seed.
+    """A robot made of a TorchRL environment, in float64 and with seeded starts.
 
     Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all
     float64, and with ``from_pixels`` also ``"pixels"``. Actions are the environment's own, clipped
-    to its range. The reward is zero and ``"done"`` is never set, whatever the environment says of
-    them: an imitation runs for all its steps, and failing is something to learn from. An
-    environment that resets itself is not such a robot.
+    to its range. Reward and ``"done"`` of the environment are ignored: an imitation runs for all
+    its steps and learns from failures too. An environment that resets itself cannot be used.
 
-    Each ``reset`` seeds the environment with the next number of this class's own generator. So
-    ``state_dict``, which holds that generator, resumes at the start of an episode bit for bit with
-    any environment that heeds ``set_seed``; the state in the midst of an episode is not in it.
+    Each ``reset`` seeds the environment from this class's own generator, which is in
+    ``state_dict``. A checkpoint therefore resumes bit for bit at the start of an episode, if the
+    environment respects ``set_seed``; it does not hold the state within an episode.
 
     Args:
-        make_env: makes the environment; called with ``from_pixels=True`` if, and only if, pictures
-            are wanted, beside the observation. ``functools.partial(GymEnv, "InvertedPendulum-v5",
-            pixels_only=False)`` is one.
-        control_period: seconds between two actions, which an environment does not say.
+        make_env: makes the environment; called with ``from_pixels=True`` only if pictures are
+            wanted besides the observation. Example: ``functools.partial(GymEnv,
+            "InvertedPendulum-v5", pixels_only=False)``.
+        control_period: seconds between two actions, which an environment does not report.
         num_envs: None for one robot with the batch size of the environment, N for N of them with
             batch size (N,).
         observation, action: keys of the environment.
-        angles: angles of which the observation holds cosine and sine. The angle takes the place of
-            the cosine, the sine is left out; it goes on beyond a whole turn.
+        angles: angles that the observation holds as cosine and sine. The angle, not limited to one
+            turn, replaces the cosine; the sine is left out.
         from_pixels: whether to have pictures.
         seed: of the generator of the starts; None takes entropy from the system.
 
     Raises:
-        TypeError: ``make_env`` makes no environment.
-        ValueError: the environment has no such observation or action, or a setting is out of range;
-            the message says what was expected and what came.
-        RuntimeError: in a step, when the environment shows a number that is not finite.
+        TypeError: ``make_env`` does not make an environment.
+        ValueError: the environment lacks the observation or action, or a setting is out of range.
+        RuntimeError: in a step, if an observation is not finite.
 
     Example:
         >>> from functools import partial
@@ -88,10 +85,6 @@ class AdaptedEnv(RobotEnv):
         from_pixels: bool = False,
         seed: int | None = None,
     ) -> None:
-        if not (math.isfinite(control_period) and control_period > 0):
-            raise ValueError(
-                f"control_period must be positive and finite, in seconds, got {control_period}"
-            )
         check_num_envs(num_envs)
         if isinstance(make_env, EnvBase):
             raise TypeError(f"make_env must make the environment, got {type(make_env).__name__}")
@@ -106,13 +99,13 @@ class AdaptedEnv(RobotEnv):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the actions, as far as a robot of this package says them."""
+        """Names of the actions, if the environment is a robot of this package."""
         robot = self.base_env
         return robot.action_names if isinstance(robot, RobotEnv) else super().action_names
 
     @property
     def action_units(self) -> tuple[str, ...]:
-        """Units of the actions, as far as a robot of this package says them."""
+        """Units of the actions, if the environment is a robot of this package."""
         robot = self.base_env
         return robot.action_units if isinstance(robot, RobotEnv) else super().action_units
 
@@ -138,7 +131,7 @@ class AdaptedEnv(RobotEnv):
                 f"{mask.numel()}"
             )
         self.cut_short = ""
-        self.base_env.set_seed(int(torch.randint(LARGEST_SEED, (), generator=self._generator)))
+        self.base_env.set_seed(int(torch.randint(SEEDS, (), generator=self._generator)))
         self._last = self.base_env.reset()
         near = torch.tensor([angle.near for angle in self.angles], dtype=torch.float64)
         self._turned = near.expand(*self.batch_size, len(self.angles))
@@ -165,7 +158,7 @@ class AdaptedEnv(RobotEnv):
         return TensorDict(measured, batch_size=self.batch_size)
 
     def _state(self, shown: Tensor) -> Tensor:
-        """Observations with angles, each of them the one nearest to that of the step before."""
+        """Observations with angles, each continued from the step before."""
         if not self.angles:
             return shown
         cosines, sines = [angle.cos for angle in self.angles], [angle.sin for angle in self.angles]

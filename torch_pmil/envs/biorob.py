@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache, cached_property
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import mujoco
 import numpy as np
@@ -15,8 +14,8 @@ from torch import Tensor
 from torchrl.data import Binary, Unbounded
 
 from torch_pmil.envs.equilibrium import Equilibrium
-from torch_pmil.envs.mujoco import MujocoRobotEnv
-from torch_pmil.envs.mujoco_model import state_columns
+from torch_pmil.envs.mujoco import MujocoRobotEnv, RobotSettings
+from torch_pmil.envs.mujoco_model import asset, state_columns
 
 JOINTS = ("yaw", "shoulder", "elbow")
 ROTORS = ("yaw_motor", "shoulder_motor", "elbow_motor")
@@ -26,7 +25,6 @@ START = (-0.15, 0.35, 1.2, 0.0, 0.0, 0.0)  # rad, rad/s
 START_STD = (0.03, 0.03, 0.03, 0.05, 0.05, 0.05)
 BALL = (0.757, 0.076, 1.127)  # m
 STRING = 1.02  # m, from the ceiling to the ball's centre
-SCENE = Path(__file__).parent / "assets" / "biorob" / "scene.xml"
 
 
 class BioRobEnv(MujocoRobotEnv):
@@ -34,38 +32,25 @@ class BioRobEnv(MujocoRobotEnv):
 
     The state is x = [q, dq] of yaw, shoulder and elbow (rad, rad/s): positions first. Yaw turns to
     the left; with shoulder and elbow at 0 the arm hangs, and positive angles lift it forwards. The
-    action is the torque of the three motors in N·m, reflected to the joints. Motors and joints are
-    coupled by cables alone, so that the motors' angles, like the ball, are hidden: a reset puts the
-    motors where cables and gravity balance, moving with their joints, and the ball at rest on its
-    string.
+    action is the torque of the three motors in N·m, reflected to the joints. Cables alone couple
+    motors and joints. Hence the motors' angles are hidden, like the ball: a reset puts the motors
+    where cables and gravity balance, moving with their joints, and the ball at rest.
 
-    ``("info", "racket_ball_distance")`` (*batch, 1), float64, is the least distance between the
-    surfaces of racket and ball over the simulation time steps of the last step (m; at a reset: the
-    distance now), ``("info", "centre_distance")`` the least distance of the blade's centre from the
-    ball's, ``("info", "hit")`` (*batch, 1), bool, whether the racket has touched the ball since the
-    reset. A hit ends nothing.
+    ``("info", "racket_ball_distance")`` (*batch, 1), float64, is the least distance in m between
+    the surfaces of racket and ball since the last step (at a reset: now), and ``("info",
+    "centre_distance")`` that between their centres. ``("info", "hit")`` (*batch, 1), bool, is True
+    once the racket has touched the ball since the reset. A hit does not end the episode.
 
-    Stated in the paper: the structure, the joints and what is controlled, the control rate.
-    Estimates: the start and all numbers of the model, which its file explains.
+    Stated in the paper: the structure, joints, controlled joints and control rate. Estimates: the
+    start and all numbers of the model, explained in its file.
 
     Args:
         ball: where the ball hangs, (3,) for all robots or (num_envs, 3) one for each, in m; x
             forwards, y to the left, z up from the floor.
-        initial_mean: mean of the start state, length 6.
-        initial_std: standard deviations of the start state, length 6.
-        observation_std: standard deviations of the sensors' noise, length 6; None for exact
-            sensors.
-        control_period: seconds between two actions; a whole number of 1 ms steps.
-        targets: what each robot is to do, (num_envs, K) or (K,) for one robot, shown under
-            ``"target"``; None for nothing. The ball hangs where ``ball`` says, see ``ball_at`` of
-            the hitting plane.
-        num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
-        from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
-        seed: of the generator of starts and noise; None takes entropy from the system.
+        settings: such as ``num_envs`` and ``seed``: see :class:`MujocoRobotEnv`.
 
     Raises:
-        ValueError: a setting has the wrong shape or range; the message says what was expected and
-            what came.
+        ValueError: a setting has the wrong shape or range.
 
     Example:
         >>> env = BioRobEnv(seed=0)
@@ -77,32 +62,16 @@ class BioRobEnv(MujocoRobotEnv):
     _hit: Tensor
 
     def __init__(
-        self,
-        ball: Sequence[float] | Tensor = BALL,
-        *,
-        initial_mean: Sequence[float] | Tensor = START,
-        initial_std: Sequence[float] | Tensor = START_STD,
-        observation_std: Sequence[float] | Tensor | None = None,
-        control_period: float = 0.1,
-        targets: Tensor | None = None,
-        num_envs: int | None = None,
-        from_pixels: bool = False,
-        seed: int | None = None,
+        self, ball: Sequence[float] | Tensor = BALL, **settings: Unpack[RobotSettings]
     ) -> None:
+        num_envs = settings.get("num_envs")
+        defaults = RobotSettings(initial_mean=START, initial_std=START_STD, pixel_size=(480, 480))
         super().__init__(
             _models(ball, num_envs),
             JOINTS,
-            initial_mean=initial_mean,
-            initial_std=initial_std,
             positions_first=True,
-            observation_std=observation_std,
             torque_limit=TORQUE_LIMIT,
-            control_period=control_period,
-            targets=targets,
-            num_envs=num_envs,
-            from_pixels=from_pixels,
-            pixel_size=(480, 480),
-            seed=seed,
+            **(defaults | settings),
         )
         self.register_buffer("_hit", torch.zeros(num_envs or 1, dtype=torch.bool))
 
@@ -112,7 +81,7 @@ class BioRobEnv(MujocoRobotEnv):
 
     def _physics_from_state(self, state: Tensor, models: Sequence[mujoco.MjModel]) -> Tensor:
         physics = super()._physics_from_state(state, models)
-        arm = self.model.joint("ball").qposadr[0]  # the number of entries of the arm in qpos
+        arm = self.model.joint("ball").qposadr[0]  # number of the arm's entries in qpos
         positions, velocities = state.to(torch.float64).numpy().reshape(-1, 2, 3).swapaxes(0, 1)
         speeds = state_columns(self.model, ROTORS, positions_first=True)[len(ROTORS) :]
         physics[:, 1 : 1 + arm] = torch.from_numpy(self._equilibrium(positions)[0])[:, :arm]
@@ -122,19 +91,13 @@ class BioRobEnv(MujocoRobotEnv):
     def _inverse_dynamics(
         self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray
     ) -> np.ndarray:
-        """Motor torques of a motion in which the cables keep their length from the equilibrium on.
-
-        The rotors then move along with the joints.
-        """
         return self._equilibrium.moving_torques(positions, velocities, accelerations)
 
     def _make_specs(self) -> None:
         super()._make_specs()
         shape = (*self.batch_size, 1)
-        self.observation_spec["info", "racket_ball_distance"] = Unbounded(
-            shape, dtype=torch.float64
-        )
-        self.observation_spec["info", "centre_distance"] = Unbounded(shape, dtype=torch.float64)
+        for name in ("racket_ball_distance", "centre_distance"):
+            self.observation_spec["info", name] = Unbounded(shape, dtype=torch.float64)
         self.observation_spec["info", "hit"] = Binary(shape=shape, dtype=torch.bool)
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
@@ -164,7 +127,7 @@ class BioRobEnv(MujocoRobotEnv):
 def _models(
     ball: Sequence[float] | Tensor, num_envs: int | None
 ) -> mujoco.MjModel | list[mujoco.MjModel]:
-    """One model, or one for each robot where ``ball`` gives each a place; equal places share."""
+    """One model, or one for each robot if each has a place of its ball; equal places share."""
     places = torch.as_tensor(ball, dtype=torch.float64)
     if places.ndim != 2:
         return biorob_model(ball)
@@ -177,16 +140,10 @@ def _models(
 
 
 def biorob_model(ball: Sequence[float] | Tensor = BALL) -> mujoco.MjModel:
-    """The MuJoCo model of the BioRob and its ball.
-
-    Args:
-        ball: where the ball hangs, (3,) in m.
-
-    Returns:
-        The compiled model of ``assets/biorob/scene.xml``.
+    """The MuJoCo model of the BioRob with its ball hanging at ``ball``, (3,) in m.
 
     Raises:
-        ValueError: not three finite numbers.
+        ValueError: the place is not three finite numbers.
 
     Example:
         >>> biorob_model((0.8, 0.0, 1.1)).body("ball").pos
@@ -195,22 +152,16 @@ def biorob_model(ball: Sequence[float] | Tensor = BALL) -> mujoco.MjModel:
     place = torch.as_tensor(ball, dtype=torch.float64)
     if place.shape != (3,) or not place.isfinite().all():
         raise ValueError(f"ball must be 3 finite numbers in m, got {place.tolist()}")
-    spec = mujoco.MjSpec.from_file(str(SCENE))
+    spec = asset("biorob/scene.xml")
     spec.body("ball").pos = place.numpy()
     spec.site("ceiling").pos = place.numpy() + np.array([0.0, 0.0, STRING])
     return spec.compile()
 
 
 def holding_torques(q: Tensor) -> Tensor:
-    """Motor torques that hold the arm in a pose against gravity.
+    """Motor torques (*batch, 3), N·m, that hold the arm at q (*batch, 3), rad, against gravity.
 
-    Friction is not included; it would hold the arm too, within its bounds.
-
-    Args:
-        q: [yaw, shoulder, elbow], (*batch, 3) in rad.
-
-    Returns:
-        Torques (*batch, 3) in N·m, float64; they may lie beyond the limits.
+    Friction is not included, and torques may lie beyond the limits.
 
     Raises:
         RuntimeError: no equilibrium was found.

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from importlib import resources
+from typing import Unpack
 
 import mujoco
-from torch import Tensor
 
 from torch_pmil.envs.double_pendulum import PICTURE
-from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.mujoco import MujocoRobotEnv, RobotSettings
+from torch_pmil.envs.mujoco_model import asset
 
 POLE_LENGTH = 0.6  # m, published
 HANGING = (0.0, 0.0, math.pi, 0.0)  # m, m/s, rad and rad/s, the mean of the start
@@ -33,16 +32,10 @@ class CartPoleEnv(MujocoRobotEnv):
 
     Args:
         torque_limit: largest absolute force of the motor in N.
-        initial_mean: mean of the start state, length 4.
-        initial_std: standard deviations of the start state, length 4.
-        control_period: seconds between two actions; a whole number of 2 ms steps.
-        num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
-        from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
-        seed: of the generator of starts; None takes entropy from the system.
+        settings: such as ``num_envs`` and ``seed``: see :class:`MujocoRobotEnv`.
 
     Raises:
-        ValueError: a setting has the wrong shape or range; the message says what was expected and
-            what came.
+        ValueError: a setting has the wrong shape or range.
 
     Example:
         >>> env = CartPoleEnv(seed=0)
@@ -50,28 +43,15 @@ class CartPoleEnv(MujocoRobotEnv):
         (('force',), ('N',), torch.Size([10, 4]))
     """
 
-    def __init__(
-        self,
-        *,
-        torque_limit: float = 10.0,
-        initial_mean: Sequence[float] | Tensor = HANGING,
-        initial_std: Sequence[float] | Tensor = START_STD,
-        control_period: float = CONTROL_PERIOD,
-        num_envs: int | None = None,
-        from_pixels: bool = False,
-        seed: int | None = None,
-    ) -> None:
-        super().__init__(
-            cart_pole_model(),
-            joints=("x", "q"),
-            initial_mean=initial_mean,
-            initial_std=initial_std,
-            torque_limit=torque_limit,
-            control_period=control_period,
-            num_envs=num_envs,
-            from_pixels=from_pixels,
+    def __init__(self, *, torque_limit: float = 10.0, **settings: Unpack[RobotSettings]) -> None:
+        defaults = RobotSettings(
+            initial_mean=HANGING,
+            initial_std=START_STD,
+            control_period=CONTROL_PERIOD,
             pixel_size=PICTURE,
-            seed=seed,
+        )
+        super().__init__(
+            cart_pole_model(), ("x", "q"), torque_limit=torque_limit, **(defaults | settings)
         )
 
 
@@ -82,5 +62,4 @@ def cart_pole_model() -> mujoco.MjModel:
         >>> cart_pole_model().body("pole").mass
         array([0.5])
     """
-    asset = resources.files("torch_pmil.envs").joinpath("assets", "cart_pole.xml")
-    return mujoco.MjSpec.from_string(asset.read_text(encoding="utf-8")).compile()
+    return asset("cart_pole.xml").compile()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from importlib import resources
+from typing import Unpack
 
 import mujoco
 import numpy as np
@@ -12,12 +12,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.mujoco import MujocoRobotEnv, RobotSettings
+from torch_pmil.envs.mujoco_model import asset
 
 LINK_LENGTH = 0.5  # m, paper
 HANGING = (math.pi, 0.0, 0.0, 0.0)  # rad and rad/s, the mean of the start
 START_STD = (0.05, 0.1, 0.05, 0.1)  # rad and rad/s
 PICTURE = (480, 480)  # pixels
+HANGS_AT_REST = RobotSettings(initial_mean=HANGING, initial_std=START_STD, pixel_size=PICTURE)
 
 
 class DoublePendulumEnv(MujocoRobotEnv):
@@ -35,20 +37,10 @@ class DoublePendulumEnv(MujocoRobotEnv):
     Args:
         link_masses: masses of the two rods in kg.
         torque_limit: largest absolute torque in N·m, one for both motors or one each.
-        initial_mean: mean of the start state, length 4.
-        initial_std: standard deviations of the start state, length 4.
-        observation_std: standard deviations of the sensors' noise, length 4; None for exact
-            sensors.
-        control_period: seconds between two actions; a whole number of 2 ms steps.
-        targets: what each robot is to do, (num_envs, K) or (K,) for one robot, shown under
-            ``"target"``; None for nothing.
-        num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
-        from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
-        seed: of the generator of starts and noise; None takes entropy from the system.
+        settings: such as ``num_envs`` and ``seed``: see :class:`MujocoRobotEnv`.
 
     Raises:
-        ValueError: a setting has the wrong shape or range; the message says what was expected and
-            what came.
+        ValueError: a setting has the wrong shape or range.
 
     Example:
         >>> env = DoublePendulumEnv(seed=0)
@@ -65,39 +57,18 @@ class DoublePendulumEnv(MujocoRobotEnv):
         link_masses: Sequence[float] = (0.5, 0.5),
         *,
         torque_limit: float | Sequence[float] = 3.5,
-        initial_mean: Sequence[float] | Tensor = HANGING,
-        initial_std: Sequence[float] | Tensor = START_STD,
-        observation_std: Sequence[float] | Tensor | None = None,
-        control_period: float = 0.1,
-        targets: Tensor | None = None,
-        num_envs: int | None = None,
-        from_pixels: bool = False,
-        seed: int | None = None,
+        **settings: Unpack[RobotSettings],
     ) -> None:
+        model = double_pendulum_model(link_masses)
         super().__init__(
-            double_pendulum_model(link_masses),
-            joints=("q1", "q2"),
-            initial_mean=initial_mean,
-            initial_std=initial_std,
-            observation_std=observation_std,
-            torque_limit=torque_limit,
-            control_period=control_period,
-            targets=targets,
-            num_envs=num_envs,
-            from_pixels=from_pixels,
-            pixel_size=PICTURE,
-            seed=seed,
+            model, ("q1", "q2"), torque_limit=torque_limit, **(HANGS_AT_REST | settings)
         )
 
 
 def link_positions(state: Tensor) -> Tensor:
-    """Positions of the two link ends.
+    """Positions [x1, y1, x2, y2] of the two link ends in states (*batch, 4): (*batch, 4), m.
 
-    Args:
-        state: [q1, dq1, q2, dq2], (*batch, 4).
-
-    Returns:
-        [x1, y1, x2, y2] in m, (*batch, 4); x to the right, y up, the base at the origin.
+    x points to the right, y up; the base is at the origin.
 
     Example:
         >>> link_positions(torch.zeros(4))
@@ -114,17 +85,14 @@ def double_pendulum_model(
     link_masses: Sequence[float] = (0.5, 0.5),
     link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH),
 ) -> mujoco.MjModel:
-    """The MuJoCo model of the double pendulum with the given rods.
+    """The MuJoCo model of the double pendulum, Runge-Kutta at 2 ms.
 
     Args:
         link_masses: masses of the two rods in kg; their inertia about the centre is m l²/12.
         link_lengths: their lengths in m.
 
-    Returns:
-        The compiled model, Runge-Kutta at 2 ms.
-
     Raises:
-        ValueError: not two positive finite masses or lengths.
+        ValueError: masses or lengths are not two positive finite numbers.
 
     Example:
         >>> double_pendulum_model((0.5, 0.15)).body("link2").mass
@@ -138,15 +106,14 @@ def double_pendulum_model(
 def double_pendulum_spec(
     link_masses: Sequence[float], link_lengths: Sequence[float] = (LINK_LENGTH, LINK_LENGTH)
 ) -> mujoco.MjSpec:
-    """The MuJoCo model of :func:`double_pendulum_model` before it is compiled."""
+    """Specification of :func:`double_pendulum_model`."""
     masses = _two_positive("link_masses", link_masses, "kg")
     lengths = _two_positive("link_lengths", link_lengths, "m")
-    asset = resources.files("torch_pmil.envs").joinpath("assets", "double_pendulum.xml")
-    spec = mujoco.MjSpec.from_string(asset.read_text(encoding="utf-8"))
+    spec = asset("double_pendulum.xml")
     for number, (mass, length) in enumerate(zip(masses, lengths, strict=True), start=1):
         inertia, link = mass * length**2 / 12, spec.body(f"link{number}")
         link.mass = mass
-        # the third is about the rod's own axis, around which it never turns: any number
+        # the third, about the rod's own axis, has no effect
         link.inertia = [inertia, inertia, inertia / 100]
         link.ipos = [0, 0, length / 2]
         spec.geom(f"rod{number}").fromto[5] = length
@@ -163,18 +130,13 @@ def _two_positive(name: str, numbers: Sequence[float], unit: str) -> NDArray[np.
 
 
 def pose_at(targets: Tensor) -> Tensor:
-    """Angles [q1, q2] with which the tip is at the targets.
+    """Angles [q1, q2], (*batch, 2), rad, with the tip at targets [x, y], (*batch, 2), m.
 
-    Seen from the base the elbow is on their left, hence q2 < 0.
-
-    Args:
-        targets: [x, y] of the tip, (*batch, 2), m.
-
-    Returns:
-        (*batch, 2), rad; q1 from 0 to 2 pi about hanging (pi), q2 from -pi to 0.
+    The elbow is to the left of the target as seen from the base. So q2 is from -pi to 0, and q1
+    from 0 to 2 pi about hanging (pi).
 
     Raises:
-        ValueError: a target is the base itself or farther away than the arm is long.
+        ValueError: a target is the base itself or out of reach.
 
     Example:
         >>> target = torch.tensor([0.5, -0.5], dtype=torch.float64)

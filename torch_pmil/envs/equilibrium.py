@@ -1,4 +1,4 @@
-"""Static equilibrium of a robot whose rotors pull its joints by cables. Knows no robot."""
+"""Static equilibrium of any robot whose rotors pull its joints by cables."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from torch_pmil.envs.robot import Array
 
 TOLERANCE = 1e-9  # N·m, of what is left unbalanced
 MAX_ITERATIONS = 30
@@ -17,20 +16,18 @@ DIFFERENCE_STEP = 1e-7  # rad
 
 
 class Equilibrium:
-    r"""Static equilibrium of a robot whose driven joints are held still by their rotors.
+    r"""Static equilibrium of a robot whose driven joints are held by their rotors.
 
-    It says where rotors and passive joints are, and the torques of the rotors.
-
-    At rest the generalised forces obey :math:`\tau(q) = g(q) - f(q)`, with gravity g and the pull f
-    of cables and springs. Found by Newton's method are the positions of the rotors and of the
-    passive joints at which driven and passive joints need no torque of their own; the rotors' part
-    of :math:`\tau` then holds the robot. Friction and contacts have no part in it.
+    At rest the generalised forces are :math:`\tau(q) = g(q) - f(q)`, with gravity g and the pull f
+    of cables and springs. Newton's method finds the positions of rotors and passive joints at which
+    driven and passive joints need no torque. The rotors' part of :math:`\tau` then holds the robot.
+    Friction and contacts are not included.
 
     Args:
         model: rotors and joints are hinges or slides, the cables fixed tendons.
-        driven: names of the joints that are where they are said to be.
-        rotors: names of the rotors, as many.
-        passive: names of the joints that give way to the load until their springs bear it.
+        driven: names of the joints whose positions are given.
+        rotors: names of the rotors, one for each driven joint.
+        passive: names of the joints that yield until their springs bear the load.
 
     Example:
         >>> from torch_pmil.envs.biorob import JOINTS, ROTORS, biorob_model
@@ -56,14 +53,9 @@ class Equilibrium:
         self.ratio = _ratio(model, _dofs(self._driven), _dofs(self._rotors))  # (F, F)
 
     def __call__(self, positions: Array) -> tuple[Array, Array]:
-        """Positions of all joints at equilibrium, and the torques that hold them there.
+        """All positions (N, nq), as in ``MjData.qpos``, and torques (N, F) of the rotors.
 
-        Args:
-            positions: of the driven joints, (N, F).
-
-        Returns:
-            Positions of all joints as in ``MjData.qpos``, (N, nq), and torques of the rotors (N,
-            F).
+        They are those at equilibrium with the driven joints at ``positions`` (N, F).
 
         Raises:
             RuntimeError: no equilibrium was found.
@@ -72,19 +64,13 @@ class Equilibrium:
         return np.array(places), np.array(torques)
 
     def moving_torques(self, positions: Array, velocities: Array, accelerations: Array) -> Array:
-        """Torques of the rotors in a motion in which the cables keep their length at equilibrium.
+        """Torques (N, F) of the rotors in a motion (N, F) of the driven joints, with friction.
 
-        Args:
-            positions, velocities, accelerations: of the driven joints, (N, F).
-
-        Returns:
-            (N, F); friction of joints and rotors included.
-
-        Raises:
-            RuntimeError: no equilibrium was found.
+        The cables keep their length at equilibrium, so each rotor moves with its joint. Raises
+        RuntimeError if no equilibrium was found.
         """
         model, data, places = self._model, self._data, self(positions)[0]
-        along = np.zeros((model.nv, len(self._driven)))  # how all move with the driven joints
+        along = np.zeros((model.nv, len(self._driven)))  # motion of all with the driven joints
         along[_dofs(self._driven)] = np.eye(len(self._driven))
         along[_dofs(self._rotors)] = self.ratio
         torques = np.empty_like(positions)
@@ -123,7 +109,7 @@ def _dofs(joints: Sequence) -> list[int]:
 
 
 def _ratio(model: mujoco.MjModel, driven: list[int], rotors: list[int]) -> Array:
-    """Turn of the rotors for each driven joint while no cable changes its length, (F, F)."""
+    """Turn of the rotors per turn of each driven joint at constant cable lengths, (F, F)."""
     moments = np.zeros((model.ntendon, model.nv))
     for tendon in range(model.ntendon):
         first = model.tendon_adr[tendon]

@@ -1,4 +1,4 @@
-"""Two tasks of gymnasium as robots that learn by imitation. Needs the extra ``gym``."""
+"""Two tasks of gymnasium as robots. Needs the extra ``gym``."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from torch_pmil.envs.robot import Array
 
 try:
     import gymnasium
-    from gymnasium import Wrapper
+    from gymnasium import Env, Wrapper
 except ModuleNotFoundError:  # an optional extra
-    gymnasium, Wrapper = None, object
+    gymnasium, Env, Wrapper = None, object, object
 
 CART_START = 0.1  # largest absolute value of each entry of the cart's first state
 HANGING_MEAN, HANGING_STD = (math.pi, 0.0), (0.05, 0.1)  # rad, rad/s
@@ -29,8 +29,8 @@ def inverted_pendulum_env(
 ) -> AdaptedEnv:
     """gymnasium's InvertedPendulum-v5: a pole on a cart, at 25 Hz.
 
-    The state is [x, q, dx, dq] (m, rad, m/s, rad/s), q the angle of the pole from upright; all of
-    it starts uniformly within ±0.1. The action moves the cart, within ±3.
+    The state is [x, q, dx, dq] (m, rad, m/s, rad/s), q the angle of the pole from upright; each
+    entry starts uniformly within ±0.1. The action moves the cart, within ±3.
 
     Raises:
         ModuleNotFoundError: gymnasium is not installed.
@@ -43,11 +43,10 @@ def inverted_pendulum_env(
 def gym_pendulum_env(
     num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None
 ) -> AdaptedEnv:
-    """gymnasium's Pendulum-v1 at 10 Hz, that starts hanging.
+    """gymnasium's Pendulum-v1 at 10 Hz, with normal starts about hanging (0.05 rad, 0.1 rad/s).
 
-    The state is [q, dq] (rad, rad/s), q the angle from upright, made of the cosine and sine that
-    gymnasium shows. The action is the torque, within ±2 N·m: too little to lift the pendulum at
-    once. The start is normal: hanging, with standard deviations of 0.05 rad and 0.1 rad/s.
+    The state is [q, dq] (rad, rad/s), q the angle from upright, computed from gymnasium's cosine
+    and sine. The action is the torque, within ±2 N·m: too little to lift the pendulum directly.
 
     Raises:
         ModuleNotFoundError: gymnasium is not installed.
@@ -64,25 +63,19 @@ def gym_pendulum_env(
 
 
 def cart_dynamics() -> partial[Array]:
-    """One control period of InvertedPendulum-v5 as a function of arrays.
-
-    It takes states [x, q, dx, dq] (N, 4) and actions (N, 1) to states (N, 4).
-    """
+    """A period of InvertedPendulum-v5: states (N, 4) and actions (N, 1) to states (N, 4)."""
     check_gymnasium()
     return partial(_simulate_cart, gymnasium.make("InvertedPendulum-v5").unwrapped)
 
 
 def pendulum_dynamics() -> partial[Array]:
-    """One control period of Pendulum-v1 at 10 Hz as a function of arrays.
-
-    It takes states [q, dq] (N, 2) and torques (N, 1) to states (N, 2).
-    """
+    """A period of Pendulum-v1 at 10 Hz: states (N, 2) and torques (N, 1) to states (N, 2)."""
     check_gymnasium()
     return partial(_simulate_pendulum, gymnasium.make("Pendulum-v1").unwrapped)
 
 
 class HangingStart(Wrapper):
-    """Pendulum-v1 with normal starts around hanging; its own are uniform around upright."""
+    """Pendulum-v1 with normal starts about hanging; its own are uniform about upright."""
 
     def reset(self, **kwargs: Any) -> tuple[np.ndarray, dict]:
         """Start hanging."""

@@ -1,4 +1,4 @@
-"""What a robot does not show, kept as entries of its state: past readings and past actions."""
+"""Past readings and past actions as entries of the state."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from torch_pmil.envs.robot import RobotEnv, is_whole_number
 
 @dataclass(frozen=True)
 class History:
-    r"""A state that holds some of the past beside the D_0 entries that a robot shows.
+    r"""A state that holds some of the past besides the D_0 entries that a robot shows.
 
     Its D entries are those of the robot, then past entries and then past actions, the latest first.
-    The next state is linear in the state, the action and the next reading y of the entries that are
-    measured:
+    The next state is linear in the state, the action and the next reading y of the measured
+    entries:
 
     .. math:: x_{t+1} = S\,[x_t, u_t] + C\,y_{t+1}
 
-    A velocity that the sensors do not show is told by the last two positions, :math:`\dot q_t =
-    (q_t - q_{t-1}) / \Delta t`. With the action between them these say as much as position and
-    velocity do.
+    A hidden velocity is estimated from the last two positions, :math:`\dot q_t =
+    (q_t - q_{t-1}) / \Delta t`. Together with the action between them they carry as much
+    information as position and velocity.
 
     Args:
-        names: of the D_0 entries, those of the hidden velocities included.
+        names: of the D_0 entries, hidden velocities included.
         action_names: of the F actions.
         control_period: s.
         hidden: velocities that the sensors do not show, dNAME beside NAME.
         past: entries whose past values are kept.
-        past_entries: number of their past values.
-        past_actions: number of the past actions that are kept. An action that takes effect up to so
-            many periods late is then known to the model.
+        past_entries: number of past values of each.
+        past_actions: number of past actions that are kept. They let the model learn actions that
+            take effect up to that many periods late.
 
     Raises:
-        ValueError: a name is no entry, or a number is no whole number from 0 on.
+        ValueError: a name is not an entry, or a number is not a whole number from 0 on.
 
     Example:
         >>> history = History(("q", "dq"), ("tau",), 0.1, hidden=("dq",), past_actions=1)
@@ -74,20 +74,20 @@ class History:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the D entries; NAME@2 is what NAME was two periods before."""
+        """Names of the D entries; NAME@2 is the value of NAME two periods before."""
         entries = [f"{name}@{k + 1}" for k in range(self.past_entries) for name in self.past]
         actions = [f"{name}@{k + 1}" for k in range(self.past_actions) for name in self.labels]
         return (*self.names, *entries, *actions)
 
     @property
     def origins(self) -> tuple[str, ...]:
-        """Of which of ``names`` and ``labels`` each of the D entries is a present or past value."""
+        """Name in ``names`` or ``labels`` of which each of the D entries is a value."""
         entries, actions = self.past_entries * self.past, self.past_actions * self.labels
         return (*self.names, *entries, *actions)
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names of the F actions, other than those of the entries.
+        """Names of the F actions, made different from those of the entries.
 
         Example:
             >>> History(("q", "dq"), ("q",), 0.05).labels
@@ -107,12 +107,12 @@ class History:
 
     @property
     def num_past_actions(self) -> int:
-        """Number of entries that are past actions, the last ones."""
+        """Number of entries that are past actions; they are the last ones."""
         return self.past_actions * len(self.action_names)
 
     @cached_property
     def shift(self) -> Tensor:
-        """S (D, D + F): what state and action make of the next state."""
+        """S (D, D + F): part of the next state that is linear in state and action."""
         latest = {label: self.dim + action for action, label in enumerate(self.labels)}
         matrix = torch.zeros(self.dim, self.dim + len(latest), dtype=torch.float64)
         for row, name in enumerate(self.origins):
@@ -125,7 +125,7 @@ class History:
 
     @cached_property
     def gain(self) -> Tensor:
-        """C (D, measured): what the next reading makes of the next state."""
+        """C (D, measured): part of the next state that is linear in the next reading."""
         gain = torch.zeros(self.dim, len(self.measured), dtype=torch.float64)
         for column, entry in enumerate(self.measured):
             gain[entry, column] = 1.0
@@ -135,7 +135,7 @@ class History:
 
     @cached_property
     def resting(self) -> tuple[Tensor, Tensor]:
-        """What reading (D, D_0) and action (D, F) make of the state of a robot that has rested."""
+        """Matrices (D, D_0) of the reading and (D, F) of the action for a robot at rest."""
         of_reading = torch.zeros(self.dim, len(self.names), dtype=torch.float64)
         of_action = torch.zeros(self.dim, len(self.action_names), dtype=torch.float64)
         for row, name in enumerate(self.origins):
@@ -146,7 +146,7 @@ class History:
         return of_reading, of_action
 
     def begin(self, reading: Tensor, action: Tensor) -> Tensor:
-        """State (*batch, D) of a robot that has rested at a reading (*batch, D_0) by an action."""
+        """State (*batch, D) of a robot at rest, from its reading (*batch, D_0) and its action."""
         of_reading, of_action = (matrix.to(reading) for matrix in self.resting)
         return reading @ of_reading.mT + action @ of_action.mT
 
@@ -157,16 +157,16 @@ class History:
 
 
 class HistoryEnv(RobotEnv):
-    """A robot whose observation holds some of the past, as :class:`History` says.
+    """A robot whose observation holds some of the past, given by a :class:`History`.
 
-    After a reset it has rested: hidden velocities are zero, past entries are those of now, and the
-    past actions are ``resting``. ``state_dict`` resumes it at the start of an episode.
+    A reset assumes a robot at rest: hidden velocities are zero, past entries equal the present
+    ones, and past actions are ``resting``. ``state_dict`` resumes at the start of an episode.
 
     Args:
         make_env: makes the robot, called with ``settings``.
         history: of its state.
-        resting: actions (*batch, F) before the first ones, in states (*batch, D_0).
-        settings: as ``num_envs``, ``from_pixels`` and ``seed``.
+        resting: past actions (*batch, F) of a robot at rest in states (*batch, D_0).
+        settings: such as ``num_envs``, ``from_pixels`` and ``seed``.
 
     Example:
         >>> from torch_pmil.envs import DoublePendulumEnv
@@ -195,25 +195,25 @@ class HistoryEnv(RobotEnv):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Those of the robot."""
+        """Names of the robot."""
         return self.robot.action_names
 
     @property
     def action_units(self) -> tuple[str, ...]:
-        """Those of the robot."""
+        """Units of the robot."""
         return self.robot.action_units
 
     @property
     def torque_limits(self) -> Tensor | None:
-        """Those of the robot."""
+        """Limits of the robot."""
         return self.robot.torque_limits
 
     def needed_torques(self, states: Tensor) -> Tensor | None:
-        """Those of the robot."""
+        """Torques of the robot."""
         return self.robot.needed_torques(self._shown(states))
 
     def beyond_range(self, states: Tensor) -> Tensor | None:
-        """Those of the robot."""
+        """Distances of the robot's joints."""
         return self.robot.beyond_range(self._shown(states))
 
     def close(self, **kwargs: Any) -> None:

@@ -1,4 +1,4 @@
-"""The vertical plane in front of the BioRob in which the balls hang (Sec. 5.2.5, Figure 11)."""
+"""The vertical plane of the balls in front of the BioRob (Sec. 5.2.5, Figure 11)."""
 
 from __future__ import annotations
 
@@ -17,21 +17,17 @@ GRID = torch.tensor([[y, z] for z in ROWS for y in COLUMNS], dtype=torch.float64
 
 
 def ball_at(targets: Tensor) -> Tensor:
-    """Position of the ball of each target.
+    """Position [x, y, z] of the ball of each target, (*batch, 3), m, float64.
 
-    The plane is perpendicular to x, through the ball of the experiment with one target, which is
-    the origin: y is to the left, z up. Stated in the paper: three training targets, a grid of 7 x 5
-    test targets that reaches beyond them. Chosen here: a triangle, the ball of the experiment with
-    one target at its top, in a grid that reaches beyond it by 0.1 m to the left and right and by
-    0.08 m upwards and downwards. A strike of the demonstrated style (``Strike.towards``) hits all
-    of it, with motor torques within the limits, while the strike towards the nearest training
-    target misses balls between and beyond.
+    The plane is perpendicular to x; its origin is the ball of the experiment with one target, y is
+    to the left, z up. Stated in the paper: three training targets, and a grid of 7 x 5 test targets
+    that reaches beyond them. Chosen here: a triangle with the origin at its top, in a grid that
+    reaches 0.1 m further to the left and right and 0.08 m further up and down. A strike of the
+    demonstrated style (``Strike.towards``) hits all of it with torques within the limits. The
+    strike towards the nearest training target misses balls between and beyond.
 
     Args:
         targets: [y, z] in the plane, (*batch, 2), m.
-
-    Returns:
-        [x, y, z], (*batch, 3), m, float64, as ``BioRobEnv(ball=...)`` takes them.
 
     Raises:
         ValueError: the last dimension is not 2.

@@ -1,29 +1,20 @@
-"""A MuJoCo robot as a TorchRL environment: float64, zero-order hold, seeded Gaussian starts.
-
-This module knows no particular robot.
-"""
+"""Any MuJoCo robot as a TorchRL environment: float64, zero-order hold, seeded starts."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import mujoco
 import numpy as np
 import torch
 from mujoco import rollout
-from scipy.interpolate import CubicSpline
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec, Unbounded
 
-from torch_pmil.envs.actuators import (
-    actions_for,
-    actuator_names,
-    actuator_units,
-    force_limits,
-)
-from torch_pmil.envs.inverse_dynamics import inverse_dynamics
+from torch_pmil.checks import check_tensor
+from torch_pmil.envs.joint_torques import ModelledRobot
 from torch_pmil.envs.mujoco_model import (
     FULL_PHYSICS,
     at_rest,
@@ -32,48 +23,57 @@ from torch_pmil.envs.mujoco_model import (
     state_columns,
     whole_substeps,
 )
-from torch_pmil.envs.robot import RobotEnv, check_num_envs
-
-MOMENTS = 5  # of a control period, at which inverse dynamics are averaged
+from torch_pmil.envs.robot import Array, check_num_envs
 
 
-class MujocoRobotEnv(RobotEnv):
+class RobotSettings(TypedDict, total=False):
+    """Settings of a :class:`MujocoRobotEnv` that each of its subclasses takes."""
+
+    initial_mean: Sequence[float] | Tensor
+    initial_std: Sequence[float] | Tensor
+    observation_std: Sequence[float] | Tensor | None
+    control_period: float
+    targets: Tensor | None
+    num_envs: int | None
+    from_pixels: bool
+    pixel_size: tuple[int, int]
+    seed: int | None
+
+
+class MujocoRobotEnv(ModelledRobot):
     """A MuJoCo robot, simulated in float64 by ``mujoco.rollout``.
 
-    Its actions are what the actuators of its model take, within their ctrlrange: torques of motors
-    (N·m), targets of position servos (rad) or velocity servos (rad/s); of what pulls, N, m and m/s.
-    One step holds the action for ``control_period`` seconds. The state vector interleaves position
-    and velocity of the observed joints, ``[q1, dq1, q2, dq2, ...]``, or has the positions first,
-    ``[q1, q2, ..., dq1, dq2, ...]`` (rad, rad/s). Actions beyond their range are clipped by the
-    physics. The reward is zero and an episode never ends by itself: imitation has neither.
+    Actions are what the model's actuators take, within their ctrlrange: torques of motors (N·m),
+    targets of position servos (rad) or velocity servos (rad/s); for linear joints N, m and m/s. A
+    step holds the action for ``control_period`` seconds; the physics clips what is out of range.
+    The state vector is ``[q1, dq1, q2, dq2, ...]`` of the observed joints, or ``[q1, q2, ..., dq1,
+    dq2, ...]`` (rad, rad/s). The reward is zero and an episode never ends by itself.
 
-    What the state vector does not say is hidden: at a reset it follows from the state
-    (``_physics_from_state``), from then on from the motion. A robot with sensors of its own adds to
-    what is measured in ``_measure``.
+    The rest of the simulation is hidden: a reset derives it from the state
+    (``_physics_from_state``), then it follows from the motion. Subclasses add further measurements
+    in ``_measure``.
 
     Keys: ``"observation"`` (*batch, D), ``"action"`` (*batch, F), ``"reward"`` (*batch, 1), all
     float64, and with ``from_pixels`` also ``"pixels"`` (*batch, height, width, 3), uint8. ``reset``
     draws x_0 ~ N(initial_mean, diag(initial_std²)) from the generator of this environment, or
-    starts at the ``"observation"`` it is given. With ``targets`` each observation also shows what
-    the robot is to do, ``"target"`` (*batch, K), float64. Sensors may be noisy: with
-    ``observation_std`` each ``"observation"`` is the true state plus noise from the same generator,
-    and ``"state"`` (*batch, D) is the true one, for measurements from outside. ``state_dict`` holds
-    the physics and the generator, so that a checkpoint resumes bit for bit.
+    starts at the ``"observation"`` it is given. With ``targets`` each observation also holds
+    ``"target"`` (*batch, K), float64. With ``observation_std`` each ``"observation"`` is the true
+    state plus noise from the same generator, and ``"state"`` (*batch, D) is the true one.
+    ``state_dict`` holds the physics and the generator, so a checkpoint resumes bit for bit.
 
     Args:
-        model: the robot, with one actuator per action, or as many models as there are robots, all
-            of one structure; they are copied. Pictures are taken by the camera ``"front"``.
+        model: the robot, with one actuator per action; or one model for each robot, all of one
+            structure. Models are copied. Pictures are taken by the camera ``"front"``.
         joints: names of the D/2 observed hinge or slide joints, in the order of the state vector.
-        initial_mean: mean of the start state, length D.
-        initial_std: standard deviations of the start state, length D.
+        initial_mean, initial_std: mean and standard deviations of the start state, length D.
         positions_first: whether the state vector has all positions before all velocities.
         observation_std: standard deviations of the sensors' noise, length D; None for exact
             sensors.
-        torque_limit: largest absolute torque of its motors in N·m, or force of those that pull in
-            N, one for all or one each; None for the ctrlrange of the model.
+        torque_limit: largest absolute torque (N·m) or force (N) of the motors, one for all or one
+            each; None for the ctrlrange of the model.
         control_period: seconds between two actions; a whole number of simulation time steps.
-        targets: what each robot is to do, as where its ball hangs, (num_envs, K) or (K,) for one
-            robot; None for nothing.
+        targets: what each robot is to do, such as the place of its ball, (num_envs, K) or (K,) for
+            one robot.
         num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
         from_pixels: whether to draw a picture at each step; needs OpenGL (headless:
             ``MUJOCO_GL=egl``).
@@ -81,8 +81,7 @@ class MujocoRobotEnv(RobotEnv):
         seed: of the generator of starts and noise; None takes entropy from the system.
 
     Raises:
-        ValueError: a setting has the wrong shape or range; the message says what was expected and
-            what came.
+        ValueError: a setting has the wrong shape or range.
         RuntimeError: pictures were asked for and OpenGL is not available.
     """
 
@@ -122,7 +121,10 @@ class MujocoRobotEnv(RobotEnv):
         self.observation_std = None
         if observation_std is not None:
             self.observation_std = _deviations("observation_std", observation_std, dim)
-        self.targets = None if targets is None else _targets(targets, self.batch_size)
+        self.targets = None
+        if targets is not None:
+            self.targets = torch.as_tensor(targets, dtype=torch.float64).clone()
+            check_tensor("targets", self.targets, (*self.batch_size, "entries"))
         starts = self.initial_mean.expand(num_envs or 1, -1)
         self.register_buffer("_physics", self._physics_from_state(starts, self._models))
         self._make_specs()
@@ -130,69 +132,45 @@ class MujocoRobotEnv(RobotEnv):
             self._open_renderer()
 
     def simulate(self, state: Tensor, action: Tensor, robot: int = 0) -> Tensor:
-        """States one control period later; the environment's own state does not change.
+        """State vectors (N, D), float64, one control period later.
+
+        The environment's own state does not change.
 
         Args:
-            state: state vectors (N, D); what they do not say is as after a reset.
+            state: state vectors (N, D); hidden physics is as after a reset.
             action: actions (N, F), held for the period and clipped to their range.
-            robot: whose model it is.
-
-        Returns:
-            State vectors (N, D), float64.
+            robot: number of the robot whose model is simulated.
 
         Raises:
+            ValueError: a shape is wrong.
             RuntimeError: a simulation diverged.
         """
         models = self._models[robot : robot + 1]
-        if state.shape != (len(state), self._state_columns.numel()) or action.shape != (
-            len(state),
-            self.model.nu,
-        ):
-            raise ValueError(
-                f"state and action must be (N, {self._state_columns.numel()}) and (N, "
-                f"{self.model.nu}), got {tuple(state.shape)} and {tuple(action.shape)}"
-            )
+        check_tensor("state", state, (len(state), self._state_columns.numel()), finite=False)
+        check_tensor("action", action, (len(state), self.model.nu), finite=False)
         physics, _ = self._integrate(self._physics_from_state(state, models), action, models)
         return self.state_of(physics[:, -1])
 
     def substates(self, state: Tensor, action: Tensor, count: int, robot: int = 0) -> Tensor:
-        """States at ``count`` equal steps inside one control period.
+        """State vectors (count, D), float64, at equal steps inside one control period.
 
-        The environment's own state does not change.
-
-        Args:
-            state: state vector (D,); what it does not say is as after a reset.
-            action: actions (F,), held for the period and clipped to their range.
-            count: a divisor of ``substeps``, the number of simulation time steps in a period.
-            robot: whose model it is.
-
-        Returns:
-            State vectors (count, D), float64; the last one is that of ``simulate``.
-
-        Raises:
-            ValueError: the period does not split into ``count`` steps.
-            RuntimeError: the simulation diverged.
+        The last one is that of :meth:`simulate`. Arguments and errors are those of :meth:`replay`,
+        with one action (F,).
         """
         return self.state_of(self.replay(state, action[None], count, robot)[1:])
 
     def replay(self, start: Tensor, actions: Tensor, count: int, robot: int = 0) -> Tensor:
-        """Full simulation states along a rollout from a reset.
+        """Full simulation states (T · count + 1, P) along a rollout from a reset, float64.
 
-        The environment's own state does not change.
-
-        They are those that the environment went through, what its state vector does not say
-        included.
+        The environment's own state does not change. The first state is that of the reset;
+        :meth:`state_of` and :meth:`draw` take such states.
 
         Args:
             start: state vector (D,) of the reset.
             actions: actions (T, F), each held for a control period and clipped to their range.
-            count: states in each control period, a divisor of ``substeps``, the number of its
-                simulation time steps.
-            robot: whose model it is.
-
-        Returns:
-            Full simulation states (T · count + 1, P), float64, the first one that of the reset;
-            ``state_of`` and ``draw`` take them.
+            count: states in each control period; a divisor of ``substeps``, the number of time
+                steps in a period.
+            robot: number of the robot whose model is simulated.
 
         Raises:
             ValueError: the period does not split into ``count`` steps.
@@ -213,135 +191,8 @@ class MujocoRobotEnv(RobotEnv):
         """State vectors (*batch, D) of full simulation states (*batch, P)."""
         return physics[..., self._state_columns]
 
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the actuators, as the model has them.
-
-        Example:
-            >>> from torch_pmil.envs import DoublePendulumEnv
-            >>> DoublePendulumEnv().action_names
-            ('tau1', 'tau2')
-        """
-        return actuator_names(self.model)
-
-    @property
-    def action_units(self) -> tuple[str, ...]:
-        """Units of what the actuators take, "" of one that is no motor and no servo.
-
-        Example:
-            >>> from torch_pmil.envs import DoublePendulumEnv
-            >>> DoublePendulumEnv().action_units
-            ('N·m', 'N·m')
-        """
-        return actuator_units(self.model)
-
-    @property
-    def torque_limits(self) -> Tensor:
-        """Largest torques or forces (F,) of motors and servos; infinite where there is no limit."""
-        return torch.from_numpy(force_limits(self.model))
-
-    def holding_actions(self, states: Tensor) -> Tensor:
-        """Actions (S, F) that hold the joints where they are in states (S, D), against gravity.
-
-        That of a position servo is a little beyond the joint, which is what pulls it. It may lie
-        beyond the range.
-
-        Raises:
-            ValueError: not every joint has its actuator and is in the state.
-
-        Example:
-            >>> from torch_pmil.envs import DoublePendulumServoEnv
-            >>> env = DoublePendulumServoEnv()
-            >>> env.holding_actions(torch.tensor([[3.0, 0.0, 0.0, 0.0]]).double()).round(decimals=2)
-            tensor([[ 2.9300, -0.0200]], dtype=torch.float64)
-        """
-        positions = states[:, self._position_entries].numpy()
-        still = np.zeros_like(positions)
-        moved, torques = self._moved_joints, self._inverse_dynamics(positions, still, still)
-        if moved is None or torques is None:
-            raise ValueError(
-                "a robot that is to be held must have an actuator at each joint, and all joints in "
-                f"its state, got the joints {', '.join(self._joints)} and the actuators "
-                f"{', '.join(self.action_names)}"
-            )
-        return torch.from_numpy(actions_for(self.model, torques, positions[:, moved]))
-
-    def needed_torques(self, states: Tensor) -> Tensor | None:
-        """Torques that lead along a motion, limits or not, by inverse dynamics.
-
-        The motion is a cubic spline through the positions.
-
-        The samples must resolve the motion. Those of the double pendulum's swing-ups do, and their
-        torques are met to 5 % of the limit (rms); where a joint turns by a radian and more from
-        sample to sample, as in a whip's motion, the spline and the torques are wrong.
-
-        Args:
-            states: x_0..x_T at the control rate, (T + 1, D), T >= 2.
-
-        Returns:
-            Mean over each control period, (T, F), N·m. None where not every joint has its actuator
-            and is in the state: then it is not the joints alone that say what these do.
-        """
-        times = self.control_period * np.arange(len(states))
-        motion = CubicSpline(times, states[:, self._position_entries].numpy())
-        moments = self.control_period * (np.arange(MOMENTS) + 0.5) / MOMENTS
-        between = (times[:-1, None] + moments).ravel()
-        torques = self._inverse_dynamics(motion(between), motion(between, 1), motion(between, 2))
-        if torques is None:
-            return None
-        return torch.from_numpy(torques.reshape(len(times) - 1, MOMENTS, -1).mean(1))
-
-    def beyond_range(self, states: Tensor) -> Tensor:
-        """Distance of the joints beyond their stops, in rad or m, 0 within: (*batch, J).
-
-        States are (*batch, D).
-        """
-        joints = [self.model.joint(name) for name in self._joints]
-        unlimited = (-np.inf, np.inf)
-        stops = np.array([joint.range if joint.limited[0] else unlimited for joint in joints])
-        low, high = torch.from_numpy(stops).unbind(-1)
-        positions = states[..., self._position_entries]
-        return torch.maximum(positions - high, low - positions).clamp_min(0)
-
-    @property
-    def _position_entries(self) -> Tensor:
-        """Entries of the state vector that are positions, in the order of the joints, (J,)."""
-        return (self._state_columns <= self.model.nq).nonzero().flatten()
-
-    @property
-    def _moved_joints(self) -> list[int] | None:
-        """The joint of the state that each actuator moves, if each of all joints has its own."""
-        model, ids = self.model, [self.model.joint(name).id for name in self._joints]
-        by_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT).all()
-        moved = model.actuator_trnid[:, 0].tolist()
-        if not by_joint or sorted(moved) != sorted(ids) or model.nv != len(ids):
-            return None
-        return [ids.index(joint) for joint in moved]
-
-    def _inverse_dynamics(
-        self, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray
-    ) -> np.ndarray | None:
-        """Torques (S, F) of a motion of the joints (S, J).
-
-        None where the actuators do not move the joints directly.
-        """
-        moved = self._moved_joints
-        if moved is None:
-            return None
-        dofs = [self.model.joint(name).dofadr[0] for name in self._joints]
-        order = np.argsort(dofs)  # that of the model
-        motion = positions[:, order], velocities[:, order], accelerations[:, order]
-        return inverse_dynamics(self.model, *motion)[:, dofs][:, moved]
-
-    def render(self, state: Tensor, robot: int = 0) -> np.ndarray:
-        """Draw the robot in one state, seen by the fixed camera, without shadows.
-
-        Args:
-            state: state vector (D,).
-            robot: whose model it is.
-
-        Returns:
-            Picture (height, width, 3), uint8.
+    def render(self, state: Tensor, robot: int = 0) -> Array:
+        """Picture (height, width, 3), uint8, of a robot in a state (D,), without shadows.
 
         Raises:
             ValueError: the state has another shape or is not finite.
@@ -351,7 +202,7 @@ class MujocoRobotEnv(RobotEnv):
         physics = self._physics_from_state(state[None], self._models[robot : robot + 1])
         return self.draw(physics[0], robot)
 
-    def draw(self, physics: Tensor, robot: int = 0) -> np.ndarray:
+    def draw(self, physics: Tensor, robot: int = 0) -> Array:
         """A picture (height, width, 3), uint8, of a robot in a full simulation state (P,).
 
         Raises RuntimeError without OpenGL.
@@ -370,7 +221,7 @@ class MujocoRobotEnv(RobotEnv):
         super().close(**kwargs)
 
     def _physics_from_state(self, state: Tensor, models: Sequence[mujoco.MjModel]) -> Tensor:
-        """Full simulation states (N, P) at time 0 of robots in states (N, D), other joints at rest.
+        """Full simulation states (N, P) at time 0 of robots in states (N, D), others at rest.
 
         There are N models, or one for all.
         """
@@ -397,7 +248,7 @@ class MujocoRobotEnv(RobotEnv):
         given = None if tensordict is None else tensordict.get("observation", None)
         mask = None if tensordict is None else tensordict.get("_reset", None)
         self.cut_short = ""
-        start = self._draw_starts() if given is None else self._check_starts(given)
+        start = self._draw_starts() if given is None else self._rows("start observation", given)
         physics = self._physics_from_state(start, self._models)
         if mask is not None:
             physics = torch.where(mask.reshape(-1, 1), physics, self._physics)
@@ -406,17 +257,13 @@ class MujocoRobotEnv(RobotEnv):
         return self._measure(sensors)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = self._check_action(tensordict["action"])
+        action = self._rows("action", tensordict["action"])
         physics, sensors = self._integrate(self._physics, action, self._models)
         self._physics = physics[:, -1].clone()
         return self._without_reward(self._measure(sensors))
 
     def _measure(self, sensors: Tensor) -> TensorDictBase:
-        """The observation now, given the sensors' values (N, K, S) since the last measurement.
-
-        Args: sensors, the values (N, K, S) of the model's sensors at all times since the last
-        measurement.
-        """
+        """The observation now, given all sensor values (N, K, S) since the last measurement."""
         state = self.state_of(self._physics).reshape(*self.batch_size, -1)
         measured = {"observation": state}
         if self.observation_std is not None:
@@ -435,39 +282,21 @@ class MujocoRobotEnv(RobotEnv):
         noise = torch.randn(shape, generator=self._generator, dtype=torch.float64)
         return self.initial_mean + self.initial_std * noise
 
-    def _check_starts(self, state: Tensor) -> Tensor:
-        expected = self.observation_spec["observation"].shape
-        if state.shape != expected:
-            raise ValueError(
-                f"start observation must have shape {tuple(expected)}, got {tuple(state.shape)}"
-            )
-        if not state.isfinite().all():
-            raise ValueError(f"start observation must be finite, got {state.tolist()}")
-        return state.reshape(self._physics.shape[0], -1).to(torch.float64)
-
-    def _check_action(self, action: Tensor) -> Tensor:
-        if action.is_complex():
-            raise ValueError(f"action must hold real numbers, got {action.dtype}")
-        if action.shape != (*self.batch_size, self.model.nu):
-            raise ValueError(
-                f"action must have shape {(*self.batch_size, self.model.nu)}, got "
-                f"{tuple(action.shape)}"
-            )
-        action = action.detach().to(torch.float64)
-        if not action.isfinite().all():
-            raise ValueError(f"action must be finite, got {action.tolist()}")
-        return action.reshape(self._physics.shape[0], -1)
+    def _rows(self, name: str, values: Tensor) -> Tensor:
+        """Actions or starts (*batch, n) as (N, n), float64. Raises ValueError if they misfit."""
+        length = self.model.nu if name == "action" else self._state_columns.numel()
+        check_tensor(name, values, (*self.batch_size, length))
+        return values.detach().to(torch.float64).reshape(self._physics.shape[0], -1)
 
     def _integrate(
         self, physics: Tensor, action: Tensor, models: Sequence[mujoco.MjModel]
     ) -> tuple[Tensor, Tensor]:
-        """Simulate a control period of robots, of N models or one, under the actions (N, F).
+        """Simulate a control period under actions (N, F), with N models or one.
 
-        Returns:
-            Full simulation states (N, substeps, P) after each time step, and sensor values (N,
-            substeps + 1, S) at both ends of each.
+        Returns states (N, substeps, P) after each time step, and sensor values (N, substeps + 1, S)
+        at both ends of each.
         """
-        # MuJoCo senses before a step, so that it takes one more to sense at the end
+        # MuJoCo senses before a step: one more step senses at the end
         after, sensors = self._simulate(physics, action, self.substeps + 1, models)
         self._check_physics(physics, after[:, -2])
         return after[:, :-1], sensors
@@ -475,10 +304,7 @@ class MujocoRobotEnv(RobotEnv):
     def _simulate(
         self, physics: Tensor, action: Tensor, steps: int, models: Sequence[mujoco.MjModel]
     ) -> tuple[Tensor, Tensor]:
-        """Full simulation states (N, steps, P) after each time step, under held actions.
-
-        The sensor values (N, steps, S) are those before each time step.
-        """
+        """States (N, steps, P) after each time step, and sensor values (N, steps, S) before it."""
         states, sensors = rollout.rollout(
             models, self._data, physics.numpy(), action[:, None].numpy(), nstep=steps
         )
@@ -498,17 +324,6 @@ class MujocoRobotEnv(RobotEnv):
         if self._renderer is None:
             self._renderer = open_renderer(self.model, self.pixel_size)
         return self._renderer
-
-
-def _targets(values: Tensor, batch: Sequence[int]) -> Tensor:
-    targets = torch.as_tensor(values, dtype=torch.float64).clone()
-    shape = tuple(targets.shape)
-    if len(shape) != len(batch) + 1 or shape[:-1] != tuple(batch) or shape[-1] < 1:
-        wanted = ", ".join(map(str, [*batch, "entries"]))
-        raise ValueError(f"targets must have shape ({wanted}), got {shape}")
-    if not targets.isfinite().all():
-        raise ValueError(f"targets must be finite, got {targets.tolist()}")
-    return targets
 
 
 def _state_vector(name: str, values: Sequence[float] | Tensor, dim: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""A MuJoCo model as a robot needs it: limited actions, its state's columns, its pictures."""
+"""A MuJoCo model for a robot: limited actions, columns of its state, pictures."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import copy
 import itertools
 import os
 from collections.abc import Sequence
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,15 +15,21 @@ from torch import Tensor
 
 from torch_pmil.envs.actuators import actuator_kinds, actuator_names, actuator_units
 
+ASSETS = Path(__file__).parent / "assets"
 FULL_PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
+def asset(name: str) -> mujoco.MjSpec:
+    """A model file of this package."""
+    return mujoco.MjSpec.from_file(str(ASSETS / name))
+
+
 def open_renderer(model: mujoco.MjModel, pixel_size: tuple[int, int]) -> mujoco.Renderer:
-    """A renderer of pictures of this height and width. Raises RuntimeError without OpenGL."""
+    """A renderer for this height and width. Raises RuntimeError without OpenGL."""
     model.vis.global_.offheight, model.vis.global_.offwidth = pixel_size
     try:
         return mujoco.Renderer(model, *pixel_size)
-    except Exception as error:  # every OpenGL platform fails with a type of its own
+    except Exception as error:  # each OpenGL platform has its own type of error
         backend = os.environ.get("MUJOCO_GL", "not set")
         raise RuntimeError(
             f"pictures need OpenGL, which failed with MUJOCO_GL {backend} ({error}); headless: "
@@ -46,9 +53,9 @@ def limited_models(
     torque_limit: float | Sequence[float] | None,
     count: int,
 ) -> tuple[mujoco.MjModel, ...]:
-    """Copies with limited actions, one for each of ``count`` robots; equal models share one.
+    """Copies with limited actions for ``count`` robots, shared by robots of the same model.
 
-    The torque limit, if any, is that of the motors.
+    A torque limit applies to the motors.
     """
     models = [models] * count if isinstance(models, mujoco.MjModel) else list(models)
     if len(models) != count:
@@ -91,17 +98,14 @@ def _limit_motors(model: mujoco.MjModel, torque_limit: float | Sequence[float]) 
 
 
 def at_rest(model: mujoco.MjModel) -> Tensor:
-    """Full simulation state (P,) at time 0, where nothing has moved."""
+    """Full simulation state (P,) at time 0, in the default pose."""
     physics = np.empty(mujoco.mj_stateSize(model, FULL_PHYSICS))
     mujoco.mj_getState(model, mujoco.MjData(model), physics, FULL_PHYSICS)
     return torch.from_numpy(physics)
 
 
 def state_columns(model: mujoco.MjModel, joints: Sequence[str], positions_first: bool) -> Tensor:
-    """Columns of the joints' positions and velocities in MuJoCo's full state.
-
-    That state is [time, qpos, qvel, ...].
-    """
+    """Columns of the joints in MuJoCo's full state [time, qpos, qvel, ...]."""
     observed = [model.joint(name) for name in joints]
     pairs = [[1 + joint.qposadr[0], 1 + model.nq + joint.dofadr[0]] for joint in observed]
     columns = torch.tensor(pairs)

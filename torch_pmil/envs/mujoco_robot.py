@@ -1,4 +1,4 @@
-"""A robot of any MJCF file, with no class to write."""
+"""A robot from any MJCF file, without writing a class."""
 
 from __future__ import annotations
 
@@ -24,30 +24,29 @@ CAMERA_DISTANCE = 2.2  # from the model's centre, in its extents
 class MujocoRobot:
     """Makes environments of a robot that an MJCF file describes.
 
-    Its state is the joints' positions, then their velocities, named as the joints and with a ``d``
-    before the name. Its actions are what the actuators take, torques or targets. A position servo
-    that moves a joint is called as the joint, so that its action is known as that joint's target:
-    what holds the robot in a state is the state itself, as on a robot of which nothing else is
-    known. Pictures are taken by the model's camera ``"front"``, or by one that sees all of it.
+    The state has the joints' positions, named as the joints, then their velocities, with a ``d``
+    before the name. Actions are what the actuators take, torques or targets. A position servo of a
+    joint gets the joint's name, which marks its action as that joint's target: the state itself is
+    then the action that holds the robot there. Pictures are taken by the model's camera
+    ``"front"``, or by an added one that sees all of it.
 
     Args:
-        xml: the MJCF or URDF file, or the specification that was made of it.
-        joints: names of the observed hinge and slide joints; other joints of the file are hidden.
-        actions: names of the actuators, or lowest and highest action of each by its name; the other
-            actuators of the file are left out. None for all of them as they are. A range that is
-            little more than the task needs makes a safe policy: far from all it has learned, it
-            commands the middle.
+        xml: the MJCF or URDF file, or a specification.
+        joints: names of the observed hinge and slide joints; other joints are hidden.
+        actions: names of the actuators, or the lowest and highest action by name; other actuators
+            are removed. None keeps all as they are. A range little larger than the task needs is
+            safer: far from its data the policy commands the middle of the range.
         rate: control rate, Hz; its period must be a whole number of the model's time steps.
-        start: positions of the joints (J,) at the mean of the starts, rad or m; None for those of
-            the model's first keyframe, or zero.
+        start: mean start positions of the joints (J,), rad or m; None for the model's first
+            keyframe, or zero.
         start_std: standard deviations of positions and velocities at a start, one for all, or one
             for each entry of the state, (2 J,).
 
     Raises:
         FileNotFoundError: there is no such file.
         TypeError: ``xml`` is neither a path nor a specification.
-        ValueError: the file is none that MuJoCo reads, has no such joint or actuator, or a number
-            is out of range.
+        ValueError: MuJoCo cannot read the file, it lacks a joint or actuator, or a number is out
+            of range.
 
     Example:
         >>> from torch_pmil.envs.double_pendulum import double_pendulum_spec
@@ -122,21 +121,21 @@ class MujocoRobot:
 
     @property
     def turning(self) -> tuple[str, ...]:
-        """Names of the hinges without a range: angles that go on beyond a whole turn."""
+        """Names of the hinges without a range, which may turn more than once."""
         joints = [self.model.joint(name) for name in self.joints]
         free = [joint for joint in joints if joint.type[0] == HINGE and not joint.limited[0]]
         return tuple(joint.name for joint in free)
 
     def _start(self, start: Sequence[float] | Tensor | None) -> Tensor:
-        if start is not None:
-            positions = torch.as_tensor(start, dtype=torch.float64)
-            if positions.shape != (len(self.joints),):
-                raise ValueError(
-                    f"start must be {len(self.joints)} positions, got {positions.tolist()}"
-                )
-            return positions
-        qpos = self.model.key_qpos[0] if self.model.nkey else self.model.qpos0
-        return torch.tensor([qpos[self.model.joint(name).qposadr[0]] for name in self.joints])
+        if start is None:
+            qpos = self.model.key_qpos[0] if self.model.nkey else self.model.qpos0
+            return torch.tensor([qpos[self.model.joint(name).qposadr[0]] for name in self.joints])
+        positions = torch.as_tensor(start, dtype=torch.float64)
+        if positions.shape != (len(self.joints),):
+            raise ValueError(
+                f"start must be {len(self.joints)} positions, got {positions.tolist()}"
+            )
+        return positions
 
 
 def _read(xml: str | os.PathLike[str] | mujoco.MjSpec) -> mujoco.MjSpec:
@@ -172,7 +171,7 @@ def _check_joints(spec: mujoco.MjSpec, joints: tuple[str, ...]) -> None:
 def _choose_actuators(
     spec: mujoco.MjSpec, actions: Sequence[str] | Mapping[str, tuple[float, float]] | None
 ) -> None:
-    """Leave the actuators that are actions, in their ranges."""
+    """Keep the actuators that are actions, with their ranges."""
     known = {actuator.name: actuator for actuator in spec.actuators}
     names = list(known) if actions is None else list(actions)
     if unknown := [name for name in names if name not in known]:
@@ -193,7 +192,7 @@ def _call_servos_as_their_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> 
 
 
 def _add_camera(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """A camera that sees the whole model from in front, from the left and from above."""
+    """Add a camera that sees the whole model from the front left and above."""
     distance = CAMERA_DISTANCE * model.stat.extent
     right, up = (math.sqrt(0.5), -math.sqrt(0.5), 0.0), (-0.25, -0.25, math.sqrt(0.875))
     away = torch.linalg.cross(torch.tensor(right), torch.tensor(up)).double().numpy()

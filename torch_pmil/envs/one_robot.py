@@ -1,4 +1,4 @@
-"""A robot of which there is one: any environment that a user has, from one start after another."""
+"""Any environment of a user as the one robot of an experiment."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ WHOLE = 1e-6  # by which the ratio of two periods may differ from a whole number
 
 
 class OneRobot:
-    """Makes the environments that an experiment asks for, of a single environment.
+    """Makes all environments of an experiment from a single one.
 
-    All of them move the same robot, so that only one may be in use at a time. Where several robots
-    are asked for, the one robot starts as many times, one rollout after the other. A physical robot
-    is taken as it is, and is no several.
+    They all move the same robot, so only one may be in use at a time. Several robots are replaced
+    by one robot that starts several times, one rollout after the other. A physical robot is used
+    as it is, and never as several.
 
     Args:
         env: an environment of TorchRL or gymnasium, or the name of one of gymnasium.
-        control_period: seconds between two actions. Where that is longer than a step of a
-            gymnasium environment that says its ``dt``, each action is held for several steps.
-        angles: angles of which the observation holds cosine and sine.
+        control_period: seconds between two actions. Each action is held for several steps if that
+            is longer than the ``dt`` of a gymnasium environment.
+        angles: angles that the observation holds as cosine and sine.
 
-    ``name`` is that of the environment; ``draws`` says whether it gives pictures, ``physical``
-    whether it is a physical robot.
+    ``name`` is that of the environment; ``draws`` is True if it gives pictures, ``physical`` if it
+    is a physical robot.
 
     Raises:
-        TypeError: ``env`` is no environment.
-        ValueError: the control period is no whole number of the environment's steps, or not that
-            of the physical robot, or it shows cosine and sine; or several of it are asked for.
+        TypeError: ``env`` is not an environment.
+        ValueError: the control period is not a whole number of the environment's steps. Or a
+            physical robot has another one, shows cosine and sine, or is asked for several times.
         ModuleNotFoundError: gymnasium is not installed.
 
     Example:
@@ -61,7 +61,9 @@ class OneRobot:
             self.env, self.name = env, type(env).__name__
             self.draws = "pixels" in env.observation_spec
         elif gymnasium is not None and isinstance(env, gymnasium.Env):
-            self.env = _held(GymWrapper(env), _steps_of(env, control_period))
+            self.env, steps = GymWrapper(env), _steps_of(env, control_period)
+            if steps > 1:
+                self.env = TransformedEnv(self.env, FrameSkipTransform(steps))
             self.name = env.spec.id if env.spec else type(env.unwrapped).__name__
             self.draws = env.render_mode == "rgb_array"
         else:
@@ -73,9 +75,11 @@ class OneRobot:
     def __call__(
         self, num_envs: int | None = None, from_pixels: bool = False, seed: int | None = None
     ) -> RobotEnv:
-        """The robot, or for ``num_envs`` the robot from as many starts in turn."""
+        """The robot, or with ``num_envs`` the robot from that many starts in turn."""
         if self.physical:
-            return self._alone(num_envs)
+            if num_envs is not None:
+                raise ValueError(f"a physical robot is one, got num_envs = {num_envs}")
+            return self.env
         settings: dict[str, Any] = {
             "observation": self._observation,
             "angles": self.angles,
@@ -85,11 +89,6 @@ class OneRobot:
         if num_envs is None:
             return AdaptedEnv(self._made, self.control_period, **settings)
         return RobotInTurn(num_envs, self._made, self.control_period, **settings)
-
-    def _alone(self, num_envs: int | None) -> RobotEnv:
-        if num_envs is not None:
-            raise ValueError(f"a physical robot is one, got num_envs = {num_envs}")
-        return self.env
 
     @property
     def dim(self) -> int:
@@ -103,7 +102,7 @@ class OneRobot:
 
     @property
     def _observation(self) -> NestedKey:
-        """Key of the observation: of the only vector, or else the usual one."""
+        """Key of the only vector, or else the usual key."""
         vectors = [
             key
             for key, spec in self.env.observation_spec.items(True, True)
@@ -113,12 +112,7 @@ class OneRobot:
 
 
 class RobotInTurn(AdaptedEnv):
-    """One robot whose rollouts from several starts, one after the other, come as a batch.
-
-    Args:
-        starts: number of rollouts in a batch.
-        given: what :class:`AdaptedEnv` takes.
-    """
+    """One robot whose rollouts from ``starts`` consecutive starts make one batch."""
 
     def __init__(self, starts: int, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
@@ -132,7 +126,7 @@ class RobotInTurn(AdaptedEnv):
 
 
 def _check_physical(env: RobotEnv, control_period: float, angles: Sequence[CosSin]) -> None:
-    """Raise ValueError unless a physical robot can be taken as it is."""
+    """Raise ValueError unless a physical robot can be used as it is."""
     if env.control_period != control_period:
         raise ValueError(
             f"control_period must be that of the robot, {env.control_period:g} s, got "
@@ -142,13 +136,8 @@ def _check_physical(env: RobotEnv, control_period: float, angles: Sequence[CosSi
         raise ValueError("a physical robot must show its angles, got cosine and sine of them")
 
 
-def _held(env: EnvBase, steps: int) -> EnvBase:
-    """An environment that holds each action for so many steps, whether an episode ends or not."""
-    return env if steps == 1 else TransformedEnv(env, FrameSkipTransform(steps))
-
-
 def _steps_of(env: gymnasium.Env, control_period: float) -> int:
-    """Number of the environment's steps in a control period; 1 where it does not say its step."""
+    """Number of the environment's steps in a control period; 1 if its step is unknown."""
     step = getattr(env.unwrapped, "dt", None)
     if not isinstance(step, float):
         return 1

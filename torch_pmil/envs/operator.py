@@ -1,4 +1,4 @@
-"""The person who resets a robot between two rollouts, and what ends a rollout or a run there."""
+"""The person who resets a robot between two rollouts, and how a rollout or a run ends there."""
 
 from __future__ import annotations
 
@@ -8,28 +8,26 @@ QUESTION = (
 
 
 class RobotError(RuntimeError):
-    """A robot cannot be reached or does not do what it must; one line says what went wrong.
+    """A robot cannot be reached or misbehaves; one line says what went wrong.
 
-    What was recorded is kept, and ``resume`` goes on.
+    Recorded data is kept, and ``resume`` continues.
     """
 
 
 class RunStopped(Exception):
-    """The operator ends the run, which ``resume`` goes on with."""
+    """The operator ends the run; ``resume`` continues it."""
 
 
 class RolloutDiscarded(Exception):
-    """The operator takes the last rollout out of the data."""
+    """The operator removes the last rollout from the data."""
 
 
 def prompt() -> None:
     """Ask the operator at the terminal, and return when the robot is at its start.
 
-    Enter runs the next rollout. An end of the input, as without a terminal, ends the run.
-
     Raises:
         RolloutDiscarded: the answer is d.
-        RunStopped: the answer is q, or there is none.
+        RunStopped: the answer is q, or the input ends, as without a terminal.
 
     Example:
         >>> import io, sys
@@ -44,17 +42,14 @@ def prompt() -> None:
         the operator ended the run; resume goes on with it
     """
     while True:
-        match _answer():
+        try:
+            answer = input(QUESTION).strip().lower()
+        except EOFError:
+            answer = "q"
+        match answer:
             case "":
                 return
             case "d":
                 raise RolloutDiscarded("the operator discarded the last rollout")
             case "q":
                 raise RunStopped("the operator ended the run; resume goes on with it")
-
-
-def _answer() -> str:
-    try:
-        return input(QUESTION).strip().lower()
-    except EOFError:
-        return "q"

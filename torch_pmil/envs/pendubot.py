@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from importlib import resources
-from typing import ClassVar
+from typing import ClassVar, Unpack
 
 import mujoco
 from torch import Tensor
 
-from torch_pmil.envs.double_pendulum import HANGING, PICTURE, START_STD
-from torch_pmil.envs.mujoco import MujocoRobotEnv
+from torch_pmil.envs.double_pendulum import HANGS_AT_REST
+from torch_pmil.envs.mujoco import MujocoRobotEnv, RobotSettings
+from torch_pmil.envs.mujoco_model import asset
 
 LINK_LENGTHS = (0.2, 0.3)  # m, published
 MOTORS = ("tau1", "tau2")
@@ -31,16 +30,10 @@ class PendubotEnv(MujocoRobotEnv):
 
     Args:
         torque_limit: largest absolute torque in N·m.
-        initial_mean: mean of the start state, length 4.
-        initial_std: standard deviations of the start state, length 4.
-        control_period: seconds between two actions; a whole number of 2 ms steps.
-        num_envs: None for one robot with batch size (), N for N robots with batch size (N,).
-        from_pixels: whether to draw a picture (480, 480, 3) at each step under ``"pixels"``.
-        seed: of the generator of starts; None takes entropy from the system.
+        settings: such as ``num_envs`` and ``seed``: see :class:`MujocoRobotEnv`.
 
     Raises:
-        ValueError: a setting has the wrong shape or range; the message says what was expected and
-            what came.
+        ValueError: a setting has the wrong shape or range.
 
     Example:
         >>> env = PendubotEnv(seed=0)
@@ -50,28 +43,13 @@ class PendubotEnv(MujocoRobotEnv):
 
     motor: ClassVar[str] = "tau1"
 
-    def __init__(
-        self,
-        *,
-        torque_limit: float = 6.0,
-        initial_mean: Sequence[float] | Tensor = HANGING,
-        initial_std: Sequence[float] | Tensor = START_STD,
-        control_period: float = CONTROL_PERIOD,
-        num_envs: int | None = None,
-        from_pixels: bool = False,
-        seed: int | None = None,
-    ) -> None:
+    def __init__(self, *, torque_limit: float = 6.0, **settings: Unpack[RobotSettings]) -> None:
+        defaults = RobotSettings(control_period=CONTROL_PERIOD, **HANGS_AT_REST)
         super().__init__(
             one_motor_model(self.motor),
-            joints=("q1", "q2"),
-            initial_mean=initial_mean,
-            initial_std=initial_std,
+            ("q1", "q2"),
             torque_limit=torque_limit,
-            control_period=control_period,
-            num_envs=num_envs,
-            from_pixels=from_pixels,
-            pixel_size=PICTURE,
-            seed=seed,
+            **(defaults | settings),
         )
 
 
@@ -105,8 +83,7 @@ def one_motor_model(motor: str) -> mujoco.MjModel:
         >>> one_motor_model("tau2").nu
         1
     """
-    asset = resources.files("torch_pmil.envs").joinpath("assets", "pendubot.xml")
-    spec = mujoco.MjSpec.from_string(asset.read_text(encoding="utf-8"))
+    spec = asset("pendubot.xml")
     for other in set(MOTORS) - {motor}:
         spec.delete(spec.actuator(other))
     return spec.compile()

@@ -1,4 +1,4 @@
-"""How near the BioRob's racket comes to the ball along states that were predicted, not executed."""
+"""Distance of the BioRob's racket from the ball along predicted states."""
 
 from __future__ import annotations
 
@@ -16,17 +16,14 @@ PLACES = 10  # of the racket, between two states
 
 
 def distance_along(states: Tensor, time_step: float = 0.1) -> Tensor:
-    """Least distance of racket and ball if the joints moved along states.
+    """Least distance (*batch) of the surfaces of racket and ball, m, float64; 0 if they touch.
 
-    Between two states the joints move along the cubic that their positions and velocities tell. The
-    ball hangs still at its usual place, and stops nothing.
+    The joints move along the cubic given by the positions and velocities of two states. The ball
+    hangs still at its usual place and does not stop the racket.
 
     Args:
         states: x_0..x_T, (*batch, T + 1, 6), in rad and rad/s.
         time_step: between two states, s.
-
-    Returns:
-        Distance of the surfaces (*batch), m, float64; 0 where they touch.
 
     Example:
         >>> from torch_pmil.envs.biorob import START

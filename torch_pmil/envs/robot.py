@@ -1,4 +1,4 @@
-"""The common base of the environments of robots, whatever moves them."""
+"""The common base of simulated and physical robots."""
 
 from __future__ import annotations
 
@@ -19,12 +19,11 @@ LARGEST_SEED = 2**63 - 1
 
 
 class RobotEnv(EnvBase):
-    """A robot in float64 with starts of its own seed, bounded actions, and no reward.
+    """A robot in float64 with seeded starts, bounded actions and no reward.
 
-    An episode does not end by itself, but where ``guard`` says that it must: it is called with the
-    states (*batch, D) after each step, and returns why, or "" where the motion may go on.
-    ``cut_short`` then holds that line until the next reset. ``physical`` says whether it is a real
-    robot, which makes no motion that is not needed.
+    An episode ends only by ``guard``. It is called with the states (*batch, D) after each step, and
+    returns why the motion must end, or "". ``cut_short`` holds that reason until the next reset.
+    ``physical`` is True for a real robot, which makes no unnecessary motion.
 
     Args:
         batch_size: of the robots.
@@ -33,7 +32,7 @@ class RobotEnv(EnvBase):
         seed: of the generator of starts and noise; None takes entropy from the system.
 
     Raises:
-        ValueError: the seed is no whole number from 0 on, or the period is not positive.
+        ValueError: the seed is not a whole number from 0 on, or the period is not positive.
     """
 
     physical = False
@@ -57,7 +56,7 @@ class RobotEnv(EnvBase):
         self._set_seed(seed)
 
     def get_extra_state(self) -> Tensor:
-        """State of the generator of starts and noise, kept in ``state_dict``."""
+        """State of the generator of starts and noise, part of ``state_dict``."""
         return self._generator.get_state()
 
     def set_extra_state(self, state: Tensor) -> None:
@@ -66,30 +65,30 @@ class RobotEnv(EnvBase):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Name of the motor of each action: its number, unless the robot's model names it."""
+        """Names of the actions: of the motors in the robot's model, or else numbers."""
         return tuple(str(number) for number in range(self.action_spec.shape[-1]))
 
     @property
     def action_units(self) -> tuple[str, ...]:
-        """Unit of each action, "" where it is not known: N·m of a torque, rad of a joint target."""
+        """Units of the actions, such as N·m for torques and rad for targets; "" if unknown."""
         return ("",) * self.action_spec.shape[-1]
 
     def needed_torques(self, states: Tensor) -> Tensor | None:
-        """Torques (T, F) of each control period on the way through states x_0..x_T, (T + 1, D).
+        """Torques (T, F) in each control period of a motion x_0..x_T, (T + 1, D).
 
-        None where the model is not known.
+        None if the model is unknown.
         """
         return None
 
     @property
     def torque_limits(self) -> Tensor | None:
-        """Largest torques (F,) of the motors; None where they are not known."""
+        """Largest torques (F,) of the motors; None if unknown."""
         return None
 
     def beyond_range(self, states: Tensor) -> Tensor | None:
-        """Distance of the joints beyond their stops, 0 within, in states (*batch, D): (*batch, J).
+        """Distance (*batch, J) of the joints beyond their stops in states (*batch, D), 0 within.
 
-        None where the stops are not known.
+        None if the stops are unknown.
         """
         return None
 
@@ -115,7 +114,7 @@ class RobotEnv(EnvBase):
         self.reward_spec = Unbounded((*batch, 1), dtype=torch.float64)
 
     def _without_reward(self, measured: TensorDictBase) -> TensorDictBase:
-        """The result of a step: the measurement, no reward, and an end where the guard says so."""
+        """The result of a step: the measurement, no reward, and an end if the guard wants one."""
         if self.guard is not None:
             self.cut_short = self.guard(measured["observation"])
         measured["reward"] = torch.zeros(*self.batch_size, 1, dtype=torch.float64)
@@ -124,11 +123,11 @@ class RobotEnv(EnvBase):
 
 
 def check_num_envs(num_envs: int | None) -> None:
-    """Raise ValueError unless ``num_envs`` is None, for one robot, or a number of robots."""
+    """Raise ValueError unless ``num_envs`` is None, for one robot, or at least 1."""
     if num_envs is not None and not (is_whole_number(num_envs) and num_envs >= 1):
         raise ValueError(f"num_envs must be None or at least 1, got {num_envs}")
 
 
 def is_whole_number(value: object) -> bool:
-    """Whether a value is an integer, of Python or of NumPy, and no truth value."""
+    """Whether a value is an integer of Python or NumPy, and not a bool."""
     return isinstance(value, Integral) and not isinstance(value, bool)

@@ -1,4 +1,4 @@
-"""Rollouts as TorchRL gives them, and the states and pictures in them."""
+"""TorchRL's rollouts, and the states and pictures in them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from torch import Tensor
 
 
 def states_of(rollout: TensorDictBase) -> Tensor:
-    """States x_0..x_T of rollouts (*batch, T), as the robot's sensors tell: (*batch, T + 1, D)."""
+    """Measured states x_0..x_T of rollouts (*batch, T): (*batch, T + 1, D)."""
     return torch.cat([rollout["observation"][..., :1, :], rollout["next", "observation"]], -2)
 
 
 def rollout_of(states: Tensor) -> TensorDict:
-    """Rollouts (*batch, T) that hold the states x_0..x_T, (*batch, T + 1, D), and nothing else.
+    """Rollouts (*batch, T) that hold only states x_0..x_T, (*batch, T + 1, D).
 
-    :func:`states_of` gives the states back.
+    :func:`states_of` returns the states.
 
     Example:
         >>> states_of(rollout_of(torch.zeros(7, 26, 4))).shape
@@ -33,10 +33,10 @@ def rollout_of(states: Tensor) -> TensorDict:
 
 
 def as_executed(rollout: TensorDictBase) -> TensorDictBase:
-    """A rollout (*batch, T) without the step that was not measured, with the actions as sent.
+    """A rollout (*batch, T) without a step that was not measured, with the actions as sent.
 
-    A robot whose reading failed says so in ``("next", "measured")``, and ends the rollout there;
-    one that changed an action says what it sent in ``("next", "sent")``.
+    A robot whose reading failed reports that in ``("next", "measured")`` and ends the rollout; one
+    that changes actions reports them in ``("next", "sent")``.
 
     Example:
         >>> rollout = rollout_of(torch.zeros(6, 4))
@@ -58,20 +58,13 @@ def as_executed(rollout: TensorDictBase) -> TensorDictBase:
 
 
 def pictures_of(rollout: TensorDictBase) -> Iterator[np.ndarray]:
-    """The pictures that an environment made of a rollout (T,), from its start on.
-
-    Args:
-        rollout: of an environment made with ``from_pixels=True``.
-
-    Returns:
-        T + 1 pictures (height, width, 3), uint8.
-    """
+    """T + 1 pictures (height, width, 3), uint8, of a rollout (T,) with ``from_pixels=True``."""
     pictures = itertools.chain(rollout["pixels"][:1], rollout["next", "pixels"])
     return (picture.numpy() for picture in pictures)
 
 
 def without_sensor_noise(rollout: TensorDictBase) -> TensorDictBase:
-    """The rollouts as exact sensors would have shown them."""
+    """The rollouts as exact sensors would show them."""
     if "state" not in set(rollout.keys()):
         return rollout
     true = rollout.copy()
@@ -80,9 +73,7 @@ def without_sensor_noise(rollout: TensorDictBase) -> TensorDictBase:
 
 
 def of_states(error: Callable[[Tensor], Tensor]) -> Callable[[TensorDictBase], Tensor]:
-    """An error of rollouts, (*batch, T) to (*batch), made of an error of their states.
-
-    That one takes x_0..x_T, (*batch, T + 1, D), to (*batch).
+    """An error (*batch) of rollouts (*batch, T), from an error of x_0..x_T, (*batch, T + 1, D).
 
     Example:
         >>> last = of_states(lambda states: states[..., -1, :].norm(dim=-1))
@@ -94,7 +85,7 @@ def of_states(error: Callable[[Tensor], Tensor]) -> Callable[[TensorDictBase], T
 
 @dataclass(frozen=True)
 class OfStates:
-    """What :func:`of_states` makes of an error of states, which it keeps as ``of_states``."""
+    """Result of :func:`of_states`, which holds the error of states."""
 
     of_states: Callable[[Tensor], Tensor]
 

@@ -20,7 +20,7 @@ from torch_pmil.envs.double_pendulum import (
     double_pendulum_model,
     pose_at,
 )
-from torch_pmil.envs.exact_tracking import tracking_torques
+from torch_pmil.envs.joint_torques import tracking_torques
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.biorob import biorob_space
 from torch_pmil.tasks.double_pendulum import double_pendulum_space

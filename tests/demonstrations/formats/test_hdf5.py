@@ -34,21 +34,16 @@ def robomimic(tmp_path: Path) -> Path:
             length = 4 + number
             demo = data.create_group(f"demo_{number}")
             demo.create_dataset("actions", data=np.full((length, 7), 9.0))
-            demo.create_dataset("states", data=np.zeros((length, 30)))
-            demo.create_dataset("rewards", data=np.zeros(length))
-            demo.create_dataset("dones", data=np.zeros(length))
+            for name, shape in (("states", (length, 30)), ("rewards", length), ("dones", length)):
+                demo.create_dataset(name, data=np.zeros(shape))
             for group in ("obs", "next_obs"):
-                demo.create_dataset(
-                    f"{group}/robot0_eef_pos", data=walk(length, 3, number), compression="gzip"
-                )
-                demo.create_dataset(
-                    f"{group}/robot0_gripper", data=np.arange(length), compression="gzip"
-                )
-                demo.create_dataset(
-                    f"{group}/agentview_image",
-                    data=np.zeros((length, 8, 8, 3), np.uint8),
-                    compression="gzip",
-                )
+                observed = {
+                    "robot0_eef_pos": walk(length, 3, number),
+                    "robot0_gripper": np.arange(length),
+                    "agentview_image": np.zeros((length, 8, 8, 3), np.uint8),
+                }
+                for name, values in observed.items():
+                    demo.create_dataset(f"{group}/{name}", data=values, compression="gzip")
             demo.attrs["num_samples"] = length
         data.attrs["total"] = 12
         data.attrs["env_args"] = json.dumps(
@@ -61,21 +56,13 @@ def test_chosen_observations_of_robomimic_come_in_order_at_its_control_frequency
     robomimic: Path,
 ) -> None:
     recordings = load_recordings(robomimic, keys=["robot0_gripper", "robot0_eef_pos"])
-    assert recordings.names == (
-        "robot0_gripper",
-        "robot0_eef_pos_0",
-        "robot0_eef_pos_1",
-        "robot0_eef_pos_2",
-    )
-    assert (
-        recordings.labels == tuple(f"demo_{number}" for number in range(12))
-        and recordings.format == "robomimic"
-    )
+    assert recordings.names == ("robot0_gripper", *(f"robot0_eef_pos_{n}" for n in range(3)))
+    assert recordings.labels == tuple(f"demo_{number}" for number in range(12))
+    assert recordings.format == "robomimic"
     for number, (times, values) in enumerate(zip(recordings.times, recordings.values, strict=True)):
         length = 4 + number
-        assert np.array_equal(values[:, 1:], walk(length, 3, number)) and values[
-            :, 0
-        ].tolist() == list(range(length))
+        assert np.array_equal(values[:, 1:], walk(length, 3, number))
+        assert values[:, 0].tolist() == list(range(length))
         torch.testing.assert_close(times, torch.arange(length, dtype=torch.float64) / 20)
 
 
@@ -83,10 +70,8 @@ def test_single_entries_are_chosen_by_number_and_time_step_by_hand(robomimic: Pa
     recordings = load_recordings(
         robomimic, keys=["robot0_eef_pos_2", "robot0_eef_pos_0"], names=["z", "x"], time_step=0.5
     )
-    assert np.array_equal(recordings.values[3], walk(7, 3, 3)[:, [2, 0]]) and recordings.names == (
-        "z",
-        "x",
-    )
+    assert np.array_equal(recordings.values[3], walk(7, 3, 3)[:, [2, 0]])
+    assert recordings.names == ("z", "x")
     assert recordings.durations[0] == 1.5
 
 
@@ -220,9 +205,8 @@ def test_only_observation_of_minari_is_read_without_asking(minari: Path) -> None
             del file[f"episode_{number}/observations"]
             file[f"episode_{number}/observations"] = walk(4, 2, number)
     shown = load_demonstrations(minari, 0.1)
-    assert shown.names == ("observations_0", "observations_1") and shown.time_step == pytest.approx(
-        0.1
-    )
+    assert shown.names == ("observations_0", "observations_1")
+    assert shown.time_step == pytest.approx(0.1)
     assert np.array_equal(shown.positions[2], walk(4, 2, 2))
 
 

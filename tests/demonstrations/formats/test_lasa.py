@@ -29,11 +29,8 @@ pytestmark = pytest.mark.skipif(
 def test_strokes_are_those_of_the_file_in_metres() -> None:
     recordings = load_recordings(SHAPES / "Angle.mat")
     demos = loadmat(SHAPES / "Angle.mat")["demos"][0]
-    assert (recordings.labels, recordings.names, recordings.units) == (
-        tuple("1234567"),
-        ("x", "y"),
-        ("m", "m"),
-    )
+    assert recordings.labels == tuple("1234567")
+    assert (recordings.names, recordings.units) == (("x", "y"), ("m", "m"))
     for times, values, demo in zip(recordings.times, recordings.values, demos, strict=True):
         assert np.array_equal(times.numpy(), demo["t"][0, 0][0])
         np.testing.assert_allclose(1000 * values.numpy().T, demo["pos"][0, 0], rtol=1e-12)
@@ -41,10 +38,8 @@ def test_strokes_are_those_of_the_file_in_metres() -> None:
 
 def test_velocities_are_the_rate_of_change_of_positions() -> None:
     recordings = load_recordings(SHAPES / "Angle", keys=["pos", "vel"])
-    assert (recordings.names, recordings.units) == (
-        ("x", "y", "dx", "dy"),
-        ("m", "m", "m/s", "m/s"),
-    )
+    assert recordings.names == ("x", "y", "dx", "dy")
+    assert recordings.units == ("m", "m", "m/s", "m/s")
     for times, values in zip(recordings.times, recordings.values, strict=True):
         positions, velocities = values.split(2, dim=1)
         rate = torch.gradient(positions, spacing=(times,), dim=0)[0]
@@ -70,12 +65,8 @@ def test_strokes_of_different_duration_are_no_demonstrations_yet() -> None:
 
 
 def stroke(samples: int = 4, **changes: object) -> dict[str, object]:
-    held = {
-        "pos": np.zeros((2, samples)),
-        "t": np.arange(samples)[None],
-        "vel": np.zeros((2, samples)),
-        **changes,
-    }
+    still = np.zeros((2, samples))
+    held = {"pos": still, "t": np.arange(samples)[None], "vel": still, **changes}
     return {key: value for key, value in held.items() if value is not None}
 
 

@@ -58,14 +58,10 @@ def changed(data_set: Path, name: str, column: object) -> Path:
 
 def test_episodes_that_lerobot_wrote_come_back(data_set: Path) -> None:
     recordings = load_recordings(data_set)
-    assert (recordings.labels, recordings.names, recordings.format) == (
-        ("0", "1", "2"),
-        ("shoulder.pos", "elbow.pos"),
-        "LeRobot",
-    )
-    for episode, (length, times, values) in enumerate(
-        zip(LENGTHS, recordings.times, recordings.values, strict=True)
-    ):
+    assert (recordings.labels, recordings.format) == (("0", "1", "2"), "LeRobot")
+    assert recordings.names == ("shoulder.pos", "elbow.pos")
+    recorded = zip(LENGTHS, recordings.times, recordings.values, strict=True)
+    for episode, (length, times, values) in enumerate(recorded):
         s = np.linspace(0, 1, length)
         np.testing.assert_allclose(values, np.stack([s, episode + s**2], 1), atol=1e-6)
         torch.testing.assert_close(
@@ -107,11 +103,8 @@ def test_names_that_two_columns_share_are_those_of_the_first(data_set: Path) -> 
     }
     information.write_text(json.dumps(content))
     recordings = load_recordings(data_set, keys=["observation.state", "observation.object"])
-    assert recordings.names == (
-        "shoulder.pos",
-        "elbow.pos",
-        *(f"observation.object_{number}" for number in range(3)),
-    )
+    objects = [f"observation.object_{number}" for number in range(3)]
+    assert recordings.names == ("shoulder.pos", "elbow.pos", *objects)
     content["features"]["observation.object"]["names"] = {"left": ["a"], "right": ["b", "c"]}
     information.write_text(json.dumps(content))
     assert load_recordings(data_set, keys=["observation.object"]).names == ("a", "b", "c")

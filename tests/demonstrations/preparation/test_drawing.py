@@ -233,34 +233,20 @@ def changed(at: int, value: object) -> str:
             json.dumps([strokes()[0], strokes()[1][:9]]),
             "stroke 2 must be a list of at least 10 samples, got 9",
         ),
-        (
-            changed(4, [1, 2]),
-            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [1.0, 2.0]",
-        ),
-        (
-            changed(4, [36, "0.5", 0.5]),
-            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, "
-            "'0.5', 0.5]",
-        ),
-        (
-            changed(4, [36, None, 0.5]),
-            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, "
-            "None, 0.5]",
-        ),
-        (
-            changed(4, [36, True, 0.5]),
-            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, "
-            "True, 0.5]",
-        ),
-        (
-            changed(4, [36, math.nan, 0.5]),
-            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, "
-            "nan, 0.5]",
-        ),
-        (
-            changed(4, [36, 10**400, 0.5]),
-            "stroke 2, sample 5 must be three finite numbers [time, right, down], got [36.0, "
-            "inf, 0.5]",
+        *(
+            (
+                changed(4, sample),
+                "stroke 2, sample 5 must be three finite numbers [time, right, down], got "
+                f"[{shown}]",
+            )
+            for sample, shown in (
+                ([1, 2], "1.0, 2.0"),
+                ([36, "0.5", 0.5], "36.0, '0.5', 0.5"),
+                ([36, None, 0.5], "36.0, None, 0.5"),
+                ([36, True, 0.5], "36.0, True, 0.5"),
+                ([36, math.nan, 0.5], "36.0, nan, 0.5"),
+                ([36, 10**400, 0.5], "36.0, inf, 0.5"),
+            )
         ),
         (
             changed(4, [4321.5, 0.2, 0.5]),

@@ -83,11 +83,10 @@ def test_no_larger_set_of_samples_fits_together(seed: int) -> None:
             torch.rand(3),
             torch.arange(3.0),
             1.0,
-            r"values must be \(T, M\), times \(T,\) and fastest a number or \(M,\), got \(3,\), "
-            r"\(3,\) and",
+            r"values must be \(T, M\) and times \(T,\) with T >= 1, got \(3,\) and \(3,\)",
         ),
+        (torch.rand(3, 1), torch.arange(3.0), torch.ones(2), r"fastest must be a number or \(M,\)"),
         (torch.rand(3, 1), torch.arange(3.0), -1.0, "fastest must be positive, got -1.0"),
-        (torch.rand(3, 1), torch.zeros(3), 1.0, "times must increase"),
         (
             10 * torch.eye(4)[:, :1] + torch.arange(4.0)[:, None] * 100,
             torch.arange(4.0),

@@ -16,16 +16,15 @@ from torch import Tensor
 from torch_pmil.demonstrations.errors import (
     TEXT_BYTES,
     DemonstrationError,
-    check_demonstrations,
+    check_count,
     content_of,
     readable,
     within,
 )
-from torch_pmil.demonstrations.formats.entries import check_entries, choose, natural_order
+from torch_pmil.demonstrations.formats.entries import choose, natural_order
 from torch_pmil.demonstrations.recordings import Recordings
 
 TARGET_PREFIX = "target "  # of the columns that hold a target
-CELLS = 2**21  # of a file or folder; each takes a hundred bytes, an empty row too
 
 
 class _Row(NamedTuple):
@@ -36,27 +35,21 @@ class _Row(NamedTuple):
 def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
     """The recordings of a CSV file, or of a folder of them.
 
-    A file starts with a header ``demonstration,time,NAME,...`` and has one row per sample: the
-    number or name of the demonstration, the time in s, and the observed entries. In a folder each
-    file is a demonstration that has the file's name; its header is ``time,NAME,...``. Columns
-    ``target NAME`` hold the target, the same in all rows of a demonstration.
+    A file has a header ``demonstration,time,NAME,...`` and one row per sample: the number or name
+    of the demonstration, the time in s, and the observed entries. In a folder each file is a
+    demonstration, with the header ``time,NAME,...``. Columns ``target NAME`` hold the target, the
+    same in all rows of a demonstration. ``keys`` name the columns to read, by default all.
 
-    Args:
-        path: of the file or folder.
-        keys: names of the columns to read, in that order; none for all.
-
-    Raises:
-        DemonstrationError: a file is malformed; the message names row and column.
-        OSError: a file cannot be read.
+    Raises DemonstrationError, with row and column, if a file is malformed.
     """
     leading = ("demonstration", "time")
-    header, rows = _folder(path) if path.is_dir() else _file(path, leading, CELLS)
+    header, rows = _folder(path) if path.is_dir() else _file(path, leading)
     entries, targets = _columns(header, keys)
     read = [header.index(name) for name in ("time", *entries, *targets)]
     parts: dict[str, list[_Row]] = {}
     for row in rows:
         parts.setdefault(row.cells[0].strip(), []).append(row)
-    check_demonstrations(len(parts))
+    check_count("demonstrations", len(parts))
     if len(parts) < 2:
         raise DemonstrationError(f"at least two demonstrations are needed, got {len(parts)}")
     tables = [np.array([_numbers(row, header, read) for row in part]) for part in parts.values()]
@@ -75,17 +68,16 @@ def read_csv(path: Path, keys: Sequence[str] = ()) -> Recordings:
     )
 
 
-def _file(path: Path, leading: tuple[str, ...], most: int) -> tuple[list[str], list[_Row]]:
-    """Header and rows of a file of at most so many cells, whose header begins with those names."""
+def _file(path: Path, leading: tuple[str, ...], before: int = 0) -> tuple[list[str], list[_Row]]:
+    """Header, which begins with ``leading``, and rows of a file, after cells of other files."""
     content = content_of(path, TEXT_BYTES)
     cells = content.count(b",") + max(content.count(end) for end in (b"\n", b"\r"))
-    if cells > most:
-        raise DemonstrationError(f"there must be at most {CELLS} cells, got more")
+    check_count("cells", before + cells)
     with readable("CSV file", csv.Error):
         text = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline="")
         lines = list(csv.reader(text, strict=True))
     header = [cell.strip() for cell in lines[0]] if lines else []
-    check_entries(len(header))
+    check_count("entries", len(header))
     if tuple(header[: len(leading)]) != leading or all(
         name.startswith(TARGET_PREFIX) for name in header[len(leading) :]
     ):
@@ -107,7 +99,7 @@ def _folder(path: Path) -> tuple[list[str], list[_Row]]:
     rows: list[_Row] = []
     for file in sorted(path.glob("*.csv"), key=lambda file: natural_order(file.name)):
         with within(file.name):
-            own, lines = _file(file, ("time",), CELLS - len(rows) * len(header))
+            own, lines = _file(file, ("time",), len(rows) * len(header))
             header = header or own
             if own != header:
                 raise DemonstrationError(
@@ -119,7 +111,7 @@ def _folder(path: Path) -> tuple[list[str], list[_Row]]:
 
 
 def _columns(header: list[str], keys: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Names of the columns that are read: entries and targets."""
+    """Names of the entries and targets that are read."""
     targets = [name for name in header[2:] if name.startswith(TARGET_PREFIX)]
     names = [name for name in header[2:] if name not in targets]
     if len(set(names)) != len(names):
@@ -132,7 +124,7 @@ def _columns(header: list[str], keys: Sequence[str]) -> tuple[list[str], list[st
 def _targets(
     columns: Sequence[np.ndarray], parts: Sequence[Sequence[_Row]], names: Sequence[str]
 ) -> Tensor:
-    """Targets (N, K) of demonstrations, from columns (T_n, K) that must each hold one number."""
+    """Targets (N, K) from columns (T_n, K), each of which must hold one number."""
     for rows, part in zip(columns, parts, strict=True):
         for sample, entry in np.argwhere(rows != rows[0])[:1]:
             raise DemonstrationError(

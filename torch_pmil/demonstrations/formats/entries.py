@@ -1,4 +1,4 @@
-"""The names of a file's entries, and the choice of those that are read."""
+"""Names of a file's entries, and the choice of those that are read."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torch_pmil.demonstrations.errors import DemonstrationError
+from torch_pmil.demonstrations.errors import DemonstrationError, check_count
 
 Groups = Mapping[str, Sequence[str]]  # names of the entries that a key of a file holds
-ENTRIES = 10_000  # of a sample
 
 
 class Entry(NamedTuple):
@@ -22,16 +21,10 @@ class Entry(NamedTuple):
     name: str
 
 
-def check_entries(count: int) -> None:
-    """Raise DemonstrationError at more entries than there can be of a sample."""
-    if count > ENTRIES:
-        raise DemonstrationError(f"there must be at most {ENTRIES} entries, got {count}")
-
-
 def names_of(key: str, shape: Sequence[int]) -> tuple[str, ...]:
-    """Names of what a key holds where the file says none: the key, or the key and a number.
+    """Default names of a key's entries: the key, or the key and a number.
 
-    Raises DemonstrationError where they are too many.
+    Raises DemonstrationError if there are too many.
 
     Example:
         >>> names_of("gap", (100,)), names_of("hand", (100, 2))
@@ -39,27 +32,22 @@ def names_of(key: str, shape: Sequence[int]) -> tuple[str, ...]:
     """
     if len(shape) == 1:
         return (key,)
-    check_entries(shape[1])
+    check_count("entries", shape[1])
     return tuple(f"{key}_{column}" for column in range(shape[1]))
 
 
 def choose(groups: Groups, keys: Sequence[str], default: Sequence[str]) -> list[Entry]:
-    """The entries that were asked for, in that order.
+    """The entries that ``keys`` name, in that order, or else those of ``default``.
 
-    Args:
-        groups: all that can be read.
-        keys: each a key of the file, for all that it holds, or the name of one entry.
-        default: what to read if there are no keys.
-
-    Raises:
-        DemonstrationError: a key is not there, or nothing is asked for and there is no default.
+    A key is one of ``groups``, for all its entries, or the name of one entry. Raises
+    DemonstrationError if a key is missing, or there are neither keys nor a default.
 
     Example:
         >>> groups = {"pos": ("x", "y"), "vel": ("dx", "dy")}
         >>> [entry.name for entry in choose(groups, ["vel", "x"], ())]
         ['dx', 'dy', 'x']
     """
-    check_entries(sum(map(len, groups.values())))
+    check_count("entries", sum(map(len, groups.values())))
     entries = {
         key: [Entry(key, column, name) for column, name in enumerate(names)]
         for key, names in groups.items()
@@ -84,7 +72,7 @@ def columns_of(arrays: Mapping[str, np.ndarray], entries: Sequence[Entry]) -> np
 
 
 def natural_order(name: str) -> list[tuple[int, str]]:
-    """Sorts names with the numbers in them by size: demo_9 comes before demo_10.
+    """Sort key for names with numbers.
 
     Example:
         >>> sorted(["demo_10", "demo_9"], key=natural_order)

@@ -1,8 +1,13 @@
-"""HDF5: data sets of Minari, and of robomimic and those that write as it does."""
+"""HDF5: data sets of Minari, and of robomimic and compatible writers.
+
+HDF5 follows links into other files of the machine, and unpacks a chunk to any size. The checks here
+require that the numbers are in the file itself, and unpack to no more than their stated size.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,15 +18,14 @@ import torch
 
 from torch_pmil.demonstrations.errors import (
     DemonstrationError,
-    check_demonstrations,
+    check_count,
     opened_set,
     optional,
     readable,
 )
 from torch_pmil.demonstrations.formats.entries import choose, columns_of, names_of, natural_order
-from torch_pmil.demonstrations.formats.hdf5_storage import check_storage, member
 from torch_pmil.demonstrations.recordings import Recordings
-from torch_pmil.files import read_json, short
+from torch_pmil.files import MIB, read_json, short
 
 
 class _Layout(NamedTuple):
@@ -34,26 +38,26 @@ class _Layout(NamedTuple):
 ROBOMIMIC = _Layout("robomimic", "data", "demo_", "obs")
 MINARI = _Layout("Minari", "", "episode_", "observations")
 KINDS = ("f", "i", "u")  # of numbers
-DATASETS = 2000  # beside each other in a demonstration
+GZIP, SHUFFLE, CHECKSUM, LZF = 1, 2, 3, 32_000  # numbers of HDF5's filters
+FILTERS = {GZIP, SHUFFLE, CHECKSUM, LZF}
+LZF_BYTES = 4 * MIB  # of a chunk, which unpacks to at most 88 times that
 
 
 def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = None) -> Recordings:
     """The observations of a robomimic file or of a Minari data set.
 
-    They lie in ``data/demo_N/obs`` and in ``episode_N/observations``.
+    They are in ``data/demo_N/obs`` and in ``episode_N/observations``.
 
     Args:
         path: of the file, or the folder of a Minari data set.
-        keys: data sets below what was observed, or single entries as ``KEY_0``; none where there is
+        keys: data sets of the observation, or single entries as ``KEY_0``; not needed if there is
             only one data set.
-        time_step: seconds between samples; None for what a robomimic file says itself,
-            ``control_freq`` in its ``env_args``.
+        time_step: seconds between samples; None for ``control_freq`` in the ``env_args`` of a
+            robomimic file.
 
     Raises:
-        DemonstrationError: the file is malformed, keys are not in it, or nothing says the time
-            step.
+        DemonstrationError: the file is malformed or lacks a key, or the time step is unknown.
         ImportError: h5py is missing.
-        OSError: the file cannot be read.
     """
     path = _main_file(path) if path.is_dir() else path
     h5py = optional("h5py")
@@ -63,12 +67,12 @@ def read_hdf5(path: Path, keys: Sequence[str] = (), time_step: float | None = No
         root = _root(content, layout)
         labels = _labels(root, layout)
         step = time_step if time_step is not None else _time_step(root)
-        first = _datasets(member(root, f"{labels[0]}/{layout.observed}"))
+        first = _datasets(_member(root, f"{labels[0]}/{layout.observed}"))
         groups = {key: names_of(key, data.shape) for key, data in first.items()}
-        entries = choose(groups, keys, _only(first))
+        entries = choose(groups, keys, list(first) if len(first) == 1 else ())
         needed = sorted({entry.key for entry in entries})
         shown = [_needed(root, label, layout.observed, first, needed) for label in labels]
-        check_storage([one[key] for one in shown for key in needed])
+        _check_storage([one[key] for one in shown for key in needed])
         arrays = [_arrays(label, one) for label, one in zip(labels, shown, strict=True)]
     values = [torch.from_numpy(columns_of(one, entries)) for one in arrays]
     times = tuple(step * torch.arange(len(one), dtype=torch.float64) for one in values)
@@ -103,20 +107,20 @@ def _layout(content: Any) -> _Layout:
 
 
 def _root(content: Any, layout: _Layout) -> Any:
-    return member(content, layout.root) if layout.root else content
+    return _member(content, layout.root) if layout.root else content
 
 
 def _labels(root: Any, layout: _Layout) -> list[str]:
-    """Names of the demonstrations, in their order."""
+    """Names of the demonstrations in order."""
     if not hasattr(root, "keys"):
         return []
     labels = [name for name in root if name.startswith(layout.prefix)]
-    check_demonstrations(len(labels))
+    check_count("demonstrations", len(labels))
     return sorted(labels, key=natural_order)
 
 
 def _time_step(root: Any) -> float:
-    """Seconds between samples, by the control frequency that a robomimic file states."""
+    """Seconds between samples, from the control frequency in a robomimic file."""
     try:
         return 1 / json.loads(root.attrs["env_args"])["env_kwargs"]["control_freq"]
     except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
@@ -126,7 +130,7 @@ def _time_step(root: Any) -> float:
 
 
 def _datasets(observed: Any) -> dict[str, Any]:
-    """Data sets of one number or one list of numbers a sample, by their path."""
+    """Data sets of numbers or lists of numbers, by their path."""
     found: dict[str, Any] = {}
     seen: list[str] = []
 
@@ -134,18 +138,13 @@ def _datasets(observed: Any) -> dict[str, Any]:
         if getattr(node, "ndim", 0) in (1, 2) and node.dtype.kind in KINDS:
             found[name] = node
         seen.append(name)
-        if len(seen) > DATASETS:
-            raise DemonstrationError(f"a demonstration must hold at most {DATASETS} data sets")
+        check_count("data sets", len(seen))
 
     if hasattr(observed, "visititems"):
         observed.visititems(visit)
     elif observed is not None:
         visit(MINARI.observed, observed)
     return found
-
-
-def _only(datasets: dict[str, Any]) -> Sequence[str]:
-    return list(datasets) if len(datasets) == 1 else ()
 
 
 def _needed(
@@ -155,7 +154,7 @@ def _needed(
     datasets = {}
     for key in keys:
         path = f"{label}/{observed}" if key == observed else f"{label}/{observed}/{key}"
-        data = member(root, path)
+        data = _member(root, path)
         same = getattr(getattr(data, "dtype", None), "kind", "") in KINDS
         if not same or data.shape[1:] != first[key].shape[1:] or data.ndim != first[key].ndim:
             raise DemonstrationError(
@@ -175,3 +174,64 @@ def _arrays(label: str, datasets: dict[str, Any]) -> dict[str, np.ndarray]:
                 f"{len(array)}"
             )
     return arrays
+
+
+def _member(group: Any, path: str) -> Any:
+    """The content of a group under a path, or None.
+
+    Raises DemonstrationError at a link, which may lead to another file.
+    """
+    h5py = optional("h5py")
+    for part in path.split("/"):
+        link = group.get(part, getlink=True) if isinstance(group, h5py.Group) else None
+        if link is None:
+            return None
+        if not isinstance(link, h5py.HardLink):
+            raise DemonstrationError(f"{part} must lie in the file itself, got a link")
+        group = group[part]
+    return group
+
+
+def _check_storage(datasets: Sequence[Any]) -> None:
+    """Check the numbers before one is read.
+
+    Raises DemonstrationError if some are in other files, unpack to more than their stated size, are
+    packed in an unknown way, or are too many.
+    """
+    for data in datasets:
+        if data.is_virtual or data.external:
+            raise DemonstrationError(
+                f"{data.name} must hold its numbers itself, got some of other files"
+            )
+    check_count("numbers", sum(max(data.size, math.prod(data.chunks or ())) for data in datasets))
+    chunked = [data for data in datasets if data.chunks]
+    check_count("chunks", sum(map(_chunk_count, chunked)))
+    for data in chunked:
+        _check_packed(data)
+
+
+def _chunk_count(data: Any) -> int:
+    return math.prod(-(-n // size) for n, size in zip(data.shape, data.chunks, strict=True))
+
+
+def _check_packed(data: Any) -> None:
+    """Unpack chunks one by one, up to the limit."""
+    properties = data.id.get_create_plist()
+    filters = [properties.get_filter(index)[0] for index in range(properties.get_nfilters())]
+    if len(set(filters)) != len(filters) or set(filters) - FILTERS or {GZIP, LZF} <= set(filters):
+        raise DemonstrationError(
+            f"{data.name} must be packed by gzip or lzf or not at all, got filters {filters}"
+        )
+    stored: list[Any] = []
+    if filters:
+        data.id.chunk_iter(stored.append)
+    most = math.prod(data.chunks) * data.dtype.itemsize
+    for chunk in stored:
+        if GZIP in filters and not chunk.filter_mask >> filters.index(GZIP) & 1:
+            packed = data.id.read_direct_chunk(chunk.chunk_offset)[1]
+            # a checksum has four bytes
+            larger = len(zlib.decompressobj().decompress(packed, most + 5)) > most + 4
+        else:
+            larger = LZF in filters and chunk.size > LZF_BYTES
+        if larger:
+            raise DemonstrationError(f"{data.name} has a chunk of more than {most} bytes")

@@ -13,14 +13,12 @@ import torch
 from torch_pmil.demonstrations.errors import (
     DemonstrationError,
     check_count,
-    check_demonstrations,
     opened_set,
     optional,
     readable,
     within,
 )
 from torch_pmil.demonstrations.formats.entries import (
-    check_entries,
     choose,
     columns_of,
     names_of,
@@ -30,8 +28,8 @@ from torch_pmil.demonstrations.recordings import Recordings
 from torch_pmil.files import read_json, short
 
 INDEX = ("episode_index", "timestamp")  # columns that each file has
-OBSERVED = "observation"  # how the names of columns begin that may be read; no actions
-# s, by which LeRobot's timestamps, single precision, may be off the rate that its data set states
+OBSERVED = "observation"  # prefix of the columns that may be read; no actions
+# s, by which LeRobot's timestamps, in single precision, may differ from the stated rate
 TOLERANCE = 1e-4
 
 
@@ -41,14 +39,12 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
     Args:
         path: the folder with ``meta/info.json`` and ``data/chunk-*/*.parquet``, or a single Parquet
             file.
-        keys: columns, which begin with ``observation``, or single entries by the names in
-            ``info.json``, or as ``observation.state_0`` where it has none; none for
-            ``observation.state``.
+        keys: columns that begin with ``observation``, or single entries by the names in
+            ``info.json``, or else as ``observation.state_0``. By default ``observation.state``.
 
     Raises:
-        DemonstrationError: the data set is malformed, or keys are not in it.
+        DemonstrationError: the data set is malformed, or does not have the keys.
         ImportError: pyarrow is missing.
-        OSError: a file cannot be read.
     """
     info = _info(path) if path.is_dir() else {}
     files = [path]
@@ -67,7 +63,7 @@ def read_lerobot(path: Path, keys: Sequence[str] = ()) -> Recordings:
     entries = choose(_groups(frames, info), keys, ["observation.state"])
     order = np.argsort(episodes, kind="stable")
     labels, starts = np.unique(episodes[order], return_index=True)
-    check_demonstrations(len(labels))
+    check_count("demonstrations", len(labels))
     values = np.split(columns_of(frames, entries)[order], starts[1:])
     times = [_times(own, info.get("fps")) for own in np.split(stamps[order], starts[1:])]
     return Recordings(
@@ -83,11 +79,8 @@ def _info(folder: Path) -> dict[str, Any]:
     with readable("LeRobot data set"):
         info = read_json(folder / "meta" / "info.json")
     fps = info.get("fps") if isinstance(info, dict) else None
-    if (
-        not isinstance(fps, int | float)
-        or not fps > 0
-        or not isinstance(info.get("features", {}), dict)
-    ):
+    rated = isinstance(fps, int | float) and fps > 0
+    if not rated or not isinstance(info.get("features", {}), dict):
         raise DemonstrationError(
             f"meta/info.json must hold a positive fps and features, got fps {fps}"
         )
@@ -98,12 +91,12 @@ def _tables(files: Sequence[Path], root: Path) -> list[dict[str, np.ndarray]]:
     tables: list[dict[str, np.ndarray]] = []
     for file in files:
         tables.append(_read(file, root))
-        check_count(sum(column.size for table in tables for column in table.values()))
+        check_count("numbers", sum(column.size for table in tables for column in table.values()))
     return tables
 
 
 def _read(file: Path, root: Path) -> dict[str, np.ndarray]:
-    """Columns of a file that may be read: (T,) or (T, width) each."""
+    """Readable columns of a file: (T,) or (T, width) each."""
     with within(file.relative_to(root)) if file != root else nullcontext():
         table = _table(file)
         return {name: _array(name, table[name]) for name in table.column_names}
@@ -131,13 +124,13 @@ def _table(file: Path) -> Any:
             for name in schema.names
             if name.startswith(OBSERVED) and _is_numeric(schema.field(name).type)
         ]
-        check_entries(len(observed))
-        check_count(_size(content.metadata, (*INDEX, *observed)))
+        check_count("entries", len(observed))
+        check_count("numbers", _size(content.metadata, (*INDEX, *observed)))
         return content.read(columns=[*INDEX, *observed])
 
 
 def _size(metadata: Any, columns: Sequence[str]) -> int:
-    """Numbers that a file says it has in some columns."""
+    """Stated count of numbers in some columns of a file."""
     groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
     chunks = (group.column(index) for group in groups for index in range(group.num_columns))
     return sum(
@@ -162,7 +155,7 @@ def _array(name: str, column: Any) -> np.ndarray:
         return column.to_numpy().astype(np.float64)
     compute = optional("pyarrow.compute")
     widths = compute.list_value_length(column).to_numpy()
-    for odd in np.flatnonzero(widths != widths[0])[:1]:  # that of no list differs from itself
+    for odd in np.flatnonzero(widths != widths[0])[:1]:  # without a list it is NaN
         raise DemonstrationError(
             f"row {odd}, column {name} must hold numbers like row 0, got "
             f"{short(column[odd.item()].as_py())}"
@@ -172,7 +165,7 @@ def _array(name: str, column: Any) -> np.ndarray:
 
 
 def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Columns that all files have in one shape, the rows of the files one after the other."""
+    """Columns that all files have in one shape, joined."""
     widths = [{name: column.shape[1:] for name, column in table.items()} for table in tables]
     shared = [
         name
@@ -183,11 +176,7 @@ def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def _groups(frames: dict[str, np.ndarray], info: dict[str, Any]) -> dict[str, Sequence[str]]:
-    """Names of the entries of each column.
-
-    They are those that the data set gives, if there is one for each entry and no other column has
-    it.
-    """
+    """Names of each column's entries: those of the data set, if they are complete and unique."""
     groups: dict[str, Sequence[str]] = {}
     taken: set[str] = set()
     for key, array in frames.items():
@@ -198,14 +187,14 @@ def _groups(frames: dict[str, np.ndarray], info: dict[str, Any]) -> dict[str, Se
 
 
 def _given_names(feature: object) -> list[str]:
-    """A list, or lists under the names of the parts of a robot."""
+    """From a list, or from lists for the parts of a robot."""
     names = feature.get("names") if isinstance(feature, dict) else None
     parts = names.values() if isinstance(names, dict) else [names]
     return [str(name) for part in parts if isinstance(part, list) for name in part]
 
 
 def _times(stamps: np.ndarray, fps: float | None) -> np.ndarray:
-    """Times of an episode in double precision: even if the stamps are, but for their rounding."""
+    """Times of an episode in double precision, even if the stamps are even but for rounding."""
     steps = np.arange(len(stamps))
     step = 1 / fps if fps else (stamps[-1] - stamps[0]) / max(1, len(stamps) - 1)
     even = stamps[0] + step * steps

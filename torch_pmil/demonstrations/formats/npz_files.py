@@ -1,4 +1,4 @@
-"""NPZ files as ``Demonstrations.save`` writes them."""
+"""NPZ files written by ``Demonstrations.save``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from torch_pmil.demonstrations.errors import (
     content_of,
     readable,
 )
-from torch_pmil.demonstrations.formats.entries import check_entries, choose
+from torch_pmil.demonstrations.formats.entries import choose
 from torch_pmil.demonstrations.recordings import Recordings
 from torch_pmil.files import read_zip
 
@@ -46,7 +46,7 @@ def read_npz(path: Path, keys: Sequence[str] = ()) -> Recordings:
 
 
 def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
-    """The demonstrations of an NPZ file; of their entries those that keys name, if any."""
+    """The demonstrations of an NPZ file, with all entries or those that keys name."""
     content = content_of(path)
     with readable("NPZ file without object arrays", struct.error, tokenize.TokenError):
         members = read_zip(content, FILE_BYTES, stored=False)
@@ -71,11 +71,11 @@ def load_npz(path: Path, keys: Sequence[str] = ()) -> Demonstrations:
 
 
 def _array(name: str, content: bytes) -> np.ndarray:
-    """An array of what NumPy wrote, no larger than its bytes."""
+    """An array that is no larger than its bytes."""
     file = io.BytesIO(content)
     shape, _, kind = HEADERS[np.lib.format.read_magic(file)](file)
     numbers = math.prod(shape)
-    check_count(numbers)
+    check_count("numbers", numbers)
     if kind.kind != "O" and not 0 < numbers * kind.itemsize == len(content) - file.tell():
         raise ValueError(
             f"array {name} must have the bytes of {shape} of {kind}, got "
@@ -92,9 +92,9 @@ def _check(arrays: dict[str, np.ndarray]) -> None:
         raise DemonstrationError("arrays positions and time_step must hold real numbers")
     if arrays["time_step"].shape != () or arrays["names"].ndim != 1:
         raise DemonstrationError("array time_step must be one number and names a list")
-    check_entries(len(arrays["names"]))
+    check_count("entries", len(arrays["names"]))
     targets, target_names = arrays.get("targets"), arrays.get("target_names", np.array([]))
     real = targets is None or targets.dtype.kind in "fiu"
     if not real or target_names.ndim != 1:
         raise DemonstrationError("array targets must hold real numbers and target_names be a list")
-    check_entries(len(target_names))
+    check_count("entries", len(target_names))

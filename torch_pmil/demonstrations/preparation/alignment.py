@@ -1,8 +1,7 @@
-r"""Time alignment of demonstrations: half the spread of what people show is timing.
+r"""Time alignment of demonstrations, since half of their spread is timing.
 
-Dynamic time warping (Sakoe and Chiba 1978, dtaidistance) says which moment of one demonstration
-corresponds to which of another; what lies before and after it prepares a recording: even samples
-from uneven ones, and the part that moves.
+Dynamic time warping (Sakoe and Chiba 1978, dtaidistance) finds corresponding moments of two
+demonstrations. Before it, recordings are resampled evenly and cropped to the part that moves.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from dtaidistance import dtw, dtw_ndim
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from torch import Tensor
 
-RESOLUTION = 400  # samples of the longest trajectory that times are compared at, at least
+RESOLUTION = 400  # least number of compared samples of the longest trajectory
 MOST_SAMPLES = 2**24  # of a trajectory at even times
 KNOTS = 20  # of a warp, between its ends: timing changes smoothly
-# of a step off the diagonal, in spreads of the coordinates: where nothing moves, time runs on
+# of a step off the diagonal, in spreads of the coordinates, so that time advances at rest
 PENALTY = 0.05
 
 
@@ -35,36 +34,33 @@ def align(
 ) -> Tensor:
     r"""Trajectories that differ in timing and length, on one time base.
 
-    Each is matched to the medoid, the one with the least sum of warping distances to all, by
-    dynamic time warping on positions in units of their spread over all trajectories (not on
-    velocities: a slower copy of a motion has others). The common time is the mean of the times at
-    which the same moment comes: the motion begins and ends where each demonstration does and lasts
-    as long as they do on average. Warps :math:`w_n` from common time to that of a demonstration are
-    smooth and monotone, a cubic through ``KNOTS`` averages of the path, which has plateaus and
-    jumps itself. With a ``reference``, all are matched to that one and take over its timing and
-    length.
+    Dynamic time warping matches each to the medoid, the one with the least sum of distances to all.
+    It compares positions in units of their spread; velocities would differ in a slower copy of a
+    motion. The common time of a moment is the mean of its times, so the motion lasts as long as the
+    demonstrations do on average. The warps :math:`w_n` from common time to that of a demonstration
+    are smooth and monotone: a cubic through ``KNOTS`` averages of the path. With a ``reference``,
+    all take over its timing and length.
 
-    Positions are warped, :math:`x_n(w_n(s))`; velocities must be those of the warped positions,
-    :math:`\dot x_n(w_n(s)) \, \dot w_n(s)`, so say which columns they are. They are in the unit
-    that they had: the time step does not change but by rounding the duration to a whole number of
-    steps.
+    Positions are warped to :math:`x_n(w_n(s))`, velocities to :math:`\dot x_n(w_n(s)) \,
+    \dot w_n(s)`, in their unit. The time step changes only by rounding the duration to a whole
+    number of steps.
 
     Args:
         trajectories: N of them, (T_n, M) each, at one time step.
         velocities: columns that are rates of change; negative ones count from the end.
-        window: how far times may be shifted, as a fraction of the longest trajectory, beyond what a
-            difference in length needs.
-        reference: number of the trajectory whose timing is taken over; None for the mean timing.
-        isotropic: the positions are coordinates of one place, as on a page, and share one spread:
+        window: largest shift of times, as a fraction of the longest trajectory, beyond the
+            difference in length.
+        reference: number of the trajectory that gives the timing; None for the mean timing.
+        isotropic: whether the positions are coordinates of one place and share one spread, so that
             the result turns with the axes.
 
     Returns:
         (N, T, M), float64, where T - 1 is the mean of T_n - 1, or that of the reference.
 
     Raises:
-        AlignmentError: fewer than two trajectories, a shape or a column that does not fit, no
-            column of positions, a number that is not finite, nothing that moves, a window that is
-            not in (0, 1], or a reference that there is not.
+        AlignmentError: there are fewer than two trajectories, a shape, column or reference is
+            wrong, no column is a position, a number is not finite, nothing moves, or the window is
+            not in (0, 1].
 
     Example:
         >>> time = torch.linspace(0, 1, 101, dtype=torch.float64)
@@ -101,22 +97,19 @@ def align(
 
 
 def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
-    """Values at even times from the first one on, by a cubic spline.
+    """Values (*batch, T', M) at even times from the first one on, by a cubic spline.
 
-    Nothing is smoothed: sampling noise stays.
+    Sampling noise is not smoothed. The last sample is at most one time step before the last of
+    ``times``.
 
     Args:
         values: (*batch, T, M).
         times: of the samples, increasing, in s, (T,).
         time_step: between two samples of the result, in s.
 
-    Returns:
-        (*batch, T', M), float64; the last sample is at most one time step before the last of
-        ``times``.
-
     Raises:
-        AlignmentError: shapes do not fit, a number is not finite, times do not increase, or the
-            time step is not positive or longer than the recording.
+        AlignmentError: a shape is wrong, a number is not finite, times do not increase, or the time
+            step is not positive, longer than the recording, or gives too many samples.
 
     Example:
         >>> times = torch.tensor([0.0, 0.1, 0.25, 0.3])
@@ -124,12 +117,7 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
         tensor([0.0000, 0.1000, 0.2000, 0.3000], dtype=torch.float64)
     """
     values, times = values.double(), times.double()
-    if values.ndim < 2 or times.shape != values.shape[-2:-1] or len(times) < 2:
-        raise AlignmentError(
-            f"values must be (*batch, T, M) and times (T,) with T >= 2, got {tuple(values.shape)} "
-            f"and {tuple(times.shape)}"
-        )
-    check_samples(values, times)
+    check_samples(values, times, 2, batch=True)
     duration = (times[-1] - times[0]).item()
     if not 0 < time_step <= duration * (1 + 1e-9):
         raise AlignmentError(
@@ -146,8 +134,14 @@ def resample(values: Tensor, times: Tensor, time_step: float) -> Tensor:
     return torch.from_numpy(spline(np.minimum(even, times[-1].item())))
 
 
-def check_samples(values: Tensor, times: Tensor) -> None:
-    """Raise AlignmentError unless values and times are finite, and the times (T,) increase."""
+def check_samples(values: Tensor, times: Tensor, fewest: int, batch: bool = False) -> None:
+    """Raise AlignmentError unless values (T, M) and increasing times (T,) fit and are finite."""
+    fits = values.ndim == 2 or (batch and values.ndim > 2)
+    if not fits or times.shape != values.shape[-2:-1] or len(times) < fewest:
+        raise AlignmentError(
+            f"values must be ({'*batch, ' * batch}T, M) and times (T,) with T >= {fewest}, got "
+            f"{tuple(values.shape)} and {tuple(times.shape)}"
+        )
     for numbers in (values, times):
         if not (finite := numbers.isfinite()).all():
             raise AlignmentError(
@@ -166,22 +160,18 @@ def crop(
     velocities: Sequence[int] = (),
     isotropic: bool = False,
 ) -> Tensor:
-    """The part of a trajectory that moves, with one sample at rest before and after it.
+    """The part (T', M) of a trajectory that moves, with one sample at rest before and after it.
 
     Args:
         trajectory: at one time step, (T, M).
         threshold: speed above which it moves, as a fraction of the largest one; coordinates are in
             units of their spread.
-        velocities: columns that are rates of change, which say nothing of where the motion begins:
-            their noise is larger.
+        velocities: columns that are rates of change; they are ignored, since they are noisier.
         isotropic: whether the positions share one spread, as coordinates of one place do.
 
-    Returns:
-        Some consecutive samples of it, (T', M).
-
     Raises:
-        AlignmentError: the shape or a column does not fit, a number is not finite, nothing moves,
-            or the threshold is not in [0, 1).
+        AlignmentError: the shape or a column is wrong, a number is not finite, nothing moves, or
+            the threshold is not in [0, 1).
 
     Example:
         >>> crop(torch.tensor([0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])[:, None]).flatten()
@@ -200,10 +190,7 @@ def crop(
 def _matched_times(
     reference: np.ndarray, other: np.ndarray, settings: dict[str, float]
 ) -> np.ndarray:
-    """Samples of the other trajectory that correspond to moments of the reference.
-
-    The moments are its start, the middles of ``KNOTS`` parts, and its end.
-    """
+    """Times in the other of the reference's start, the middles of ``KNOTS`` parts, and the end."""
     pair = [np.squeeze(one, 1) if one.shape[1] == 1 else one for one in (reference, other)]
     path = np.array(dtw.warping_path_fast(*pair, **settings))
     matched = np.bincount(path[:, 0], path[:, 1]) / np.bincount(path[:, 0])  # the mean of a jump
@@ -240,10 +227,7 @@ def _refined(trajectory: np.ndarray, refinement: int) -> np.ndarray:
 
 
 def _in_units_of_spread(trajectories: Sequence[np.ndarray], isotropic: bool) -> list[np.ndarray]:
-    """Coordinates in units of their standard deviation over all trajectories, each or all together.
-
-    Coordinates that never change are zero.
-    """
+    """Coordinates in units of their standard deviation, or of a common one; constant ones are 0."""
     everything = np.concatenate(trajectories)
     mean, spread = everything.mean(0), everything.std(0)
     changes = spread > 1e-9 * np.abs(everything).max(0)
@@ -292,7 +276,7 @@ def _check_trajectory(name: str, trajectory: Tensor) -> None:
 
 
 def _positions(velocities: Sequence[int], columns: int) -> list[int]:
-    """Columns that are no velocities."""
+    """Columns that are not velocities."""
     for column in velocities:
         if not -columns <= column < columns:
             raise AlignmentError(f"velocities must be columns of {columns}, got {column}")

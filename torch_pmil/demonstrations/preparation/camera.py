@@ -1,4 +1,4 @@
-"""Places in a plane, in metres, from the pixels of a camera that saw it."""
+"""Places in a plane, in metres, from the pixels of a camera."""
 
 from __future__ import annotations
 
@@ -13,24 +13,21 @@ LEAST_AREA = 1e-3
 
 
 def plane_coordinates(pixels: Tensor, markers: Tensor, places: Tensor) -> Tensor:
-    r"""Places in the plane of a motion, from a picture taken from anywhere, by a homography.
+    r"""Places in the plane of a motion, in m, (*batch, 2), by a homography.
 
     .. math:: w\,[x, y, 1]^\top = H\,[p_x, p_y, 1]^\top
 
-    H is fitted to four markers or more, as the corners of a sheet of paper in the plane, whose
-    places are known (Hartley and Zisserman 2004, Algorithm 4.2). Pixels count downwards and the
-    camera may be tilted; both are in H. The lens must show straight lines as straight.
+    H is fitted to four or more markers at known places, such as the corners of a sheet of paper in
+    the plane (Hartley and Zisserman 2004, Algorithm 4.2). H includes a tilt of the camera and the
+    direction of the pixels. The lens must show straight lines as straight.
 
     Args:
         pixels: (*batch, 2).
-        markers: where the markers are in the picture, (K, 2), K >= 4, no three of four on a line.
-        places: where they are in the plane, in m, (K, 2).
-
-    Returns:
-        In m, (*batch, 2), float64.
+        markers: of the markers in the picture, (K, 2), K >= 4, no three of four on a line.
+        places: of the markers in the plane, in m, (K, 2).
 
     Raises:
-        AlignmentError: shapes do not fit, or the markers do not determine the plane.
+        AlignmentError: a shape is wrong, or the markers do not determine the plane.
 
     Example:
         >>> corners = torch.tensor([[100.0, 900.0], [500.0, 900.0], [500.0, 500.0], [100.0, 500.0]])
@@ -61,10 +58,7 @@ def plane_coordinates(pixels: Tensor, markers: Tensor, places: Tensor) -> Tensor
 
 
 def _homography(seen: Tensor, known: Tensor) -> Tensor:
-    """The matrix H (3, 3) that maps seen (K, 2) to known (K, 2) in least squares.
-
-    Each marker gives two linear equations in the nine entries of H.
-    """
+    """Least squares H (3, 3) from seen to known (K, 2): two linear equations for each marker."""
     p = torch.cat([seen, torch.ones_like(seen[:, :1])], -1)
     zeros = torch.zeros_like(p)
     first = torch.cat([p, zeros, -known[:, :1] * p], -1)
@@ -77,10 +71,7 @@ def _homography(seen: Tensor, known: Tensor) -> Tensor:
 
 
 def _normalisation(points: Tensor) -> Tensor:
-    """Similarity (3, 3) that centres points (K, 2) and gives them unit spread.
-
-    Pixels and metres differ by orders of magnitude.
-    """
+    """Similarity (3, 3) that centres points (K, 2) and gives them unit spread."""
     centre, tiny = points.mean(0), torch.finfo(torch.float64).tiny
     scale = 1 / (points - centre).norm(dim=-1).mean().clamp_min(tiny)
     upper = torch.cat([scale * torch.eye(2).double(), -scale * centre[:, None]], 1)

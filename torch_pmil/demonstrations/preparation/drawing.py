@@ -1,7 +1,7 @@
-"""Strokes that a person drew on a page, checked and brought to one timing as demonstrations.
+"""Strokes that a person drew on a page, as demonstrations of one timing.
 
-A page tells where the pen was in fractions of a square and when; the square stands for ``SIDE``
-metres, x points right and y up from its lower left corner.
+A page sends times and positions of the pen, in fractions of a square of ``SIDE`` metres. x points
+right and y up from its lower left corner.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ SHORTEST, LONGEST = 0.3, 20.0  # s, of a stroke
 LEAST_EXTENT = 0.05  # of the square's side, of a stroke in its longer direction
 MOST_STROKES = 20
 STEP = 0.01  # s, of the samples that are smoothed, compared and aligned
-CUTOFF = 10.0  # Hz, of the smoothing: keeps what a hand does, not the steps from pixel to pixel
-REST = 0.1  # of the largest speed: below it a pen trembles
+CUTOFF = 10.0  # Hz, of the smoothing: keeps the motion of a hand, not the steps between pixels
+REST = 0.1  # of the largest speed: below it a pen only trembles
 
 
 class DrawingError(ValueError):
@@ -39,14 +39,11 @@ class DrawingError(ValueError):
 
 
 def read_strokes(text: str | bytes) -> Recordings:
-    """The strokes that a page sent, in s from the start of each and in m.
+    """Recordings of x and y, in m, over s from the start of each stroke.
 
     Args:
         text: JSON, a list of strokes, each a list of samples [time, right, down]: ms, and fractions
             of the square's side from its upper left corner.
-
-    Returns:
-        Recordings of x and y, labelled from 1.
 
     Raises:
         DrawingError: not JSON of this form, fewer than two strokes, a stroke with too few samples,
@@ -76,22 +73,18 @@ def read_strokes(text: str | bytes) -> Recordings:
 
 
 def drawn_demonstrations(strokes: Recordings, time_step: float = 0.1) -> Demonstrations:
-    """Demonstrations of the shape that was drawn: one length, one timing, even samples.
+    """Demonstrations of the drawn shape: one length, one timing, even samples.
 
-    Each stroke is sampled evenly, smoothed and cut to the part that moves; then all are aligned by
-    dynamic time warping on distances on the page. They last as long as they do on average, to a
-    whole number of time steps, and begin and end where they did.
+    Each stroke is sampled evenly, smoothed and cut to the part that moves. All are aligned by
+    dynamic time warping on distances on the page. Their duration is the mean duration, rounded to a
+    whole number of time steps.
 
     Args:
-        strokes: as ``read_strokes`` gives them.
+        strokes: from :func:`read_strokes`.
         time_step: of the demonstrations, the robot's control period, in s.
 
-    Returns:
-        Positions (N, T+1, 2) in m.
-
     Raises:
-        DrawingError: the time step is not as ``check_time_step`` asks, or a stroke moves for too
-            short a time.
+        DrawingError: the time step is out of range, or a stroke moves for too short a time.
         AlignmentError: the strokes cannot be aligned.
 
     Example:
@@ -115,20 +108,10 @@ def drawn_demonstrations(strokes: Recordings, time_step: float = 0.1) -> Demonst
 def save_drawing(
     path: str | os.PathLike[str], strokes: Recordings, time_step: float = 0.1
 ) -> Demonstrations:
-    """Write demonstrations to an NPZ file and their recorded strokes to a CSV file beside it.
+    """Write demonstrations to an NPZ file and their strokes to a CSV file beside it, or neither.
 
-    Both are written wholly, or neither.
-
-    Args:
-        path: of the NPZ file.
-        strokes, time_step: as ``drawn_demonstrations`` takes them.
-
-    Returns:
-        What was written to the NPZ file.
-
-    Raises:
-        DrawingError, AlignmentError: as ``drawn_demonstrations``.
-        OSError: the folder is missing or not writable.
+    Returns the demonstrations. Arguments and errors are those of :func:`drawn_demonstrations`;
+    OSError if the folder is missing or not writable.
     """
     demonstrations = drawn_demonstrations(strokes, time_step)
     with replacing(Path(path).with_suffix(".csv")) as temporary:
@@ -146,10 +129,7 @@ def save_drawing(
 
 
 def check_time_step(time_step: float) -> None:
-    """Raise DrawingError unless strokes can have this time step, in s.
-
-    It may be no finer than strokes are compared at, and no longer than the shortest stroke.
-    """
+    """Raise DrawingError unless strokes can have this time step, in s."""
     if not STEP <= time_step <= SHORTEST:
         raise DrawingError(
             f"the time step must be from {STEP:g} to {SHORTEST:g} s, got {time_step:g} s"
@@ -211,8 +191,7 @@ def _check_size(table: Tensor, number: int) -> None:
 def _moving(label: str, times: Tensor, values: Tensor) -> Tensor:
     """The part of a stroke that moves, smoothed, at ``STEP``, (T, 2).
 
-    A page hears of a pen only when it moves: where it rests there are no samples, and a spline that
-    does not overshoot bridges the gap.
+    A page gets no samples while the pen rests; a spline that does not overshoot bridges the gap.
     """
     even = np.linspace(0, times[-1].item(), round(times[-1].item() / STEP) + 1)
     sampled = PchipInterpolator(times.numpy(), values.numpy())(even)

@@ -1,4 +1,4 @@
-"""Jumps in a recording: a tracker that took another point for the right one."""
+"""Jumps in a recording, where a tracker followed a wrong point."""
 
 from __future__ import annotations
 
@@ -8,28 +8,24 @@ from torch import Tensor
 
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError, check_samples
 
-# share of the samples; where more contradict each other nobody knows which half is right
+# share of the samples; beyond it nobody knows which half is right
 MOST_DROPPED = 0.5
 
 
 def without_jumps(values: Tensor, times: Tensor, fastest: float | Tensor) -> tuple[Tensor, Tensor]:
-    """The samples of one motion whose columns change no faster than ``fastest``.
+    """Values (T', M) and times (T',) of samples that change no faster than ``fastest``.
 
-    Kept are as many as possible of which any two, and so all, are reached from one another within
-    that speed: a longest chain. One sample beside the track is left out, as is a stretch of them,
-    at the start or the end too. The gap is what ``resample`` closes with its spline.
+    They are a longest chain of samples, each within that speed of the others. Single samples and
+    stretches beside the track are left out, also at the start or the end. ``resample`` closes the
+    gaps with its spline.
 
     Args:
         values: of one recording, (T, M).
         times: of the samples, increasing, in s, (T,).
-        fastest: largest speed of each column, or one for all of them, in the unit of the values a
-            second; infinite for any.
-
-    Returns:
-        Values (T', M) and times (T',) of the samples that are kept.
+        fastest: largest speed of each column, or one for all of them, per second; may be infinite.
 
     Raises:
-        AlignmentError: shapes do not fit, a number is not finite, a speed is not positive, times do
+        AlignmentError: a shape is wrong, a number is not finite, a speed is not positive, times do
             not increase, or fewer than half of the samples fit together.
 
     Example:
@@ -38,19 +34,11 @@ def without_jumps(values: Tensor, times: Tensor, fastest: float | Tensor) -> tup
         [[0.0, 0.5, 1.5], [0.0, 1.0, 3.0]]
     """
     limit = torch.as_tensor(fastest, dtype=torch.float64)
-    if (
-        values.ndim != 2
-        or times.shape != values.shape[:1]
-        or not len(times)
-        or limit.shape not in ((), values.shape[1:])
-    ):
-        raise AlignmentError(
-            "values must be (T, M), times (T,) and fastest a number or (M,), "
-            f"got {tuple(values.shape)}, {tuple(times.shape)} and {tuple(limit.shape)}"
-        )
+    check_samples(values, times, 1)
     if not (limit > 0).all():
         raise AlignmentError(f"fastest must be positive, got {limit.tolist()}")
-    check_samples(values, times)
+    if limit.shape not in ((), values.shape[1:]):
+        raise AlignmentError(f"fastest must be a number or (M,), got {tuple(limit.shape)}")
     kept = _longest_chain(values.double().numpy() / limit.numpy(), times.double().numpy())
     if len(kept) < MOST_DROPPED * len(times):
         raise AlignmentError(

@@ -1,10 +1,10 @@
-r"""Smoothing of recorded positions, and the velocities that no sensor recorded.
+r"""Smoothing of recorded positions, and their velocities.
 
 A cubic smoothing spline (Reinsch 1967) minimises :math:`\int (y - f)^2 \, dt + \lambda \int \ddot
-f^2 \, dt` over the recording. An oscillation of period :math:`P` passes it with the gain
-:math:`1 / (1 + \lambda (2 \pi / P)^4)`, whatever the sampling rate. The setting is therefore the
-period in seconds that passes with the gain 1/2, :math:`\lambda = (\text{period} / 2 \pi)^4`: twice
-that period passes with the gain 0.94, half of it with 0.06.
+f^2 \, dt` over the recording. Its gain for an oscillation of period :math:`P` is
+:math:`1 / (1 + \lambda (2 \pi / P)^4)` at any sampling rate. The setting is the period in seconds
+with the gain 1/2, :math:`\lambda = (\text{period} / 2 \pi)^4`. Twice that period has the gain 0.94,
+half of it 0.06.
 """
 
 from __future__ import annotations
@@ -21,22 +21,18 @@ FEWEST_SAMPLES = 5  # that a smoothing spline takes
 
 
 def smooth(values: Tensor, times: Tensor, period: float) -> Tensor:
-    r"""Positions without what is faster than people move.
+    r"""Smoothed positions (T, M), float64, at the same times.
 
-    White noise of standard deviation :math:`\sigma` in samples that are :math:`\Delta t` apart is
-    left with :math:`\sigma \sqrt{3 \sqrt 2 \, \pi \Delta t / (8\,\text{period})}`, away from the
-    ends.
+    White noise of standard deviation :math:`\sigma` in samples :math:`\Delta t` apart is reduced to
+    :math:`\sigma \sqrt{3 \sqrt 2 \, \pi \Delta t / (8\,\text{period})}`, away from the ends.
 
     Args:
         values: of one recording, (T, M), T >= 5.
         times: of the samples, increasing, even or not, in s, (T,).
-        period: of an oscillation of which half is left, in s.
-
-    Returns:
-        At the same times, (T, M), float64.
+        period: of an oscillation that is reduced to half, in s.
 
     Raises:
-        AlignmentError: shapes do not fit, a number is not finite, times do not increase, or the
+        AlignmentError: a shape is wrong, a number is not finite, times do not increase, or the
             period is not positive or longer than the recording.
 
     Example:
@@ -52,20 +48,11 @@ def smooth(values: Tensor, times: Tensor, period: float) -> Tensor:
 
 
 def velocities(values: Tensor, times: Tensor, period: float) -> Tensor:
-    r"""Rates of change of the smoothed positions: where only positions were recorded.
+    r"""Rates of change (T, M), per second, of the smoothed positions.
 
-    White noise of standard deviation :math:`\sigma` in the positions is left in them with
-    :math:`\sigma \sqrt{\sqrt 2 \, \pi^3 \Delta t / (2\,\text{period}^3)}`, away from the ends.
-
-    Args:
-        values, times, period: as for :func:`smooth`; positions that are smoothed already would be
-            smoothed twice.
-
-    Returns:
-        In the unit of the values a second, (T, M), float64.
-
-    Raises:
-        AlignmentError: as for :func:`smooth`.
+    White noise of standard deviation :math:`\sigma` in the positions gives them the standard
+    deviation :math:`\sigma \sqrt{\sqrt 2 \, \pi^3 \Delta t / (2\,\text{period}^3)}`, away from the
+    ends. Arguments, of unsmoothed positions, and errors are those of :func:`smooth`.
 
     Example:
         >>> import torch
@@ -79,23 +66,14 @@ def velocities(values: Tensor, times: Tensor, period: float) -> Tensor:
 
 
 def _spline(values: Tensor, times: Tensor, period: float) -> BSpline:
-    _check(values, times, period)
-    t = times.double().numpy()
-    half = np.diff(t) / 2
-    weights = np.concatenate([half, [0.0]]) + np.concatenate([[0.0], half])  # trapezoidal rule
-    penalty = (period / (2 * math.pi)) ** 4
-    return make_smoothing_spline(t, values.double().numpy(), w=weights, lam=penalty)
-
-
-def _check(values: Tensor, times: Tensor, period: float) -> None:
-    if values.ndim != 2 or times.shape != values.shape[:1] or len(times) < FEWEST_SAMPLES:
-        raise AlignmentError(
-            f"values must be (T, M) and times (T,) with T >= {FEWEST_SAMPLES}, got "
-            f"{tuple(values.shape)} and {tuple(times.shape)}"
-        )
-    check_samples(values, times)
+    check_samples(values, times, FEWEST_SAMPLES)
     duration = (times[-1] - times[0]).item()
     if not 0 < period <= duration:
         raise AlignmentError(
             f"period must be positive and at most the duration, {duration:g} s, got {period} s"
         )
+    t = times.double().numpy()
+    half = np.diff(t) / 2
+    weights = np.concatenate([half, [0.0]]) + np.concatenate([[0.0], half])  # trapezoidal rule
+    penalty = (period / (2 * math.pi)) ** 4
+    return make_smoothing_spline(t, values.double().numpy(), w=weights, lam=penalty)

@@ -1,4 +1,4 @@
-"""Demonstrations made of recordings of any lengths, at any times."""
+"""Demonstrations from recordings of any length, at any times."""
 
 from __future__ import annotations
 
@@ -18,20 +18,11 @@ def synchronise(
     window: float = 0.2,
     reference: int | None = None,
 ) -> Demonstrations:
-    """Demonstrations of one length and one timing, at the time step of the robot.
+    """Demonstrations of one length and one timing, at the time step of the robot, in s.
 
-    All are sampled at the median time step that was recorded, aligned by dynamic time warping
-    (:func:`~torch_pmil.demonstrations.preparation.alignment.align`), and then sampled at the
-    robot's.
-
-    Args:
-        recordings: of any lengths.
-        time_step: of the demonstrations, s.
-        velocities: names of entries that are rates of change.
-        window, reference: as for ``align``.
-
-    Raises:
-        AlignmentError: the recordings or an argument are not as they must be.
+    All are sampled at the median recorded time step, aligned by :func:`align`, and then sampled at
+    the robot's. ``velocities`` are names of entries that are rates of change; other arguments and
+    errors are those of :func:`align`.
 
     Example:
         >>> import torch

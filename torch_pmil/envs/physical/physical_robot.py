@@ -1,4 +1,4 @@
-"""What a user writes for a robot: three methods."""
+"""The three methods that a user writes for a robot."""
 
 from __future__ import annotations
 
@@ -23,26 +23,20 @@ class PhysicalRobot(Protocol):
         """Newest state (D,) and the time in s at which it was measured.
 
         The clock may be the robot's or ``time.monotonic``; it must advance from reading to reading.
-        The call should take much less than a control period, and must not wait without end.
-
-        Raises:
-            Exception: the robot cannot be read; the rollout ends.
+        The call should take much less than a control period, and must not block forever. Any
+        exception ends the rollout.
         """
 
     def send(self, action: Numbers) -> Numbers | None:
         """Send an action (F,), which the robot holds until the next one.
 
-        Returns:
-            The action that the robot really took, (F,), where limits of its own changed it; else
-            None.
-
-        Raises:
-            Exception: the robot cannot be reached; the rollout ends.
+        Returns the action (F,) that the robot took if its own limits changed it, else None. Any
+        exception ends the rollout.
         """
 
     def stop(self) -> None:
-        """Bring the robot to rest: torques zero, or servos that hold where they are.
+        """Bring the robot to rest: zero torques, or servos that hold their position.
 
-        It sends, and waits for nothing. A robot that may lose the connection needs a watchdog of
-        its own besides, which stops it when no action came within two periods.
+        It must return at once. A robot that may lose the connection also needs a watchdog of its
+        own, which stops it when no action came within two periods.
         """

@@ -14,9 +14,8 @@ from torch import Tensor
 from torchrl.data import Binary, Unbounded
 
 from torch_pmil.envs.operator import RobotError, prompt
-from torch_pmil.envs.physical.control_clock import ControlClock
 from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
-from torch_pmil.envs.physical.readings import Readings
+from torch_pmil.envs.physical.readings import ControlClock, Readings
 from torch_pmil.envs.physical.watched_robot import WatchedRobot
 from torch_pmil.envs.robot import RobotEnv
 from torch_pmil.files import bounded_line
@@ -25,47 +24,47 @@ PATIENCE = 2  # control periods without an action after which the robot is stopp
 
 
 class PhysicalRobotEnv(RobotEnv):
-    """A robot that moves by itself while the program computes.
+    """A robot that moves in real time while the program computes.
 
-    A reset asks the operator, who puts the robot at its start, and reads the state. A step sends
-    the action at once, waits until the deadline, one control period after the one before, and reads
-    the state again.
+    A reset asks the operator to put the robot at its start, and reads the state. A step sends the
+    action at once, waits for the deadline, one control period after the one before, and reads the
+    state again.
 
-    A step is late where, by more than ``tolerance`` of a period, its action was sent after the
-    reading that it answers, its reading came after the deadline, or its reading is older than the
-    rollout's first one was; or where the robot repeats a time stamp. The model learns from late
-    steps as from others, though their action was held for another time than a period, so a rollout
-    ends after ``most_late`` of them in a row. A reading that fails or is not finite ends it too.
-    ``cut_short`` then says why.
+    A step is late if the robot repeats a time stamp, or if one of these is off by more than
+    ``tolerance`` of a period: the time from a reading to the action that answers it, the time from
+    the deadline to the reading, the age of the reading compared with the rollout's first one. The
+    model learns from late steps too, although their action was not held for exactly one period.
+    After ``most_late`` late steps in a row the rollout ends. A reading that fails or is not finite
+    also ends it. ``cut_short`` then gives the reason.
 
     The robot stops when a rollout ends early, at an exception, Ctrl-C, SIGTERM, ``close`` and the
-    end of the program, and when no action came within two periods, as after the last step of a
+    end of the program, and when no action came within two periods, which includes the end of a
     rollout. Against ``kill -9`` it needs a watchdog of its own.
 
-    Keys, besides those of every robot, float64 where no type is said: ``"time"`` (1,), the time
-    stamp of the reading in s; ``"delay"`` (1,), the seconds from the reading before to the sending
-    of the action; ``"overrun"`` (1,), the seconds from the deadline to the reading; ``"late"``
-    (1,), bool; ``"measured"`` (1,), bool, False where the reading failed: the observation is then
-    the last one; ``"sent"`` (F,), the action that the robot took.
+    Keys, besides those of every robot, float64 unless stated: ``"time"`` (1,), the time stamp of
+    the reading in s; ``"delay"`` (1,), seconds from the reading before to the sending of the
+    action; ``"overrun"`` (1,), seconds from the deadline to the reading; ``"late"`` (1,), bool;
+    ``"measured"`` (1,), bool, False if the reading failed and the observation is an old one;
+    ``"sent"`` (F,), the action that the robot took.
 
     Args:
-        robot: what is moved.
+        robot: the robot.
         dim: entries D of its state.
-        low, high: smallest and largest actions, length F; what is beyond them is not sent.
+        low, high: smallest and largest actions, length F; actions are clipped to them.
         control_period: seconds between two actions.
         action_names: of the F actions; None for their numbers.
-        action_units: of the F actions; None where they are not known.
-        operator: called before each rollout, as :func:`torch_pmil.envs.operator.prompt`; it may
-            raise what that one raises.
+        action_units: of the F actions; None if unknown.
+        operator: called before each rollout; it may raise what
+            :func:`torch_pmil.envs.operator.prompt` raises.
         largest_change: largest change of each action from the one before, length F; None for any.
-        holding_action: action (F,) with which the robot rests in a state (D,), from which the first
-            action of a rollout changes; needed with ``largest_change``.
+        holding_action: action (F,) with which the robot rests in a state (D,). The first action of
+            a rollout changes from it; needed with ``largest_change``.
         tolerance: share of the period by which a step may be off before it is late.
         most_late: late steps in a row that end a rollout.
 
     Raises:
         ValueError: a setting has the wrong shape or range.
-        RobotError: at a reset, when the robot cannot be read.
+        RobotError: at a reset, if the robot cannot be read.
 
     Example:
         >>> class Cart:
@@ -120,16 +119,16 @@ class PhysicalRobotEnv(RobotEnv):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the actions; their numbers where they have none."""
+        """Names of the actions, or else their numbers."""
         return self._names or super().action_names
 
     @property
     def action_units(self) -> tuple[str, ...]:
-        """Units of the actions, "" where they are not known."""
+        """Units of the actions, "" if unknown."""
         return self._units or super().action_units
 
     def close(self, **kwargs: Any) -> None:
-        """Stop the robot, and watch it no longer."""
+        """Stop the robot and end the watch."""
         self._finalizer()
         super().close(**kwargs)
 
@@ -169,7 +168,7 @@ class PhysicalRobotEnv(RobotEnv):
         return result
 
     def _limited(self, action: Tensor) -> Tensor:
-        """The action that the limits let through."""
+        """The action within the limits."""
         limits = self.action_spec.space
         if action.shape != limits.low.shape or not action.isfinite().all():
             raise ValueError(f"action must be {len(limits.low)} finite numbers, got {action}")
@@ -180,7 +179,7 @@ class PhysicalRobotEnv(RobotEnv):
         return action.clamp(limits.low, limits.high)
 
     def _moved(self, action: Tensor) -> tuple[_Timing, str]:
-        """Send, wait and read; return how that went in time, and why the rollout must end."""
+        """Send, wait and read; return the timing, and why the rollout must end, if it must."""
         delay = time.monotonic() - self._readings.latest.taken
         if self._clock.lag() > self._slack:
             self._clock.start()  # the period of an action that comes late counts from its sending
@@ -204,7 +203,7 @@ class PhysicalRobotEnv(RobotEnv):
         return self.tolerance * self.control_period
 
     def _lateness(self, delay: float, overrun: float) -> str:
-        """Why a step is late, or "" where it is not."""
+        """Why a step is late, or ""."""
         if self._readings.repeated():
             return f"the robot repeats the reading of {self._readings.latest.stamp:.3f} s"
         if self._readings.age() > self._slack:
@@ -241,7 +240,7 @@ class _Timing:
 
 
 def _failure(error: Exception) -> str:
-    """What the robot's own error says, in one line."""
+    """The robot's own error in one line."""
     if isinstance(error, RobotError):
         return bounded_line(error)
     return bounded_line(f"the robot failed with {type(error).__name__}: {error}")

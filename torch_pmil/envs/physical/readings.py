@@ -1,4 +1,4 @@
-"""The readings of one rollout, and how old they are."""
+"""Deadlines and readings of one rollout, and how old the readings are."""
 
 from __future__ import annotations
 
@@ -13,19 +13,41 @@ from torch_pmil.envs.operator import RobotError
 from torch_pmil.envs.physical.physical_robot import Numbers
 
 
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """A state and its times.
+class ControlClock:
+    """Deadlines that do not drift: each is one ``period``, in s, after the one before.
 
-    Args:
-        state: (D,).
-        stamp: when it was measured, in s of the robot's clock.
-        taken: when it was here, in s of ``time.monotonic``.
+    Example:
+        >>> clock = ControlClock(0.01)
+        >>> clock.wait()
+        >>> clock.lag() >= 0
+        True
     """
 
-    state: Tensor
-    stamp: float
-    taken: float
+    def __init__(self, period: float) -> None:
+        self.period = period
+        self.start()
+
+    def start(self) -> None:
+        """Count the deadlines from now on."""
+        self._deadline = time.monotonic()
+
+    def wait(self) -> None:
+        """Sleep until the next deadline, or return at once if it has passed."""
+        self._deadline += self.period
+        time.sleep(max(0.0, self._deadline - time.monotonic()))
+
+    def lag(self) -> float:
+        """Seconds since the last deadline that was waited for."""
+        return time.monotonic() - self._deadline
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A state and its times."""
+
+    state: Tensor  # (D,)
+    stamp: float  # of the measurement, in s of the robot's clock
+    taken: float  # of the arrival, in s of time.monotonic
 
 
 class Readings:
@@ -49,10 +71,9 @@ class Readings:
         self._read_state, self._dim = read_state, dim
 
     def begin(self, pause: float) -> None:
-        """Take two readings, ``pause`` seconds apart: the second one is the rollout's first.
+        """Take two readings, ``pause`` seconds apart; the second one is the rollout's first.
 
-        Raises:
-            RobotError: its time stamp is that of the one before, or it is no state.
+        Raises RobotError if a reading is not a state, or the time stamp did not advance.
         """
         stale = self._read()
         time.sleep(pause)
@@ -64,7 +85,7 @@ class Readings:
             )
 
     def take(self) -> None:
-        """Take the next reading. Raises RobotError where it is no state."""
+        """Take the next reading. Raises RobotError if it is not a state."""
         self._before, self.latest = self.latest, self._read()
 
     def repeated(self) -> bool:
@@ -72,7 +93,7 @@ class Readings:
         return self.latest.stamp <= self._before.stamp
 
     def age(self) -> float:
-        """Seconds by which the latest reading was older than the first one when it was here."""
+        """Seconds by which the latest reading was older at its arrival than the first one was."""
         passed = self.latest.taken - self._first.taken
         return passed - (self.latest.stamp - self._first.stamp)
 

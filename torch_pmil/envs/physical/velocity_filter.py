@@ -1,9 +1,8 @@
 r"""Velocities of a robot that measures positions alone.
 
-The filter is the critically damped g-h filter (E. Brookner, Tracking and Kalman Filtering Made
-Easy, Wiley 1998, Sec. 1.2.6), also called fading-memory filter: of all motions with constant
-velocity it takes the one that fits the positions best, where a reading that is k readings old
-counts by :math:`\theta^k`.
+The filter is the critically damped g-h filter, also called fading-memory filter (E. Brookner,
+Tracking and Kalman Filtering Made Easy, Wiley 1998, Sec. 1.2.6). It fits a motion of constant
+velocity to the positions; a reading that is k readings old has weight :math:`\theta^k`.
 """
 
 from __future__ import annotations
@@ -25,13 +24,11 @@ class VelocityFilter:
         q \leftarrow z - \theta^2 r, \qquad
         \dot q \leftarrow \dot q + \frac{(1 - \theta)^2}{dt}\, r .
 
-    A constant velocity is told exactly. At a constant acceleration, and with readings dt apart, the
-    velocity comes :math:`\frac{dt}{2} \frac{1 + 3 \theta}{1 - \theta}` seconds late
-    (:meth:`delay`), and noise of standard deviation 1 in the positions is one of
-    :math:`\frac{\sqrt 2}{dt} \left(\frac{1 - \theta}{1 + \theta}\right)^{3/2}` in the
-    velocities (:meth:`noise_gain`).
-    Without memory they are finite differences: half a period late, with a gain of
-    :math:`\sqrt 2 / dt`.
+    A constant velocity is estimated exactly. With readings dt apart, the velocity at a constant
+    acceleration is :math:`\frac{dt}{2} \frac{1 + 3 \theta}{1 - \theta}` seconds late
+    (:meth:`delay`), and the noise of the positions is amplified by
+    :math:`\frac{\sqrt 2}{dt} \left(\frac{1 - \theta}{1 + \theta}\right)^{3/2}`
+    (:meth:`noise_gain`). Without memory, velocities are finite differences.
 
     Args:
         time_constant: τ in s; 0 for no memory.
@@ -56,14 +53,11 @@ class VelocityFilter:
         self._stamp: float | None = None
 
     def update(self, positions: Numbers, stamp: float) -> Tensor:
-        """Take a reading.
+        """Velocities (J,), per second, after a reading; zero at the first one.
 
         Args:
             positions: z, (J,).
             stamp: time of the reading in s. A repeated or earlier one changes nothing.
-
-        Returns:
-            Velocities (J,), per second; zero at the first reading.
         """
         z = torch.as_tensor(positions, dtype=torch.float64)
         if self._stamp is None:
@@ -78,7 +72,7 @@ class VelocityFilter:
         return self._dq.clone()
 
     def delay(self, period: float) -> float:
-        """Seconds by which velocities come late at a constant acceleration.
+        """Seconds by which velocities are late at a constant acceleration.
 
         Example:
             >>> VelocityFilter(0.0).delay(0.1)
@@ -102,14 +96,14 @@ class VelocityFilter:
 
 
 class WithVelocities:
-    """A robot that reads positions (J,), made one that reads positions and velocities (2J,).
+    """Adds velocities to a robot that reads positions (J,), so that its state is (2J,).
 
-    The filter sees a reading a control period, and over the operator's pause between two rollouts
-    it forgets.
+    The filter gets one reading in a control period. It forgets during the operator's pause between
+    two rollouts.
 
     Args:
-        robot: whose ``read_state`` gives positions.
-        velocity_filter: gives the velocities.
+        robot: its ``read_state`` gives positions.
+        velocity_filter: estimates the velocities.
         positions_first: whether the state is ``[q1, q2, ..., dq1, dq2, ...]`` instead of ``[q1,
             dq1, q2, dq2, ...]``.
     """

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import gc
 import logging
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable
+from types import FrameType
 
 from torch_pmil.envs.operator import RobotError
 from torch_pmil.envs.physical.physical_robot import Numbers, PhysicalRobot
-from torch_pmil.envs.physical.stop_signals import StopSignals
-from torch_pmil.envs.physical.watchdog import Watchdog
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class WatchedRobot:
-    """A robot that stops when no action came for a time, and when the process is told to end.
+    """A robot that stops when no action came for a time, and when the process is asked to end.
 
-    Once stopped it takes no action before the next :meth:`start`. A ``kill -9`` leaves no time for
-    a last word: against that the robot has a watchdog of its own. While the robot moves, Python
-    collects no garbage, which takes it a tenth of a second and more.
+    A stopped robot takes no action before the next :meth:`start`. Nothing here runs after a
+    ``kill -9``: against that the robot needs a watchdog of its own. While the robot moves, Python
+    collects no garbage, since a collection can take more than a tenth of a second.
 
     Args:
         robot: to be watched.
@@ -34,15 +40,11 @@ class WatchedRobot:
         gc.disable()
 
     def read_state(self) -> tuple[Numbers, float]:
-        """State and time of the robot."""
+        """State and time stamp of the robot."""
         return self._robot.read_state()
 
     def send(self, action: Numbers) -> Numbers | None:
-        """Send an action.
-
-        Raises:
-            RobotError: the robot was stopped.
-        """
+        """Send an action. Raises RobotError if the robot was stopped."""
         self._check_started()
         self._watchdog.feed()
         sent = self._robot.send(action)
@@ -54,7 +56,7 @@ class WatchedRobot:
         return sent
 
     def stop(self) -> None:
-        """Stop the robot. A failure is logged: whoever stops a robot can do no more."""
+        """Stop the robot. A failure is logged, because nothing else can be done about it."""
         self._stopped = True
         self._watchdog.rest()
         try:
@@ -76,3 +78,93 @@ class WatchedRobot:
             raise RobotError(
                 f"the robot was stopped, as no action came within {self._watchdog.patience:g} s"
             )
+
+
+class Watchdog:
+    """Calls ``alarm``, in its own thread, when it was not fed for ``patience`` seconds.
+
+    The time runs from the first :meth:`feed`, and after an alarm from the next one.
+
+    Example:
+        >>> barked = threading.Event()
+        >>> dog = Watchdog(0.01, barked.set)
+        >>> dog.feed()
+        >>> barked.wait(1)
+        True
+        >>> dog.close()
+    """
+
+    def __init__(self, patience: float, alarm: Callable[[], None]) -> None:
+        self.patience, self._alarm = patience, alarm
+        self._deadline, self._closed = math.inf, False
+        self._changed = threading.Condition()
+        threading.Thread(target=self._watch, name="watchdog", daemon=True).start()
+
+    def feed(self) -> None:
+        """Restart the time."""
+        with self._changed:
+            asleep, self._deadline = self._deadline == math.inf, time.monotonic() + self.patience
+            if asleep:
+                self._changed.notify()
+
+    def rest(self) -> None:
+        """Wait for the next :meth:`feed`. It takes no lock, so signal handlers may call it."""
+        self._deadline = math.inf
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+
+    def _watch(self) -> None:
+        while self._waited():
+            self._alarm()
+
+    def _waited(self) -> bool:
+        """Wait until the time is over; return whether to bark."""
+        with self._changed:
+            while not self._closed:
+                left = self._deadline - time.monotonic()
+                if left <= 0:
+                    self._deadline = math.inf
+                    return True
+                self._changed.wait(None if left == math.inf else left)
+        return False
+
+
+class StopSignals:
+    """Calls ``stop`` at Ctrl-C, SIGTERM and SIGHUP, and then the handler that was there before.
+
+    Handlers belong to the main thread; in any other thread this class does nothing. A signal that
+    the process ignores stays ignored.
+    """
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        self._stop = stop
+        self._before = {}
+        if threading.current_thread() is threading.main_thread():
+            before = {number: signal.getsignal(number) for number in SIGNALS}
+            self._before = {
+                number: handler
+                for number, handler in before.items()
+                if handler not in (signal.SIG_IGN, None)
+            }
+        for number in self._before:
+            signal.signal(number, self._heard)
+
+    def close(self) -> None:
+        """Restore the earlier handlers, unless others were set since."""
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in self._before.items():
+                if signal.getsignal(number) == self._heard:
+                    signal.signal(number, handler)
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        self._stop()
+        handler = self._before[signal.Signals(number)]
+        if callable(handler):
+            handler(number, frame)
+        else:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)

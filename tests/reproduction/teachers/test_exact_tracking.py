@@ -8,9 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from reproduction.teachers.exact_tracking import motion_of
 from tests.helpers.draws import Draws
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, double_pendulum_model
-from torch_pmil.envs.exact_tracking import motion_of, tracking_torques
+from torch_pmil.envs.joint_torques import tracking_torques
 
 STEPS = 4
 

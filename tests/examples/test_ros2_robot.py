@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from examples.drivers.ros2_robot import Ros2Robot
 from torch_pmil.envs.operator import RobotError
-from torch_pmil.envs.physical.ros2_robot import Ros2Robot
 from torch_pmil.envs.physical.velocity_filter import VelocityFilter
 
 

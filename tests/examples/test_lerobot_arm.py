@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import torch
 
+from examples.drivers.lerobot_arm import LeRobotArm
 from tests.helpers.fake_robot import PERIOD
-from torch_pmil.envs.physical.lerobot_arm import LeRobotArm
 from torch_pmil.envs.physical.physical_robot_env import PhysicalRobotEnv
 from torch_pmil.envs.physical.velocity_filter import VelocityFilter, WithVelocities
 

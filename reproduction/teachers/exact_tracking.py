@@ -1,4 +1,4 @@
-"""Torques with which a robot would move exactly as another one did, by inverse dynamics."""
+"""A recorded motion at every time step of the simulation, from which tracking torques follow."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_pmil.envs.inverse_dynamics import inverse_dynamics
 from torch_pmil.envs.mujoco import MujocoRobotEnv
 
 
@@ -52,23 +51,3 @@ def accelerations_of(model: mujoco.MjModel, states: Tensor, torques: Tensor) -> 
         mujoco.mj_forward(model, data)
         result[row] = data.qacc
     return torch.from_numpy(result)
-
-
-def tracking_torques(model: mujoco.MjModel, states: Tensor, accelerations: Tensor) -> Tensor:
-    """Torques (S, F), N·m, with which a robot has these accelerations, limits or not.
-
-    Args:
-        model: of the robot, each joint with its motor.
-        states: [q1, dq1, q2, dq2, ...], rad and rad/s, (S, D).
-        accelerations: of the joints, rad/s², (S, D/2).
-
-    Example:
-        >>> from torch_pmil.envs.double_pendulum import double_pendulum_model
-        >>> model = double_pendulum_model((0.5, 0.5))
-        >>> to_the_right = torch.tensor([[torch.pi / 2, 0.0, 0.0, 0.0]], dtype=torch.float64)
-        >>> tracking_torques(model, to_the_right, torch.zeros(1, 2)).round(decimals=3)
-        tensor([[-4.9050, -1.2260]], dtype=torch.float64)
-    """
-    positions, velocities = states[:, ::2].numpy(), states[:, 1::2].numpy()
-    forces = inverse_dynamics(model, positions, velocities, accelerations.numpy())
-    return torch.from_numpy(forces)

@@ -143,7 +143,7 @@ def test_report_says_what_it_has_to_do_without(
     run_command(monkeypatch, "report", run_of(tmp_path / "run", OLD))
     page = tmp_path / "run" / "report.html"
     assert capsys.readouterr().out == (
-        f"wrote {page}, without figures (figures/ holds none) and video (there is no video.mp4): "
+        f"wrote {page}, without figures (there are none in figures/) and video (there is no video.mp4): "
         f"pmil resume {page.parent} makes them\n"
     )
     whole = run_of(tmp_path / "whole", OLD, "poses")

@@ -46,12 +46,14 @@ def plot_poses(positions: Tensor, time_step: float) -> Figure:
     figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     panel = figure.subplots()
     times = time_step * np.arange(len(joints))
-    look: dict[str, Any] = {"linewidth": 2.2, "solid_capstyle": "round", "markersize": 3.5}
     for pose, colour in zip(joints, map(tuple, colours.to_rgba(times)), strict=True):
-        panel.plot(*pose.T, color=colour, marker="o", **look)
+        panel.plot(
+            *pose.T, color=colour, linewidth=2.2, solid_capstyle="round", marker="o", markersize=3.5
+        )
     panel.plot(0, 0, color=DARK, marker="o", markersize=8)
-    panel.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-    panel.set(xlabel="x (m)", ylabel="y (m)")
+    panel.set(
+        xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="x (m)", ylabel="y (m)"
+    )
     style(panel)
     figure.colorbar(colours, ax=panel, label="time (s)")
     return figure
@@ -61,8 +63,8 @@ def pendulum_frames(positions: Tensor, time_step: float, size: int = 480) -> Ite
     """Pictures of a moving double pendulum, drawn without OpenGL.
 
     Args:
-        positions: link ends [x1, y1, x2, y2] in m, (N, 4), one row for each picture; the base is
-            at the origin.
+        positions: link ends [x1, y1, x2, y2] in m, (N, 4), one row a picture; the base is at the
+            origin.
         time_step: seconds between two pictures, for the clock in the corner.
         size: height and width of a picture.
 
@@ -113,8 +115,11 @@ def _reach(joints: np.ndarray) -> float:
 
 
 def _stage(size: int, reach: float) -> tuple[FigureCanvasAgg, Axes]:
-    """A canvas of size x size pixels with the circle that the tip can reach."""
-    # one inch wide: a line width, which is in points, is then 1/72 of the picture at any size
+    """A canvas of size x size pixels with the circle that the tip can reach.
+
+    The figure is one inch wide, so that line widths, in points, are seventy-seconds of the picture
+    whatever its size.
+    """
     figure = Figure(figsize=(1, 1), dpi=size, facecolor="#F4F7FA")
     canvas = FigureCanvasAgg(figure)
     panel = figure.add_axes((0, 0, 1, 1), xlim=(-reach, reach), ylim=(-reach, reach))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import shlex
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from torch_pmil.cli import errors_in_one_line, parser_of
 from torch_pmil.files import replacing
@@ -26,8 +27,9 @@ def main() -> None:
     """Read the command line, write, print what was written and what comes next."""
     parser = parser_of(__doc__)
     parser.add_argument("kind", choices=["robot"], metavar="robot", help="what to write")
-    named = {"metavar": "FOLDER", "help": "folder to write to (default my_robot)"}
-    parser.add_argument("folder", nargs="?", type=Path, default=Path("my_robot"), **named)
+    named: dict[str, Any] = {"metavar": "FOLDER", "nargs": "?"}
+    named["help"] = "folder to write to (default my_robot)"
+    parser.add_argument("folder", type=Path, default=Path("my_robot"), **named)
     folder = parser.parse_args().folder
     with errors_in_one_line(OSError):
         write_template(folder)

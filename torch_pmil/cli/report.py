@@ -29,7 +29,7 @@ def main() -> None:
 def missing_in(folder: Path) -> list[str]:
     """What the folder of a run lacks for a whole report, in words."""
     there = {
-        "figures (there are none in figures/)": any((folder / "figures").glob("*.png")),
+        "figures (there are none)": any((folder / "figures").glob("*.png")),
         "video (there is no video.mp4)": (folder / "video.mp4").exists(),
     }
     return [words for words, found in there.items() if not found]

@@ -25,7 +25,14 @@ from torch_pmil.demonstrations.preparation import drawing
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError
 from torch_pmil.files import in_words
 
-STROKES = 5  # number that the page asks for
+LIMITS = {  # of strokes, which the page shows
+    "wanted": 5,
+    "most": drawing.MOST_STROKES,
+    "samples": drawing.LEAST_SAMPLES,
+    "shortest": drawing.SHORTEST,
+    "longest": drawing.LONGEST,
+    "extent": drawing.LEAST_EXTENT,
+}
 PAGE = Path(__file__).parent / "drawing_page"
 FILES = {
     "": ("index.html", "text/html"),
@@ -55,6 +62,7 @@ class DrawingServer(ThreadingHTTPServer):
         time_step: of the demonstrations, in s.
 
     Attributes:
+        address: the page's URL.
         saved: the demonstrations, or None before they are saved.
     """
 
@@ -66,12 +74,8 @@ class DrawingServer(ThreadingHTTPServer):
         self.saved: Demonstrations | None = None
         self.host = f"127.0.0.1:{self.server_port}"
         self.root = f"/{secrets.token_urlsafe()}/"
+        self.address = f"http://{self.host}{self.root}"
         self.saving = threading.Lock()
-
-    @property
-    def address(self) -> str:
-        """The page's URL."""
-        return f"http://{self.host}{self.root}"
 
     def save(self, body: bytes) -> Demonstrations:
         """Write what a page sent, once.
@@ -102,7 +106,9 @@ class DrawingHandler(BaseHTTPRequestHandler):
             return self._answer(HTTPStatus.NOT_FOUND, "there is no such file")
         file, kind = FILES[name]
         content = (PAGE / file).read_text(encoding="utf-8")
-        self._answer(HTTPStatus.OK, _with_limits(content) if kind == "text/html" else content, kind)
+        if kind == "text/html":
+            content = Template(content).substitute(LIMITS)
+        self._answer(HTTPStatus.OK, content, kind)
 
     def do_POST(self) -> None:
         """Save the strokes, or answer what is wrong with them."""
@@ -112,8 +118,8 @@ class DrawingHandler(BaseHTTPRequestHandler):
             return self._answer(HTTPStatus.NOT_FOUND, "strokes are sent to save")
         length = self.headers.get("Content-Length", "")
         if not length.isascii() or not length.isdigit():
-            missing = "Not saved: Content-Length is missing."
-            return self._answer(HTTPStatus.LENGTH_REQUIRED, missing)
+            number = "Not saved: Content-Length must be a number of bytes."
+            return self._answer(HTTPStatus.LENGTH_REQUIRED, number)
         if int(length) > LARGEST_BODY:
             return self._answer(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
@@ -153,18 +159,6 @@ class DrawingHandler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(content)
-
-
-def _with_limits(page: str) -> str:
-    """The page, with the limits of a stroke filled in."""
-    return Template(page).substitute(
-        wanted=STROKES,
-        most=drawing.MOST_STROKES,
-        samples=drawing.LEAST_SAMPLES,
-        shortest=drawing.SHORTEST,
-        longest=drawing.LONGEST,
-        extent=drawing.LEAST_EXTENT,
-    )
 
 
 def main() -> None:

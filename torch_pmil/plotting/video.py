@@ -71,16 +71,13 @@ def render_rollout(
 def dense_states(
     env: MujocoRobotEnv, start: Tensor, actions: Tensor, states_per_step: int = 5
 ) -> Tensor:
-    """States of a rollout, ``states_per_step`` in each control period.
+    """States of a rollout, several in each control period, (T · states_per_step + 1, D).
 
     Args:
         env: the robot; its state does not change.
-        start: state vector (D,).
+        start: state vector (D,), the first one returned.
         actions: (T, F), each held for a control period.
         states_per_step: a divisor of ``env.substeps``.
-
-    Returns:
-        The start and all states after it, (T · states_per_step + 1, D).
 
     Raises:
         ValueError: the period does not split into that many steps.

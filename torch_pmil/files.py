@@ -170,14 +170,9 @@ def read_json(path: Path | str, most: int = TEXT_BYTES, finite: bool = False) ->
 
 
 def parse_json(text: bytes, finite: bool = False) -> Any:
-    """The content of JSON.
+    """The content of JSON in UTF-8; raises FileError if it is not JSON.
 
-    Args:
-        text: in UTF-8.
-        finite: whether NaN, Infinity and numbers beyond float64, which Python reads, are errors.
-
-    Raises:
-        FileError: it is not JSON.
+    With ``finite`` NaN, Infinity and numbers beyond float64, which Python reads, are errors too.
 
     Example:
         >>> parse_json(b'{"seed": 0}')

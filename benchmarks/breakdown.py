@@ -1,9 +1,9 @@
 """CPU time of the parts of one KL with its policy gradient, for several numbers n of data.
 
-One process, one thread. Of several evaluations the one that takes least counts; its calls of
-kernels are timed where they are made, and what they leave of the whole is Python's. What happens
-within the prediction is measured by itself between the evaluations, at the beliefs that it met, and
-the least of each counts: ``PARTS`` says which is which.
+One process, one thread. The fastest of several evaluations counts. Calls of kernels are timed where
+they are made; the remaining time is Python's. The parts of the prediction are measured separately
+between the evaluations, at the beliefs that occurred, and the fastest of each counts. ``PARTS``
+lists both kinds.
 
 Example:
     python -m benchmarks.breakdown --sizes 50 100 200 400 1000

@@ -11,7 +11,7 @@ from torch_pmil.runs.run_folder import provenance
 
 
 def add_json(parser: argparse.ArgumentParser, name: str) -> None:
-    """Let a benchmark be told which file to write, the summary among the results by default."""
+    """Add the option that names the file to write; by default the summary among the results."""
     default = Path(f"results/benchmarks/{name}/summary.json")
     parser.add_argument("--json", type=Path, default=default, help="file to write")
 

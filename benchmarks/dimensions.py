@@ -4,7 +4,7 @@ One thread, 100 basis functions. The state is the angles and velocities of D/2 j
 actuator. Data, hyper-parameters and policy are drawn at random: the time does not depend on what
 was learned. Three models take turns: one with a GP for each entry of the state, one that learns the
 velocities alone, from which the positions follow, and one whose velocities have the same
-lengthscales too. Of several evaluations of each, the one that takes least counts.
+lengthscales too. The fastest of several evaluations of each counts.
 
 Example:
     python -m benchmarks.dimensions --dimensions 4 12 --n 400

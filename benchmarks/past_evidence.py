@@ -1,8 +1,8 @@
-"""What the past tells of robots that act at once and of robots that act late.
+"""What past states reveal about robots that act at once and robots that act late.
 
-Each robot learns, and the evidence of its own rollouts is that of the diagnosis of a run
-(:mod:`torch_pmil.runs.diagnosis.hidden_past`). The seeds are none by which results are
-reported: the threshold of the diagnosis was chosen by them.
+Each robot learns; the evidence in its own rollouts is computed as in the diagnosis of a run
+(:mod:`torch_pmil.runs.diagnosis.hidden_past`). The threshold of the diagnosis was chosen with these
+seeds, so no reported result uses them.
 
 Example:
     python -m benchmarks.past_evidence

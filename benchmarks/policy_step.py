@@ -1,8 +1,8 @@
 """Time of one policy step of the double pendulum: NumPy, PyTorch and exported; one thread.
 
-CPU and wall time of each single call, in microseconds, after some that are not counted. The three
-forms take turns, so that what else the machine does meets all of them; where it does much, the wall
-time says how long the step had to wait.
+CPU and wall time of each single call, in microseconds, after a warm-up. The three forms take turns,
+so that other load on the machine affects them equally. Under such load the wall time shows how long
+a step had to wait.
 
 Example:
     python -m benchmarks.policy_step --steps 10000

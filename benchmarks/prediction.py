@@ -1,10 +1,8 @@
 """Time and memory of a predicted trajectory's KL with its policy gradient.
 
-This package, by its compiled kernels and by the formulas in PyTorch, TorchRL, and the exponentials
-alone are measured.
-
-What is measured, and how, stands in ``workloads.py`` and ``measure.py``; each row comes from a
-process of its own.
+It measures this package, with compiled kernels and with the formulas in PyTorch, TorchRL, and the
+exponentials alone. ``workloads.py`` and ``measure.py`` define what is measured and how; each row
+comes from its own process.
 
 Example:
     python benchmarks/prediction.py --sizes 50 100 200 400 --threads 1
@@ -182,11 +180,11 @@ def make_summary(arguments: argparse.Namespace) -> dict[str, object]:
 def note_of_fits(sizes: list[int]) -> str:
     """What the fitted models are like."""
     ratios = [signal_to_noise(make_problem(n, 1, fitted=True).dynamics) for n in sizes]
-    told = [
+    ratios = [
         f"{ratio.amin():.0f} to {ratio.amax():.0f} (n = {n})"
         for n, ratio in zip(sizes, ratios, strict=True)
     ]
-    return f"as {OURS}, hyper-parameters fitted; signal-to-noise ratios {', '.join(told)}"
+    return f"as {OURS}, hyper-parameters fitted; signal-to-noise ratios {', '.join(ratios)}"
 
 
 def plan(arguments: argparse.Namespace, libraries: list[str]) -> list[tuple[str, int, int]]:

@@ -2,12 +2,12 @@
 
 Two robots: the UR5e of ``reproduction/arms.py`` (18 inputs of the model, 6 outputs), whose
 transitions come from random targets along the demonstrations, and the double pendulum (8 inputs, 4
-outputs), from random torques around those of a learned policy. What the model is to say is noisy as
-from sensors: by 3 % of its standard deviation, and for comparison not at all.
+outputs), from random torques around those of a learned policy. The targets have noise of 3 % of
+their standard deviation, as from sensors, or none for comparison.
 
-The KL is that of a policy that was searched by the sparse model of 1000 transitions (UR5e) or that
-comes with the package (double pendulum), under the exact and the sparse posterior with the same
-hyper-parameters. Coverage is that of 3000 other transitions, noise included. One thread.
+The KL is that of one policy under the exact and the sparse posterior of the same hyper-parameters.
+The policy was found with the sparse model of 1000 transitions (UR5e), or comes with the package
+(double pendulum). Coverage is that of 3000 other transitions, noise included. One thread.
 
 Example:
     make arms

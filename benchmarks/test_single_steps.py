@@ -2,8 +2,7 @@
 
 ``make test`` leaves them out.
 
-Every one is measured with its gradient: the least time is comparable between machines that do other
-work besides.
+Each is measured with its gradient. The least time is comparable even between loaded machines.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""What is lost where all outputs have the same lengthscales, with signal and noise of their own.
+"""What is lost if all outputs share their lengthscales, but have their own signal and noise.
 
-Data and robots are those of ``benchmarks.sparse``. Told are the nats of evidence that are lost, the
-rms error of predictions of other transitions over that of the untied model, and the coverage of
-both. One thread.
+Data and robots are those of ``benchmarks.sparse``. It reports the evidence that is lost (nats), the
+rms error on other transitions relative to the untied model, and the coverage of both. One thread.
 
 Example:
     make arms

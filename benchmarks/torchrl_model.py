@@ -173,7 +173,7 @@ def beliefs(states: Tensor, actions: Tensor) -> TensorDictBase:
 def habits(model: nn.Module, points: TensorDictBase) -> dict[str, object]:
     """Whether a saved state loads into a new model, and whether there are gradients.
 
-    Where it does not load, the first words of the error are told.
+    If it does not load, the first words of the error are returned.
     """
     try:
         type(model)(obs_dim=4, action_dim=2).load_state_dict(model.state_dict())

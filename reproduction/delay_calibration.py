@@ -20,6 +20,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from reproduction.learned import load_learned, remeasured
+from reproduction.plots.calibration import plot_calibration_ahead
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
@@ -28,7 +29,6 @@ from torch_pmil.envs.rollouts import states_of
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import predict_trajectory
-from torch_pmil.plotting.calibration import plot_calibration_ahead
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 

@@ -21,11 +21,11 @@ from reproduction.baselines.cloning import (
     record_pairs,
 )
 from reproduction.learned import load_learned, measured_success, remeasured
+from reproduction.plots.success import plot_success_over_mass
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.demonstrations import shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.envs.rollouts import states_of
-from torch_pmil.plotting import plot_success_over_mass
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 

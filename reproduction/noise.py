@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from reproduction.delay_calibration import AHEAD, CALIBRATION, STARTS, calibrations, rows_of
+from reproduction.plots.calibration import plot_calibration_ahead
 from reproduction.remembering import needed_runs, results_of
 from reproduction.reproduction import PaperExperiment, Results
 from reproduction.robustness import with_noise
-from torch_pmil.plotting.calibration import plot_calibration_ahead
 from torch_pmil.tasks.task import Task
 from torch_pmil.tasks.with_history import with_history
 

@@ -184,7 +184,7 @@ def reliability(forecasts: Sequence[Forecast]) -> list[dict[str, float]]:
 
 
 def drawn(forecasts: Sequence[Forecast]) -> dict[str, Sequence[Sequence[float]]]:
-    """What :func:`~torch_pmil.plotting.calibration.plot_success_calibration` draws of forecasts."""
+    """What :func:`~reproduction.plots.calibration.plot_success_calibration` draws of forecasts."""
     shown = ("predicted", "measured", "lower", "upper")
     return {
         "trials": [(f.predicted, f.measured) for f in forecasts],

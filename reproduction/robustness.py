@@ -12,11 +12,11 @@ import torch
 
 from reproduction.baselines.cloning import record_pairs
 from reproduction.learned import remeasured
+from reproduction.plots.success import plot_success_over_settings
 from reproduction.reproduction import PaperExperiment, Results, Run, learning_run
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv, link_positions
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.plotting import plot_success_over_settings
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 

@@ -16,6 +16,7 @@ from statistics import fmean
 from typing import Any
 
 from reproduction.handwriting import SHAPES, left_out_ratios, written
+from reproduction.plots.calibration import plot_success_calibration
 from reproduction.plots.counts import plot_counts
 from reproduction.replay import replayed
 from reproduction.replayed_runs import (
@@ -30,7 +31,6 @@ from reproduction.reproduction import OF_RUN, PaperExperiment, Results, Run, lea
 from reproduction.soak.tasks import ROBOT, TASKS, SoakTask
 from torch_pmil.files import read_json, write_json
 from torch_pmil.plotting import Figure
-from torch_pmil.plotting.calibration import plot_success_calibration
 from torch_pmil.runs.summaries import is_finished, read_summary
 from torch_pmil.tasks.handwriting import SUCCESS_RATIO
 from torch_pmil.tasks.task import Task

@@ -163,7 +163,7 @@ def record_teacher(
     """The demonstrations of a teacher, one of each robot of the environment.
 
     Raises:
-        RuntimeError: a demonstration is none of the experiment's successes.
+        RuntimeError: a demonstration is not a success of the experiment.
     """
     noise = np.random.default_rng(seed).normal(size=(steps, *env.action_spec.shape))
     time = itertools.count()

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from reproduction.plots.errors import plot_errors_over_data
 from reproduction.plots.frequencies import plot_frequencies
+from reproduction.plots.success import plot_success_over_mass, plot_success_over_settings
 from reproduction.plots.variants import plot_variants
 from reproduction.sampling_frequency import Recording, score_frequencies
 from tests.helpers.draws import Draws
@@ -1392,15 +1393,15 @@ PICTURES = {
         "experience, mean and interval of",
     ),
     "plot_success_over_mass of none": misuse(
-        lambda: plotting.plot_success_over_mass([], {}, np.zeros((1, 0)), 3.5, 0.5),
+        lambda: plot_success_over_mass([], {}, np.zeros((1, 0)), 3.5, 0.5),
         "masses must hold one at",
     ),
     "plot_success_over_settings of none": misuse(
-        lambda: plotting.plot_success_over_settings({}, []),
+        lambda: plot_success_over_settings({}, []),
         "panels must hold one at least, got none",
     ),
     "plot_success_over_settings without a usual level": misuse(
-        lambda: plotting.plot_success_over_settings({"a": ([0.0], np.ones((1, 1)))}, []),
+        lambda: plot_success_over_settings({"a": ([0.0], np.ones((1, 1)))}, []),
         "plain must hold 1 levels, one",
     ),
     "plot_variants of none": misuse(
@@ -1415,11 +1416,11 @@ PICTURES = {
         "strokes of a must be (N, 6,",
     ),
     "plot_poses of none": misuse(
-        lambda: plotting.plot_poses(torch.zeros(0, 4), 0.1), "positions must have shape (N, 4), got"
+        lambda: plotting.plot_poses(torch.zeros(0, 4), 0.1), "joints must have shape (N, P, 2), got"
     ),
     "pendulum_frames of nothing": misuse(
         lambda: list(plotting.pendulum_frames(torch.zeros(0, 4), 0.1)),
-        "positions must have shape (N,",
+        "joints must have shape (N, P, 2),",
     ),
     "plot_recordings of none": misuse(
         lambda: plotting.plot_recordings([], [], [], ["x"]),

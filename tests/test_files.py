@@ -31,29 +31,16 @@ def test_block_that_ends_well_leaves_its_file_and_nothing_else(tmp_path: Path) -
     assert os.listdir(tmp_path) == ["numbers.csv"]
 
 
-def test_path_may_be_a_string(tmp_path: Path) -> None:
-    with replacing(str(tmp_path / "numbers.csv")) as temporary:
-        temporary.write_text("1,2")
-    assert (tmp_path / "numbers.csv").read_text() == "1,2"
-
-
-def test_old_file_stays_whole_until_the_block_ends(tmp_path: Path) -> None:
-    path = tmp_path / "numbers.csv"
-    path.write_text("old")
-    with replacing(path) as temporary:
-        temporary.write_text("new")
-        assert path.read_text() == "old"
-    assert path.read_text() == "new"
-
-
-def test_file_opened_before_keeps_what_it_was(tmp_path: Path) -> None:
+def test_old_file_stays_whole_until_the_block_ends_and_for_who_opened_it(tmp_path: Path) -> None:
     """The new file takes the old one's name, not its place on the disk."""
     path = tmp_path / "numbers.csv"
     path.write_text("old")
     with path.open() as reader:
-        with replacing(path) as temporary:
+        with replacing(str(path)) as temporary:
             temporary.write_text("a longer new text")
+            assert path.read_text() == "old"
         assert reader.read() == "old"
+    assert path.read_text() == "a longer new text"
 
 
 def test_block_that_raises_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -73,30 +60,23 @@ def test_block_that_raises_before_it_writes_leaves_nothing(tmp_path: Path) -> No
 
 
 def test_temporary_name_lies_in_the_same_folder_and_keeps_the_suffix(tmp_path: Path) -> None:
-    """A rename is atomic within one file system only, and writers choose their format by the
-    suffix.
-    """
+    """A rename is atomic within one file system only; writers choose the format by the suffix."""
     with replacing(tmp_path / "video.mp4") as temporary:
         temporary.write_text("")
         assert (temporary.parent, temporary.suffix) == (tmp_path, ".mp4")
 
 
-def test_folder_that_is_not_there_is_an_oserror_of_the_writer(tmp_path: Path) -> None:
-    with (
-        pytest.raises(FileNotFoundError),
-        replacing(tmp_path / "nowhere" / "numbers.csv") as temporary,
-    ):
-        temporary.write_text("1,2")
-
-
-def test_path_below_a_file_is_an_oserror(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("folder", "kind"), [("nowhere", FileNotFoundError), ("file", NotADirectoryError)]
+)
+def test_path_below_no_folder_is_an_oserror(
+    tmp_path: Path, folder: str, kind: type[OSError]
+) -> None:
     (tmp_path / "file").write_text("old")
-    with (
-        pytest.raises(NotADirectoryError),
-        replacing(tmp_path / "file" / "numbers.csv") as temporary,
-    ):
+    with pytest.raises(kind), replacing(tmp_path / folder / "numbers.csv") as temporary:
         temporary.write_text("1,2")
     assert (tmp_path / "file").read_text() == "old"
+    assert os.listdir(tmp_path) == ["file"]
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root writes anywhere")
@@ -250,7 +230,7 @@ def test_only_temporaries_of_that_name_are_removed(tmp_path: Path) -> None:
         ("file/recorded.csv", "file/recorded.csv: Not a directory"),
     ],
 )
-def test_what_the_system_says_is_told_in_words(
+def test_what_the_system_says_is_put_into_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, said: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -262,7 +242,7 @@ def test_what_the_system_says_is_told_in_words(
     assert in_words(error.value) == said
 
 
-def test_error_without_a_file_is_told_without_its_number() -> None:
+def test_error_without_a_file_has_no_number() -> None:
     assert in_words(OSError(28, "No space left on device")) == "No space left on device"
     assert in_words(OSError("ffmpeg is missing")) == "ffmpeg is missing"
     assert in_words(ValueError("seed must be")) == "seed must be"

@@ -1,7 +1,7 @@
-"""Files that are either whole or not there, and strangers' files, of which nothing is trusted.
+"""Files that are written wholly or not at all, and untrusted files that are read with bounds.
 
-A file that is read is a regular one of a stated size, before a byte of it is read. Of a ZIP archive
-all members are measured before one is unpacked; JSON is JSON.
+Before a byte is read, a file must be a regular one of at most a given size. Before a member of a
+ZIP archive is unpacked, the number and sizes of all members are checked.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ import stat
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
 MIB = 2**20
-# of JSON and CSV that a run leaves, a few hundred kB; Python takes some 30 times that for it
+# a run leaves a few hundred kB of JSON and CSV; Python needs about 30 times that to parse it
 TEXT_BYTES = 4 * MIB
 LINE = 1000  # characters of an error's message
-ZIP_MEMBERS = 20_000  # of any archive; that of a run has some hundred
+ZIP_MEMBERS = 20_000  # of any archive; that of a run has about a hundred
 KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a pipe",
@@ -36,7 +37,7 @@ _SHORT.maxstring = _SHORT.maxother = 120
 
 
 class LineError(ValueError):
-    """An error that says what is wrong in one line of bounded length, whatever a file put into it.
+    """An error whose message is one line of bounded length, whatever a file contains.
 
     Example:
         >>> str(LineError("column a\\nb")), len(str(LineError("x" * 10**6)))
@@ -48,15 +49,15 @@ class LineError(ValueError):
 
 
 class FileError(LineError):
-    """A file is not what it must be: one line says what was expected and what came."""
+    """A file is not as expected."""
 
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
-    """A temporary name beside ``path`` to write to, which replaces it when the block ends well.
+    """A temporary file beside ``path``, which replaces it when the block ends without an error.
 
-    It is removed when the block ends with an error. The temporary file is new and empty: what was
-    there under its name, a link too, is removed and never written to.
+    Otherwise it is removed. It is new and empty: a file or link of its name is removed, and never
+    written to.
 
     Args:
         path: the file to make or to replace. The temporary name keeps its suffix.
@@ -71,19 +72,19 @@ def replacing(path: Path | str) -> Iterator[Path]:
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    with _told_of(path):
+    with _errors_name(path):
         _make_new(temporary)
     try:
         yield temporary
-        with _told_of(path):
+        with _errors_name(path):
             os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
 @contextmanager
-def _told_of(path: Path) -> Iterator[None]:
-    """Let errors name the file that was asked for, and not its temporary name."""
+def _errors_name(path: Path) -> Iterator[None]:
+    """Let errors name this file, not its temporary name."""
     try:
         yield
     except OSError as error:
@@ -91,18 +92,14 @@ def _told_of(path: Path) -> Iterator[None]:
 
 
 def _make_new(path: Path) -> None:
-    """Make an empty file where there may be debris of a process that had our number."""
+    """Make an empty file where an earlier process of our number may have left one."""
+    path.unlink(missing_ok=True)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
-    try:
-        file = os.open(path, flags, 0o666)
-    except FileExistsError:
-        path.unlink()
-        file = os.open(path, flags, 0o666)
-    os.close(file)
+    os.close(os.open(path, flags, 0o666))
 
 
 def remove_temporaries(path: Path | str) -> None:
-    """Remove what :func:`replacing` left beside ``path`` where its process was killed.
+    """Remove what :func:`replacing` left beside ``path`` when its process was killed.
 
     A path ``*.png`` stands for all files of that suffix in its folder.
 
@@ -123,10 +120,7 @@ def remove_temporaries(path: Path | str) -> None:
 
 
 def write_json(path: Path | str, content: object) -> None:
-    """Write a JSON file, whole or not at all.
-
-    Raises ValueError at a number that is not finite: JSON has none.
-    """
+    """Write a JSON file, wholly or not at all; raises ValueError at NaN and infinity."""
     text = json.dumps(content, indent=2, allow_nan=False)
     with replacing(path) as temporary:
         temporary.write_text(text + "\n")
@@ -136,37 +130,34 @@ def write_json(path: Path | str, content: object) -> None:
 def opened(path: Path | str, most: int) -> Iterator[BinaryIO]:
     """A regular file of at most ``most`` bytes, open for reading. Links are followed.
 
-    It waits for nobody, as for the writer of a pipe.
+    It never waits, as for the writer of a pipe.
 
     Raises:
-        FileError: it is no regular file, or larger.
+        FileError: it is not a regular file, or is larger.
         OSError: it cannot be opened.
 
     Example:
-        >>> try:
-        ...     with opened("/dev/zero", most=100):
-        ...         pass
-        ... except FileError as error:
-        ...     print(error)
-        must be a regular file of at most 100 bytes, got a device
+        >>> opened("/dev/zero", most=100).__enter__()
+        Traceback (most recent call last):
+        torch_pmil.files.FileError: must be a regular file of at most 100 bytes, got a device
     """
     _check_regular(os.stat(path), most)
     with open(path, "rb", opener=_open_at_once) as file:
-        _check_regular(os.fstat(file.fileno()), most)  # another one may have taken its name
+        _check_regular(os.fstat(file.fileno()), most)  # another file may have taken its name
         yield file
 
 
 def read_bytes(path: Path | str, most: int) -> bytes:
-    """All of a regular file of at most ``most`` bytes. Errors as of :func:`opened`."""
+    """All of a regular file of at most ``most`` bytes. Errors are those of :func:`opened`."""
     with opened(path, most) as file:
-        content = file.read(most + 1)  # those of /proc do not say their size
+        content = file.read(most + 1)  # files in /proc do not report their size
     if len(content) > most:
         raise FileError(f"must be a regular file of at most {_size(most)}, got more")
     return content
 
 
 def read_text(path: Path | str, most: int = TEXT_BYTES) -> str:
-    """All of a regular file of UTF-8. Errors as of :func:`opened`, and FileError at other bytes."""
+    """All of a UTF-8 file. Errors are those of :func:`opened`; FileError if it is not UTF-8."""
     try:
         return read_bytes(path, most).decode()
     except UnicodeDecodeError as error:
@@ -174,16 +165,14 @@ def read_text(path: Path | str, most: int = TEXT_BYTES) -> str:
 
 
 def read_json(path: Path | str, most: int = TEXT_BYTES, finite: bool = False) -> Any:
-    """What a regular file of JSON holds. Errors as of :func:`opened` and :func:`parse_json`."""
+    """The content of a JSON file. Errors are those of :func:`opened` and :func:`parse_json`."""
     return parse_json(read_bytes(path, most), finite)
 
 
 def parse_json(text: bytes, finite: bool = False) -> Any:
-    """What JSON says, or FileError.
+    """The content of JSON in UTF-8; raises FileError if it is not JSON.
 
-    Args:
-        text: in UTF-8.
-        finite: whether NaN, Infinity and numbers beyond float64, which Python reads, are errors.
+    With ``finite`` NaN, Infinity and numbers beyond float64, which Python reads, are errors too.
 
     Example:
         >>> parse_json(b'{"seed": 0}')
@@ -199,18 +188,15 @@ def parse_json(text: bytes, finite: bool = False) -> Any:
 
 
 def read_zip(content: bytes, most: int, stored: bool = True) -> dict[str, bytes]:
-    """Members of a ZIP archive by name, all of them with their checksum compared.
-
-    Their number and sizes are checked before one is read.
+    """Members of a ZIP archive by name; their checksums are compared.
 
     Args:
         content: the archive.
         most: largest sum of the members' sizes.
-        stored: whether they must be stored as they are, that is, not compressed; then they can be
-            no larger together than the archive.
+        stored: whether compressed members are refused; then all are no larger than the archive.
 
     Raises:
-        FileError: it is no such archive.
+        FileError: it is not such an archive.
 
     Example:
         >>> buffer = io.BytesIO()
@@ -228,14 +214,14 @@ def read_zip(content: bytes, most: int, stored: bool = True) -> dict[str, bytes]
             return {member.filename: _member(archive, member) for member in members}
     except FileError:
         raise
-    except Exception as error:  # zipfile fails at other bytes with any type
+    except Exception as error:  # zipfile raises any type at other bytes
         raise FileError(f"must be a whole ZIP archive, got: {error}") from error
 
 
 def bounded_line(message: object) -> str:
     """A message without line breaks and control characters, and without its middle if it is long.
 
-    An error that says nothing is told by its type.
+    For an error without a message it is the name of its type.
 
     Example:
         >>> bounded_line(ValueError("first\\nsecond\\x1b[31m"))
@@ -249,7 +235,7 @@ def bounded_line(message: object) -> str:
 
 
 def in_words(error: Exception) -> str:
-    """What an error says; of the system's, the file and what is wrong with it, without a number.
+    """The message of an error; for the system's errors the file and the reason, without a number.
 
     Example:
         >>> try:
@@ -270,7 +256,7 @@ def in_words(error: Exception) -> str:
 
 
 def short(value: object) -> str:
-    """A value as a message shows it: in one line of bounded length, whatever it holds.
+    """A value in one line of bounded length, for messages.
 
     Example:
         >>> short(["x\\n", 10**30]), len(short("x" * 10**6))
@@ -315,12 +301,9 @@ def _check_members(members: list[zipfile.ZipInfo], most: int, stored: bool) -> N
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """A member; its size is asked for, as a packed one may unpack to more than it says."""
+    """A member of the size that was checked; a compressed one may unpack to more than it says."""
     with archive.open(member) as file:
-        parts = []
-        while part := file.read(MIB):
-            parts.append(part)
-    content = b"".join(parts)
+        content = b"".join(iter(partial(file.read, MIB), b""))
     if len(content) != member.file_size:
         raise FileError(f"{member.filename!r} must have {member.file_size} bytes, got other")
     return content

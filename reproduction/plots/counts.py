@@ -53,12 +53,7 @@ def _draw_bars(panel: Axes, table: Mapping[str, Mapping[str, int]]) -> None:
     looks = zip(cycle((*COLOURS, GREY)), cycle(HATCHES), strict=False)
     for kind, width, begin, (colour, hatch) in zip(kinds, widths.T, begins.T, looks, strict=False):
         if width.any():
-            look: dict[str, Any] = {
-                "facecolor": colour,
-                "edgecolor": "white",
-                "hatch": hatch,
-                "linewidth": 0.6,
-            }
-            panel.barh(list(table), width, left=begin, label=kind, **look)
+            look: dict[str, Any] = {"facecolor": colour, "hatch": hatch, "label": kind}
+            panel.barh(list(table), width, left=begin, edgecolor="white", linewidth=0.6, **look)
     panel.set_xlim(0, 1.02 * widths.sum(1).max())
     panel.invert_yaxis()

@@ -8,7 +8,15 @@ from itertools import cycle
 import numpy as np
 from matplotlib.figure import Figure
 
-from torch_pmil.plotting.style import BLUE, GREEN, VERMILLION, check_some, draw_range, style
+from torch_pmil.plotting.style import (
+    BLUE,
+    GREEN,
+    VERMILLION,
+    check_some,
+    draw_range,
+    legend_above,
+    style,
+)
 
 
 def plot_errors_over_data(
@@ -42,10 +50,5 @@ def plot_errors_over_data(
         panel.set(xlabel="experience (s)", ylabel=label, ylim=(0, None))
         panel.set_xticks(seconds, [f"{second:g}" for second in seconds])
         style(panel)
-    figure.legend(
-        *axes[0].get_legend_handles_labels(),
-        loc="outside upper center",
-        ncols=len(models),
-        frameon=False,
-    )
+    legend_above(figure, len(models), axes[0])
     return figure

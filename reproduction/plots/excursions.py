@@ -21,7 +21,7 @@ def plot_excursions(
 ) -> Figure:
     """How far each rollout of learning runs went, over the experience.
 
-    Filled is what went beyond a limit, hollow what stayed within.
+    Filled markers went beyond a limit, hollow ones stayed within.
 
     Args:
         runs: for each panel, by its title, the runs: seconds of experience at the end of each
@@ -45,23 +45,17 @@ def plot_excursions(
             outside = np.asarray(furthest) > 1
             panel.plot(ends, furthest, color=colour, linewidth=0.8, alpha=0.6)
             for chosen, face in ((outside, colour), (~outside, "white")):
-                panel.plot(
-                    np.asarray(ends)[chosen],
-                    np.asarray(furthest)[chosen],
-                    **LOOK,
-                    marker=marker,
-                    color=colour,
-                    markerfacecolor=face,
-                )
+                points = np.asarray(ends)[chosen], np.asarray(furthest)[chosen]
+                panel.plot(*points, **LOOK, marker=marker, color=colour, markerfacecolor=face)
         panel.set(title=title, xlabel="experience (s)", yscale="log")
         panel.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])
         panel.minorticks_off()
         style(panel)
     panels[0].set_ylabel(ylabel)
-    told = {"left the limits": GREY, "stayed within": "white"}
+    faces = {"left the limits": GREY, "stayed within": "white"}
     handles = [
         Line2D([], [], **LOOK, marker="o", color=GREY, markerfacecolor=face, label=label)
-        for label, face in told.items()
+        for label, face in faces.items()
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False)
     return figure

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, NullLocator
@@ -42,16 +43,8 @@ def plot_frequencies(
     figure = Figure(figsize=(0.8 + 3.6 * len(scores), 3.0), layout="constrained")
     for index, (title, (means, half_widths)) in enumerate(scores.items()):
         panel = figure.add_subplot(1, len(scores), index + 1)
-        panel.errorbar(
-            frequencies,
-            means,
-            half_widths,
-            color=BLUE,
-            marker="o",
-            markersize=4,
-            linewidth=1.2,
-            capsize=3,
-        )
+        look: dict[str, Any] = {"color": BLUE, "marker": "o", "markersize": 4, "linewidth": 1.2}
+        panel.errorbar(frequencies, means, half_widths, capsize=3, **look)
         panel.set(title=title, xscale="log", xlabel="sampling frequency (Hz)")
         ticks = [tick for tick in TICKS if min(frequencies) <= tick <= max(frequencies)]
         panel.set_xticks(ticks, [f"{tick}" for tick in ticks])

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torch_pmil.plotting.calibration import draw_rates, draw_success_calibration
+from reproduction.plots.calibration import draw_success_calibration
+from torch_pmil.plotting.calibration import draw_rates
 from torch_pmil.plotting.style import BLUE, DARK, VERMILLION, WIDTH, check_some, style
 
 COLOURS = (BLUE, VERMILLION)
@@ -20,15 +21,15 @@ def plot_promises(
 ) -> Figure:
     """Predicted success rates beside measured ones.
 
-    On the left those of trials, as predicted before their rollouts. On the right what is promised
-    of the saved policies at the end of their runs, as a lower bound; its axes begin below the least
-    rate. A promise is kept on and above the dashed diagonal.
+    The left panel shows trials, as predicted before their rollouts. The right one shows the lower
+    bounds promised for the saved policies at the end of their runs; its axes begin below the
+    smallest rate. A promise is kept on and above the dashed diagonal.
 
     Args:
         forecasts: "trials" and "bins" of
-            :func:`~torch_pmil.plotting.calibration.plot_success_calibration`.
-        claimed: promised and measured rate of the runs that ended since they had learned.
-        others: of the other runs.
+            :func:`~reproduction.plots.calibration.plot_success_calibration`.
+        claimed: promised and measured rate of the runs that ended because they had learned.
+        others: promised and measured rate of the other runs.
 
     Raises:
         ValueError: there is no trial, or no run.

@@ -14,6 +14,7 @@ from tests.helpers.draws import Draws
 from tests.helpers.losses import SPACE, make_parts
 from tests.helpers.run_script import run_command
 from tests.runs.report.test_report import OLD, run_of
+from torch_pmil import cli
 from torch_pmil.control.policy_file import save_policy
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.runs.run_folder import write_origin
@@ -109,12 +110,12 @@ def contents(folder: Path) -> dict[str, tuple[int, int]]:
 
 
 LINES = (
-    ("nonsense", COMMANDS),
+    ("nonsense", f"the command must be one of {', '.join(cli.COMMANDS)}, got 'nonsense'"),
     ("Train", COMMANDS),
     ("--nope", COMMANDS),
     ("seed=1", COMMANDS),
     ("''", COMMANDS),
-    ("train --nope", "unrecognized arguments: --nope (pmil train --help tells"),
+    ("train --nope", "unrecognized arguments: --nope (see pmil train --help)"),
     ("train --config-dir", "argument --config-dir/-cd: expected one argument"),
     ("train --config-name=nothing", "Cannot find primary config 'nothing'"),
     ("train --config-dir=nowhere", "Additional config directory "),
@@ -207,14 +208,8 @@ LINES = (
     ("train input_widths=[1,2]", "input_widths must have shape (6,), got (2,)"),
     ("train input_widths=[a,b]", "input_widths must be numbers, got ['a', 'b']"),
     ("train 'least_widths=[1,1,1,1,1,-1]'", "least_widths must be positive, got [1.0, "),
-    (
-        "train search.final_iterations=many",
-        "search.final_iterations must be an integer of at",
-    ),
-    (
-        "train search.final_iterations=-1",
-        "search.final_iterations must be an integer of at",
-    ),
+    ("train search.final_iterations=many", "search.final_iterations must be an integer of at"),
+    ("train search.final_iterations=-1", "search.final_iterations must be an integer of at"),
     ("train search.trust_threshold=inf", "search.trust_threshold must be a finite number that is"),
     ("train search.skip_matched_steps=1", "search.skip_matched_steps must be true or false, got 1"),
     ("train search.iterations=1", "there is no setting search.iterations in search.iterations=1:"),
@@ -225,21 +220,12 @@ LINES = (
     ("train exploration.hold=2", "a setting of double_pendulum must be one of num_centres, "),
     ("train experiment=biorob exploration.hold=0", "exploration.hold must be a whole number of at"),
     ("train experiment=biorob exploration.pose=[0]", "exploration.reach and gain must have shapes"),
-    (
-        "train experiment=biorob random_action=0.5",
-        "a setting of biorob must be one of num_centres",
-    ),
+    ("train experiment=biorob random_action=0.5", "a setting of biorob must be one of num_centres"),
     ("train experiment=double_pendulum_pilco target=[1]", "target must have shape (4,), got (1,)"),
     ("train settings=missing.yaml", "there is no file missing.yaml"),
     ("train settings=", ".: must be a regular file of at most 16384 bytes, got a folder"),
-    (
-        "train settings=folder",
-        "folder: must be a regular file of at most 16384 bytes, got a",
-    ),
-    (
-        "train settings=pipe.csv",
-        "pipe.csv: must be a regular file of at most 16384 bytes, ",
-    ),
+    ("train settings=folder", "folder: must be a regular file of at most 16384 bytes, got a"),
+    ("train settings=pipe.csv", "pipe.csv: must be a regular file of at most 16384 bytes, "),
     ("train settings=/dev/zero", "/dev/zero: must be a regular file of at most 16384 bytes, got a"),
     ("train settings=binary.npz", "binary.npz: must be UTF-8, got 'utf-8' codec"),
     ("train settings=file settings=file", "settings=FILE must be given once, got settings=file"),
@@ -264,7 +250,7 @@ LINES = (
     ("resume other", "other was begun by python other.py, not by pmil train"),
     ("resume stopped sede=1", "there is no setting sede in sede=1: did you mean seed?"),
     ("resume stopped trials=0", f"{TRIALS}0"),
-    ("resume stopped --nope", "unrecognized arguments: --nope (pmil resume --help tells"),
+    ("resume stopped --nope", "unrecognized arguments: --nope (see pmil resume --help)"),
     ("resume stopped ~seed", "a setting must be seed=VALUE, got ~seed"),
     ("report", "the following arguments are required: RUN"),
     ("report nowhere", "nowhere holds no finished run: there is no folder nowhere"),
@@ -312,6 +298,7 @@ LINES = (
     ("align own.csv out.npz --velocities z", "velocities must be columns of x, y, got z"),
     ("align own.csv out.npz --derive dx=x", "--derive needs --smooth PERIOD"),
     ("align own.csv out.npz --derive dx --smooth 0.3", "argument --derive: must be VELOCITY="),
+    ("align own.csv out.npz --derive dz=z --smooth 0.3", "velocities must be columns of x, y, got"),
     ("align own.csv out.npz --smooth nan", "period must be positive and at most the duration"),
     ("align own.csv out.npz --fastest -1", "fastest must be positive, got "),
     ("align own.csv out.npz --marker 1 2 3", "argument --marker: expected 4 arguments"),
@@ -319,7 +306,9 @@ LINES = (
     ("align own.csv out.npz --names a", "own.csv: names must be 2 different names"),
     ("draw out.txt", "out.txt: demonstrations are written to a .npz file"),
     ("draw nowhere/out.npz", "nowhere/out.npz: there is no folder nowhere"),
-    ("draw ready.npz", "ready.npz is there already; say another name"),
+    ("draw ready.npz", "ready.npz is there already; choose another name"),
+    ("draw own.npz", "own.csv is there already; choose another name"),
+    ("draw out.npz --time-step 1", "the time step must be from 0.01 to 0.3 s, got 1 s"),
     ("draw out.npz --time-step nan", "the time step must be from 0.01 to 0.3 s, got nan s"),
     ("draw out.npz extra", "unrecognized arguments: extra"),
     ("export policy.pt", "the following arguments are required: out"),
@@ -330,6 +319,7 @@ LINES = (
     ("export pipe.csv out.pt2", "pipe.csv: must be a file of save_policy: must be a regular file"),
     ("export /dev/zero out.pt2", "/dev/zero: must be a file of save_policy: must be a regular"),
     ("export policy.pt out.txt", "an exported policy must be a .pt2 file, got out.txt"),
+    ("export policy.pt nowhere/out.pt2", "there is no folder nowhere"),
     ("export policy.pt folder.pt2", "folder.pt2: Is a directory"),
 )
 

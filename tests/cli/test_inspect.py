@@ -21,6 +21,9 @@ from torch_pmil.demonstrations import (
 from torch_pmil.demonstrations.inspection import advice, describe, spread, velocities_of
 
 Command = Callable[..., str]
+Motion = Callable[[np.ndarray], np.ndarray]
+NAMES = ["biorob", "biorob_targets", "double_pendulum", "double_pendulum_targets"]
+NAMES += ["gym_pendulum", "inverted_pendulum"]
 
 
 def recordings(
@@ -33,15 +36,13 @@ def recordings(
         for column in zip(*samples, strict=True)
     )
     labels = tuple(str(number) for number in range(len(samples)))
-    shown = None if targets is None else torch.tensor(targets, dtype=torch.float64)[:, None]
-    return Recordings(
-        labels, times, values, names, shown, () if targets is None else ("place",), format="CSV"
-    )
+    shown, places = None, ()
+    if targets is not None:
+        shown, places = torch.tensor(targets, dtype=torch.float64)[:, None], ("place",)
+    return Recordings(labels, times, values, names, shown, places, format="CSV")
 
 
-def at(
-    duration: float, samples: int, motion: Callable[[np.ndarray], np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
+def at(duration: float, samples: int, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     times = np.linspace(0, duration, samples)
     return times, motion(times / duration)[:, None]
 
@@ -53,56 +54,34 @@ def test_spread_of_the_same_motion_at_other_paces_is_zero() -> None:
 
 def test_spread_is_the_standard_deviation_of_an_offset() -> None:
     offsets = [-1.0, 0.5, 2.0]
-    shown = recordings(
-        *(
-            at(duration, 101, lambda s, by=by: by + s)
-            for duration, by in zip((1, 2, 3), offsets, strict=True)
-        )
-    )
+    motions = enumerate(offsets, start=1)
+    shown = recordings(*(at(duration, 101, lambda s, by=by: by + s) for duration, by in motions))
     np.testing.assert_allclose(spread(shown), [np.std(offsets, ddof=1)], rtol=1e-12)
 
 
 def test_spread_between_targets_does_not_count() -> None:
     offsets = [0.0, 1.0, 10.0, 11.0]
-    shown = recordings(
-        *(at(1, 11, lambda s, by=by: by + s) for by in offsets), targets=[0, 0, 1, 1]
-    )
+    motions = (at(1, 11, lambda s, by=by: by + s) for by in offsets)
+    shown = recordings(*motions, targets=[0, 0, 1, 1])
     np.testing.assert_allclose(spread(shown), [np.sqrt(0.5)], rtol=1e-12)
     assert np.isnan(spread(recordings(at(1, 11, np.square)))).all()
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "biorob",
-        "biorob_targets",
-        "double_pendulum",
-        "double_pendulum_targets",
-        "gym_pendulum",
-        "inverted_pendulum",
-    ],
-)
-def test_velocities_are_told_from_positions_by_what_they_are(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("name", NAMES)
+def test_velocities_are_recognised_by_what_they_are(tmp_path: Path, name: str) -> None:
     shipped_demonstrations(name).save(tmp_path / "shown.npz")
     shown = load_recordings(tmp_path / "shown.npz")
     named = {f"d{name}": name for name in shown.names if f"d{name}" in shown.names}
-    assert {
-        shown.names[velocity]: shown.names[position]
-        for velocity, position in velocities_of(shown).items()
-    } == named
+    found = velocities_of(shown).items()
+    assert {shown.names[rate]: shown.names[position] for rate, position in found} == named
     assert len(named) == (3 if name.startswith("biorob") else 0)
 
 
-def test_summary_tells_number_lengths_rate_ranges_and_targets() -> None:
-    shown = recordings(
-        at(1, 11, np.square),
-        at(2, 21, np.square),
-        at(1, 11, np.sqrt),
-        at(2, 21, np.sqrt),
-        targets=[0, 0, 1, 1],
-    )
+def test_summary_has_number_lengths_rate_ranges_and_targets() -> None:
+    motions = [at(n, 10 * n + 1, motion) for motion in (np.square, np.sqrt) for n in (1, 2)]
+    shown = recordings(*motions, targets=[0, 0, 1, 1])
     summary = dict(line.split("  ", 1) for line in describe(shown).splitlines()[:6])
-    told = {name.strip(): text.strip() for name, text in summary.items()}
+    listed = {name.strip(): text.strip() for name, text in summary.items()}
     expected = {
         "demonstrations": "4",
         "samples": "11 to 21",
@@ -111,7 +90,7 @@ def test_summary_tells_number_lengths_rate_ranges_and_targets() -> None:
         "targets": "2 of place",
         "format": "CSV",
     }
-    assert told == expected
+    assert listed == expected
     assert describe(shown).splitlines()[8].split()[:4] == ["x", "?", "0", "1"]
 
 
@@ -153,16 +132,11 @@ FITTING = [at(1, 11, np.square), at(1, 11, np.sin)]
     ],
 )
 def test_what_is_missing_for_training_is_listed(shown: Recordings, expected: list[str]) -> None:
-    told = advice(shown, "recorded.csv", 0.1)
-    assert (
-        told.pop()
-        == "positions alone, no velocities: enough where the match space observes positions"
-    )
     if any("sample" in line or "step" in line for line in expected):
-        assert (
-            told.pop() == "align them: pmil align recorded.csv demonstrations.npz --time-step 0.1"
-        )
-    assert told == expected
+        align = "align them: pmil align recorded.csv demonstrations.npz --time-step 0.1"
+        expected = [*expected, align]
+    alone = "positions alone, no velocities: enough where the match space observes positions"
+    assert advice(shown, "recorded.csv", 0.1) == [*expected, alone]
 
 
 def test_nothing_is_missing_from_what_training_takes(tmp_path: Path) -> None:
@@ -188,9 +162,8 @@ def recorded(tmp_path: Path) -> Path:
     for label, samples in enumerate((101, 121, 91)):
         s = np.linspace(0, 1, samples)
         q, dq = 10 * s**3 - 15 * s**4 + 6 * s**5, 30 * (s * (1 - s)) ** 2 / (0.01 * (samples - 1))
-        rows += [
-            f"{label},{0.01 * number},{q[number]},{dq[number]},reach" for number in range(samples)
-        ]
+        motion = enumerate(zip(q, dq, strict=True))
+        rows += [f"{label},{0.01 * number},{at},{rate},reach" for number, (at, rate) in motion]
     (tmp_path / "recorded reaches.csv").write_text("\n".join(rows))
     return tmp_path / "recorded reaches.csv"
 
@@ -205,10 +178,8 @@ def test_command_that_is_advised_makes_what_training_takes(
     monkeypatch.chdir(recorded.parent)
     run_command(monkeypatch, align, *arguments)
     assert isinstance(load_demonstrations("demonstrations.npz", 0.1), Demonstrations)
-    assert inspect("demonstrations.npz").splitlines()[-2:] == [
-        "before training",
-        "- nothing to do: it is loaded as it is",
-    ]
+    end = ["before training", "- nothing to do: it is loaded as it is"]
+    assert inspect("demonstrations.npz").splitlines()[-2:] == end
 
 
 def test_recordings_without_times_are_inspected_and_aligned_at_the_step_that_is_given(
@@ -221,28 +192,19 @@ def test_recordings_without_times_are_inspected_and_aligned_at_the_step_that_is_
     monkeypatch.chdir(tmp_path)
     printed = inspect("reach.hdf5", "--time-step", "0.05", "--control-period", "0.25")
     advised = next(line for line in printed.splitlines() if line.startswith("- align them: "))
-    assert advised.endswith(
-        "reach.hdf5 demonstrations.npz --time-step 0.25 --recorded-time-step 0.05"
-    )
+    options = "--time-step 0.25 --recorded-time-step 0.05"
+    assert advised.endswith(f"reach.hdf5 demonstrations.npz {options}")
     run_command(monkeypatch, "align", *shlex.split(advised)[5:])
     assert load_demonstrations("demonstrations.npz", 0.25).duration == 1.5
 
 
 def test_picture_is_drawn_if_asked(inspect: Command, recorded: Path, tmp_path: Path) -> None:
-    assert f"wrote {tmp_path / 'drawn.png'}" in inspect(
-        recorded, "--keys", "q", "--draw", tmp_path / "drawn.png"
-    )
-    assert (tmp_path / "drawn.png").read_bytes()[:4] == b"\x89PNG"
+    picture = tmp_path / "drawn.png"
+    assert f"wrote {picture}" in inspect(recorded, "--keys", "q", "--draw", picture)
+    assert picture.read_bytes()[:4] == b"\x89PNG"
 
 
-def test_wrong_file_or_key_is_one_line(inspect: Command, recorded: Path, tmp_path: Path) -> None:
-    with pytest.raises(
-        SystemExit,
-        match=r"error: .*recorded reaches.csv: row 2, column phase must be a finite number, got "
-        r"'reach'",
-    ):
+def test_column_of_words_is_one_line(inspect: Command, recorded: Path) -> None:
+    words = "row 2, column phase must be a finite number, got 'reach'"
+    with pytest.raises(SystemExit, match=rf"error: .*recorded reaches.csv: {words}"):
         inspect(recorded)
-    with pytest.raises(SystemExit, match=r"error: .*keys must be some of q, dq, phase, got p"):
-        inspect(recorded, "--keys", "p")
-    with pytest.raises(SystemExit, match=r"error: there is no f"):
-        inspect(tmp_path / "none.csv")

@@ -89,10 +89,8 @@ def test_shipped_policy_does_what_its_summary_says() -> None:
 
 def test_without_a_run_and_a_screen_a_gif_shows_a_swing_up(script: Script, capsys: Printed) -> None:
     script()
-    assert capsys.readouterr().out == (
-        "wrote play.gif: double_pendulum, 1 motion of 2.5 s from a fresh start, 1 of 1 with "
-        "success\n"
-    )
+    motion = "1 motion of 2.5 s from a fresh start, 1 of 1 with success"
+    assert capsys.readouterr().out == f"wrote play.gif: double_pendulum, {motion}\n"
     levels = np.array(brightness("play.gif"))
     assert len(levels) in range(IN_GIF, IN_GIF + 22)  # it rests at the end for a second
     assert levels[0] < 5 and levels[2 * STEPS] > 250
@@ -116,9 +114,8 @@ def test_file_is_a_video_if_its_name_says_so(script: Script, capsys: Printed) ->
 
 def test_failures_are_counted_as_such(script: Script, tmp_path: Path, capsys: Printed) -> None:
     script(run_of(tmp_path / "run"), "--starts", 3)
-    assert capsys.readouterr().out.endswith(
-        "3 motions of 2.5 s from a fresh start, 0 of 3 with success\n"
-    )
+    said = "3 motions of 2.5 s from a fresh start, 0 of 3 with success\n"
+    assert capsys.readouterr().out.endswith(said)
 
 
 def test_run_of_own_demonstrations_is_as_long_as_they_are(
@@ -153,41 +150,33 @@ def damaged_policy(run: Path) -> None:
     (run / "policy.pt").write_bytes((run / "policy.pt").read_bytes()[:-100])
 
 
-def other_robot(run: Path) -> None:
-    (run / "summary.json").write_text(json.dumps({"experiment": "biorob"}))
+def with_text(name: str, text: str) -> Callable[[Path], Any]:
+    """Damage: another text in this file of a run."""
+    return lambda run: (run / name).write_text(text)
 
 
-def own_robot(run: Path) -> None:
-    (run / "summary.json").write_text(json.dumps({"experiment": "my arm"}))
-
-
-def settings_of_nothing(run: Path) -> None:
-    (run / "settings.yaml").write_text("sead: 1")
-
-
-def no_experiment(run: Path) -> None:
-    (run / "summary.json").write_text("{}")
-
-
-def own_demonstrations_gone(run: Path) -> None:
-    write_settings(run, {"demonstrations": "gone.npz"})
+NOT_FINISHED = "run must be the folder of a finished run, but"
+OTHER_ROBOT = "run/policy.pt must be a policy of biorob, from q_yaw, q_shoulder, q_elbow, "
 
 
 @pytest.mark.parametrize(
     ("damage", "complaint"),
     [
-        (shutil.rmtree, "run must be the folder of a finished run, but holds no policy.pt"),
-        (lambda run: (run / "policy.pt").unlink(), "run must be the folder of a finished run, but"),
+        (shutil.rmtree, f"{NOT_FINISHED} holds no policy.pt"),
+        (lambda run: (run / "policy.pt").unlink(), NOT_FINISHED),
         (lambda run: (run / "summary.json").unlink(), "but holds no summary.json"),
         (damaged_policy, "run/policy.pt: must be a file of save_policy"),
+        (with_text("summary.json", '{"experiment": "biorob"}'), OTHER_ROBOT),
+        (with_text("settings.yaml", "sead: 1"), "run/settings.yaml: there is no setting sead"),
+        (with_text("summary.json", "{}"), "run: summary.json is damaged: 'experiment'"),
         (
-            other_robot,
-            "run/policy.pt must be a policy of biorob, from q_yaw, q_shoulder, q_elbow, ",
+            with_text("summary.json", '{"experiment": "my arm"}'),
+            "play it in Python, env.rollout(steps, load_policy('run/policy.pt')",
         ),
-        (settings_of_nothing, "run/settings.yaml: there is no setting sead"),
-        (no_experiment, "run: summary.json is damaged: 'experiment'"),
-        (own_robot, "play it in Python, env.rollout(steps, load_policy('run/policy.pt')"),
-        (own_demonstrations_gone, "error: there is no file gone.npz"),
+        (
+            lambda run: write_settings(run, {"demonstrations": "gone.npz"}),
+            "error: there is no file gone.npz",
+        ),
     ],
 )
 def test_what_is_no_run_that_can_be_played_is_one_line(
@@ -306,9 +295,8 @@ def test_interrupt_closes_the_window_and_is_no_error(
     monkeypatch.setattr(play, "has_screen", lambda: True)
     script()
     assert window.closed
-    assert capsys.readouterr().out == (
-        "double_pendulum: close the window, or press Ctrl-C, to end\n"
-    )
+    said = "double_pendulum: close the window, or press Ctrl-C, to end\n"
+    assert capsys.readouterr().out == said
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,4 @@
-"""The script that puts several runs together: its table, its two files, and one line for what is
-wrong.
-"""
+"""``pmil summarize``: its table, its two files, and one line for what is wrong."""
 
 from __future__ import annotations
 
@@ -14,30 +12,17 @@ import pytest
 from tests.helpers.run_script import run_command
 from torch_pmil.runs.summaries import wilson_interval
 
-COMMAND = "summarize"
-
 
 def write_run(
     folder: Path, seed: int, experience_s: float, rate: float, experiment: str = "double_pendulum"
 ) -> Path:
     """A finished run with one trial, which failed."""
-    run = folder / f"seed_{seed}"
-    run.mkdir(parents=True)
-    (run / "metrics.csv").write_text("trial,kl\n1,3.0\n")
-    summary = {
-        "experiment": experiment,
-        "seed": seed,
-        "experience_s": experience_s,
-        "saved_success_rate": rate,
-        "saved_trial": 1,
-    }
-    measured = {
-        "wall_seconds": 100.0 + seed,
-        "two_sigma_coverage": 0.9,
-        "stop_reason": "limit of trials",
-    }
+    run = write_unfinished_run(folder, seed)
+    summary = {"experiment": experiment, "seed": seed, "experience_s": experience_s}
+    summary |= {"saved_success_rate": rate, "saved_trial": 1, "two_sigma_coverage": 0.9}
+    summary |= {"wall_seconds": 100.0 + seed, "stop_reason": "limit of trials"}
     trials = [{"experience_s": 2.5, "success_rate": 0.0}]
-    (run / "summary.json").write_text(json.dumps({**summary, **measured, "trials": trials}))
+    (run / "summary.json").write_text(json.dumps({**summary, "trials": trials}))
     return run
 
 
@@ -48,8 +33,12 @@ def write_unfinished_run(folder: Path, seed: int) -> Path:
     return run
 
 
+def summary_in(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
 def summarize(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> None:
-    run_command(monkeypatch, COMMAND, *arguments)
+    run_command(monkeypatch, "summarize", *arguments)
 
 
 def error_of(monkeypatch: pytest.MonkeyPatch, *arguments: Path | str) -> str:
@@ -67,17 +56,12 @@ def test_headline_counts_runs_that_learned_within_the_papers_experience(
     for run in ((2, 20.0, 0.9), (0, 25.0, 0.95), (1, 35.0, 1.0)):
         write_run(tmp_path / "runs", *run)
     summarize(monkeypatch, tmp_path / "runs", "--out", tmp_path / "results")
-    merged = json.loads((tmp_path / "results" / "summary.json").read_text())
+    merged = summary_in(tmp_path / "results")
     assert [run["seed"] for run in merged["runs"]] == [0, 1, 2]
     headline = merged["headline"]
-    assert (headline["seeds"], headline["learned_within_33s"], headline["median_experience_s"]) == (
-        3,
-        1,
-        25.0,
-    )
-    assert headline["max_wall_seconds"] == 102.0 and headline[
-        "two_sigma_coverage"
-    ] == pytest.approx(0.9)
+    assert (headline["seeds"], headline["learned_within_33s"]) == (3, 1)
+    assert (headline["median_experience_s"], headline["max_wall_seconds"]) == (25.0, 102.0)
+    assert headline["two_sigma_coverage"] == pytest.approx(0.9)
 
 
 def test_results_say_where_they_come_from_and_hold_the_curve_with_its_interval(
@@ -85,21 +69,16 @@ def test_results_say_where_they_come_from_and_hold_the_curve_with_its_interval(
 ) -> None:
     runs = [write_run(tmp_path / "runs", seed, 5.0, rate) for seed, rate in enumerate((1.0, 0.5))]
     summarize(monkeypatch, *runs, "--out", tmp_path / "results")
-    merged = json.loads((tmp_path / "results" / "summary.json").read_text())
+    merged = summary_in(tmp_path / "results")
     assert merged["command"] == f"pmil summarize {runs[0]} {runs[1]} --out {tmp_path / 'results'}"
     assert {"experiment", "date", "commit", "versions"} <= merged.keys()
     curve = merged["success_over_experience"]
     assert (curve["experience_s"], curve["mean"]) == ([2.5, 5.0], [0.0, 0.75])
-    np.testing.assert_allclose(
-        [curve["lower"], curve["upper"]], wilson_interval(np.array([0.0, 0.75]), 2)
-    )
-    assert (
-        (tmp_path / "results" / "success_over_experience.png").read_bytes().startswith(b"\x89PNG")
-    )
-    assert sorted(os.listdir(tmp_path / "results")) == [
-        "success_over_experience.png",
-        "summary.json",
-    ]
+    interval = wilson_interval(np.array([0.0, 0.75]), 2)
+    np.testing.assert_allclose([curve["lower"], curve["upper"]], interval)
+    picture = tmp_path / "results" / "success_over_experience.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert sorted(os.listdir(tmp_path / "results")) == [picture.name, "summary.json"]
 
 
 def test_results_lie_beside_the_runs_if_not_said_otherwise_and_can_be_made_again(
@@ -108,9 +87,7 @@ def test_results_lie_beside_the_runs_if_not_said_otherwise_and_can_be_made_again
     run = write_run(tmp_path / "runs", 0, 5.0, 1.0)
     for folder in (tmp_path / "runs", run):
         summarize(monkeypatch, folder)
-        assert (
-            json.loads((tmp_path / "runs" / "summary.json").read_text())["headline"]["seeds"] == 1
-        )
+        assert summary_in(tmp_path / "runs")["headline"]["seeds"] == 1
 
 
 def test_table_has_a_line_for_each_run_and_leaves_out_those_that_have_not_ended(
@@ -124,16 +101,14 @@ def test_table_has_a_line_for_each_run_and_leaves_out_those_that_have_not_ended(
     assert [Path(row[0]).name for row in rows[1:4]] == ["seed_9", "seed_10", "seed_3"]
     assert rows[1][1:] == ["27.5", "1", "1", "95%", "109", "limit", "of", "trials"]
     assert rows[3][1:] == ["2", "not", "ended:", "left", "out"]
-    assert json.loads((tmp_path / "runs" / "summary.json").read_text())["headline"]["seeds"] == 2
+    assert summary_in(tmp_path / "runs")["headline"]["seeds"] == 2
 
 
 def test_runs_of_two_experiments_are_refused(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    (
-        write_run(tmp_path / "a", 0, 20.0, 1.0),
-        write_run(tmp_path / "b", 1, 20.0, 1.0, experiment="biorob"),
-    )
+    write_run(tmp_path / "a", 0, 20.0, 1.0)
+    write_run(tmp_path / "b", 1, 20.0, 1.0, experiment="biorob")
     complaint = error_of(monkeypatch, tmp_path / "a", tmp_path / "b", "--out", tmp_path / "results")
     assert complaint == "runs must be of one experiment, got biorob, double_pendulum"
     assert not (tmp_path / "results").exists()
@@ -145,14 +120,9 @@ def test_a_damaged_run_is_named_and_nothing_is_written(
     write_run(tmp_path / "runs", 0, 20.0, 1.0)
     damaged = write_run(tmp_path / "runs", 1, 20.0, 1.0)
     (damaged / "summary.json").write_text('{"experiment": "double_pen')
-    assert error_of(monkeypatch, tmp_path / "runs").startswith(
-        f"{damaged}: summary.json is damaged: "
-    )
+    message = f"{damaged}: summary.json is damaged: "
+    assert error_of(monkeypatch, tmp_path / "runs").startswith(message)
     assert sorted(os.listdir(tmp_path / "runs")) == ["seed_0", "seed_1"]
-
-
-def test_folder_without_runs_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert error_of(monkeypatch, tmp_path).startswith(f"{tmp_path} holds no run")
 
 
 def test_runs_none_of_which_has_ended_are_refused(
@@ -165,8 +135,6 @@ def test_runs_none_of_which_has_ended_are_refused(
 def test_summary_of_a_run_is_not_replaced(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     run = write_run(tmp_path / "runs", 0, 5.0, 1.0)
     before = (run / "summary.json").read_text()
-    assert (
-        error_of(monkeypatch, run, "--out", run)
-        == f"{run} is a run: the results would replace its summary.json"
-    )
+    message = f"{run} is a run: the results would replace its summary.json"
+    assert error_of(monkeypatch, run, "--out", run) == message
     assert (run / "summary.json").read_text() == before

@@ -1,6 +1,4 @@
-"""Recordings drawn: every demonstration in every panel, told apart, and paths in the plane of x and
-y.
-"""
+"""Recordings drawn: every demonstration in every panel, and paths in the plane of x and y."""
 
 from __future__ import annotations
 
@@ -19,15 +17,9 @@ def drawn(
 ) -> tuple[Figure, list[torch.Tensor], list[torch.Tensor]]:
     generator = torch.Generator().manual_seed(0)
     times = [5 + 0.1 * torch.arange(10 + number, dtype=torch.float64) for number in range(count)]
-    values = [
-        torch.randn(len(time), len(names), generator=generator, dtype=torch.float64)
-        for time in times
-    ]
-    return (
-        plot_recordings([str(number) for number in range(count)], times, values, names, units),
-        times,
-        values,
-    )
+    values = [torch.randn(len(time), len(names), generator=generator).double() for time in times]
+    labels = [str(number) for number in range(count)]
+    return plot_recordings(labels, times, values, names, units), times, values
 
 
 def test_every_demonstration_is_in_every_panel_from_time_0() -> None:
@@ -41,18 +33,12 @@ def test_every_demonstration_is_in_every_panel_from_time_0() -> None:
 def test_pairs_x_and_y_have_their_plane_with_starts_and_ends() -> None:
     figure, _, values = drawn(2, ("x1", "y1", "q", "x2", "y2"), ("m", "m", "rad", "m", "m"))
     for plane, (x, y) in zip(figure.axes[5:], ((0, 1), (3, 4)), strict=True):
-        assert (plane.get_xlabel(), plane.get_ylabel()) == (
-            f"x{1 + x // 3} (m)",
-            f"y{1 + x // 3} (m)",
-        )
+        number = 1 + x // 3
+        assert (plane.get_xlabel(), plane.get_ylabel()) == (f"x{number} (m)", f"y{number} (m)")
         assert plane.get_aspect() == 1
-        for value, (path, start, end) in zip(
-            values, zip(*[iter(plane.lines)] * 3, strict=True), strict=True
-        ):
-            assert np.array_equal(path.get_xydata(), value[:, [x, y]])
-            assert np.array_equal(start.get_xydata()[0], value[0, [x, y]]) and np.array_equal(
-                end.get_xydata()[0], value[-1, [x, y]]
-            )
+        parts = [part for value in values for part in (value, value[:1], value[-1:])]
+        for line, part in zip(plane.lines, parts, strict=True):
+            assert np.array_equal(line.get_xydata(), part[:, [x, y]])
         assert [text.get_text() for text in plane.get_legend().get_texts()] == ["start", "end"]
 
 
@@ -61,7 +47,7 @@ def test_other_entries_have_no_plane(names: tuple[str, ...]) -> None:
     assert len(drawn(2, names)[0].axes) == len(names)
 
 
-def test_demonstrations_are_told_apart_while_they_can_be() -> None:
+def test_demonstrations_look_different_while_they_can() -> None:
     lines = drawn(15, ("q",))[0].axes[0].lines
     looks = {
         (line.get_color(), str(line.get_linestyle()), str(line._unscaled_dash_pattern))
@@ -82,11 +68,3 @@ def test_legend_is_no_wider_than_the_figure_and_panels_do_not_overlap(count: int
     assert not any(
         one.get_tightbbox().overlaps(other.get_tightbbox()) for one, other in pairwise(figure.axes)
     )
-
-
-def test_numbers_that_do_not_fit_are_refused() -> None:
-    time = torch.arange(3.0)
-    with pytest.raises(
-        ValueError, match="1 labels and 2 names must be those of 1 trajectories of 1"
-    ):
-        plot_recordings(["1"], [time], [time[:, None]], ["q", "dq"])

@@ -25,27 +25,17 @@ from torch_pmil.plotting.video import render_rollout, write_gif, write_video
 
 def shades(count: int, height: int = 32, width: int = 48) -> list[np.ndarray]:
     """Pictures from black to white."""
-    return [
-        np.full((height, width, 3), level, dtype=np.uint8) for level in np.linspace(0, 255, count)
-    ]
+    levels = np.linspace(0, 255, count)
+    return [np.full((height, width, 3), level, dtype=np.uint8) for level in levels]
 
 
 def decode(path: Path, height: int, width: int) -> tuple[str, np.ndarray]:
     """What ffmpeg says about a video, and its frames (count, height, width, 3)."""
-    command = [
-        imageio_ffmpeg.get_ffmpeg_exe(),
-        "-i",
-        path,
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-",
-    ]
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", path, *raw]
     decoded = subprocess.run(command, capture_output=True, check=True)
-    return decoded.stderr.decode(), np.frombuffer(decoded.stdout, np.uint8).reshape(
-        -1, height, width, 3
-    )
+    frames = np.frombuffer(decoded.stdout, np.uint8).reshape(-1, height, width, 3)
+    return decoded.stderr.decode(), frames
 
 
 class StatesAsPictures(DoublePendulumEnv):
@@ -58,14 +48,15 @@ class StatesAsPictures(DoublePendulumEnv):
 @pytest.mark.parametrize(("height", "width"), [(32, 48), (33, 47), (50, 50)])
 def test_video_decodes_to_the_frames_written(tmp_path: Path, height: int, width: int) -> None:
     path, frames = tmp_path / "shades.mp4", shades(7, height, width)
+    path.write_text("old")
     write_video(path, iter(frames), fps=50)
+    assert list(tmp_path.iterdir()) == [path]
     even = height + height % 2, width + width % 2
     about, decoded = decode(path, *even)
     assert re.search(rf"Video: h264 .* yuv420p\b.*, {even[1]}x{even[0]}\b.*, 50 fps", about)
     assert len(decoded) == 7
-    np.testing.assert_allclose(
-        decoded[:, :height, :width].mean((1, 2, 3)), [frame.mean() for frame in frames], atol=6
-    )
+    means = decoded[:, :height, :width].mean((1, 2, 3))
+    np.testing.assert_allclose(means, [frame.mean() for frame in frames], atol=6)
 
 
 def test_encoding_is_silent(
@@ -74,14 +65,6 @@ def test_encoding_is_silent(
     write_video(tmp_path / "odd.mp4", shades(3, 33, 47), fps=50)
     assert capfd.readouterr() == ("", "")
     assert not caplog.records
-
-
-def test_video_replaces_the_old_one_and_leaves_nothing_else(tmp_path: Path) -> None:
-    path = tmp_path / "shades.mp4"
-    path.write_text("old")
-    write_video(path, shades(3), fps=25)
-    assert imageio_ffmpeg.count_frames_and_secs(path)[0] == 3
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("whole", [0, 2])
@@ -101,7 +84,6 @@ def test_frames_that_fail_leave_the_old_video(tmp_path: Path, whole: int) -> Non
 @pytest.mark.parametrize(
     ("frames", "message"),
     [
-        ([], "a video needs at least one frame, got none"),
         (
             [np.zeros((32, 48), np.uint8)],
             r"frames must have shape \(height, width, 3\), got \(32, 48\)",
@@ -110,18 +92,12 @@ def test_frames_that_fail_leave_the_old_video(tmp_path: Path, whole: int) -> Non
             [*shades(2), *shades(1, 16, 16)],
             r"frame 2 must be uint8 of shape \(32, 48, 3\), got uint8 of shape \(16, 16, 3\)",
         ),
-        ([np.zeros((32, 48, 3))], r"frame 0 must be uint8 of shape \(32, 48, 3\), got float64"),
     ],
 )
 def test_bad_frames_are_refused(tmp_path: Path, frames: list[np.ndarray], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         write_video(tmp_path / "bad.mp4", frames, fps=50)
     assert not list(tmp_path.iterdir())
-
-
-def test_missing_folder_is_an_os_error(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="missing"):
-        write_video(tmp_path / "missing" / "shades.mp4", shades(2), fps=50)
 
 
 def test_rollout_is_pictured_five_times_a_step_along_its_own_motion() -> None:
@@ -150,9 +126,8 @@ def test_gif_shows_the_video_in_its_own_time_rests_for_a_second_and_begins_anew(
         assert gif.info["loop"] == 0  # for ever
         assert gif.size == (48, 32)
     assert sum(durations) == pytest.approx(2000, abs=40)  # ms
-    moving = 25
-    np.testing.assert_allclose(shown[:moving], np.linspace(0, 255, 50)[::2], atol=12)
-    np.testing.assert_allclose(shown[moving:], 255, atol=12)
+    np.testing.assert_allclose(shown[:25], np.linspace(0, 255, 50)[::2], atol=12)
+    np.testing.assert_allclose(shown[25:], 255, atol=12)
 
 
 @pytest.mark.parametrize("content", [None, b"no video"])
@@ -169,7 +144,7 @@ def test_gif_of_no_video_is_an_os_error_and_leaves_the_old_one(
     assert {path.name for path in tmp_path.iterdir()} <= {"shades.mp4", "shades.gif"}
 
 
-def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+def ffmpeg_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:
     """A program in ffmpeg's place."""
     program = tmp_path / "ffmpeg"
     program.write_text(f"#!/bin/sh\n{script}\n")
@@ -190,7 +165,7 @@ def test_ffmpeg_that_hangs_or_fails_is_an_os_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, said: str
 ) -> None:
     monkeypatch.setattr(video, "PATIENCE", 0.5)
-    stand_in(tmp_path, monkeypatch, script)
+    ffmpeg_does(tmp_path, monkeypatch, script)
     begun = time.monotonic()
     with pytest.raises(OSError, match=said):  # more bytes than a pipe holds
         write_video(tmp_path / "shades.mp4", shades(3, 200, 200), fps=50)
@@ -203,14 +178,13 @@ def test_ffmpeg_that_hangs_or_fails_is_an_os_error(
 def test_ffmpeg_makes_no_file_anew_after_the_death_of_the_process_that_began_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It may be slow to begin, and whoever goes on with the run removes what that left before."""
+    """It may be slow to begin; a run that is resumed meanwhile removes what was left before."""
     out, step = tmp_path / "run", f"touch {tmp_path}/{{}}"
     out.mkdir()
     wait = f"while [ ! -e {tmp_path}/go ]; do sleep 0.01; done"
     write = 'for last; do :; done; echo late > "${last#file:}"'
-    stand_in(
-        tmp_path, monkeypatch, f"{step.format('begun')}; {wait}; {write}; {step.format('ended')}"
-    )
+    begin, end = step.format("begun"), step.format("ended")
+    ffmpeg_does(tmp_path, monkeypatch, f"{begin}; {wait}; {write}; {end}")
     maker = fork(lambda: write_video(out / "shades.mp4", shades(2), fps=50), tmp_path / "log")
     wait_for(tmp_path / "begun")
     os.kill(maker, signal.SIGKILL)

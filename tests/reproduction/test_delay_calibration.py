@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from reproduction.delay_calibration import Calibration, DelayedDoublePendulumEnv, with_delay
+from reproduction.plots.calibration import plot_calibration_ahead
 from tests.helpers.draws import Draws
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.plotting.calibration import plot_calibration_ahead
 
 STEPS = 8
 

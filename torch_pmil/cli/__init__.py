@@ -8,25 +8,39 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+
+from torch_pmil.files import in_words
+
+if TYPE_CHECKING:
+    from torch_pmil.demonstrations import Demonstrations
 
 COMMANDS = {  # in the order in which they are used; each is the module of that name
-    "play": "show a learned policy move; without a run, one that comes with the package",
-    "new": "write a template of a robot of one's own, with what learns on it",
-    "inspect": "say what is in a file of recordings, and what training needs beside it",
-    "align": "make demonstrations of recordings: condition, align, resample",
+    "play": "show a learned policy: that of a run, or one that comes with the package",
+    "new": "write a template: your own robot, its demonstrations, and a script that learns",
+    "inspect": "describe a file of recordings, and list what training needs beyond it",
+    "align": "make demonstrations from recordings: filter, align, resample",
     "draw": "draw demonstrations by hand, in the browser of this machine",
     "train": "learn an experiment from its demonstrations",
-    "resume": "go on with a run that was stopped",
-    "report": "write the report of a finished run anew",
-    "summarize": "put several runs together: table, main numbers, learning curve",
-    "export": "export a learned policy as a program that needs PyTorch alone",
-    "compile": "compile the prediction for this processor, once; or the first training does",
+    "resume": "continue a run that was stopped",
+    "report": "write the report of a finished run again",
+    "summarize": "combine several runs: table, main numbers, learning curve",
+    "export": "export a learned policy as a program that needs only PyTorch",
+    "compile": "compile the prediction for this processor now, not in the first training",
 }
-EXAMPLES = """\
+HELP = """\
+usage: pmil COMMAND ...
+
+Teach a robot from a few demonstrations.
+
+commands (pmil COMMAND --help explains each):
+{}
+
 examples:
   pmil train trials=2                    the double pendulum, into runs/double_pendulum/seed_0
   pmil train experiment=biorob seed=3    another task and seed; all settings: pmil train --help
@@ -37,18 +51,57 @@ the same in Python: import torch_pmil; help(torch_pmil)"""
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, without the usage, which ``--help`` shows."""
+    """A parser whose errors are one line, without the usage."""
 
     def error(self, message: str) -> NoReturn:
         """End the command with what is wrong with its command line."""
-        self.exit(2, f"error: {message} ({self.prog} --help lists what it takes)\n")
+        self.exit(2, f"error: {message} (see {self.prog} --help)\n")
+
+
+def parser_of(doc: str | None) -> Parser:
+    """A parser whose help is the docstring of the command's module."""
+    summary, _, more = (doc or "").partition("\n\n")
+    raw = argparse.RawDescriptionHelpFormatter
+    return Parser(description=summary, epilog=more, formatter_class=raw)
+
+
+def add_reading(parser: Parser, time_step: str) -> None:
+    """Add the options that say how a recording is read; ``time_step`` names the last one."""
+    listed = partial(parser.add_argument, nargs="+", default=[])
+    listed("--keys", metavar="KEY", help="what to read: keys, columns or entries")
+    listed("--names", metavar="NAME", help="names of the entries, in place of the file's")
+    step = "between samples, in s, if the file has no times"
+    parser.add_argument(time_step, type=float, metavar="S", help=step)
+
+
+@contextmanager
+def errors_in_one_line(*kinds: type[Exception]) -> Iterator[None]:
+    """End the command with what an error of these kinds says."""
+    try:
+        yield
+    except kinds as error:
+        sys.exit(f"error: {in_words(error)}")
+
+
+def check_out(out: Path) -> None:
+    """End the command unless demonstrations can be written to a file of this name."""
+    if out.suffix != ".npz":
+        sys.exit(f"error: {out}: demonstrations are written to a .npz file")
+    if not out.parent.is_dir():
+        sys.exit(f"error: {out}: there is no folder {out.parent}")
+
+
+def print_written(out: Path, demonstrations: Demonstrations) -> None:
+    """Print what a file of demonstrations holds."""
+    (count, samples, _), duration = demonstrations.positions.shape, demonstrations.duration
+    print(f"wrote {out}: {count} demonstrations of {samples} samples, {duration:g} s")
 
 
 class LastingOutput:
-    """A text stream that may break: from then on, what is written to it goes nowhere.
+    """A text stream that drops what is written to it once it is broken.
 
-    So a reader that leaves (``| head``) or a disk that is full ends no command half way. What no
-    encoding of the stream has is written as ``?``.
+    So a command does not stop half way if its reader leaves (``| head``) or the disk is full.
+    Characters that the encoding of the stream does not have are written as ``?``.
 
     Args:
         stream: to write to.
@@ -64,7 +117,7 @@ class LastingOutput:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write a text, or nothing; returns its length."""
+        """Write a text, or drop it; returns its length."""
         try:
             return self._stream.write(text)
         except OSError as error:
@@ -79,7 +132,7 @@ class LastingOutput:
             self._fall_silent(error)
 
     def _fall_silent(self, error: OSError) -> None:
-        """Let the stream's file be the null device, so that what is left in buffers goes there."""
+        """Redirect the stream's file to the null device, with what is left in buffers."""
         self.failure = error
         with suppress(OSError):  # a stream may have no file
             null = os.open(os.devnull, os.O_WRONLY)
@@ -89,10 +142,10 @@ class LastingOutput:
 
 @contextmanager
 def lasting_output() -> Iterator[None]:
-    """Nothing that is printed within raises, whatever becomes of standard output and error."""
+    """Nothing that is printed within raises, even if standard output or error breaks."""
     with ExitStack() as stack:
         for name in ("stdin", "stdout", "stderr"):  # each opens the lowest number that is free
-            if getattr(sys, name) is None:  # closed by whoever called
+            if getattr(sys, name) is None:  # the caller closed it
                 stack.callback(setattr, sys, name, None)
                 setattr(sys, name, stack.enter_context(open(os.devnull, "r+")))
         for name in ("stdout", "stderr"):
@@ -105,9 +158,9 @@ def lasting_output() -> Iterator[None]:
 
 
 def lost_output() -> OSError | None:
-    """What standard output failed with since it was last asked, or None.
+    """The error of standard output since the last call, or None.
 
-    A reader that leaves has lost nothing.
+    A reader that left is not an error.
     """
     if not isinstance(sys.stdout, LastingOutput):
         return None
@@ -131,7 +184,7 @@ def main() -> None:
 def _run() -> None:
     name, *arguments = sys.argv[1:] or ["--help"]
     if name in ("-h", "--help"):
-        print(_help())
+        print(HELP.format("\n".join(f"  {name:10} {help}" for name, help in COMMANDS.items())))
     elif name == "--version":
         print(f"pmil {version('torch_pmil')}")
     elif name in COMMANDS:
@@ -142,10 +195,9 @@ def _run() -> None:
 
 
 def _imported(name: str) -> ModuleType:
-    """The module of a command, with what it imports left out of garbage collection.
+    """The module of a command, whose imports are excluded from garbage collection.
 
-    None of it ever becomes garbage, and there is so much of it that to look through it again and
-    again, and once more at the end of the process, would take seconds.
+    They never become garbage, and it would take seconds to search them again and again.
     """
     gc.disable()
     try:
@@ -153,12 +205,3 @@ def _imported(name: str) -> ModuleType:
     finally:
         gc.freeze()
         gc.enable()
-
-
-def _help() -> str:
-    """All commands on one screen."""
-    commands = "\n".join(f"  {name:10} {help}" for name, help in COMMANDS.items())
-    return (
-        "usage: pmil COMMAND ...\n\nTeach a robot from a few demonstrations.\n\n"
-        f"commands (pmil COMMAND --help says more):\n{commands}\n\n{EXAMPLES}"
-    )

@@ -3,14 +3,13 @@
 Example:
     pmil draw heart.npz
 
-Open the address that is printed, with a mouse, a pen or a touch screen. The page is a square of 0.3
-m; x points right and y up from its lower left corner. Strokes are brought to one length and timing;
-what was recorded stays beside them in heart.csv.
+Open the printed address and draw with a mouse, a pen or a finger. The page is a square of 0.3 m; x
+points right and y up from its lower left corner. The strokes are aligned to one length and timing.
+heart.csv holds them as they were recorded.
 """
 
 from __future__ import annotations
 
-import argparse
 import secrets
 import shlex
 import sys
@@ -20,31 +19,28 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from string import Template
 
-from torch_pmil.cli import Parser
+from torch_pmil.cli import check_out, errors_in_one_line, parser_of, print_written
 from torch_pmil.demonstrations import Demonstrations
+from torch_pmil.demonstrations.preparation import drawing
 from torch_pmil.demonstrations.preparation.alignment import AlignmentError
-from torch_pmil.demonstrations.preparation.drawing import (
-    LEAST_EXTENT,
-    LEAST_SAMPLES,
-    LONGEST,
-    MOST_STROKES,
-    SHORTEST,
-    DrawingError,
-    check_time_step,
-    read_strokes,
-    save_drawing,
-)
 from torch_pmil.files import in_words
 
-STROKES = 5  # that the page asks for
+LIMITS = {  # of strokes, which the page shows
+    "wanted": 5,
+    "most": drawing.MOST_STROKES,
+    "samples": drawing.LEAST_SAMPLES,
+    "shortest": drawing.SHORTEST,
+    "longest": drawing.LONGEST,
+    "extent": drawing.LEAST_EXTENT,
+}
 PAGE = Path(__file__).parent / "drawing_page"
 FILES = {
     "": ("index.html", "text/html"),
     "page.css": ("page.css", "text/css"),
     "page.js": ("page.js", "text/javascript"),
 }
-LARGEST_BODY = 16 * 2**20  # bytes: the most strokes, the longest, at 1 kHz
-PATIENCE = 10  # s, with a browser that opens a connection and says nothing
+LARGEST_BODY = 16 * 2**20  # bytes; enough for the most and longest strokes at 1 kHz
+PATIENCE = 10  # s, with a browser that opens a connection and sends nothing
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -59,14 +55,15 @@ HEADERS = {
 class DrawingServer(ThreadingHTTPServer):
     """Serves the page on the loopback interface until a drawing is saved.
 
-    Who does not know the secret in its address gets nothing.
+    It answers only requests with the secret in its address.
 
     Args:
-        path: of the NPZ file that is to be written.
+        path: the NPZ file to write.
         time_step: of the demonstrations, in s.
 
     Attributes:
-        saved: the demonstrations, once they are.
+        address: the page's URL.
+        saved: the demonstrations, or None before they are saved.
     """
 
     daemon_threads = True
@@ -77,36 +74,31 @@ class DrawingServer(ThreadingHTTPServer):
         self.saved: Demonstrations | None = None
         self.host = f"127.0.0.1:{self.server_port}"
         self.root = f"/{secrets.token_urlsafe()}/"
+        self.address = f"http://{self.host}{self.root}"
         self.saving = threading.Lock()
-
-    @property
-    def address(self) -> str:
-        """The page's URL."""
-        return f"http://{self.host}{self.root}"
 
     def save(self, body: bytes) -> Demonstrations:
         """Write what a page sent, once.
 
         Raises:
-            DrawingError, AlignmentError: the strokes are not as they must be, or were saved
-                already.
+            DrawingError, AlignmentError: the strokes are invalid, or were saved already.
             OSError: the file cannot be written.
         """
         with self.saving:
             if self.saved is not None:
-                raise DrawingError(f"{self.path} is saved already")
-            self.saved = save_drawing(self.path, read_strokes(body), self.time_step)
+                raise drawing.DrawingError(f"{self.path} is saved already")
+            self.saved = drawing.save_drawing(self.path, drawing.read_strokes(body), self.time_step)
             return self.saved
 
 
 class DrawingHandler(BaseHTTPRequestHandler):
-    """Answers the page's requests: with a file of the page, or a line of text."""
+    """Answers the page's requests with a file of the page, or a line of text."""
 
     server: DrawingServer
     timeout = PATIENCE
 
     def do_GET(self) -> None:
-        """A file of the page."""
+        """Send a file of the page."""
         if not self._allowed():
             return
         name = self.path.removeprefix(self.server.root)
@@ -114,19 +106,20 @@ class DrawingHandler(BaseHTTPRequestHandler):
             return self._answer(HTTPStatus.NOT_FOUND, "there is no such file")
         file, kind = FILES[name]
         content = (PAGE / file).read_text(encoding="utf-8")
-        self._answer(HTTPStatus.OK, _with_limits(content) if kind == "text/html" else content, kind)
+        if kind == "text/html":
+            content = Template(content).substitute(LIMITS)
+        self._answer(HTTPStatus.OK, content, kind)
 
     def do_POST(self) -> None:
-        """The strokes: saved, or told what is wrong with them."""
+        """Save the strokes, or answer what is wrong with them."""
         if not self._allowed():
             return
         if self.path != f"{self.server.root}save":
             return self._answer(HTTPStatus.NOT_FOUND, "strokes are sent to save")
         length = self.headers.get("Content-Length", "")
         if not length.isascii() or not length.isdigit():
-            return self._answer(
-                HTTPStatus.LENGTH_REQUIRED, "Not saved: the length of the strokes must be told."
-            )
+            number = "Not saved: Content-Length must be a number of bytes."
+            return self._answer(HTTPStatus.LENGTH_REQUIRED, number)
         if int(length) > LARGEST_BODY:
             return self._answer(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
@@ -134,25 +127,21 @@ class DrawingHandler(BaseHTTPRequestHandler):
             )
         try:
             saved = self.server.save(self.rfile.read(int(length)))
-        except (AlignmentError, DrawingError, OSError) as error:
+        except (AlignmentError, drawing.DrawingError, OSError) as error:
             print(f"not saved: {in_words(error)}", file=sys.stderr, flush=True)
             return self._answer(HTTPStatus.UNPROCESSABLE_ENTITY, f"Not saved: {in_words(error)}.")
-        self._answer(
-            HTTPStatus.OK,
-            f"Saved {len(saved.positions)} strokes in {self.server.path.name}: see the terminal "
-            "for how to train.",
-        )
+        count, name = len(saved.positions), self.server.path.name
+        next_step = "see the terminal for how to train."
+        self._answer(HTTPStatus.OK, f"Saved {count} strokes in {name}: {next_step}")
         self.server.shutdown()
 
     def log_message(self, *arguments: object) -> None:
-        """Keeps quiet: the terminal is for the person."""
+        """Print nothing."""
 
     def _allowed(self) -> bool:
         """Check that a request is the page's own, and answer it with an error if not.
 
-        It may not come from another site through this browser, or by another name of this address.
-
-        It may not come from another site through this browser, or by another name of this address.
+        Another site may send one through this browser, or use another name of this address.
         """
         host, root = self.server.host, self.server.root
         origins = (None, f"http://{host}")
@@ -172,61 +161,29 @@ class DrawingHandler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
 
-def _with_limits(page: str) -> str:
-    """The page, told what a stroke must be."""
-    return Template(page).substitute(
-        wanted=STROKES,
-        most=MOST_STROKES,
-        samples=LEAST_SAMPLES,
-        shortest=SHORTEST,
-        longest=LONGEST,
-        extent=LEAST_EXTENT,
-    )
-
-
-def _check(out: Path, time_step: float) -> None:
-    """Raise DrawingError where nothing could be saved, or something would be overwritten."""
-    check_time_step(time_step)
-    if out.suffix != ".npz":
-        raise DrawingError(f"{out}: demonstrations are written to a .npz file")
-    if not out.parent.is_dir():
-        raise DrawingError(f"{out}: there is no folder {out.parent}")
-    for file in (out, out.with_suffix(".csv")):
-        if file.exists():
-            raise DrawingError(f"{file} is there already; say another name")
-
-
 def main() -> None:
-    """Serve the page until a drawing is saved, then say how to train with it."""
-    parser = Parser(
-        description=__doc__.partition("\n")[0],
-        epilog=__doc__.partition("\n\n")[2],
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    """Serve the page until a drawing is saved, then print how to train with it."""
+    parser = parser_of(__doc__)
     parser.add_argument("out", type=Path, metavar="OUT.npz")
-    parser.add_argument(
-        "--time-step",
-        type=float,
-        default=0.1,
-        help="of the demonstrations, the robot's control period, in s (0.1)",
-    )
+    period = "of the demonstrations, the robot's control period, in s (default 0.1)"
+    parser.add_argument("--time-step", type=float, default=0.1, metavar="S", help=period)
     arguments = parser.parse_args()
+    out, time_step = arguments.out, arguments.time_step
+    recorded = out.with_suffix(".csv")
     try:
-        _check(arguments.out, arguments.time_step)
-        with DrawingServer(arguments.out, arguments.time_step) as server:
-            print(f"draw at {server.address} (Ctrl-C ends without saving)", flush=True)
-            server.serve_forever()
-    except (DrawingError, OSError) as error:
-        sys.exit(f"error: {in_words(error)}")
+        with errors_in_one_line(drawing.DrawingError, OSError):
+            drawing.check_time_step(time_step)
+            check_out(out)
+            for file in (out, recorded):
+                if file.exists():
+                    raise drawing.DrawingError(f"{file} is there already; choose another name")
+            with DrawingServer(out, time_step) as server:
+                print(f"draw at {server.address} (Ctrl-C ends without saving)", flush=True)
+                server.serve_forever()
     except KeyboardInterrupt:
         sys.exit("\nended, nothing was saved")
     assert server.saved is not None  # the server ends by itself when a drawing is saved
-    count, samples, _ = server.saved.positions.shape
-    print(
-        f"wrote {arguments.out}: {count} demonstrations of {samples} samples, "
-        f"{server.saved.duration:g} s"
-    )
-    print(f"as they were recorded: {arguments.out.with_suffix('.csv')}")
-    settings = ("experiment=handwriting", "robot=double_pendulum")
-    train = ("pmil", "train", *settings, f"demonstrations={arguments.out}")
+    print_written(out, server.saved)
+    print(f"as they were recorded: {recorded}")
+    train = ("pmil", "train", "experiment=handwriting", f"demonstrations={out}")
     print(f"train with: {shlex.join(train)}")

@@ -1,4 +1,4 @@
-"""Write a template: a robot of one's own, demonstrations for it, and what learns on it.
+"""Write a template: your own robot, its demonstrations, and a script that learns.
 
 Example:
     pmil new robot
@@ -8,46 +8,39 @@ Example:
 from __future__ import annotations
 
 import shlex
-import sys
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
-from torch_pmil.cli import Parser
-from torch_pmil.files import in_words, replacing
+from torch_pmil.cli import errors_in_one_line, parser_of
+from torch_pmil.files import replacing
 
 TEMPLATE = resources.files("torch_pmil.cli") / "new_robot"
 NEXT = """\
   robot.py            an arm with one joint; four places are marked to make it yours
   demonstrations.csv  five motions of the arm
-  train.py            learns to move like them
+  train.py            learns these motions
 next: cd {folder} && python train.py"""
 
 
 def main() -> None:
-    """Read the command line, write, say what and what is next."""
-    parser = Parser(description=__doc__.partition("\n")[0])
+    """Read the command line, write, print what was written and what comes next."""
+    parser = parser_of(__doc__)
     parser.add_argument("kind", choices=["robot"], metavar="robot", help="what to write")
-    parser.add_argument(
-        "folder",
-        nargs="?",
-        type=Path,
-        default=Path("my_robot"),
-        metavar="FOLDER",
-        help="folder to write to (default: my_robot)",
-    )
+    named: dict[str, Any] = {"metavar": "FOLDER", "nargs": "?"}
+    named["help"] = "folder to write to (default my_robot)"
+    parser.add_argument("folder", type=Path, default=Path("my_robot"), **named)
     folder = parser.parse_args().folder
-    try:
+    with errors_in_one_line(OSError):
         write_template(folder)
-    except OSError as error:
-        sys.exit(f"error: {in_words(error)}")
     print(f"wrote {folder}/\n{NEXT.format(folder=shlex.quote(str(folder)))}")
 
 
 def write_template(folder: Path) -> None:
-    """Write all files of the template into a folder, which is made if it is not there.
+    """Write all files of the template into a folder, which is made if it does not exist.
 
     Raises:
-        FileExistsError: one of the files is there already; none is written then.
+        FileExistsError: one of the files exists already; then nothing is written.
         OSError: the folder cannot be written to.
     """
     files = {

@@ -1,4 +1,4 @@
-"""Write the report of a finished run anew, from the numbers, figures and video in its folder.
+"""Write the report of a finished run again, from the numbers, figures and video in its folder.
 
 Example:
     pmil report runs/double_pendulum/seed_0
@@ -6,24 +6,20 @@ Example:
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-from torch_pmil.cli import Parser
-from torch_pmil.files import in_words
+from torch_pmil.cli import errors_in_one_line, parser_of
 from torch_pmil.runs.report import write_report
 from torch_pmil.runs.summaries import RunError
 
 
 def main() -> None:
-    """Read the command line, write, say where."""
-    parser = Parser(description=__doc__.partition("\n")[0])
+    """Read the command line, write, print where."""
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path, metavar="RUN", help="folder of a finished run")
     folder = parser.parse_args().folder
-    try:
+    with errors_in_one_line(RunError, OSError):
         page = write_report(folder)
-    except (RunError, OSError) as error:
-        sys.exit(f"error: {in_words(error)}")
     absent = ""
     if missing := missing_in(folder):
         absent = f", without {' and '.join(missing)}: pmil resume {folder} makes them"
@@ -33,7 +29,7 @@ def main() -> None:
 def missing_in(folder: Path) -> list[str]:
     """What the folder of a run lacks for a whole report, in words."""
     there = {
-        "figures (figures/ holds none)": any((folder / "figures").glob("*.png")),
+        "figures (there are none)": any((folder / "figures").glob("*.png")),
         "video (there is no video.mp4)": (folder / "video.mp4").exists(),
     }
     return [words for words, found in there.items() if not found]

@@ -1,8 +1,10 @@
-"""Go on with a run that was stopped, or with more trials where their number ended it.
+"""Continue a run that was stopped, or one that needs more trials.
 
 Example:
     pmil resume runs/double_pendulum/seed_0
     pmil resume runs/double_pendulum/seed_0 trials=24
+
+Relative paths in the settings are relative to the folder in which the run was started.
 """
 
 from __future__ import annotations
@@ -11,8 +13,8 @@ import shlex
 import sys
 from pathlib import Path
 
-from torch_pmil.cli import Parser, train
-from torch_pmil.files import in_words, short
+from torch_pmil.cli import errors_in_one_line, parser_of, train
+from torch_pmil.files import short
 from torch_pmil.runs.run_folder import read_command
 from torch_pmil.runs.settings import SETTINGS, word_of
 from torch_pmil.runs.summaries import RunError
@@ -21,28 +23,22 @@ from torch_pmil.tasks.registry import is_own
 
 def main() -> None:
     """Read the command line, and train with the run's own settings."""
-    parser = Parser(
-        description=__doc__.partition("\n")[0],
-        epilog="Relative paths among the settings count from where the run was started.",
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path, metavar="RUN", help="folder of the run")
-    parser.add_argument(
-        "settings", nargs="*", metavar="NAME=VALUE", help="settings to change, as trials=24"
-    )
+    change = "settings to change, as trials=24"
+    parser.add_argument("settings", nargs="*", metavar="NAME=VALUE", help=change)
     arguments = parser.parse_args()
-    try:
+    with errors_in_one_line(RunError, OSError):
         sys.argv = ["pmil train", *overrides(arguments.folder, arguments.settings)]
-    except (RunError, OSError) as error:
-        sys.exit(f"error: {in_words(error)}")
     train.main()
 
 
 def overrides(folder: Path, changed: list[str]) -> list[str]:
-    """The settings of a run with some of them changed, and with its folder as it is called now.
+    """The settings of a run with some of them changed, and with the present name of its folder.
 
     Raises:
-        RunError: it was not begun by ``pmil train``.
-        OSError: the folder does not say how it was begun.
+        RunError: the run was not started by ``pmil train``.
+        OSError: the folder does not record how the run was started.
     """
     words = read_command(folder)
     if words[:2] != ["pmil", "train"]:

@@ -1,4 +1,4 @@
-"""Put several runs of one experiment together: table, main numbers, learning curve.
+"""Combine several runs of one experiment: table, main numbers, learning curve.
 
 Example:
     pmil summarize runs/double_pendulum --out results/tasks/double_pendulum
@@ -10,22 +10,15 @@ import os
 import shlex
 import statistics
 import sys
+from functools import partial
 from pathlib import Path
 
-from torch_pmil.cli import Parser
-from torch_pmil.files import in_words, write_json
+from torch_pmil.cli import errors_in_one_line, parser_of
+from torch_pmil.files import write_json
 from torch_pmil.plotting import plot_success_over_experience, save_figure
+from torch_pmil.runs import summaries
 from torch_pmil.runs.run_folder import provenance
-from torch_pmil.runs.summaries import (
-    COVERAGE,
-    RunError,
-    SuccessCurve,
-    count_trials,
-    find_runs,
-    is_finished,
-    read_summary,
-    success_over_experience,
-)
+from torch_pmil.runs.summaries import COVERAGE, RunError, SuccessCurve
 
 SUCCESS_RATE = 0.95  # paper
 EXPERIENCE_S = 33.0  # paper
@@ -35,8 +28,6 @@ HEADER = "experience (s)  trials  saved  success rate  computing (s)  ended beca
 
 def headline(runs: list[dict]) -> dict[str, float]:
     """Main numbers over runs.
-
-    A run has learned if its saved policy reaches the success rate within the paper's experience.
 
     ``median_experience_s`` and ``max_experience_s`` count all rollouts of the robot. Runs of a
     method that predicts nothing have no coverage.
@@ -63,13 +54,13 @@ def summarize(folders: list[Path], out: Path | None, command: str) -> None:
     """Print the table; write ``summary.json`` and ``success_over_experience.png``.
 
     Raises:
-        RunError: a folder is no run, is damaged or of another experiment, or no run has ended.
+        RunError: a folder is not a run, is damaged or of another experiment, or no run has ended.
         OSError: the results cannot be written.
     """
-    paths = find_runs(folders)
-    finished = {path: read_summary(path) for path in paths if is_finished(path)}
+    paths = summaries.find_runs(folders)
+    finished = {path: summaries.read_summary(path) for path in paths if summaries.is_finished(path)}
     finished = dict(sorted(finished.items(), key=lambda item: item[1]["seed"]))
-    unfinished = {path: count_trials(path) for path in paths if path not in finished}
+    unfinished = {path: summaries.count_trials(path) for path in paths if path not in finished}
     print(table(finished, unfinished))
     runs = list(finished.values())
     if not runs:
@@ -77,7 +68,7 @@ def summarize(folders: list[Path], out: Path | None, command: str) -> None:
     names = sorted({run["experiment"] for run in runs})
     if len(names) > 1:
         raise RunError(f"runs must be of one experiment, got {', '.join(names)}")
-    curve = success_over_experience(runs)
+    curve = summaries.success_over_experience(runs)
     out = out or Path(os.path.commonpath([path.parent for path in paths]))
     if out in paths:
         raise RunError(f"{out} is a run: the results would replace its summary.json")
@@ -114,27 +105,19 @@ def table(finished: dict[Path, dict], unfinished: dict[Path, int]) -> str:
 
 
 def plain(curve: SuccessCurve) -> dict[str, object]:
-    """The curve as JSON says it; each run's own is in its trials."""
+    """The curve for JSON; that of each run is in its trials."""
     return {"interval": INTERVAL} | {
         name: getattr(curve, name).tolist() for name in ("experience_s", "mean", "lower", "upper")
     }
 
 
 def main() -> None:
-    """Read, sort by seed, write."""
-    parser = Parser(description=__doc__.partition("\n")[0])
-    parser.add_argument(
-        "folders", metavar="DIR", type=Path, nargs="+", help="a run, or a folder of runs"
-    )
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        help="where to write; the folder that the runs lie in if not given",
-    )
+    """Read the command line, write."""
+    parser = parser_of(__doc__)
+    folder = partial(parser.add_argument, metavar="DIR", type=Path)
+    folder("folders", nargs="+", help="a run, or a folder of runs")
+    folder("--out", help="where to write (default: the folder that holds the runs)")
     arguments = parser.parse_args()
     command = shlex.join(["pmil", "summarize", *sys.argv[1:]])
-    try:
+    with errors_in_one_line(OSError, RunError):
         summarize(arguments.folders, arguments.out, command)
-    except (OSError, RunError) as error:
-        sys.exit(f"error: {in_words(error)}")

@@ -1,23 +1,41 @@
-"""Figures of a Gaussian process of one input and one output, and of its uncertain input."""
+"""Figures of Gaussian processes: of one input and one output, and slices through a fitted model."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from torch_pmil.control.state_space import with_unit
 from torch_pmil.gp.gaussian import Gaussian
-from torch_pmil.plotting.style import BAND, BLUE, DARK, GREY, VERMILLION, labelled, style
+from torch_pmil.model.dynamics import GPDynamics
+from torch_pmil.plotting.style import (
+    BAND,
+    BLUE,
+    DARK,
+    GREY,
+    VERMILLION,
+    WIDTH,
+    labelled,
+    legend_above,
+    style,
+)
 
 BINS = 120
+POINTS = 200  # of each slice
+BEYOND = 0.15  # how far a slice goes beyond the data, as a fraction of their range
 INPUT, OUTPUT = "state and action $\\tilde{x}_t$", "next state $x_{t+1}$"
 
 
 def plot_gp(
     inputs: Tensor, targets: Tensor, grid: Tensor, posterior: Gaussian, test_input: float
 ) -> Figure:
-    """A GP with its data and its uncertainty, and a test input where there are no data (Figure 2).
+    """A GP with its data and its uncertainty, and a test input away from the data (Figure 2).
 
     Args:
         inputs, targets: inputs and targets of the data, (n,) each.
@@ -43,18 +61,10 @@ def plot_gp(
     figure = Figure(figsize=(6.0, 3.4), layout="constrained")
     panel = figure.subplots()
     _draw_posterior(panel, grid, posterior)
-    panel.plot(
-        inputs.numpy(),
-        targets.numpy(),
-        color=DARK,
-        linestyle="",
-        marker="x",
-        markersize=6,
-        label="data",
-    )
+    panel.plot(inputs.numpy(), targets.numpy(), "x", color=DARK, markersize=6, label="data")
     panel.axvline(test_input, color=VERMILLION, linewidth=1.6, label="test input")
     panel.set(xlabel=INPUT, ylabel=OUTPUT)
-    figure.legend(loc="outside upper center", ncols=4, frameon=False)
+    legend_above(figure, 4, panel)
     return figure
 
 
@@ -90,30 +100,20 @@ def plot_moment_matching(
             f"{tuple(belief.mean.shape)}, {tuple(matched.mean.shape)} and {tuple(samples.shape)}"
         )
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
-    panels = figure.subplots(
-        2, 2, sharex="col", sharey="row", width_ratios=(2, 1), height_ratios=(2, 1)
-    )
+    shares: dict[str, Any] = {"sharex": "col", "sharey": "row"}
+    panels = figure.subplots(2, 2, width_ratios=(2, 1), height_ratios=(2, 1), **shares)
     (function, output), (source, corner) = panels
     corner.set_axis_off()
     _draw_posterior(function, grid, posterior)
     mean, reach = matched.mean.item(), 3 * matched.std.item()
     heights = np.linspace(mean - reach, mean + reach, 400)
-    output.hist(
-        samples.numpy(),
-        BINS,
-        density=True,
-        orientation="horizontal",
-        color=VERMILLION,
-        alpha=0.35,
-        label="exact, by sampling",
-    )
-    output.plot(
-        _density(matched, heights), heights, color=BLUE, linewidth=1.8, label="moment matching"
-    )
+    bars: dict[str, Any] = {"density": True, "orientation": "horizontal", "color": VERMILLION}
+    output.hist(samples.numpy(), BINS, alpha=0.35, label="exact, by sampling", **bars)
+    density = _density(matched, heights)
+    output.plot(density, heights, color=BLUE, linewidth=1.8, label="moment matching")
     points = grid.numpy()
-    source.fill_between(
-        points, _density(belief, points), color=DARK, alpha=0.3, linewidth=0, label="input"
-    )
+    area: dict[str, Any] = {"color": DARK, "alpha": 0.3, "linewidth": 0}
+    source.fill_between(points, _density(belief, points), label="input", **area)
     output.tick_params(labelbottom=True)
     output.set(xlabel="density")
     output.set_xlim(left=0)
@@ -135,15 +135,7 @@ def _draw_posterior(panel: Axes, grid: Tensor, posterior: Gaussian) -> None:
         )
     points, mean, std = grid.numpy(), posterior.mean[:, 0].numpy(), posterior.std[:, 0].numpy()
     panel.plot(points, mean, color=GREY, linewidth=1.4, label="mean")
-    panel.fill_between(
-        points,
-        mean - BAND * std,
-        mean + BAND * std,
-        color=GREY,
-        alpha=0.25,
-        linewidth=0,
-        label=f"± {BAND} std",
-    )
+    _draw_band(panel, points, mean, std)
     panel.set_xlim(points[0], points[-1])
     style(panel)
 
@@ -152,3 +144,124 @@ def _density(belief: Gaussian, points: np.ndarray) -> np.ndarray:
     """Density of a belief over one entry, at points (K,)."""
     mean, std = belief.mean.item(), belief.std.item()
     return np.exp(-(((points - mean) / std) ** 2) / 2) / (std * np.sqrt(2 * np.pi))
+
+
+def _draw_band(panel: Axes, x: np.ndarray, mean: np.ndarray, std: np.ndarray) -> None:
+    """Draw how uncertain a GP is, in grey."""
+    look: dict[str, Any] = {"color": GREY, "alpha": 0.25, "linewidth": 0}
+    panel.fill_between(x, mean - BAND * std, mean + BAND * std, label=f"± {BAND} std", **look)
+
+
+@torch.no_grad()
+def plot_gp_slices(
+    dynamics: GPDynamics,
+    point: Tensor,
+    input_names: Sequence[str],
+    output_names: Sequence[str],
+    output_units: Sequence[str],
+    over: Sequence[int] | None = None,
+) -> Figure:
+    """Each output of a model over each of its inputs, the other inputs held at a point.
+
+    There is a row for each output and a column for each input, with the mean and two standard
+    deviations of the next observation, noise included. The dots are partial residuals: a datum at
+    its own input, as far above the mean as its residual. Their opacity is the correlation that the
+    model sees between them and the slice: faint data have other inputs that are far from the point.
+
+    Args:
+        dynamics: a model that is fitted to data.
+        point: the point where the slices meet, (D' + F,), in the units of the inputs.
+        input_names: names of the D' + F inputs.
+        output_names: names of the E entries of the state that are learned.
+        output_units: their units.
+        over: inputs that have a column; all if None.
+
+    Raises:
+        ValueError: point or names do not fit the model, or ``over`` names an input that it does not
+            have.
+        RuntimeError: the model has no data.
+
+    Example:
+        >>> x = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
+        >>> dynamics = GPDynamics(num_inputs=1, num_outputs=1)
+        >>> fit = dynamics.fit(x, x.sin())
+        >>> figure = plot_gp_slices(dynamics, torch.zeros(1), ["u (N·m)"], ["q"], ["rad"])
+        >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
+        ('u (N·m)', 'change of\\nq (rad)')
+    """
+    over = range(dynamics.num_inputs) if over is None else over
+    _check(dynamics, point, input_names, output_names, output_units, over)
+    figure = Figure(figsize=(WIDTH, 0.8 + 1.5 * dynamics.num_outputs), layout="constrained")
+    shape = dynamics.num_outputs, len(over)
+    panels = figure.subplots(*shape, sharex="col", sharey="row", squeeze=False)
+    what = "next" if dynamics.targets == "successor" else "change of"
+    for column, entry in zip(panels.T, over, strict=True):
+        column[-1].set_xlabel(input_names[entry])
+        for output, panel in enumerate(column):
+            _draw_slice(panel, dynamics, point.double(), entry, output)
+    for row, name, unit in zip(panels, output_names, output_units, strict=True):
+        row[0].set_ylabel(f"{what}\n{with_unit(name, unit)}")
+    figure.align_ylabels(panels[:, 0])
+    legend_above(figure, 4, panels[0, 0])
+    return figure
+
+
+def _draw_slice(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, output: int) -> None:
+    """Draw one output over one input."""
+    style(panel)
+    grid = _grid(dynamics.expansion.inputs[:, entry])
+    mean, variance = dynamics.expansion.predict(_along(point, entry, grid))
+    x, centre = grid.numpy(), mean[:, output].numpy()
+    std = (variance + dynamics.expansion.noise)[:, output].sqrt().numpy()
+    _draw_band(panel, x, centre, std)
+    panel.plot(x, centre, color=DARK, linewidth=1.4, label="mean", zorder=3)
+    dotted: dict[str, Any] = {"color": VERMILLION, "linewidth": 0.8, "linestyle": ":"}
+    panel.axvline(point[entry].item(), label="where the slices meet", **dotted)
+    panel.margins(x=0)
+    _draw_data(panel, dynamics, point, entry, output)
+
+
+def _draw_data(panel: Axes, dynamics: GPDynamics, point: Tensor, entry: int, output: int) -> None:
+    """Draw partial residuals, as opaque as the model correlates the data with the slice."""
+    inputs, targets, model = dynamics.train_inputs, dynamics.train_targets, dynamics.expansion
+    others = torch.arange(dynamics.num_inputs) != entry
+    distance = ((inputs - point) / model.lengthscales[output])[:, others]
+    nearness = distance.square().sum(-1).div(-2).exp()
+    residuals = targets - model.mean(inputs) + model.mean(_along(point, entry, inputs[:, entry]))
+    look: dict[str, Any] = {"alpha": nearness.numpy(), "color": VERMILLION, "linewidth": 0}
+    look["label"] = "data, fainter if far from the slice"
+    panel.scatter(inputs[:, entry], residuals[:, output], s=9, zorder=4, **look)
+
+
+def _along(point: Tensor, entry: int, values: Tensor) -> Tensor:
+    """The point with other values (K,) of one input, (K, D' + F)."""
+    inputs = point.repeat(len(values), 1)
+    inputs[:, entry] = values
+    return inputs
+
+
+def _grid(data: Tensor) -> Tensor:
+    """Evenly spaced values from below the least of the data to above the largest."""
+    low, high = data.aminmax()
+    margin = BEYOND * (high - low).item()
+    return torch.linspace(low.item() - margin, high.item() + margin, POINTS, dtype=torch.float64)
+
+
+def _check(
+    dynamics: GPDynamics,
+    point: Tensor,
+    input_names: Sequence[str],
+    output_names: Sequence[str],
+    output_units: Sequence[str],
+    over: Sequence[int],
+) -> None:
+    inputs, outputs = dynamics.num_inputs, dynamics.num_outputs
+    fits_inputs = point.shape == (inputs,) and len(input_names) == inputs
+    if not (fits_inputs and len(output_names) == len(output_units) == outputs):
+        raise ValueError(
+            f"point and input_names must have {inputs} entries, output_names and output_units "
+            f"{outputs}, got {tuple(point.shape)}, {len(input_names)}, {len(output_names)} and "
+            f"{len(output_units)}"
+        )
+    if not over or not set(over) <= set(range(inputs)):
+        raise ValueError(f"over must be inputs from 0 to {inputs - 1}, got {list(over)}")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import count
+from itertools import repeat
+from string import ascii_lowercase
 from textwrap import fill
 from typing import Any
 
@@ -14,7 +15,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull
 
-from torch_pmil.plotting.style import DARK
+from torch_pmil.plotting.style import DARK, check_some, labelled
 
 COLOURS = "viridis"  # readable for colour-blind readers, and in grey
 PANEL_WIDTH = 2.8  # inches
@@ -33,15 +34,15 @@ def plot_heat_map(
 ) -> Figure:
     """A value at each target of a regular grid as a filled cell, with the successes (Figure 11).
 
-    Several maps, of several methods, are side by side with one colour scale, which begins at 0.
+    The maps of several methods are side by side with one colour scale, which begins at 0.
 
     Args:
         x, y: coordinates of the grid, evenly spaced and increasing, (C,) and (R,).
-        maps: the values (R, C), not negative, and whether the target was reached, (R, C), bool, by
-            the title of their panel.
-        training_targets: targets that are drawn as white discs, their convex hull outlined, (S, 2).
+        maps: by the title of their panel, the values (R, C), not negative, and whether the target
+            was reached, (R, C), bool.
+        training_targets: drawn as white discs with their convex hull, (S, 2).
         labels: labels of the two axes, with their units.
-        value: label of the colour bar, which says what is shown, with its unit.
+        value: label of the colour bar, with its unit.
         picture: picture of the set-up for the left, (height, width, 3), uint8; the panels are then
             lettered (a), (b), ...
 
@@ -68,9 +69,14 @@ def plot_heat_map(
     figsize = PANEL_WIDTH * columns + 1.4, PANEL_WIDTH * aspect + 1.0
     figure = Figure(figsize=figsize, layout="compressed")
     panels = list(figure.subplots(1, columns, squeeze=False)[0])
-    letters = _letters() if picture is not None else iter(lambda: "", None)
+    letters: Iterator[str] = repeat("")
     if picture is not None:
-        _draw_picture(panels.pop(0), picture, next(letters))
+        letters = map("({})".format, ascii_lowercase)
+        left = panels.pop(0)
+        left.imshow(picture)
+        left.set(xticks=[], yticks=[])
+        left.spines[:].set_visible(False)
+        left.set_title(next(letters), loc="left")
     scale = Normalize(0.0, max(values.max() for values, _ in maps.values()))
     for panel, (title, (values, reached)) in zip(panels, maps.items(), strict=True):
         cells: dict[str, Any] = {"shading": "nearest", "edgecolors": "face", "linewidth": 0.1}
@@ -82,12 +88,10 @@ def plot_heat_map(
     panels[0].set_ylabel(labels[1])
     for panel in panels[1:]:
         panel.tick_params(labelleft=False, left=False)
-    figure.colorbar(
-        ScalarMappable(scale, COLOURS), ax=panels, label=fill(value, LABEL_WIDTH), shrink=0.9
-    )
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
-    )
+    colours = ScalarMappable(scale, COLOURS)
+    figure.colorbar(colours, ax=panels, label=fill(value, LABEL_WIDTH), shrink=0.9)
+    handles = labelled(panels[0])
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 
@@ -101,13 +105,8 @@ def _draw_successes(panel: Axes, x: np.ndarray, y: np.ndarray, reached: np.ndarr
     across, up = np.meshgrid(x, y)
     kinds = (("o", 4.5, reached, "reached"), ("X", 6.5, ~reached, "missed"))
     for marker, size, chosen, label in kinds:
-        style: dict[str, Any] = {
-            "markersize": size,
-            "markerfacecolor": DARK,
-            "markeredgecolor": "white",
-            "markeredgewidth": 0.8,
-        }
-        panel.plot(across[chosen], up[chosen], marker, label=label, zorder=4, **style)
+        look: dict[str, Any] = {"markersize": size, "mfc": DARK, "mec": "white", "mew": 0.8}
+        panel.plot(across[chosen], up[chosen], marker, label=label, zorder=4, **look)
 
 
 def _draw_training_targets(panel: Axes, targets: np.ndarray) -> None:
@@ -115,35 +114,16 @@ def _draw_training_targets(panel: Axes, targets: np.ndarray) -> None:
     corners = _hull(targets)
     panel.plot(*corners, color=DARK, linewidth=3.0, zorder=2)
     panel.plot(*corners, color="white", linewidth=1.4, zorder=2)
-    style: dict[str, Any] = {
-        "markersize": 12,
-        "markerfacecolor": "white",
-        "markeredgecolor": DARK,
-        "markeredgewidth": 1.0,
-    }
-    panel.plot(*targets.T, "o", label="training target", zorder=3, **style)
+    look: dict[str, Any] = {"markersize": 12, "mfc": "white", "mec": DARK, "mew": 1.0}
+    panel.plot(*targets.T, "o", label="training target", zorder=3, **look)
 
 
 def _hull(points: np.ndarray) -> np.ndarray:
-    """Corners of the convex hull of points (S, 2), the first one again at the end, (2, K).
-
-    They are both ends where all points are on one line.
-    """
+    """The closed convex hull of points (S, 2), or both ends if they are on one line, (2, K)."""
     if np.linalg.matrix_rank(points - points[0]) < 2:
         return points[np.lexsort(points.T)][[0, -1]].T
     corners = ConvexHull(points).vertices
     return points[[*corners, corners[0]]].T
-
-
-def _draw_picture(panel: Axes, picture: np.ndarray, letter: str) -> None:
-    panel.imshow(picture)
-    panel.set(xticks=[], yticks=[])
-    panel.spines[:].set_visible(False)
-    panel.set_title(letter, loc="left")
-
-
-def _letters() -> Iterator[str]:
-    return (f"({chr(code)})" for code in count(ord("a")))
 
 
 def _check(
@@ -160,8 +140,7 @@ def _check(
                 f"{name} must be at least two increasing, evenly spaced coordinates, got "
                 f"{places.tolist()}"
             )
-    if not maps:
-        raise ValueError("maps must hold at least one map, got none")
+    check_some("maps", maps)
     shape = (len(y), len(x))
     for title, (values, reached) in maps.items():
         if values.shape != shape or reached.shape != shape or reached.dtype != bool:

@@ -19,9 +19,9 @@ def plot_kl_per_step(
 ) -> Figure:
     """The KL divergence of each time step, stacked by its terms (Eq. 20).
 
-    The stacks' heights sum to the KL of the trajectory. The upper panel shows the terms of means
-    that differ and of covariances that differ. The lower one shows the entries of the match space,
-    each given those before it (:func:`~torch_pmil.search.kl.gaussian_kl_terms`).
+    The heights of the stacks sum to the KL of the trajectory. The upper panel separates different
+    means from different covariances, the lower one the entries of the match space. Each entry is
+    conditioned on those before it (:func:`~torch_pmil.search.kl.gaussian_kl_terms`).
 
     Args:
         names: names of the M entries of the match space.
@@ -41,14 +41,11 @@ def plot_kl_per_step(
         >>> figure.axes[0].get_title(loc="left")
         'KL of the trajectory: 5.0 nats'
     """
-    if (
-        demonstrated.mean.ndim != 2
-        or predicted.mean.shape != demonstrated.mean.shape
-        or demonstrated.dim != len(names)
-    ):
+    shape = demonstrated.mean.shape
+    if len(shape) != 2 or predicted.mean.shape != shape or shape[1] != len(names):
         raise ValueError(
             f"demonstrated and predicted must be (T, {len(names)}) for {len(names)} names, "
-            f"got {tuple(demonstrated.mean.shape)} and {tuple(predicted.mean.shape)}"
+            f"got {tuple(shape)} and {tuple(predicted.mean.shape)}"
         )
     terms = gaussian_kl_terms(demonstrated.detach(), predicted.detach())
     mean, spread = (term.numpy() for term in terms)  # (T, M)
@@ -59,8 +56,8 @@ def plot_kl_per_step(
     by_entry = dict(zip(names, (mean + spread).T, strict=True))
     _draw_stack(upper, time, by_kind, (VERMILLION, BLUE))
     _draw_stack(lower, time, by_entry, COLOURS, "given those below")
-    title = f"KL of the trajectory: {(mean + spread).sum():.1f} nats"
-    upper.set_title(title, loc="left", fontsize="medium")
+    total = (mean + spread).sum()
+    upper.set_title(f"KL of the trajectory: {total:.1f} nats", loc="left", fontsize="medium")
     lower.set_xlabel("time (s)")
     return figure
 
@@ -76,20 +73,11 @@ def _draw_stack(
     style(panel)
     below, width = np.zeros_like(time), 0.85 * time[0]
     for index, (name, heights) in enumerate(parts.items()):
-        look: dict[str, Any] = {
-            "color": colours[index % len(colours)],
-            "hatch": HATCHES[index // len(colours)],
-            "edgecolor": "white",
-            "linewidth": 0.4,
-        }
-        panel.bar(time, heights, width, bottom=below, label=name, **look)
+        look: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.4, "label": name}
+        look["color"] = colours[index % len(colours)]
+        look["hatch"] = HATCHES[index // len(colours)]
+        panel.bar(time, heights, width, bottom=below, **look)
         below = below + heights
     panel.set(ylabel="KL (nats)", xlim=(time[0] / 2, time[-1] + time[0] / 2))
-    panel.legend(
-        loc="upper left",
-        bbox_to_anchor=(1, 1),
-        title=heading,
-        alignment="left",
-        frameon=False,
-        reverse=True,
-    )
+    beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1, 1), "frameon": False}
+    panel.legend(title=heading, alignment="left", reverse=True, **beside)

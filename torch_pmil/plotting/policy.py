@@ -51,17 +51,17 @@ def plot_policy(
 ) -> Figure:
     """A policy's action in planes of the state space as colour, and the robot's motion as arrows.
 
-    There is a row for each plane and a column for each state at which the entries that do not vary
-    are held; this state is marked.
+    There is a row for each plane and a column for each state. This state is marked, and gives the
+    entries that do not vary.
 
     Args:
-        policy: a policy without targets (:meth:`RBFPolicy.for_target` makes it of one with them).
+        policy: a policy without targets; :meth:`RBFPolicy.for_target` fixes those of another one.
         planes: the planes, one for each row.
         states: K states, such as those of a motion at some times, (K, D).
         titles: titles of the K columns.
         successor: maps states (N, D) to the states a control period later under this policy, (N,
-            D), by a model or a simulator. An arrow shows the change in the plane, all arrows of a
-            panel to one scale.
+            D), by a model or a simulator. An arrow shows the change in the plane; all arrows of a
+            panel have one scale.
 
     Raises:
         ValueError: states and titles do not fit each other or the policy, or the robot does not
@@ -80,10 +80,10 @@ def plot_policy(
         ('q (rad)', 'dq (rad/s)')
     """
     _check(policy, planes, states, titles)
+    actions, labels = policy.actions, list(map(with_unit, policy.space.names, policy.space.units))
     figure = Figure(figsize=(WIDTH, 0.6 + 1.9 * len(planes)), layout="constrained")
     rows = figure.subplots(len(planes), len(states), sharex="row", sharey="row", squeeze=False)
     for row, plane in zip(rows, planes, strict=True):
-        actions = policy.actions
         scale = Normalize(actions.low[plane.action].item(), actions.high[plane.action].item())
         for panel, state in zip(row, states.double(), strict=True):
             _draw_action(panel, policy, plane, state, scale)
@@ -91,18 +91,13 @@ def plot_policy(
                 _draw_flow(panel, successor, plane, state)
             at = state[plane.x], state[plane.y]
             panel.plot(*at, "o", markersize=7, color="white", markeredgecolor=DARK, zorder=4)
-            panel.set_xlabel(_label(policy, plane.x))
-        row[0].set_ylabel(_label(policy, plane.y))
-        figure.colorbar(
-            ScalarMappable(scale, COLOURS), ax=list(row), label=actions.labels[plane.action]
-        )
+            panel.set_xlabel(labels[plane.x])
+        row[0].set_ylabel(labels[plane.y])
+        colours = ScalarMappable(scale, COLOURS)
+        figure.colorbar(colours, ax=list(row), label=actions.labels[plane.action])
     for panel, title in zip(rows[0], titles, strict=True):
         panel.set_title(title, fontsize="medium")
     return figure
-
-
-def _label(policy: StatePolicy, entry: int) -> str:
-    return with_unit(policy.space.names[entry], policy.space.units[entry])
 
 
 def _draw_action(
@@ -115,22 +110,16 @@ def _draw_action(
 
 
 def _draw_flow(panel: Axes, successor: Successor, plane: Plane, state: Tensor) -> None:
-    """Draw arrows of the change in a control period, the longest as long as their distance."""
+    """Draw arrows of the change in a control period; the longest spans their distance."""
     x, y, states = _grid(plane, state, ARROWS)
     following = successor(states.flatten(0, 1)).view_as(states)
     change = (following - states)[..., [plane.x, plane.y]].numpy()
     widths = np.ptp(np.asarray(plane.span), axis=1)
     right, up = (change / widths).transpose(2, 0, 1)
     longest = np.hypot(right, up).max() or 1.0
-    look: dict[str, Any] = {
-        "angles": "uv",
-        "scale_units": "width",
-        "scale": ARROWS * longest,
-        "pivot": "mid",
-        "color": DARK,
-        "alpha": 0.85,
-    }
-    panel.quiver(x, y, right, up, width=0.007, headwidth=4, **look)
+    look: dict[str, Any] = {"color": DARK, "alpha": 0.85, "width": 0.007, "headwidth": 4}
+    lengths: dict[str, Any] = {"scale_units": "width", "scale": ARROWS * longest}
+    panel.quiver(x, y, right, up, angles="uv", pivot="mid", **lengths, **look)
 
 
 def _grid(plane: Plane, state: Tensor, count: int) -> tuple[np.ndarray, np.ndarray, Tensor]:
@@ -151,7 +140,7 @@ def _check(
     policy: StatePolicy, planes: Sequence[Plane], states: Tensor, titles: Sequence[str]
 ) -> None:
     D, F = policy.space.dim, len(policy.actions.names)
-    if states.ndim != 2 or states.shape[1] != D or len(states) != len(titles) or not len(states):
+    if not len(titles) or states.shape != (len(titles), D):
         raise ValueError(
             f"states must be (K, {D}) with K titles, got {tuple(states.shape)} and {len(titles)} "
             "titles"

@@ -1,4 +1,4 @@
-"""Figure of demonstrations as they were recorded."""
+"""Figures of recorded demonstrations, and of a step that prepares them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,26 @@ from matplotlib.lines import Line2D
 from torch import Tensor
 
 from torch_pmil.control.state_space import with_unit
-from torch_pmil.plotting.style import BLUE, DARK, GREEN, GREY, ORANGE, VERMILLION, style
+from torch_pmil.plotting.style import (
+    BLUE,
+    DARK,
+    GREEN,
+    GREY,
+    ORANGE,
+    VERMILLION,
+    label_over_time,
+    labelled,
+    style,
+)
 
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, DARK)
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1)))
-TOLD_APART = len(COLOURS) * len(DASHES)  # more demonstrations than this are all of one colour
+DISTINCT = len(COLOURS) * len(DASHES)  # more demonstrations than this all have one colour
 TICKS = 6  # most ticks on the lower axis of a path: more labels would touch
 ENDS = {"start": (0, "o"), "end": (-1, "x")}  # sample and marker of each end of a path
 WIDTH, LINE = 10, 8  # characters in an inch of the legend, and those that a line in it takes
+
+Timed = tuple[Tensor, Tensor]  # times (T_n,) and values (T_n, M)
 
 
 def plot_recordings(
@@ -33,7 +45,7 @@ def plot_recordings(
 ) -> Figure:
     """Entries of all demonstrations over the time since their start, and paths in planes.
 
-    The path of each pair of entries x..., y... is drawn in their plane.
+    There is a plane for each pair of entries x..., y....
 
     Args:
         labels: labels of the N demonstrations.
@@ -62,9 +74,7 @@ def plot_recordings(
         )
     if units and len(units) != len(names):
         raise ValueError(f"units must be those of the {len(names)} names, got {len(units)}")
-    texts = list(names)
-    if units:
-        texts = list(map(with_unit, names, units))
+    texts = list(map(with_unit, names, units)) if units else names
     figure, panels, planes = _layout(texts, _pairs(names))
     looks = _looks(len(labels))
     for label, time, value, look in zip(labels, times, values, looks, strict=True):
@@ -72,11 +82,11 @@ def plot_recordings(
             panel.plot(time - time[0], value[:, column], label=label, linewidth=1.1, **look)
         for (x, y), plane in zip(_pairs(names), planes, strict=True):
             _draw_path(plane, value[:, x].numpy(), value[:, y].numpy(), look)
-    if len(labels) <= TOLD_APART:
-        handles, told = panels[0].get_legend_handles_labels()
-        rows = math.ceil(sum(len(label) + LINE for label in told) / (WIDTH * figure.get_figwidth()))
-        form: dict[str, Any] = {"ncols": math.ceil(len(told) / rows), "frameon": False}
-        figure.legend(handles, told, title="demonstration", loc="outside upper center", **form)
+    if len(labels) <= DISTINCT:
+        rows = sum(len(label) + LINE for label in labels) / (WIDTH * figure.get_figwidth())
+        columns = math.ceil(len(labels) / math.ceil(rows))
+        form: dict[str, Any] = {"handles": labelled(panels[0]), "ncols": columns, "frameon": False}
+        figure.legend(title="demonstration", loc="outside upper center", **form)
     return figure
 
 
@@ -90,8 +100,8 @@ def _pairs(names: Sequence[str]) -> list[tuple[int, int]]:
 
 
 def _looks(count: int) -> list[dict[str, Any]]:
-    """Colours and dashes that can be told apart, or one thin colour for all."""
-    if count > TOLD_APART:
+    """Different colours and dashes, or one faint colour for all."""
+    if count > DISTINCT:
         return count * [{"color": GREY, "alpha": 0.4}]
     return [
         {"color": COLOURS[number % len(COLOURS)], "linestyle": DASHES[number // len(COLOURS)]}
@@ -115,14 +125,7 @@ def _layout(
     panels = [figure.add_subplot(times[number]) for number in range(len(texts))]
     right = grid[-1].subgridspec(max(1, len(pairs)), 1)
     planes = [figure.add_subplot(right[number]) for number in range(len(pairs))]
-    for number, panel in enumerate(panels):
-        style(panel)
-        panel.margins(x=0)
-        panel.set_ylabel(texts[number])
-        if number + columns < len(texts):
-            panel.tick_params(labelbottom=False)
-        else:
-            panel.set_xlabel("time (s)")
+    label_over_time(figure, panels, texts, columns)
     for plane, (x, y) in zip(planes, pairs, strict=True):
         style(plane)
         plane.set(xlabel=texts[x], ylabel=texts[y], aspect="equal", adjustable="datalim")
@@ -132,7 +135,6 @@ def _layout(
             for end, (_, marker) in ENDS.items()
         ]
         plane.legend(handles=keys, loc="best", fontsize="small", frameon=False, handletextpad=0.1)
-    figure.align_ylabels(panels)
     return figure, panels, planes
 
 
@@ -140,3 +142,71 @@ def _draw_path(plane: Axes, x: np.ndarray, y: np.ndarray, look: dict[str, Any]) 
     plane.plot(x, y, linewidth=1.1, **look)
     for at, marker in ENDS.values():
         plane.plot(x[at], y[at], marker=marker, markersize=5, linestyle="none", color=look["color"])
+
+
+def plot_before_after(
+    names: Sequence[str],
+    units: Sequence[str],
+    before: Sequence[Timed],
+    after: Sequence[Timed],
+    title: str = "after",
+    markers: bool = False,
+) -> Figure:
+    """All trajectories over time, before a step on the left and after it on the right.
+
+    There is one row for each entry.
+
+    Args:
+        names, units: those of the M entries.
+        before: times (T_n,), in s, and values (T_n, M) of each trajectory. If the last entries were
+            not recorded, such as a velocity that the step derives, values (T_n, M') hold the first
+            M' <= M entries.
+        after: times and values of each trajectory after the step, like ``before``.
+        title: title of the right column.
+        markers: whether each sample is marked.
+
+    Raises:
+        ValueError: there is no trajectory, or one has more entries than there are names, or
+            different numbers of values and times.
+
+    Example:
+        >>> import torch
+        >>> times = torch.arange(5)
+        >>> one = [(times, torch.zeros(5, 1))]
+        >>> [panel.get_ylabel() for panel in plot_before_after(("x",), ("m",), one, one).axes]
+        ['x (m)', '']
+    """
+    for number, (times, values) in enumerate([*before, *after]):
+        paired = values.ndim == 2 and len(times) == len(values)
+        if not paired or values.shape[1] > len(names) or len(names) != len(units):
+            raise ValueError(
+                f"trajectory {number} must have times (T,) and values (T, M) with M of at most "
+                f"{len(names)} names with {len(units)} units, got {tuple(times.shape)} and "
+                f"{tuple(values.shape)}"
+            )
+    if not (before and after):
+        raise ValueError(
+            f"there must be a trajectory before and one after, got {len(before)} and {len(after)}"
+        )
+    figure = Figure(figsize=(8.0, 0.8 + 1.8 * len(names)), layout="constrained")
+    panels = figure.subplots(len(names), 2, sharex=True, sharey="row", squeeze=False)
+    for column, (heading, trajectories) in enumerate((("before", before), (title, after))):
+        panels[0, column].set_title(heading)
+        panels[-1, column].set_xlabel("time (s)")
+        for row, panel in enumerate(panels[:, column]):
+            _draw_entry(panel, trajectories, row, markers)
+    for row, (name, unit) in enumerate(zip(names, units, strict=True)):
+        panels[row, 0].set_ylabel(with_unit(name, unit))
+    figure.align_ylabels(panels[:, 0])
+    return figure
+
+
+def _draw_entry(panel: Axes, trajectories: Sequence[Timed], entry: int, markers: bool) -> None:
+    style(panel)
+    shown = [(times, values[:, entry]) for times, values in trajectories if entry < values.shape[1]]
+    marker = "." if markers else None
+    for times, values in shown:
+        panel.plot(times, values, color=BLUE, linewidth=1.0, alpha=0.8, marker=marker, markersize=3)
+    if not shown:
+        middle: dict[str, Any] = {"transform": panel.transAxes, "ha": "center", "va": "center"}
+        panel.text(0.5, 0.5, "not recorded", color="0.4", **middle)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,6 +22,7 @@ from torch_pmil.plotting.style import (
     VERMILLION,
     WIDTH,
     check_some,
+    legend_above,
     rollouts_of,
     style,
 )
@@ -29,13 +31,13 @@ from torch_pmil.plotting.style import (
 def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figure:
     """Human strokes, the prediction for the learned policy, and the robot's strokes.
 
-    There is one panel for each stroke. The prediction is an ellipse of two standard deviations at
-    each step, in outline.
+    There is one panel for each stroke. The prediction is the outline of an ellipse of two standard
+    deviations at each step.
 
     Args:
-        panels: strokes of people (N, T + 1, 2), marginals of the tip at t = 1..T, mean (T, 2), and
-            strokes of the robot (B, T + 1, 2), of which the first 5 are drawn, by the title of
-            their panel; all in m, x to the right and y up.
+        panels: by the title of their panel, strokes of people (N, T + 1, 2), marginals of the tip
+            at t = 1..T, mean (T, 2), and strokes of the robot (B, T + 1, 2), of which the first 5
+            are drawn; all in m, x to the right and y up.
 
     Raises:
         ValueError: there is no panel, or shapes do not fit each other.
@@ -64,44 +66,29 @@ def plot_writing(panels: Mapping[str, tuple[Tensor, Gaussian, Tensor]]) -> Figur
         panel = figure.add_subplot(rows, columns, index + 1)
         _draw(panel, shown, predicted, written)
         panel.set_title(title)
-        panel.set(
-            xlabel="x (m)" if index + columns >= len(panels) else "",
-            ylabel="y (m)" if index % columns == 0 else "",
-        )
-    figure.legend(
-        *panel.get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
-    )
+        if index + columns >= len(panels):
+            panel.set_xlabel("x (m)")
+        if index % columns == 0:
+            panel.set_ylabel("y (m)")
+    legend_above(figure, 3, panel)
     return figure
 
 
 def _draw(panel: Axes, shown: Tensor, predicted: Gaussian, written: Tensor) -> None:
     style(panel)
+    places: dict[str, Any] = {"units": "xy", "offset_transform": panel.transData}
+    places["offsets"] = predicted.mean.detach().numpy()
+    look: dict[str, Any] = {"facecolor": "none", "edgecolor": (VERMILLION, 0.6), "linewidth": 0.7}
     widths, heights, angles = _ellipses(predicted)
-    panel.add_collection(
-        EllipseCollection(
-            widths,
-            heights,
-            angles,
-            units="xy",
-            offsets=predicted.mean.detach().numpy(),
-            offset_transform=panel.transData,
-            facecolor="none",
-            edgecolor=(VERMILLION, 0.6),
-            linewidth=0.7,
-        )
-    )
+    panel.add_collection(EllipseCollection(widths, heights, angles, **places, **look))
     strokes = (
         (shown, BLUE, "-", 0.7, f"{len(shown)} strokes of people"),
         (predicted.mean[None], VERMILLION, "-", 1.4, f"predicted ± {BAND} std"),
         (written[:FEW], DARK, (0, (4, 2)), 0.9, f"robot: {rollouts_of(len(written))}"),
     )
     for paths, colour, line, width, label in strokes:
-        drawn = panel.plot(
-            *paths.detach().numpy().transpose(2, 1, 0),
-            color=colour,
-            linestyle=line,
-            linewidth=width,
-        )
+        x, y = paths.detach().numpy().transpose(2, 1, 0)
+        drawn = panel.plot(x, y, color=colour, linestyle=line, linewidth=width)
         drawn[0].set_label(label)
     panel.set_aspect("equal", adjustable="datalim")
     for axis in (panel.xaxis, panel.yaxis):

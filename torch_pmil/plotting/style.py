@@ -1,4 +1,4 @@
-"""Common parts of all figures: colours, axes, bands, and how they are saved."""
+"""Common parts of all figures: colours, axes, bands, legends, and how figures are saved."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HATCHES = (None, "///", "...", "xxx")
 SERIES = tuple(zip(COLOURS, "os^Dvp", strict=True))  # colours and markers of several lines
 WIDTH = 8.0  # inches, of all figures of a run
 MOST_COLUMNS = 3  # of panels
-FEW = 5  # rollouts that are drawn one by one
+FEW = 5  # number of rollouts that are drawn one by one
 BAND = 2  # standard deviations on either side of the mean
 
 Band = tuple[np.ndarray, np.ndarray, np.ndarray]  # lower edge, mean and upper edge, (T,) each
@@ -52,41 +52,53 @@ def save_figure(figure: Figure, path: Path | str) -> None:
 
 
 def style(panel: Axes) -> None:
+    """Draw a panel without its upper and right edge, on a faint grid."""
     panel.spines[["top", "right"]].set_visible(False)
     panel.grid(color="0.92", linewidth=0.6)
     panel.set_axisbelow(True)
 
 
 def labelled(*panels: Axes) -> list[Artist]:
-    """What is drawn in panels and has a label."""
+    """Everything in the panels that has a label."""
     return [drawn for panel in panels for drawn in panel.get_legend_handles_labels()[0]]
 
 
+def legend_above(figure: Figure, columns: int, *panels: Axes) -> None:
+    """Draw one legend for these panels above the figure, unless nothing in them has a label."""
+    if handles := labelled(*panels):
+        figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False)
+
+
 def check_some(name: str, items: Sized) -> None:
-    """Raise ValueError where there is nothing to draw."""
+    """Raise ValueError if there is nothing to draw."""
     if not len(items):
         raise ValueError(f"{name} must hold one at least, got none")
 
 
-def panels_of(count: int, xlabel: str) -> tuple[Figure, list[Axes]]:
-    """A grid of ``count`` panels with one time axis and no place left empty.
-
-    The lowest panel in each column is labelled.
-    """
-    fitting = [columns for columns in range(1, MOST_COLUMNS + 1) if count % columns == 0]
-    columns = max(fitting)
+def panels_over_time(labels: Sequence[str]) -> tuple[Figure, list[Axes]]:
+    """A grid with a panel for each label and no empty place."""
+    count = len(labels)
+    columns = max(n for n in range(1, MOST_COLUMNS + 1) if count % n == 0)
     rows = count // columns
     figure = Figure(figsize=(WIDTH, 0.8 + 2.2 * rows), layout=ConstrainedLayoutEngine(w_pad=0.08))
     panels = [figure.add_subplot(rows, columns, index + 1) for index in range(count)]
-    for index, panel in enumerate(panels):
+    label_over_time(figure, panels, labels, columns)
+    return figure, panels
+
+
+def label_over_time(
+    figure: Figure, panels: Sequence[Axes], labels: Sequence[str], columns: int
+) -> None:
+    """Style the panels of a grid; only the lowest one in each column has a time axis."""
+    for index, (panel, label) in enumerate(zip(panels, labels, strict=True)):
         style(panel)
         panel.margins(x=0)
-        if index + columns < count:
+        panel.set_ylabel(label)
+        if index + columns < len(panels):
             panel.tick_params(labelbottom=False)
         else:
-            panel.set_xlabel(xlabel)
+            panel.set_xlabel("time (s)")
     figure.align_ylabels(panels)
-    return figure, panels
 
 
 def rollouts_of(count: int) -> str:
@@ -107,24 +119,12 @@ def band_of(belief: Gaussian, entry: int) -> Band:
     return mean - BAND * std, mean, mean + BAND * std
 
 
-def draw_band(
-    panel: Axes,
-    time: np.ndarray,
-    band: Band,
-    colour: str,
-    label: str,
-) -> None:
+def draw_band(panel: Axes, x: np.ndarray, band: Band, colour: str, label: str) -> None:
+    """Draw a band with its edges, and its mean."""
     lower, mean, upper = band
-    panel.fill_between(
-        time,
-        lower,
-        upper,
-        facecolor=(colour, 0.25),
-        edgecolor=(colour, 0.8),
-        linewidth=0.8,
-        label=label,
-    )
-    panel.plot(time, mean, color=colour, linewidth=1.4)
+    look: dict[str, Any] = {"facecolor": (colour, 0.25), "edgecolor": (colour, 0.8)}
+    panel.fill_between(x, lower, upper, linewidth=0.8, label=label, **look)
+    panel.plot(x, mean, color=colour, linewidth=1.4)
 
 
 def draw_range(

@@ -23,14 +23,16 @@ from torch_pmil.plotting.style import (
     band_of,
     check_some,
     draw_band,
-    panels_of,
+    legend_above,
+    panels_over_time,
     rollouts_of,
 )
 
 # how far a prediction may stretch a panel, in heights of the demonstrated and executed motion
 OVERSHOOT = 0.75
 SHOWN = 20  # number of particles that are drawn one by one
-EXECUTED: dict[str, Any] = {"color": DARK, "linewidth": 0.9, "linestyle": (0, (4, 2))}
+DASHED = (0, (4, 2))
+EXECUTED: dict[str, Any] = {"color": DARK, "linewidth": 0.9, "linestyle": DASHED}
 
 
 def plot_distributions(
@@ -44,20 +46,19 @@ def plot_distributions(
 ) -> Figure:
     """Demonstrated and predicted trajectory distribution with executed rollouts (Figure 6).
 
-    There is one panel for each entry. The demonstrated distribution is a band with the
-    demonstrations in it, the predicted one its mean with an outline: two standard deviations on
-    either side of the mean. A prediction that goes far beyond the demonstrated and executed motion
-    leaves the panel, so that the motion stays readable; one that is not finite is not drawn.
+    There is one panel for each entry. The demonstrated distribution is a filled band, the predicted
+    one an outline around its mean; both reach two standard deviations from the mean. A prediction
+    far beyond the demonstrated and executed motion leaves the panel, so that the motion stays
+    readable. A prediction that is not finite is not drawn.
 
     Args:
-        names: names of the M entries of the match space.
-        units: units of the M entries.
+        names, units: those of the M entries of the match space.
         time_step: seconds between two samples.
         demonstrations: N demonstrations at t = 0..T, (N, T + 1, M).
         demonstrated: demonstrated marginals at t = 1..T, mean (T, M) and cov (T, M, M).
         predicted: predicted marginals of the same shape.
-        executed: rollouts of the robot at t = 0..T, (B, T + 1, M), NaN from where one was cut
-            short; the first 5 are drawn.
+        executed: rollouts of the robot at t = 0..T, (B, T + 1, M), NaN after the end of one that
+            was cut short; the first 5 are drawn.
 
     Raises:
         ValueError: shapes do not fit each other.
@@ -65,18 +66,26 @@ def plot_distributions(
     Example:
         >>> import torch
         >>> belief = Gaussian(torch.zeros(5, 2), torch.eye(2).expand(5, 2, 2))
-        >>> names, units, shown, executed = "ab", ("rad", "m"), torch.zeros(2, 6, 2), torch.ones(
-        ...     9, 6, 2
-        ... )
-        >>> figure = plot_distributions(names, units, 0.1, shown, belief, belief, executed)
+        >>> shown, executed = torch.zeros(2, 6, 2), torch.ones(9, 6, 2)
+        >>> named = "ab", ("rad", "m")
+        >>> figure = plot_distributions(*named, 0.1, shown, belief, belief, executed)
         >>> [panel.get_ylabel() for panel in figure.axes]
         ['a (rad)', 'b (m)']
         >>> figure.legends[0].get_texts()[-1].get_text()
         'the first 5 of 9 rollouts'
     """
-    _check(names, units, demonstrations, demonstrated, predicted, executed)
-    time = time_step * np.arange(len(demonstrated.mean) + 1)
-    figure, panels = panels_of(len(names), "time (s)")
+    check_some("demonstrated.mean", demonstrated.mean)
+    T, M = demonstrated.mean.shape
+    paths = demonstrations.shape[1:] == executed.shape[1:] == (T + 1, M)
+    if not (predicted.mean.shape == (T, M) and paths and len(names) == len(units) == M):
+        raise ValueError(
+            f"predicted must be {(T, M)}, demonstrations and executed (N, {T + 1}, {M}) for "
+            f"demonstrated marginals {(T, M)}, with a name and a unit for each entry, got "
+            f"{tuple(predicted.mean.shape)}, {tuple(demonstrations.shape)} and "
+            f"{tuple(executed.shape)}, {len(names)} names and {len(units)} units"
+        )
+    time = time_step * np.arange(T + 1)
+    figure, panels = panels_over_time(list(map(with_unit, names, units)))
     for entry, panel in enumerate(panels):
         shown, done = (
             paths[..., entry].detach().numpy() for paths in (demonstrations, executed[:FEW])
@@ -87,10 +96,7 @@ def plot_distributions(
         _draw_outline(panel, time[1:], prediction)
         _draw_paths(panel, time, done, EXECUTED, rollouts_of(len(executed)))
         panel.set_ylim(*_limits(np.concatenate([*band, *shown, *done]), np.concatenate(prediction)))
-        panel.set_ylabel(with_unit(names[entry], units[entry]))
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False
-    )
+    legend_above(figure, 4, panels[0])
     return figure
 
 
@@ -106,8 +112,7 @@ def plot_demonstrations(
     There is one panel for each entry.
 
     Args:
-        names: names of the M entries of the match space.
-        units: units of the M entries.
+        names, units: those of the M entries of the match space.
         time_step: seconds between two samples.
         demonstrations: N demonstrations at t = 0..T, (N, T + 1, M).
         demonstrated: marginals at t = 1..T, mean (T, M) and cov (T, M, M).
@@ -132,17 +137,14 @@ def plot_demonstrations(
         )
     check_some("demonstrations", demonstrations)
     time = time_step * np.arange(steps + 1)
-    figure, panels = panels_of(entries, "time (s)")
+    figure, panels = panels_over_time(list(map(with_unit, names, units)))
     for entry, panel in enumerate(panels):
         band = band_of(demonstrated, entry)
         draw_band(panel, time[1:], band, VERMILLION, f"estimated ± {BAND} std")
         drawn = demonstrations[..., entry].numpy().T
-        lines = panel.plot(time, drawn, color=BLUE, linewidth=1.0, linestyle=(0, (4, 2)))
+        lines = panel.plot(time, drawn, color=BLUE, linewidth=1.0, linestyle=DASHED)
         lines[0].set_label("demonstrations")
-        panel.set_ylabel(with_unit(names[entry], units[entry]))
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False
-    )
+    legend_above(figure, 2, panels[0])
     return figure
 
 
@@ -158,8 +160,7 @@ def plot_prediction(
     There is one panel for each entry.
 
     Args:
-        names: names of the D entries.
-        units: units of the D entries.
+        names, units: those of the D entries.
         time_step: seconds between two samples; the first one shown is t = 1.
         predicted: marginals at t = 1..T by moment matching, mean (T, D) and cov (T, D, D).
         particles: trajectories of :func:`~torch_pmil.model.particles.sample_trajectories`, (N, T,
@@ -184,22 +185,18 @@ def plot_prediction(
             f"{tuple(particles.shape)}, {len(names)} names and {len(units)} units"
         )
     time = time_step * np.arange(1, shape[0] + 1)
-    figure, panels = panels_of(len(names), "time (s)")
+    figure, panels = panels_over_time(list(map(with_unit, names, units)))
     for entry, panel in enumerate(panels):
         drawn = particles[..., entry].detach().numpy()
         mean, reach = drawn.mean(0), BAND * drawn.std(0, ddof=1)
         band = band_of(predicted, entry)
         draw_band(panel, time, band, VERMILLION, f"moment matching ± {BAND} std")
-        dashed: dict[str, Any] = {"linewidth": 1.0, "linestyle": (0, (4, 2)), "zorder": 3}
-        for edge in (mean - reach, mean, mean + reach):
-            line = panel.plot(time, edge, color=DARK, **dashed)
-        line[0].set_label(f"particles: mean ± {BAND} std")
+        edges = np.stack([mean - reach, mean, mean + reach], -1)
+        lines = panel.plot(time, edges, color=DARK, linewidth=1.0, linestyle=DASHED, zorder=3)
+        lines[-1].set_label(f"particles: mean ± {BAND} std")
         single = panel.plot(time, drawn[:SHOWN].T, color=GREY, linewidth=0.4, alpha=0.6)
         single[0].set_label("some particles")
-        panel.set_ylabel(with_unit(names[entry], units[entry]))
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False
-    )
+    legend_above(figure, 3, panels[0])
     return figure
 
 
@@ -221,34 +218,10 @@ def _draw_outline(panel: Axes, time: np.ndarray, band: Band) -> None:
 
 
 def _limits(shown: np.ndarray, prediction: np.ndarray) -> tuple[float, float]:
-    """Ends of an axis on which all of ``shown`` is seen, and much of the prediction.
-
-    The prediction is seen as far as OVERSHOOT allows.
-    """
+    """Ends of an axis with all of ``shown``, and of the prediction what OVERSHOOT allows."""
     low, high = np.nanmin(shown), np.nanmax(shown)
     overshoot, margin = OVERSHOOT * (high - low), 0.05 * (high - low)
     there = np.isfinite(prediction)
     lowest = max(prediction.min(initial=low, where=there), low - overshoot)
     highest = min(prediction.max(initial=high, where=there), high + overshoot)
     return lowest - margin, highest + margin
-
-
-def _check(
-    names: Sequence[str],
-    units: Sequence[str],
-    demonstrations: Tensor,
-    demonstrated: Gaussian,
-    predicted: Gaussian,
-    executed: Tensor,
-) -> None:
-    check_some("demonstrated.mean", demonstrated.mean)
-    T, M = demonstrated.mean.shape
-    paths = demonstrations.shape[1:] == executed.shape[1:] == (T + 1, M)
-    named = len(names) == len(units) == M
-    if not (predicted.mean.shape == (T, M) and paths and named):
-        raise ValueError(
-            f"predicted must be {(T, M)}, demonstrations and executed (N, {T + 1}, {M}) for "
-            f"demonstrated marginals {(T, M)}, with a name and a unit for each entry, got "
-            f"{tuple(predicted.mean.shape)}, {tuple(demonstrations.shape)} and "
-            f"{tuple(executed.shape)}, {len(names)} names and {len(units)} units"
-        )

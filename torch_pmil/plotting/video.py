@@ -1,4 +1,4 @@
-"""Videos: pictures of a rollout, an H.264 file made of them, and a GIF made of the file."""
+"""Videos: pictures of a rollout, an H.264 file of them, and a GIF of that file."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from torch_pmil.checks import check_positive
 from torch_pmil.envs import MujocoRobotEnv
 from torch_pmil.files import replacing
 
-PATIENCE = 60.0  # s without progress after which ffmpeg is ended
-# an MP4, whatever the file is called, with its index first, so that a browser plays at once
+PATIENCE = 60.0  # s without progress after which ffmpeg is killed
+# an MP4, whatever the file is called, with its index first, so that a browser plays it at once
 MP4 = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", "10", "-f", "mp4"]
 MP4 += ["-movflags", "+faststart"]
 # a GIF counts in hundredths of a second, and 25 pictures per second are enough; the last one stays;
-# colours are those of this video, not mixed from dots, which flicker
+# the palette is that of this video without dithering, which flickers
 GIF_FILTER = (
     "fps='min(25,source_fps)',tpad=stop_mode=clone:stop_duration=1,split[a][b];"
     "[a]palettegen[p];[b][p]paletteuse=dither=none"
 )
 GIF = ["-filter_complex", GIF_FILTER, "-f", "gif"]
-FORMATS = {".gif": GIF, ".mp4": MP4}  # of a film, by the ending of its name
+FORMATS = {".gif": GIF, ".mp4": MP4}  # of a film, by its suffix
 
 
 def render_rollout(
     env: MujocoRobotEnv, start: Tensor, actions: Tensor, frames_per_step: int = 5
 ) -> Iterator[np.ndarray]:
-    """Pictures of a rollout, ``frames_per_step`` in each control period, from its start on.
+    """Pictures of a rollout, ``frames_per_step`` in each control period.
 
-    The control period of 0.1 s is too coarse for the eye; five pictures in it make 50 Hz. The
-    motion is simulated anew from the start, and the environment itself stays where it is.
+    A control period of 0.1 s is too coarse for the eye; five pictures in it make 50 Hz. The motion
+    is simulated anew from the start, and the state of the environment does not change.
 
     Args:
         env: the robot; its ``pixel_size`` is the size of the pictures.
@@ -71,13 +71,11 @@ def render_rollout(
 def dense_states(
     env: MujocoRobotEnv, start: Tensor, actions: Tensor, states_per_step: int = 5
 ) -> Tensor:
-    """States of a rollout within its control periods too, (T · states_per_step + 1, D).
-
-    The first one is the start.
+    """States of a rollout, several in each control period, (T · states_per_step + 1, D).
 
     Args:
-        env: the robot; it stays where it is.
-        start: state vector (D,).
+        env: the robot; its state does not change.
+        start: state vector (D,), the first one returned.
         actions: (T, F), each held for a control period.
         states_per_step: a divisor of ``env.substeps``.
 
@@ -96,9 +94,7 @@ def dense_states(
 
 
 def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> None:
-    """Write pictures as an H.264 video that every player shows, wholly or not at all.
-
-    The format is MP4 with yuv420p.
+    """Write pictures as an H.264 video (MP4, yuv420p), wholly or not at all.
 
     Args:
         path: the file to write; an existing file is replaced.
@@ -108,8 +104,8 @@ def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> N
 
     Raises:
         ValueError: there are no frames, one has another shape or type, or ``fps`` is not positive.
-        OSError: the folder is missing or not writable, or ffmpeg is missing, failed, or did nothing
-            for ``PATIENCE``.
+        OSError: the folder is missing or not writable, or ffmpeg is missing, failed, or made no
+            progress for ``PATIENCE``.
 
     Example:
         >>> import tempfile
@@ -123,19 +119,18 @@ def write_video(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> N
 
 
 def write_film(path: Path | str, frames: Iterable[np.ndarray], fps: float) -> None:
-    """Write pictures as a video or as a GIF, as the ending of the name says.
+    """Write pictures as a video or as a GIF, depending on the suffix.
 
-    A GIF has 25 pictures per second at most, repeats for ever, and rests on the last one for a
-    second.
+    A GIF has at most 25 pictures per second, repeats for ever, and rests on the last picture for a
+    second. Arguments and errors are those of :func:`write_video`.
 
     Args:
         path: the file to write, ending in .gif or .mp4; an existing file is replaced.
-        frames: as those of :func:`write_video`.
+        frames: pictures (height, width, 3), uint8, all of one size.
         fps: pictures per second.
 
     Raises:
-        ValueError: the name has another ending; or as :func:`write_video`.
-        OSError: as :func:`write_video`.
+        ValueError: the name has another suffix.
 
     Example:
         >>> import tempfile
@@ -158,15 +153,15 @@ def check_film_name(path: Path | str) -> None:
 def write_gif(path: Path | str, video: Path | str) -> None:
     """Write a video as a GIF that repeats for ever, wholly or not at all.
 
-    It is for pages that show no videos. It is as large and as fast as the video, at 25 pictures per
-    second, and rests on the last one for a second.
+    It has the size and speed of the video, at most 25 pictures per second, and rests on the last
+    picture for a second.
 
     Args:
         path: the file to write; an existing file is replaced.
         video: a file that :func:`write_video` wrote.
 
     Raises:
-        OSError: the video is missing or is none, or the folder is missing or not writable.
+        OSError: the video is missing or not a video, or the folder is missing or not writable.
 
     Example:
         >>> import tempfile
@@ -182,7 +177,7 @@ def write_gif(path: Path | str, video: Path | str) -> None:
 
 
 def url(path: Path) -> str:
-    """The name of a file that ffmpeg takes for nothing else: no option, and no protocol.
+    """The name of a file for ffmpeg, which cannot take it for an option or a protocol.
 
     Example:
         >>> url(Path("/runs/http:/-i.mp4"))
@@ -197,30 +192,22 @@ def _write(path: Path | str, frames: Iterable[np.ndarray], fps: float, form: lis
     first = next(frames, None)
     if first is None:
         raise ValueError("a video needs at least one frame, got none")
-    with replacing(path) as temporary:
-        _encode(temporary, itertools.chain([first], frames), first.shape, fps, form)
-
-
-def _encode(
-    path: Path,
-    frames: Iterable[np.ndarray],
-    shape: tuple[int, ...],
-    fps: float,
-    form: list[str],
-) -> None:
+    shape = first.shape
     if len(shape) != 3 or shape[2] != 3 or not all(shape):
         raise ValueError(f"frames must have shape (height, width, 3), got {shape}")
     margin = [(0, shape[0] % 2), (0, shape[1] % 2), (0, 0)]
     size = f"{shape[1] + shape[1] % 2}x{shape[0] + shape[0] % 2}"
     rate = str(Fraction(fps).limit_denominator())
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", rate, "-i", "pipe:0"]
-    _run_ffmpeg([*raw, *form], path, _checked(frames, shape, margin), "no video")
+    chunks = _checked(itertools.chain([first], frames), shape, margin)
+    with replacing(path) as temporary:
+        _run_ffmpeg([*raw, *form], temporary, chunks, "no video")
 
 
 def _checked(
     frames: Iterable[np.ndarray], shape: tuple[int, ...], margin: list[tuple[int, int]]
 ) -> Iterator[bytes]:
-    """The bytes of frames, each with its margin; raises ValueError at one of another kind."""
+    """The bytes of each frame with its margin; raises ValueError at one of another kind."""
     for count, frame in enumerate(frames):
         if frame.shape != shape or frame.dtype != np.uint8:
             raise ValueError(
@@ -231,10 +218,7 @@ def _checked(
 
 
 def _run_ffmpeg(arguments: list[str], path: Path, chunks: Iterable[bytes], complaint: str) -> None:
-    """Run ffmpeg on these bytes, and let it fill a file that is there.
-
-    Raises OSError unless it ends well, and without long pauses.
-    """
+    """Run ffmpeg on these bytes to fill a file; raises OSError if it fails or stalls."""
     try:
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *arguments]
     except RuntimeError as error:
@@ -252,11 +236,9 @@ def _run_ffmpeg(arguments: list[str], path: Path, chunks: Iterable[bytes], compl
 
 
 def _started(command: list[str], path: Path, file: int, said: IO[bytes]) -> subprocess.Popen[bytes]:
-    """Start ffmpeg with an open file of that path to fill.
-
-    If this process is killed, ffmpeg ends a little later, and makes no file of that name anew: it
-    is given the open file in place of the path, where the system has a name for it, as Linux does.
-    """
+    """Start ffmpeg with an open file of that path to fill."""
+    # If this process is killed, ffmpeg ends a little later, and must not make a file of that name
+    # again. So it gets the open file in place of the path if the system, as Linux, names open files
     opened = Path(f"/proc/self/fd/{file}")
     there = opened.exists()
     return subprocess.Popen(
@@ -273,7 +255,7 @@ def _feed(process: subprocess.Popen[bytes], chunks: Iterable[bytes]) -> None:
     """Write all chunks and wait for the end of the process, which is killed at a long pause."""
     assert process.stdin is not None
     try:
-        with suppress(BrokenPipeError):  # it ended early, and its status says why
+        with suppress(BrokenPipeError):  # it ended early; its status says why
             for chunk in chunks:
                 with _patience(process):
                     process.stdin.write(chunk)
@@ -299,7 +281,7 @@ def _patience(process: subprocess.Popen[bytes]) -> Iterator[None]:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a process with all that it started, which would hold its pipes."""
+    """Kill a process and its children, which would hold its pipes."""
     with suppress(ProcessLookupError):
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from torch_pmil.plotting.calibration import plot_success_calibration
+from reproduction.plots.calibration import plot_success_calibration
 
 
 def test_trials_are_points_and_bins_have_their_intervals_in_percent() -> None:

@@ -1,8 +1,9 @@
 """Numbers and tables of the pages, filled in from ``results/**/summary.json``.
 
 A number is a replacement field of Python. ``{hit_rate:.0%}`` is an entry of the ``headline``,
-``{counts/all/totals/trials}`` one below others. ``{runs/experience_s:.1f}`` is the range over a list,
-and ``{runs/seed=3/experience_s:.1f}`` that over the members with this seed.
+``{counts/all/totals/trials}`` one below others. ``{runs/experience_s:.1f}`` is the range over a
+list, ``{runs/seed=3/experience_s:.1f}`` that over the members with this seed, and
+``{lower..upper:.0%}`` that between two entries.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ class _Fields(Formatter):
     """Formats entries: ``null`` as "never", a list as its range."""
 
     def get_field(self, field_name: str, args: Any, kwargs: Any) -> tuple[Any, str]:
-        return entry(kwargs, field_name), field_name
+        found = [entry(kwargs, name) for name in field_name.split("..")]
+        return (found if len(found) > 1 else found[0]), field_name
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if value is None:
@@ -79,8 +81,8 @@ def table(source: str, lines: Sequence[str], rows: str = "", columns: str = "") 
         lines: ``label: template`` for each row; with " | " between the templates of the columns if
             they differ. With ``rows`` alone the lines are the columns. With ``rows`` and
             ``columns`` the one line is the template of all cells.
-        rows, columns: keys, each as ``key`` or ``key = label``, with " | " between them. A key takes
-            the place of ``<row>`` or ``<column>`` in the templates and in ``source``.
+        rows, columns: keys, each as ``key`` or ``key = label``, with " | " between them. A key
+            takes the place of ``<row>`` or ``<column>`` in the templates and in ``source``.
 
     Raises:
         ValueError: a row or column would be empty.

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import pytest
 
-spec = importlib.util.spec_from_file_location(
-    "html_links", Path(__file__).parents[2] / "docs" / "_ext" / "html_links.py"
-)
-html_links = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(html_links)
+from tests.helpers.extensions import extension
+
+html_links = extension("html_links")
 
 
 @pytest.mark.parametrize(

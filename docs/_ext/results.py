@@ -11,7 +11,7 @@ from docutils.parsers.rst.directives import unchanged
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
-from summaries import fill, path_of, provenance, table
+from summaries import fill, path_of, provenance, sources, table
 
 
 class ResultsDirective(SphinxDirective):
@@ -22,15 +22,14 @@ class ResultsDirective(SphinxDirective):
     option_spec = {"rows": unchanged, "columns": unchanged}
 
     def run(self) -> list[nodes.Node]:
-        source, columns = self.arguments[0], self.options.get("columns", "")
-        keys = [key.partition(" = ")[0] for key in columns.split(" | ")]
-        names = dict.fromkeys(source.replace("<column>", key) for key in keys)
+        source = self.arguments[0]
+        names = sources(source, **self.options)
         for name in names:
             self.env.note_dependency(str(path_of(name)))
         try:
             header, *rows = table(source, list(self.content), **self.options)
         except (KeyError, ValueError, OSError) as error:
-            raise self.error(f"{source}: {error}") from error
+            raise self.error(str(error)) from error
         lines = [header, ["---"] * len(header), *rows]
         text = [f"| {' | '.join(cells)} |" for cells in lines]
         text += [line for name in names for line in ("", provenance(name))]

@@ -104,6 +104,12 @@ def table(source: str, lines: Sequence[str], rows: str = "", columns: str = "") 
     return turned if rows and not columns else cells
 
 
+def sources(source: str, rows: str = "", columns: str = "") -> list[str]:
+    """The names of the summaries of a table."""
+    place = "<column>" if columns else "<row>"
+    return list(dict.fromkeys(source.replace(place, key) for key, _ in _keys(columns or rows)))
+
+
 def _keys(text: str) -> list[tuple[str, str]]:
     parts = [part.partition(" = ") for part in text.split(" | ")]
     return [(key, label or key) for key, _, label in parts]

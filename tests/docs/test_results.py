@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,22 +18,11 @@ TABLE = re.compile(r"^```\{results\} (\S+)\n((?::.*\n)*)((?:[^`:].*\n)*)```$", r
 NUMBER = re.compile(r"\{result\}`(\S+) ([^`]+)`")
 TABLES = [(page, *found) for page, text in TEXTS.items() for found in TABLE.findall(text)]
 NUMBERS = [(page, *found) for page, text in TEXTS.items() for found in NUMBER.findall(text)]
-ALL = [
-    path.parent.relative_to(summaries.RESULTS).as_posix()
-    for path in summaries.RESULTS.rglob("summary.json")
-]
+FILES = [*summaries.RESULTS.rglob("summary.json")]
 
 
 def options(text: str) -> dict[str, str]:
     return dict(re.findall(r"^:(\w+): (.*)$", text, re.MULTILINE))
-
-
-def used() -> Iterator[tuple[Path, str]]:
-    """Each page with the name of a summary of which it has numbers."""
-    yield from ((page, name) for page, name, _ in NUMBERS)
-    for page, source, given, _ in TABLES:
-        for key in options(given).get("columns", "").split(" | "):
-            yield page, source.replace("<column>", key.partition(" = ")[0])
 
 
 def command_on(page: Path, name: str) -> str:
@@ -75,13 +63,9 @@ def test_fields_are_filled_with_entries(template: str, text: str) -> None:
 def test_rows_and_columns_are_keys_or_lines() -> None:
     table = summaries.table
     rate, seeds = "rate: {runs/<row>/rate:.1f}", "0 = first | 2"
-    assert table("paper/example", [rate], rows=seeds) == [
-        ["", "rate"],
-        ["first", "1.0"],
-        ["2", "0.9"],
-    ]
-    turned = table("paper/example", [rate.replace("row", "column")], columns=seeds)
-    assert turned == [["", "first", "2"], ["rate", "1.0", "0.9"]]
+    turned = [["", "first", "2"], ["rate", "1.0", "0.9"]]
+    assert table("paper/example", [rate], rows=seeds) == [*map(list, zip(*turned, strict=True))]
+    assert table("paper/example", [rate.replace("row", "column")], columns=seeds) == turned
     both = table("paper/example", ["{runs/<row>/<column>}"], rows="0", columns="seed | rate")
     assert both == [["", "seed", "rate"], ["0", "0", "1.0"]]
     texts = table("paper/example", ["lost: none | {lost}"], columns="paper | here")
@@ -98,39 +82,38 @@ def test_row_or_column_without_numbers_is_refused(line: str) -> None:
 def test_every_table_and_every_number_of_the_pages_is_filled() -> None:
     assert len(TABLES) == sum(text.count("```{results}") for text in TEXTS.values()) > 30
     assert len(NUMBERS) == sum(text.count("{result}`") for text in TEXTS.values()) > 10
-    for _, source, given, lines in TABLES:
+    for page, source, given, lines in TABLES:
         cells = str(summaries.table(source, lines.splitlines(), **options(given)))
         assert not re.search("[{}<>]", cells), cells
+        file = f"`results/{source.partition('<')[0]}"  # for those who read where none is filled
+        assert file in TEXTS[page], (page.name, source)
     assert all(summaries.fill(name, template) for _, name, template in NUMBERS)
 
 
-def test_a_page_says_which_file_a_table_is_of() -> None:
-    """For those who read it where no table is filled."""
-    files = [(page, f"`results/{source.partition('<')[0]}") for page, source, *_ in TABLES]
-    assert [(page.name, file) for page, file in files if file not in TEXTS[page]] == []
-
-
 def test_summaries_are_of_full_size_and_made_by_a_command_on_the_page() -> None:
-    names = set(used())
-    assert [name for _, name in names if summaries.summary_of(name).get("quick")] == []
-    absent = [
-        (page.name, name)
-        for page, name in names
-        if command_on(page, name) not in re.sub(r"\s+", " ", TEXTS[page])
-    ]
-    assert absent == []
+    used = {(page, name) for page, name, _ in NUMBERS}
+    for page, source, given, _ in TABLES:
+        used |= {(page, name) for name in summaries.sources(source, **options(given))}
+    for page, name in used:
+        assert not summaries.summary_of(name).get("quick"), name
+        assert command_on(page, name) in re.sub(r"\s+", " ", TEXTS[page]), (page.name, name)
 
 
 def test_marked_are_the_results_whose_runs_ended_by_the_former_rule() -> None:
-    assert len(ALL) > 40
-    for name in ALL:
-        text = summaries.path_of(name).read_text()
-        if re.search(r'"stop_reason": "the own', text):
-            former = re.search(r'in a row succeeded"', text) is not None
-            assert former == ("present rule" in summaries.provenance(name)), name
-
-
-def test_a_table_is_followed_by_its_file_its_version_and_its_commit() -> None:
-    assert summaries.provenance("paper/ur5e") == (
-        "`results/paper/ur5e/summary.json`: 18 runs, 2026-11-23, torch_pmil 0.2.0, commit aba7a2e."
+    assert len(FILES) > 40
+    for path in FILES:
+        text, name = path.read_text(), path.parent.relative_to(summaries.RESULTS).as_posix()
+        if '"stop_reason": "the own' in text:
+            assert ('in a row succeeded"' in text) == summaries.is_older(name), name
+    assert summaries.provenance("paper/box") == (
+        "`results/paper/box/summary.json`: 10 runs, 2026-11-23, torch_pmil 0.2.0, commit 398dfdc. "
+        "**Learned before the present rule for ending a run.**"
     )
+
+
+def test_times_of_a_policys_step_are_those_on_its_page_and_below_a_millisecond() -> None:
+    (page,) = (text for page, text in TEXTS.items() if page.name == "deploy.md")
+    for row in summaries.summary_of("benchmarks/policy_step")["rows"]:
+        names = ("cpu_us_min", "cpu_us_median", "wall_us_median", "wall_us_99_percent")
+        assert f"| {row['form']} | {' | '.join(f'{row[name]:.0f}' for name in names)} |" in page
+        assert row["cpu_us_median"] < 1000 and row["wall_us_median"] < 1000

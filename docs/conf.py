@@ -55,6 +55,7 @@ autodoc_default_options = {
     "show-inheritance": True,
     "ignore-module-all": True,  # what a room's __init__ imports is listed at its module
 }
+viewcode_follow_imported_members = False  # the page of a source is that of its module
 autodoc_inherit_docstrings = False
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {name: name for name in ("Array", *(f"Array{d}" for d in range(1, 6)))}

@@ -115,7 +115,7 @@ test-wheel: dist  ## the commands of the wheel alone, in an empty folder; PYTHON
 	@$(PYTHON) scripts/check_installed.py build/wheel/.venv/bin/pmil
 
 clean:  ## remove what make and the tests built, not runs/
-	@rm -rf .venv .mypy_cache .pytest_cache .ruff_cache docs/_build build dist *.egg-info
+	@rm -rf .venv .mypy_cache .pytest_cache .ruff_cache docs/_build docs/api build dist *.egg-info
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/.installed: setup.cfg pyproject.toml constraints.txt

@@ -24,11 +24,13 @@ extensions = [
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
+    "api_pages",
     "code_links",
     "docstrings",
     "equations",
     "kernels",
     "notebooks",
+    "results",
     "whole_links",
 ]
 exclude_patterns = ["_build", "_ext", "figures", "**/.ipynb_checkpoints"]
@@ -38,7 +40,7 @@ nitpick_ignore_regex = [
     for name in (
         # their objects are not ours
         "torch|tensordict|torchrl|gpytorch|numpy|scipy|matplotlib|mujoco|gymnasium|hydra|omegaconf",
-        "examples|numba|argparse|collections|enum|functools|http|os|pathlib|types|typing",
+        "examples|numba|abc|argparse|collections|enum|functools|http|os|pathlib|types|typing",
         # by the names that annotations and docstrings have for them
         "nn|np|Tensor|TensorDictModule|EnvBase|CheckpointError",
         "Array[1-5]?|Address|TypeAliasForwardRef",
@@ -47,7 +49,13 @@ nitpick_ignore_regex = [
     )
 ]
 
-autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
+autodoc_default_options = {
+    "members": True,
+    "member-order": "bysource",
+    "show-inheritance": True,
+    "ignore-module-all": True,  # what a room's __init__ imports is listed at its module
+}
+viewcode_follow_imported_members = False  # the page of a source is that of its module
 autodoc_inherit_docstrings = False
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {name: name for name in ("Array", *(f"Array{d}" for d in range(1, 6)))}

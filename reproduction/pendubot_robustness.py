@@ -9,7 +9,7 @@ profiles of pushes.
 Published: the rules, the ranges of the quantities, the plant. Of the pushes there are two versions
 of the ranges; here are the shorter, stronger ones. Chosen here: above the line at the end is so for
 the last 0.5 s, which a link that turns through does not do; a noisy case counts if most of
-:data:`REPETITIONS` succeed; noise of the torque is drawn at each time step of 2 ms; velocities are
+``REPETITIONS`` succeed; noise of the torque is drawn at each time step of 2 ms; velocities are
 not filtered; pushes are on the motor and within its limit. The controller acts at 25 Hz, from the
 last state that is measured. The leaderboard's own act at 500 Hz.
 """
@@ -128,7 +128,7 @@ def push_profiles(generator: np.random.Generator) -> Tensor:
 
 
 def criteria(generator: np.random.Generator) -> dict[str, Cases]:
-    """The cases of each criterion, by its name in :data:`CRITERIA`."""
+    """The cases of each criterion, by its name in ``CRITERIA``."""
 
     def levels(low: float, high: float, repetitions: int = 1) -> Tensor:
         return torch.linspace(low, high, LEVELS).double().repeat_interleave(repetitions)

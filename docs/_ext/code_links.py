@@ -22,7 +22,7 @@ class CodeRole(SphinxRole):
 
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
         module, name, line = locate(self.text)
-        node = code_link(module=module, name=name, told=self.text)
+        node = code_link(module=module, name=name, path=self.text)
         node += nodes.literal(
             text=f"{name} ({module.rpartition('.')[2]}.py:{line})" if line else self.text
         )
@@ -51,8 +51,8 @@ def resolve(app: Sphinx, doctree: nodes.document, docname: str) -> None:
     """Make links of the roles of a page."""
     documented = app.env.domains.python_domain.objects
     for node in list(doctree.findall(code_link)):
-        if node["told"] not in documented:
-            logger.warning("no such object in the API reference: %s", node["told"], location=node)
+        if node["path"] not in documented:
+            logger.warning("no such object in the API reference: %s", node["path"], location=node)
         page = f"_modules/{node['module'].replace('.', '/')}"
         target = f"{app.builder.get_relative_uri(docname, page)}#{node['name']}"
         node.replace_self(nodes.reference("", "", *node.children, refuri=target, internal=True))

@@ -3,7 +3,7 @@
 Example:
     python -m reproduction.baselines.tune_peers ensemble_cem double_pendulum
 
-Each configuration is the peer's own but for what :data:`CONFIGURATIONS` says. The best one has the
+Each configuration is the peer's own but for what ``CONFIGURATIONS`` says. The best one has the
 largest mean success rate over seeds and over 12.5, 25 and 50 s of experience; of those that tie,
 the first.
 
@@ -97,7 +97,7 @@ def folder(settings: Settings) -> str:
 
 
 def success(runs: Sequence[Run]) -> dict[str, Any]:
-    """Mean success rates at :data:`EXPERIENCE_S`, their mean, and CPU time (s) of a run."""
+    """Mean success rates at ``EXPERIENCE_S``, their mean, and CPU time (s) of a run."""
     summaries = [read_summary(run.out) for run in runs]
     curve = success_over_experience(summaries)
     rates = {f"{seconds:g}": curve.at(seconds) for seconds in EXPERIENCE_S}

@@ -1,4 +1,4 @@
-"""Links between the pages, as a code host shows them, lead to files and to headings."""
+"""Links between the pages, as a code host shows them, lead to files, headings and tests."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import re
 from pathlib import Path
 
 import torch_pmil
+from tests.helpers.pages import FENCE, PAGES, ROOT
 
-ROOT = Path(__file__).parents[2]
 PACKAGE = Path(torch_pmil.__file__).parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 CODE = re.compile(r"^```.*?^```$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?!\w+:)([^)\s]+)\)")  # but https: and the like
 HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
@@ -17,13 +16,15 @@ HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
 
 def anchors(page: Path) -> set[str]:
     """What the headings of a page are called in links."""
-    headings = HEADING.findall(
-        re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-    )
+    headings = HEADING.findall(FENCE.sub("", page.read_text()))
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-LINKS = [(page, link) for page in PAGES for link in LINK.findall(CODE.sub("", page.read_text()))]
+LINKS = [
+    (page, link)
+    for page in (ROOT / "README.md", *PAGES)
+    for link in LINK.findall(CODE.sub("", page.read_text()))
+]
 
 
 def leads_somewhere(page: Path, link: str) -> bool:
@@ -39,11 +40,19 @@ def leads_somewhere(page: Path, link: str) -> bool:
 
 def test_links_lead_to_files_and_to_headings_of_them() -> None:
     assert len(LINKS) > 50
-    broken = [(page.name, link) for page, link in LINKS if not leads_somewhere(page, link)]
-    assert broken == []
+    assert [found for found in LINKS if not leads_somewhere(*found)] == []
 
 
 def test_every_page_is_in_a_table_of_contents() -> None:
     index = (ROOT / "docs" / "index.md").read_text().splitlines()
-    pages = [page.relative_to(ROOT / "docs").with_suffix("").as_posix() for page in PAGES[1:]]
+    pages = [page.relative_to(ROOT / "docs").with_suffix("").as_posix() for page in PAGES]
     assert [page for page in pages if page != "index" and page not in index] == []
+
+
+def test_every_promise_names_tests_that_are_there() -> None:
+    text = (ROOT / "docs" / "guarantees.md").read_text()
+    rows = re.findall(r"^\| .*", text.partition("## Quiet motions")[0], re.MULTILINE)
+    promises = [row for row in rows if not row.startswith(("| promise", "| ---"))]
+    assert len(promises) > 15 and [row for row in promises if "`tests/" not in row] == []
+    for path, name in re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", text):
+        assert f"\ndef {name}(" in (ROOT / path).read_text(), name

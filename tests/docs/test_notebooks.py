@@ -27,67 +27,42 @@ print(importlib.util.find_spec("torch_pmil").origin, os.environ["OMP_NUM_THREADS
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
-def read(path: Path) -> NotebookNode:
-    """As it is in the file, nothing added."""
-    return nbformat.read(path, nbformat.NO_CONVERT)
+def text_of(notebook: NotebookNode, kind: str) -> str:
+    return "\n".join(cell.source for cell in notebook.cells if cell.cell_type == kind)
 
 
-def text_of(path: Path, kind: str) -> str:
-    return "\n".join(cell.source for cell in read(path).cells if cell.cell_type == kind)
-
-
-def test_names_count_up_in_reading_order() -> None:
-    assert [path.name[:3] for path in NOTEBOOKS] == [
-        f"{number:02d}_" for number in range(1, len(NOTEBOOKS) + 1)
-    ]
+def test_names_count_up_in_reading_order_and_slow_ones_are_there() -> None:
+    names = [path.name for path in NOTEBOOKS]
+    assert [name[:3] for name in names] == [f"{n:02d}_" for n in range(1, len(names) + 1)]
+    assert CONFTEST["SLOW"] <= {*names}
 
 
 @each_notebook
-def test_outputs_are_stripped(path: Path) -> None:
-    code = [cell for cell in read(path).cells if cell.cell_type == "code"]
+def test_notebook_is_of_the_newest_format_for_any_python_and_without_outputs(path: Path) -> None:
+    notebook = nbformat.read(path, nbformat.NO_CONVERT)  # nothing added
+    nbformat.validate(notebook)
+    assert (notebook.nbformat, notebook.nbformat_minor) == (4, 5)
+    assert notebook.metadata.kernelspec.name == "python3"
+    ids = [cell.id for cell in notebook.cells]
+    assert ids == [str(number) for number in range(len(ids))]  # as nbstripout numbers them
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert code and all(cell.outputs == [] and cell.execution_count is None for cell in code)
 
 
 @each_notebook
-def test_notebook_is_of_the_newest_format_for_any_python(path: Path) -> None:
-    notebook = read(path)
-    nbformat.validate(notebook)
-    assert (notebook.nbformat, notebook.nbformat_minor, notebook.metadata.kernelspec.name) == (
-        4,
-        5,
-        "python3",
-    )
-    assert [cell.id for cell in notebook.cells] == [
-        str(number) for number in range(len(notebook.cells))
-    ]  # as nbstripout numbers them
-
-
-@each_notebook
-def test_opening_says_how_long_it_runs_and_more_than_a_minute_is_slow(path: Path) -> None:
-    opening = read(path).cells[0].source
+def test_notebook_says_what_it_shows_how_long_it_runs_and_where_to_go_on(path: Path) -> None:
+    """What takes more than a minute is slow. Figures are drawn by the package, whose functions
+    label their axes.
+    """
+    notebook = nbformat.read(path, nbformat.NO_CONVERT)
+    opening, code = notebook.cells[0].source, text_of(notebook, "code")
     assert re.match(r"# .+\n\nYou will see .+ It runs in about .+", opening, re.DOTALL)
     assert (path.name in CONFTEST["SLOW"]) == ("minutes" in opening)
-
-
-@each_notebook
-def test_links_lead_somewhere_and_on(path: Path) -> None:
-    links = re.findall(r"\]\(([^)#]+)[^)]*\)", text_of(path, "markdown"))
-    assert not [
-        link for link in links if not link.startswith("http") and not (FOLDER / link).exists()
-    ]
-    assert "## What next" in read(path).cells[-1].source
-
-
-@each_notebook
-def test_figures_are_drawn_by_the_package(path: Path) -> None:
-    """Its functions label their axes, as their own tests say."""
-    code = text_of(path, "code")
+    links = re.findall(r"\]\(([^)#]+)[^)]*\)", text_of(notebook, "markdown"))
+    assert not [x for x in links if not x.startswith("http") and not (FOLDER / x).exists()]
+    assert "## What next" in notebook.cells[-1].source
     assert "torch_pmil.plotting import" in code
     assert not re.search(r"^\s*(import|from) (matplotlib|pylab|seaborn)", code, re.MULTILINE)
-
-
-def test_slow_notebooks_are_there() -> None:
-    assert CONFTEST["SLOW"] <= {path.name for path in NOTEBOOKS}
 
 
 def test_kernels_import_the_package_under_test_on_one_thread(

@@ -8,9 +8,9 @@ written. All other commands of a page are read, not run: there is such a command
 from __future__ import annotations
 
 import argparse
-import configparser
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
@@ -30,6 +30,7 @@ from torch_pmil.tasks.registry import EXPERIMENTS
 LEARNS = re.compile(r"\btrain\(|\.learn\(|^pmil (train|resume)\b", re.MULTILINE)
 TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text() for page in PAGES}
 MAKEFILE = (ROOT / "Makefile").read_text()
+EXTRAS = (ROOT / "setup.cfg").read_text().partition("[options.extras_require]")[2]
 LAWS = {  # of the numbers that a page prints, beyond its promise
     "docs/how_to/demonstrations.md": [(r"mean spread (\S+) m", lambda spread: spread < 0.02)],
     "docs/how_to/deploy.md": [
@@ -41,18 +42,13 @@ LAWS = {  # of the numbers that a page prints, beyond its promise
 }
 
 
-def promised(text: str) -> list[tuple[Block, str]]:
+def promised(text: str) -> Iterator[tuple[Block, str]]:
     """Each block of a page that is run, with the output that it promises."""
     found = blocks(text)
-    pairs = [
-        (block, below.text if below and below.is_promise else "")
-        for block, below in zip_longest(found, found[1:])
-    ]
-    return [
-        (block, promise)
-        for block, promise in pairs
-        if block.file or block.is_pasted or (promise and block.is_of_pmil)
-    ]
+    for block, below in zip_longest(found, found[1:]):
+        promise = below.text if below and below.is_promise else ""
+        if block.file or block.is_pasted or (promise and block.is_of_pmil):
+            yield block, promise
 
 
 def learns(text: str) -> bool:
@@ -63,7 +59,7 @@ def learns(text: str) -> bool:
 PASTED = [
     pytest.param(name, marks=pytest.mark.slow if learns(text) else ())
     for name, text in TEXTS.items()
-    if promised(text)
+    if any(promised(text))
 ]
 
 
@@ -101,28 +97,31 @@ def test_pasted_page_prints_what_it_promises(
 
 
 def test_page_that_learns_says_how_long_it_takes() -> None:
-    silent = [
-        name
-        for name, text in TEXTS.items()
-        if learns(text) and not re.search(r"(takes|about)\s[^.]*\s(second|minute|hour)", text)
-    ]
-    assert silent == []
+    time = re.compile(r"(takes|about)\s[^.]*\s(second|minute|hour)")
+    assert [name for name, text in TEXTS.items() if learns(text) and not time.search(text)] == []
 
 
 def test_commands_of_all_pages_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
     texts = TEXTS | {"README.md": (ROOT / "README.md").read_text()}
     found = [(name, words) for name, text in texts.items() for words in commands(text)]
     assert len(found) > 50
-    troubles = [
-        (name, " ".join(words), trouble)
-        for name, words in found
-        if (trouble := CHECKS[words[0]](monkeypatch, words[1:]))
-    ]
-    assert troubles == []
+    for name, words in found:
+        assert not trouble(monkeypatch, words), (name, words)
 
 
-class ParsedError(Exception):
-    """A command line was parsed, and nothing done yet."""
+def trouble(patch: pytest.MonkeyPatch, words: list[str]) -> str | list[str]:
+    """What is wrong with a command line, or nothing."""
+    program, *arguments = words
+    if program == "pmil":
+        return trouble_with_pmil(patch, arguments)
+    if program == "python":
+        module = arguments[0] == "-m"
+        there = find_spec(arguments[1]) if module else (ROOT / arguments[0]).is_file()
+        return [] if there else arguments
+    if program == "make":
+        return [word for word in arguments if "=" not in word and f"\n{word}:" not in MAKEFILE]
+    extras = re.findall(r"\w+", "".join(re.findall(r"\[([\w,]+)\]", " ".join(arguments))))
+    return [extra for extra in extras if f"\n{extra} =" not in EXTRAS]
 
 
 def trouble_with_pmil(patch: pytest.MonkeyPatch, arguments: list[str]) -> str:
@@ -146,17 +145,17 @@ def trouble_with_pmil(patch: pytest.MonkeyPatch, arguments: list[str]) -> str:
 
 
 def parsed_by_pmil(patch: pytest.MonkeyPatch, arguments: list[str]) -> argparse.Namespace | None:
-    """What a command makes of its command line; None where it only tells of itself."""
-    with patch.context() as parsing:
+    """What a command makes of its command line; None where it only shows its help."""
+    parsed = []
+
+    def parse_and_stop(parser: Parser) -> NoReturn:
+        parsed.append(argparse.ArgumentParser.parse_args(parser))
+        raise StopIteration
+
+    with patch.context() as parsing, suppress(StopIteration):
         parsing.setattr(Parser, "parse_args", parse_and_stop)
-        try:
-            run_command(parsing, *arguments)
-        except ParsedError as parsed:
-            return parsed.args[0]
-
-
-def parse_and_stop(parser: Parser) -> NoReturn:
-    raise ParsedError(argparse.ArgumentParser.parse_args(parser))
+        run_command(parsing, *arguments)
+    return parsed[0] if parsed else None
 
 
 def load(config: DictConfig) -> None:
@@ -166,37 +165,6 @@ def load(config: DictConfig) -> None:
         train.experiment_of(settings)
     elif settings.experiment not in EXPERIMENTS:
         raise ValueError(f"there is no experiment {settings.experiment}")
-
-
-def trouble_with_python(patch: pytest.MonkeyPatch, arguments: list[str]) -> str:
-    """What is wrong with a command line of Python, or nothing."""
-    if arguments[0] == "-m":
-        return "" if find_spec(arguments[1]) else f"there is no module {arguments[1]}"
-    return "" if (ROOT / arguments[0]).is_file() else f"there is no file {arguments[0]}"
-
-
-def trouble_with_make(patch: pytest.MonkeyPatch, arguments: list[str]) -> str:
-    """What is wrong with a command line of make, or nothing."""
-    targets = [word for word in arguments if "=" not in word]
-    absent = [t for t in targets if not re.search(rf"^{re.escape(t)}:", MAKEFILE, re.MULTILINE)]
-    return f"there is no target {absent}" if absent else ""
-
-
-def trouble_with_pip(patch: pytest.MonkeyPatch, arguments: list[str]) -> str:
-    """What is wrong with the extras that a command line of pip names, or nothing."""
-    config = configparser.ConfigParser()
-    config.read(ROOT / "setup.cfg")
-    named = re.findall(r"\w+", "".join(re.findall(r"\[([\w,]+)\]", " ".join(arguments))))
-    absent = [extra for extra in named if extra not in config["options.extras_require"]]
-    return f"there is no extra {absent}" if absent else ""
-
-
-CHECKS = {
-    "pmil": trouble_with_pmil,
-    "python": trouble_with_python,
-    "make": trouble_with_make,
-    "pip": trouble_with_pip,
-}
 
 
 def test_what_is_wrong_with_a_command_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,12 +182,9 @@ def test_what_is_wrong_with_a_command_is_found(monkeypatch: pytest.MonkeyPatch) 
         "make none",
         "pip install 'torch_pmil[none]'",
     ]
-    passed = []
     for line in wrong:
         (words,) = commands(f"    {line}\n")
-        if not CHECKS[words[0]](monkeypatch, words[1:]):
-            passed.append(line)
-    assert passed == []
+        assert trouble(monkeypatch, words), line
 
 
 def test_promise_is_kept_with_other_numbers_and_with_nothing_else() -> None:

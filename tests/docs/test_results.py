@@ -1,118 +1,119 @@
-"""The pages of results and the README quote what the reproduction wrote, and nothing else."""
+"""The numbers of the pages are filled in from the summaries of results, and from nothing else."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
-TASKS = {path.name for path in (ROOT / "results" / "tasks").iterdir()}  # by make results
-PAGE = ROOT / "docs" / "results" / "results.md"
-EVERY_SEED = PAGE.with_name("every_seed.md")
-README = ROOT / "README.md"
-# | value unit | `NAME/entry` |
-VALUE_AND_ENTRY = re.compile(r"\| ([\d.]+)( %)?[^|`\n]*\| `(\w+)/([\w.]+)` (?=\|)")
+import pytest
+
+from tests.helpers.extensions import extension
+from tests.helpers.pages import PAGES
+
+summaries = extension("summaries")
+
+TEXTS = {page: page.read_text() for page in PAGES}
+TABLE = re.compile(r"^```\{results\} (\S+)\n((?::.*\n)*)((?:[^`:].*\n)*)```$", re.MULTILINE)
+NUMBER = re.compile(r"\{result\}`(\S+) ([^`]+)`")
+TABLES = [(page, *found) for page, text in TEXTS.items() for found in TABLE.findall(text)]
+NUMBERS = [(page, *found) for page, text in TEXTS.items() for found in NUMBER.findall(text)]
+FILES = [*summaries.RESULTS.rglob("summary.json")]
 
 
-def quoted(page: Path) -> list[tuple[str, ...]]:
-    return VALUE_AND_ENTRY.findall(page.read_text())
+def options(text: str) -> dict[str, str]:
+    return dict(re.findall(r"^:(\w+): (.*)$", text, re.MULTILINE))
 
 
-@cache
-def summary_of(name: str) -> dict:
-    """The results of that name, whichever folder of results holds them."""
-    (path,) = (ROOT / "results").glob(f"**/{name}/summary.json")
-    return json.loads(path.read_text())
+def command_on(page: Path, name: str) -> str:
+    """What makes a summary, as the page that shows its numbers says it."""
+    if name.startswith("tasks/"):
+        return "make results"
+    if name.startswith("paper/") and page.stem == "results":
+        return "python scripts/reproduce.py NAME"
+    return summaries.summary_of(name)["command"]
 
 
-def as_told(value: float, told: str, percent: str) -> str:
-    """A value with as many decimals as the page gives it."""
-    decimals = len(told.partition(".")[2])
-    return f"{abs(value) * (100 if percent else 1):.{decimals}f}"
+@pytest.fixture
+def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A summary ``paper/example``."""
+    runs = [{"seed": seed, "rate": rate} for seed, rate in enumerate((1.0, 0.9, 0.95))]
+    summary = {"headline": {"rate_1.5s": 0.876, "never_s": None, "lost": -2}, "runs": runs}
+    (tmp_path / "paper" / "example").mkdir(parents=True)
+    (tmp_path / "paper" / "example" / "summary.json").write_text(json.dumps(summary))
+    monkeypatch.setattr(summaries, "RESULTS", tmp_path)
 
 
-def test_quoted_numbers_are_those_of_the_summaries() -> None:
-    assert len(quoted(PAGE)) > 20 and len(quoted(README)) == 15
-    wrong = [
-        (told, name, entry)
-        for told, percent, name, entry in quoted(PAGE) + quoted(EVERY_SEED) + quoted(README)
-        if told != as_told(summary_of(name)["headline"][entry], told, percent)
-    ]
-    assert wrong == []
+@pytest.mark.usefixtures("example")
+@pytest.mark.parametrize(
+    ("template", "text"),
+    [
+        ("{rate_1.5s:.0%} of {rate_1.5s:.2f}", "88 % of 0.88"),
+        ("{lost} or {never_s:.1f}", "−2 or never"),
+        ("{runs/rate:.0%}", "90 to 100 %"),
+        ("{runs/seed=1/rate}, {runs/2/rate:.0%}", "0.9, 95 %"),
+        ("{lost..rate_1.5s:.1f}", "−2.0 to 0.9"),
+    ],
+)
+def test_fields_are_filled_with_entries(template: str, text: str) -> None:
+    assert summaries.fill("paper/example", template) == text
 
 
-def test_every_number_that_names_its_source_is_checked() -> None:
-    for page in (PAGE, EVERY_SEED, README):
-        assert len(quoted(page)) == len(re.findall(r"`\w+/[\w.]+` \|", page.read_text()))
+@pytest.mark.usefixtures("example")
+def test_rows_and_columns_are_keys_or_lines() -> None:
+    table = summaries.table
+    rate, seeds = "rate: {runs/<row>/rate:.1f}", "0 = first | 2"
+    turned = [["", "first", "2"], ["rate", "1.0", "0.9"]]
+    assert table("paper/example", [rate], rows=seeds) == [*map(list, zip(*turned, strict=True))]
+    assert table("paper/example", [rate.replace("row", "column")], columns=seeds) == turned
+    both = table("paper/example", ["{runs/<row>/<column>}"], rows="0", columns="seed | rate")
+    assert both == [["", "seed", "rate"], ["0", "0", "1.0"]]
+    texts = table("paper/example", ["lost: none | {lost}"], columns="paper | here")
+    assert texts == [["", "paper", "here"], ["lost", "none", "−2"]]
 
 
-def test_shown_figures_are_there() -> None:
-    pages = PAGE.read_text() + EVERY_SEED.read_text()
-    shown = re.findall(r"!\[[^]]*\]\(([^)]+)\)", pages)
-    assert [path for path in shown if not (PAGE.parent / path).resolve().is_file()] == []
+@pytest.mark.usefixtures("example")
+@pytest.mark.parametrize("line", ["no such number: {rat}", "one row of two: {runs/<row>/rate}"])
+def test_row_or_column_without_numbers_is_refused(line: str) -> None:
+    with pytest.raises(ValueError, match="has no entries for"):
+        summaries.table("paper/example", [line], rows="0 | seven")
 
 
-def test_results_are_of_the_full_size_and_of_the_command_on_the_page() -> None:
-    names = {name for *_, name, _ in quoted(PAGE) + quoted(EVERY_SEED)} - {*TASKS}
-    summaries = {name: summary_of(name) for name in names}
-    assert [name for name, summary in summaries.items() if summary.get("quick")] == []
-    text = PAGE.read_text() + EVERY_SEED.read_text()
-    assert [name for name, s in summaries.items() if f"    {s['command']}\n" not in text] == []
+def test_every_table_and_every_number_of_the_pages_is_filled() -> None:
+    assert len(TABLES) == sum(text.count("```{results}") for text in TEXTS.values()) > 30
+    assert len(NUMBERS) == sum(text.count("{result}`") for text in TEXTS.values()) > 10
+    for page, source, given, lines in TABLES:
+        cells = str(summaries.table(source, lines.splitlines(), **options(given)))
+        assert not re.search("[{}<>]", cells), cells
+        file = f"`results/{source.partition('<')[0]}"  # for those who read where none is filled
+        assert file in TEXTS[page], (page.name, source)
+    assert all(summaries.fill(name, template) for _, name, template in NUMBERS)
 
 
-def test_tables_of_every_seed_are_those_of_the_summaries() -> None:
-    rows = [*causes_and_ends(summary_of("where_runs_fail")), *causes(summary_of("soak"))]
-    rows += [*coverage(summary_of("where_runs_fail")), *coverage(summary_of("soak"))]
-    rows += tasks(summary_of("soak")["tasks"])
-    lines = [" | ".join(["", *row, ""]).strip() for row in rows]
-    text = EVERY_SEED.read_text().splitlines()
-    assert [line for line in lines if line not in text] == []
-    ends = [" | ".join(["", *row, ""]).rstrip() for row in costs(summary_of("quiet")["compared"])]
-    assert [end for end in ends if not any(line.endswith(end) for line in text)] == []
+def test_summaries_are_of_full_size_and_made_by_a_command_on_the_page() -> None:
+    used = {(page, name) for page, name, _ in NUMBERS}
+    for page, source, given, _ in TABLES:
+        used |= {(page, name) for name in summaries.sources(source, **options(given))}
+    for page, name in used:
+        assert not summaries.summary_of(name).get("quick"), name
+        assert command_on(page, name) in re.sub(r"\s+", " ", TEXTS[page]), (page.name, name)
 
 
-def causes(summary: dict) -> Iterator[list[str]]:
-    counted = summary["counts"].values()
-    for cause in summary["counts"]["all"]["causes"]:
-        yield [cause, *(str(found["causes"][cause]) for found in counted)]
-    for told, entry in (("trials", "trials"), ("not needed", "trials_not_needed")):
-        yield [told, *(str(found["totals"][entry]) for found in counted)]
+def test_marked_are_the_results_whose_runs_ended_by_the_former_rule() -> None:
+    assert len(FILES) > 40
+    for path in FILES:
+        text, name = path.read_text(), path.parent.relative_to(summaries.RESULTS).as_posix()
+        if '"stop_reason": "the own' in text:
+            assert ('in a row succeeded"' in text) == summaries.is_older(name), name
+    assert summaries.provenance("paper/box") == (
+        "`results/paper/box/summary.json`: 10 runs, 2026-11-23, torch_pmil 0.2.0, commit 398dfdc. "
+        "**Learned before the present rule for ending a run.**"
+    )
 
 
-def causes_and_ends(summary: dict) -> Iterator[list[str]]:
-    yield from causes(summary)
-    for end in summary["counts"]["all"]["ends"]:
-        yield [end, *(str(found["ends"][end]) for found in summary["counts"].values())]
-
-
-def coverage(summary: dict) -> Iterator[list[str]]:
-    for task, found in summary["coverage_ahead"].items():
-        shares = [found[when].get(steps) for when in found for steps in ("1", "5", "10", "25")]
-        yield [task, *("" if share is None else f"{100 * share:.0f}" for share in shares)]
-
-
-def costs(compared: dict[str, dict]) -> list[list[str]]:
-    """Medians before and now of each task, without the name of the task."""
-    forms = ("experience_s", "{:.1f} s"), ("wall_seconds", "{:.0f} s")
-    return [
-        [form.format(found[entry][side]) for entry, form in forms for side in ("theirs", "ours")]
-        for task, found in compared.items()
-        if task != "all"
-    ]
-
-
-def tasks(numbers: dict[str, dict]) -> Iterator[list[str]]:
-    """Rows of the table with a column for each task."""
-    for told, entry, form in (
-        ("runs of 30 at 95 % or more", "at_95", "{:d}"),
-        ("experience, median", "median_experience_s", "{:.1f} s"),
-        ("the longest", "longest_experience_s", "{:.1f} s"),
-        ("computing of a core, median", "median_cpu_seconds", "{:.0f} s"),
-        ("error over the writers' spread, median", "median_ratio", "{:.2f}"),
-        ("the largest", "worst_ratio", "{:.2f}"),
-    ):
-        cells = [form.format(of[entry]) if entry in of else "" for of in numbers.values()]
-        yield [told, *cells]
+def test_times_of_a_policys_step_are_those_on_its_page_and_below_a_millisecond() -> None:
+    (page,) = (text for page, text in TEXTS.items() if page.name == "deploy.md")
+    for row in summaries.summary_of("benchmarks/policy_step")["rows"]:
+        names = ("cpu_us_min", "cpu_us_median", "wall_us_median", "wall_us_99_percent")
+        assert f"| {row['form']} | {' | '.join(f'{row[name]:.0f}' for name in names)} |" in page
+        assert row["cpu_us_median"] < 1000 and row["wall_us_median"] < 1000

@@ -466,4 +466,4 @@ def test_rule_of_the_positions_is_learned_and_comes_back_from_a_file(draws: Draw
 def test_model_of_all_entries_has_no_rule(fitted: GPDynamics) -> None:
     fitted.fit_known_part(torch.zeros(3, 2), torch.zeros(3, 2))
     assert "position_rule" not in fitted.state_dict()
-    assert fitted.targets == "difference"
+    assert fitted.targets.learned == (0, 1)

@@ -21,7 +21,7 @@ from torch_pmil.control.rbf_policy import Controller, RBFPolicy
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.model.dynamics import GPDynamics, Targets
+from torch_pmil.model.dynamics import GPDynamics, Targets, known_part
 from torch_pmil.model.particles import ParticlePrediction, sample_trajectories
 from torch_pmil.model.rollout import PredictionError, predict_trajectory
 from torch_pmil.search.policy_search import SearchSettings, search_policy
@@ -198,7 +198,7 @@ def test_starts_of_a_batch_are_predicted_each_from_its_own_belief(
 @kinds_of_targets
 def test_gradient_in_the_policy(draws: Draws, targets: Targets) -> None:
     policy, dynamics = make_parts(draws)
-    dynamics.targets = targets
+    dynamics.targets = known_part(targets, 2)
     state, predict = draws.belief(2, scale=0.02), ParticlePrediction(6)
 
     def last_state(centres: Tensor, weights: Tensor, log_widths: Tensor) -> tuple[Tensor, Tensor]:

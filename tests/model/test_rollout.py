@@ -137,7 +137,7 @@ def test_step_without_angles_has_the_moments_of_samples(
     approximated.
     """
     space = StateSpace(("a", "b", "c"), ("",) * 3, (), joint_match(("a", "b", "c"), ("",) * 3))
-    known = known_part(targets, 3, 1)
+    known = known_part(targets, 3)
     inputs, E = draws.normal(25, 4), known.num_outputs
     dynamics, controller, state = GPDynamics(4, E, targets), LinearController(), draws.belief(3)
     dynamics.set_data(inputs, inputs[:, :E].sin() + inputs[:, 3:])
@@ -418,7 +418,7 @@ def loop_of_means(
     for _ in range(horizon):
         features = space.features(states[-1])
         mean = dynamics.expansion.mean(torch.cat([features, policy(features)], -1))
-        states.append(mean if dynamics.targets == "successor" else states[-1] + mean)
+        states.append(states[-1] + mean if dynamics.targets.matrix.any() else mean)
     return torch.stack(states[1:], -2)
 
 

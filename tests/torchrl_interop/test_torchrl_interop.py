@@ -218,11 +218,11 @@ def test_velocities_alone_are_learned_where_positions_follow(draws: Draws) -> No
 
 
 def test_known_part_of_other_sizes_is_refused() -> None:
-    with pytest.raises(ValueError, match="4 entries and 2 actions, got a known part of 4 and 1"):
-        GPWorldModel(4, 2, targets=KnownPart.of_differences(4, 1))
-    dynamics = GPDynamics(6, 4, KnownPart.of_differences(4, 1))
-    with pytest.raises(ValueError, match="known part must be of its 2 actions, got one of 1"):
-        dynamics.known_part(raw_space(4))
+    known = KnownPart.of_velocities(NAMES, {}, num_actions=1, time_step=0.1)
+    with pytest.raises(ValueError, match="targets must be of 3 entries, got those of 4"):
+        GPWorldModel(3, 1, targets=known)
+    with pytest.raises(ValueError, match="known part must be of the 2 actions, got one of 1"):
+        GPDynamics(6, 4, known).known_part(raw_space(4))
 
 
 @raw_or_angles

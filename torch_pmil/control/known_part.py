@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torch_pmil.checks import check_positive, check_tensor, check_whole
 
@@ -25,7 +27,7 @@ class KnownPart:
     which it is added as it is.
 
     Args:
-        matrix: A, (D, D + F).
+        matrix: A, (D, D + F); (D, D) fits any number of actions, which then have no known effect.
         gain: C, (D, E).
         learned: index of the own entry of each output, E; these rows of C are the identity.
         followed: indices of each position that follows from a velocity, and of that velocity, P
@@ -59,9 +61,9 @@ class KnownPart:
         check_tensor("gain", self.gain, ("D", "E"))
         D, E = self.gain.shape
         check_tensor("matrix", self.matrix, (D, "D + F"))
-        if self.num_actions < 1:
+        if self.num_actions < 0:
             raise ValueError(
-                f"matrix must have more columns than the {D} entries of the state, got "
+                f"matrix must have a column for each of the {D} entries of the state, got "
                 f"{self.matrix.shape[-1]}"
             )
         own = self.gain[list(self.learned)] if set(self.learned) <= set(range(D)) else None
@@ -72,16 +74,16 @@ class KnownPart:
             )
 
     @classmethod
-    def of_differences(cls, dim: int, num_actions: int) -> KnownPart:
+    def of_differences(cls, dim: int) -> KnownPart:
         r"""All D entries change by what is learned, :math:`x_{t+1} = x_t + g(x_t, u_t)`."""
         identity = torch.eye(dim, dtype=torch.float64)
-        return cls._of(identity, identity, num_actions)
+        return cls(identity, identity, tuple(range(dim)))
 
     @classmethod
-    def of_successors(cls, dim: int, num_actions: int) -> KnownPart:
+    def of_successors(cls, dim: int) -> KnownPart:
         r"""Nothing is known: :math:`x_{t+1} = g(x_t, u_t)`."""
         identity = torch.eye(dim, dtype=torch.float64)
-        return cls._of(torch.zeros_like(identity), identity, num_actions)
+        return cls(torch.zeros_like(identity), identity, tuple(range(dim)))
 
     @classmethod
     def of_velocities(
@@ -125,7 +127,7 @@ class KnownPart:
             of_state[row, column] = time_step
             gain[row, learned.index(column)] = time_step / 2
         followed = tuple((index[position], index[rate]) for position, rate in velocities.items())
-        return replace(cls._of(of_state, gain, num_actions, learned), followed=followed)
+        return cls(pad(of_state, (0, num_actions)), gain, learned, followed)
 
     @classmethod
     def of_readings(cls, shift: Tensor, gain: Tensor, measured: Sequence[int]) -> KnownPart:
@@ -185,14 +187,19 @@ class KnownPart:
             numbers.append(before + torch.linalg.solve(normal, speeds.mT @ left))
         return torch.stack(numbers)
 
-    @classmethod
-    def _of(
-        cls, of_state: Tensor, gain: Tensor, num_actions: int, learned: tuple[int, ...] = ()
-    ) -> KnownPart:
-        """One in which actions have no known effect."""
-        of_action = of_state.new_zeros(len(of_state), num_actions)
-        own = learned or tuple(range(len(gain)))
-        return cls(torch.cat([of_state, of_action], -1), gain, own)
+    def for_actions(self, num_actions: int) -> KnownPart:
+        """The same with a column of ``matrix`` for each of F actions.
+
+        Raises ValueError where it is of another number of actions.
+        """
+        if self.num_actions == num_actions:
+            return self
+        if self.num_actions:
+            raise ValueError(
+                f"the known part must be of the {num_actions} actions, got one of "
+                f"{self.num_actions}"
+            )
+        return _for_actions(self, num_actions)
 
     @property
     def dim(self) -> int:
@@ -206,7 +213,7 @@ class KnownPart:
 
     @property
     def num_actions(self) -> int:
-        """Number of actions F."""
+        """Number of actions F; 0 where it does not matter."""
         return self.matrix.shape[-1] - self.dim
 
     @property
@@ -226,4 +233,10 @@ class KnownPart:
         return self._expected(states, actions) + outputs @ self.gain.to(outputs).mT
 
     def _expected(self, states: Tensor, actions: Tensor) -> Tensor:
-        return torch.cat([states, actions], -1) @ self.matrix.to(states).mT
+        matrix = self.for_actions(actions.shape[-1]).matrix
+        return torch.cat([states, actions], -1) @ matrix.to(states).mT
+
+
+@cache  # each prediction of a search asks for it
+def _for_actions(known: KnownPart, num_actions: int) -> KnownPart:
+    return replace(known, matrix=pad(known.matrix, (0, num_actions)))

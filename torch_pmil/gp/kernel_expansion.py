@@ -13,8 +13,7 @@ from torch import Tensor
 
 from torch_pmil.checks import check_finite_entries, check_real
 from torch_pmil.gp.gaussian import cholesky
-from torch_pmil.gp.gram import gram
-from torch_pmil.gp.kernel_pairs import KernelPairs
+from torch_pmil.gp.kernel_pairs import KernelPairs, gram
 
 
 @dataclass(frozen=True, eq=False)

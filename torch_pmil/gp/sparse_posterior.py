@@ -22,8 +22,8 @@ from torch import Tensor
 
 from torch_pmil.checks import check_real, check_tensor, check_whole
 from torch_pmil.gp.gaussian import cholesky
-from torch_pmil.gp.gram import gram
 from torch_pmil.gp.kernel_expansion import KernelExpansion, check_data
+from torch_pmil.gp.kernel_pairs import gram
 
 
 def sparse_posterior(

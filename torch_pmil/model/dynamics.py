@@ -6,8 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import gpytorch
 import torch
@@ -29,8 +28,7 @@ from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.lbfgs import NotFiniteError
 from torch_pmil.gp.sparse_posterior import inducing_data, sparse_posterior
 
-Named = Literal["difference", "successor"]
-Targets = Named | KnownPart
+Targets = KnownPart | Literal["difference", "successor"]
 
 # growth of the data after which hyper-parameters are searched from all starts again
 RESTART_GROWTH = 1.25
@@ -91,9 +89,9 @@ class GPDynamics(nn.Module):
         num_inputs: number D' + F of features and actions.
         num_outputs: number E of outputs, one for each of the D entries of the state unless a known
             part says otherwise.
-        targets: "difference" to learn x_{t+1} - x_t (the prior mean is then that the state stays
-            where it is), "successor" to learn x_{t+1} (Eq. 2), or what is known of x_{t+1}, to
-            learn the rest.
+        targets: what is known of x_{t+1}, so that the rest is learned. "difference" is short for
+            :meth:`KnownPart.of_differences` (the prior mean is then that the state stays where it
+            is), "successor" for :meth:`KnownPart.of_successors` (Eq. 2).
         most_signal_to_noise: ratio of standard deviations beyond which a fit is penalised. A model
             of which moments are matched must not be surer: their rounding grows with the square.
         most_exact: number of data up to which the posterior is exact. Beyond, it is sparse
@@ -129,17 +127,16 @@ class GPDynamics(nn.Module):
         tied_lengthscales: bool = False,
     ) -> None:
         super().__init__()
-        check_targets(targets)
         sizes = {"num_inputs": num_inputs, "num_outputs": num_outputs}
         for name, value in (sizes | {"num_inducing": num_inducing}).items():
             check_whole(name, value, 1)
         check_whole("most_exact", most_exact, num_inducing)
-        if isinstance(targets, KnownPart) and targets.num_outputs != num_outputs:
+        known = known_part(targets, num_outputs)
+        if known.num_outputs != num_outputs:
             raise ValueError(
-                f"num_outputs must be the {targets.num_outputs} of the known part, got "
-                f"{num_outputs}"
+                f"num_outputs must be the {known.num_outputs} of the known part, got {num_outputs}"
             )
-        self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, targets
+        self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, known
         self.most_signal_to_noise = most_signal_to_noise
         self.most_exact, self.num_inducing = most_exact, num_inducing
         self.tied_lengthscales = tied_lengthscales
@@ -148,8 +145,8 @@ class GPDynamics(nn.Module):
         ).double()
         self.register_buffer("train_inputs", torch.zeros(0, num_inputs, dtype=torch.float64))
         self.register_buffer("train_targets", torch.zeros(0, num_outputs, dtype=torch.float64))
-        if isinstance(targets, KnownPart) and targets.followed:
-            self.register_buffer("position_rule", targets.rule)
+        if known.followed:
+            self.register_buffer("position_rule", known.rule)
         # number of data at the last fit from all starts
         self.register_buffer("searched_size", torch.tensor(0))
         self._expansion: KernelExpansion | None = None
@@ -157,18 +154,11 @@ class GPDynamics(nn.Module):
     @property
     def dim(self) -> int:
         """Number of entries of the state D."""
-        return self.targets.dim if isinstance(self.targets, KnownPart) else self.num_outputs
+        return self.targets.dim
 
     def known_part(self, space: StateSpace) -> KnownPart:
         """What is known of the next state in a space of as many entries."""
-        num_actions = self.num_inputs - len(space.feature_names)
-        known = known_part(self.targets, self.num_outputs, num_actions)
-        if known.num_actions != num_actions:
-            raise ValueError(
-                f"the model's known part must be of its {num_actions} actions, got one of "
-                f"{known.num_actions}"
-            )
-        return known
+        return self.targets.for_actions(self.num_inputs - len(space.feature_names))
 
     @property
     def expansion(self) -> KernelExpansion:
@@ -238,11 +228,10 @@ class GPDynamics(nn.Module):
 
         What the model itself learns stays the same.
         """
-        if isinstance(self.targets, KnownPart) and self.targets.followed:
+        if self.targets.followed:
             self._take_rule(self.targets.fitted_rule(states, successors))
 
     def _take_rule(self, rule: Tensor) -> None:
-        assert isinstance(self.targets, KnownPart)
         self.targets = self.targets.with_rule(rule)
         self.position_rule = rule.to(self.position_rule)
 
@@ -371,22 +360,17 @@ class GPDynamics(nn.Module):
         self._expansion = None
 
 
-def check_targets(targets: object) -> None:
-    """Raise ValueError unless it is known what a model learns."""
-    if not isinstance(targets, KnownPart) and targets not in get_args(Named):
+def known_part(targets: Targets, dim: int) -> KnownPart:
+    """What is known of the next state of D entries by targets, which may be a word.
+
+    Raises ValueError at another word.
+    """
+    if isinstance(targets, KnownPart):
+        return targets
+    words = {"difference": KnownPart.of_differences, "successor": KnownPart.of_successors}
+    if targets not in tuple(words):
         raise ValueError(
-            f'targets must be "difference" or "successor", got {targets!r}, which is no KnownPart '
-            "either"
+            f'targets must be "difference" or "successor", got {targets!r}, which is not a '
+            "KnownPart either"
         )
-
-
-def known_part(targets: Targets, dim: int, num_actions: int) -> KnownPart:
-    """What is known of the next state of D entries, under F actions, besides the targets."""
-    check_targets(targets)
-    return targets if isinstance(targets, KnownPart) else _named(targets, dim, num_actions)
-
-
-@cache  # each prediction of a search asks for it
-def _named(targets: Named, dim: int, num_actions: int) -> KnownPart:
-    of = {"difference": KnownPart.of_differences, "successor": KnownPart.of_successors}
-    return of[targets](dim, num_actions)
+    return words[targets](dim)

@@ -211,7 +211,7 @@ def gp_data(
             f"{tuple(states.shape)}, {tuple(actions.shape)} and {tuple(successors.shape)}"
         )
     inputs = torch.cat([space.features(states), actions], -1)
-    known = known_part(targets, states.shape[-1], actions.shape[-1])
+    known = known_part(targets, states.shape[-1])
     return inputs, known.targets(states, actions, successors)
 
 

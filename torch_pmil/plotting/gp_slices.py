@@ -62,7 +62,7 @@ def plot_gp_slices(
     panels = figure.subplots(
         dynamics.num_outputs, len(over), sharex="col", sharey="row", squeeze=False
     )
-    what = "next" if dynamics.targets == "successor" else "change of"
+    what = "change of" if dynamics.targets.matrix.any() else "next"
     for column, entry in zip(panels.T, over, strict=True):
         column[-1].set_xlabel(input_names[entry])
         for output, panel in enumerate(column):

@@ -107,13 +107,10 @@ class GPWorldModel(TensorDictModuleBase):
                 f"expected five or six in_keys and two out_keys, got {len(self.in_keys)} and "
                 f"{len(self.out_keys)}"
             )
-        known = known_part(targets, obs_dim, action_dim)
-        if (known.dim, known.num_actions) != (obs_dim, action_dim):
-            raise ValueError(
-                f"targets must be of {obs_dim} entries and {action_dim} actions, got a known part "
-                f"of {known.dim} and {known.num_actions}"
-            )
-        self.dynamics = GPDynamics(self.num_features + action_dim, known.num_outputs, targets)
+        known = known_part(targets, obs_dim).for_actions(action_dim)
+        if known.dim != obs_dim:
+            raise ValueError(f"targets must be of {obs_dim} entries, got those of {known.dim}")
+        self.dynamics = GPDynamics(self.num_features + action_dim, known.num_outputs, known)
 
     def fit(self, dataset: TensorDictBase) -> FitResult:
         """Learn from transitions by maximum marginal likelihood.

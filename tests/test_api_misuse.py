@@ -378,7 +378,7 @@ GP = {
     ),
     "from_data, no data": misuse(
         lambda: from_data(inputs=torch.zeros(0, 2).double(), targets=torch.zeros(1, 0).double()),
-        "inputs must have shape (0, 2)",
+        "targets must have shape (E, n), got (1, 0)",
     ),
     "from_data, targets of NaN": misuse(
         lambda: from_data(targets=torch.full((1, 5), NAN).double()),
@@ -390,7 +390,7 @@ GP = {
     ),
     "from_data, targets transposed": misuse(
         lambda: from_data(targets=torch.zeros(5, 1).double()),
-        "inputs must have shape (1, 2) and not be",
+        "inputs must have shape (1, D), got (5, 2)",
     ),
     "from_data, offsets of other outputs": misuse(
         lambda: from_data(offset=torch.zeros(3).double()),

@@ -19,10 +19,9 @@ import torch
 from torch import Tensor, nn
 
 from torch_pmil.checks import check_positive, check_real, check_tensor
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian, Moments
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import moment_match
-from torch_pmil.gp.moments import Moments
 from torch_pmil.gp.trigonometry import squash
 
 # bound of the sine when Eq. 27 is inverted: at the limit itself its slope is zero

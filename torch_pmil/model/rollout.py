@@ -13,13 +13,13 @@ from torch_pmil.control.rbf_policy import Controller, Policy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import (
     Gaussian,
+    Moments,
     NotPositiveDefiniteError,
     check_belief,
     joint,
     symmetric,
 )
 from torch_pmil.gp.moment_matching import exact_moments, moment_match
-from torch_pmil.gp.moments import Moments
 from torch_pmil.model.compiled import kernels, serves
 from torch_pmil.model.compiled.plans import Plan
 from torch_pmil.model.dynamics import GPDynamics

@@ -14,10 +14,9 @@ import torch
 from torch import Tensor
 
 from tests.helpers.exact_moments import ExactMoments, exact, hard_problem
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian, Moments
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_accuracy import rounding_errors
-from torch_pmil.gp.moments import Moments
 from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
 from torch_pmil.model.compiled.matching import match
 from torch_pmil.model.compiled.matching_adjoints import adjoint_of_gp

@@ -28,11 +28,10 @@ def robots_of(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
     """What the kernels predict with, one for each belief."""
     centres, weights, widths = (parameter.detach() for parameter in parameters)
     f, controller = plan.model, plan.controller
-    variance = f.observed_prior_cov if plan.observation_noise else f.prior_cov
     model = functions_of(f)
     model = model._replace(
         inputs=_from_middle(model.inputs, array(controller.u_middle)),
-        variance=array(variance.diagonal()),
+        variance=array(f.prior_variance(plan.observation_noise)),
     )
     rows, turns, kept = _combinations(plan.space.augmentation)
     packed = [

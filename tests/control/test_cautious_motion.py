@@ -7,8 +7,14 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
-from torch_pmil.control.cautious_motion import FIRST_AMPLITUDE, GROWTH, CautiousMotion
-from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
+from torch_pmil.control.exploration import (
+    FIRST_AMPLITUDE,
+    GROWTH,
+    CautiousMotion,
+    Exploration,
+    PDMovements,
+    RandomActions,
+)
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv

@@ -379,7 +379,7 @@ def test_damage_anywhere_is_refused_or_changes_nothing(
         ({"control_period": "0.1"}, "entry control_period must be a float, got '0.1'"),
         (
             {"control_period": float("nan")},
-            "control_period must be positive and finite, in seconds, got nan",
+            "control_period (s) must be a positive finite number, got nan",
         ),
         ({"parameters": None}, "entry parameters must be a dict of tensors, got NoneType"),
         (
@@ -429,7 +429,7 @@ WRONG_PARAMETERS = [
     ),
     ({"scale": torch.ones(5)}, "parameter scale must be a float64 tensor, got torch.float32"),
     ({"scale": -torch.ones(5).double()}, "scale must hold 5 positive numbers"),
-    ({"u_max": torch.zeros(2).double()}, "u_max must be a vector of positive numbers"),
+    ({"u_max": torch.zeros(2).double()}, "u_max must be positive, got 0"),
     ({"u_max": [3.5, 2.0]}, "parameter u_max must be a float64 tensor, got list"),
     (
         {"centres": torch.full((7, 5), torch.nan).double()},

@@ -11,7 +11,13 @@ from gpytorch.kernels import RBFKernel, ScaleKernel
 from gpytorch.means import ConstantMean, ZeroMean
 from torch import Tensor
 
-from torch_pmil.checks import Shape, check_finite_entries, check_real, check_tensor
+from torch_pmil.checks import (
+    Shape,
+    check_finite_entries,
+    check_positive_entries,
+    check_real,
+    check_tensor,
+)
 from torch_pmil.gp.gaussian import cholesky
 from torch_pmil.gp.kernel_pairs import KernelPairs, gram
 
@@ -75,7 +81,7 @@ class KernelExpansion:
         for name in ("inputs", "weights", "lengthscales", "signal_variance"):
             check_finite_entries(name, getattr(self, name).detach())
         for name in ("lengthscales", "signal_variance"):
-            _check_positive(name, getattr(self, name))
+            check_positive_entries(name, getattr(self, name))
 
     @property
     def tensors(self) -> list[Tensor]:
@@ -301,17 +307,12 @@ def check_data(
     offsets = torch.as_tensor(offset)
     if offsets.shape not in ((), (E,)) or not offsets.isfinite().all():
         raise ValueError(f"offset must be finite, and a number or {(E,)}, got {offset}")
-    _check_positive("lengthscales", lengthscales)
-    _check_positive("signal_variance", signal_variance)
+    check_positive_entries("lengthscales", lengthscales)
+    check_positive_entries("signal_variance", signal_variance)
     if not (noise_variance >= 0).all():
         raise ValueError(
             f"noise_variance must not be negative, got {noise_variance.min().item():.3g}"
         )
-
-
-def _check_positive(name: str, values: Tensor) -> None:
-    if not (values > 0).all():
-        raise ValueError(f"{name} must be positive, got {values.min().item():.3g}")
 
 
 def _check_model(model: gpytorch.models.ExactGP) -> None:

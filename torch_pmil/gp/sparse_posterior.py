@@ -20,7 +20,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_pmil.checks import check_real, check_tensor, check_whole
+from torch_pmil.checks import check_positive_entries, check_real, check_tensor, check_whole
 from torch_pmil.gp.gaussian import cholesky, symmetric
 from torch_pmil.gp.kernel_expansion import KernelExpansion, check_data, joined
 from torch_pmil.gp.kernel_pairs import gram
@@ -136,8 +136,4 @@ def _check_inducing(
     check_tensor("inducing", inducing, (*own, "m", inputs.shape[-1]))
     if not (ridge >= 0).all():
         raise ValueError(f"ridge must not be negative, got {ridge.min().item():.3g}")
-    if not (noise_variance > 0).all():
-        raise ValueError(
-            f"noise_variance of a sparse posterior must be positive, got "
-            f"{noise_variance.min().item():.3g}"
-        )
+    check_positive_entries("noise_variance of a sparse posterior", noise_variance)

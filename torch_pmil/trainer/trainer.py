@@ -24,8 +24,7 @@ from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer
 
 from torch_pmil.checks import check_positive, check_whole
-from torch_pmil.control.cautious_motion import CautiousMotion
-from torch_pmil.control.exploration import Exploration
+from torch_pmil.control.exploration import CautiousMotion, Exploration
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.gp.gaussian import Gaussian

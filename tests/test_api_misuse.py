@@ -649,7 +649,7 @@ MODEL = {
     ),
     "Experience of NaN": misuse(
         lambda: Experience(9).extend(transitions(observation=torch.full((4, 2), NAN))),
-        "transitions must be finite,",
+        "must be finite, got nan in entry",
     ),
     "Experience without actions": misuse(
         lambda: Experience(9).extend(transitions().exclude("action")),

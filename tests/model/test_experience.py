@@ -53,9 +53,8 @@ def test_order_is_that_of_arrival(draws: Draws) -> None:
         experience.extend(batch)
         assert len(experience) == count
     for key in KEYS:
-        assert torch.equal(
-            experience.transitions[key], torch.cat([batch[key] for batch in batches])
-        )
+        expected = torch.cat([batch[key] for batch in batches])
+        assert torch.equal(experience.transitions[key], expected)
 
 
 def test_batch_of_rollouts_is_one_rollout_after_the_other(draws: Draws) -> None:
@@ -165,7 +164,7 @@ def test_entry_that_is_not_finite_is_refused_in_one_line(
     experience = filled(transitions)
     broken: Tensor = transitions[key]
     broken[2, 0] = value
-    with pytest.raises(ValueError, match="transitions must be finite, got") as error:
+    with pytest.raises(ValueError, match=r"transitions' .* must be finite, got") as error:
         experience.extend(transitions)
     assert str(value) in str(error.value) and "\n" not in str(error.value)
     assert len(experience) == 7
@@ -180,12 +179,6 @@ def test_more_than_the_capacity_is_refused_and_nothing_is_lost(transitions: Tens
 
 def test_capacity_can_be_filled_to_the_last(transitions: TensorDict) -> None:
     assert len(filled(transitions, capacity=7)) == 7
-
-
-@pytest.mark.parametrize("capacity", [0, -1])
-def test_capacity_for_nothing_is_an_error(capacity: int) -> None:
-    with pytest.raises(ValueError, match=f"whole number of at least 1, got {capacity}"):
-        Experience(capacity)
 
 
 def test_torchrl_says_nothing_of_its_storage(draws: Draws, monkeypatch: pytest.MonkeyPatch) -> None:

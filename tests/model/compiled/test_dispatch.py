@@ -20,7 +20,7 @@ from tests.helpers.run_script import ROOT
 from tests.helpers.two_ways import formulas_alone
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.model.compiled import SLOWER, available, kernels
+from torch_pmil.model.compiled import SLOWER, kernels
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 
 STEPS = 3
@@ -179,14 +179,3 @@ def test_formulas_compute_where_there_are_no_kernels_and_say_so_once(
     with formulas_alone():
         reference = predict_trajectory(start, *make_parts(Draws(0)), SPACE, STEPS).mean
     torch.testing.assert_close(torch.tensor(json.loads(values), dtype=torch.float64), reference)
-
-
-def test_reason_is_told_once_in_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TORCH_PMIL_COMPILED", "0")
-    available.cache_clear()
-    try:
-        with pytest.warns(RuntimeWarning, match="TORCH_PMIL_COMPILED is 0"):
-            assert not available()
-        assert not available()
-    finally:
-        available.cache_clear()

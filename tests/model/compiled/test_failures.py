@@ -120,23 +120,14 @@ def test_number_of_a_model_that_is_not_finite_is_named(
 
 @NOT_FINITE
 @pytest.mark.parametrize("name", ["centres", "weights", "log_widths"])
-def test_number_of_a_policy_that_is_not_finite_is_named(
+def test_number_of_a_policy_that_is_not_finite_is_named_or_makes_the_mean_alike(
     parts: tuple[RBFPolicy, GPDynamics], name: str, entry: float
 ) -> None:
     policy, dynamics = parts
     getattr(policy, name).data[-1, -1] = entry
     task = policy, dynamics, SPACE, 3
     assert_told_alike(lambda: predict_trajectory(belief(0.1), *task), " of 3 failed: ")
-
-
-@NOT_FINITE
-@pytest.mark.parametrize("name", ["centres", "weights", "log_widths"])
-def test_trajectory_of_the_mean_is_not_finite_where_that_of_the_formulas_is_not(
-    parts: tuple[RBFPolicy, GPDynamics], name: str, entry: float
-) -> None:
-    policy, dynamics = parts
-    getattr(policy, name).data[-1, -1] = entry
-    task = belief(0.1).mean, policy, dynamics, SPACE, 3
+    task = belief(0.1).mean, *task
     with formulas_alone():
         expected = predict_mean_trajectory(*task)
     torch.testing.assert_close(predict_mean_trajectory(*task), expected, equal_nan=True)

@@ -23,19 +23,15 @@ NAMES, UNITS = ("x", "q", "dx", "dq"), ("m", "rad", "m/s", "rad/s")
 SPACE = StateSpace(NAMES, UNITS, (1,), joint_match(NAMES, UNITS))
 LOW, HIGH = torch.tensor([-3.5, -1.0]), torch.tensor([3.5, 3.0])
 ACTIONS = ActionSpace(("force", "angle"), ("N", "rad"), LOW, HIGH)
+PARAMETERS = "parameters must be centres, weights, log_widths, u_max, u_middle, scale"
 
 
 @pytest.fixture
 def policy(draws: Draws) -> RBFPolicy:
-    policy = RBFPolicy(
-        draws.normal(7, 5),
-        torch.tensor([3.5, 2.0]),
-        draws.uniform(0.5, 2.0, 5),
-        u_middle=torch.tensor([0.0, 1.0]),
-    )
-    with torch.no_grad():
-        policy.weights.copy_(draws.normal(7, 2))
-        policy.log_widths.copy_(0.3 * draws.normal(2, 5))
+    u_max, u_middle = torch.tensor([[3.5, 2.0], [0.0, 1.0]])
+    policy = RBFPolicy(draws.normal(7, 5), u_max, draws.uniform(0.5, 2.0, 5), u_middle)
+    policy.weights.data.copy_(draws.normal(7, 2))
+    policy.log_widths.data.copy_(0.3 * draws.normal(2, 5))
     return policy
 
 
@@ -263,99 +259,56 @@ def test_damage_anywhere_is_refused_or_changes_nothing(
     assert refused > 100
 
 
-@pytest.mark.parametrize(
-    ("entries", "complaint"),
-    [
-        ({"names": "x"}, "entry names must be a list of str, got 'x'"),
-        ({"names": None}, "entry names must be a list of str, got None"),
-        ({"units": [1, 2, 3, 4]}, "entry units must be a list of str, got [1, 2, 3, 4]"),
-        (
-            {"units": ["m"]},
-            "entry units must hold one for each of names ['x', 'q', 'dx', 'dq'], got ['m']",
-        ),
-        (
-            {"action_units": ["m"]},
-            "entry action_units must hold one for each of action_names ['force', 'angle'], got "
-            "['m']",
-        ),
-        ({"action_names": ["u", "u"]}, "names of actions must be different, got ('u', 'u')"),
-        ({"action_names": ["u"], "action_units": ["m"]}, "low must have shape (1,), got (2,)"),
-        ({"angles": [True]}, "entry angles must be a list of int, got [True]"),
-        ({"angles": [4]}, "angles must be indices below 4, got (4,)"),
-        ({"angles": []}, "parameter centres must have shape (7, 4), got (7, 5)"),
-        (
-            {"names": [], "units": [], "angles": []},
-            "names must be those of one entry at least, got none",
-        ),
-        ({"control_period": "0.1"}, "entry control_period must be a float, got '0.1'"),
-        (
-            {"control_period": float("nan")},
-            "control_period (s) must be a positive finite number, got nan",
-        ),
-        ({"parameters": None}, "entry parameters must be a dict of tensors, got NoneType"),
-        (
-            {"parameters": {}},
-            "parameters must be centres, weights, log_widths, u_max, u_middle, scale, got none",
-        ),
-    ],
-)
+WRONG_ENTRIES = [
+    ({"names": "x"}, "entry names must be a list of str, got 'x'"),
+    ({"names": None}, "entry names must be a list of str, got None"),
+    ({"units": [1, 2, 3, 4]}, "entry units must be a list of str, got [1, 2, 3, 4]"),
+    ({"units": ["m"]}, "entry units must hold one for each of names ['x', 'q', 'dx', 'dq'], got"),
+    ({"action_units": ["m"]}, "entry action_units must hold one for each of action_names ['force'"),
+    ({"action_names": ["u", "u"]}, "names of actions must be different, got ('u', 'u')"),
+    ({"action_names": ["u"], "action_units": ["m"]}, "low must have shape (1,), got (2,)"),
+    ({"angles": [True]}, "entry angles must be a list of int, got [True]"),
+    ({"angles": [4]}, "angles must be indices below 4, got (4,)"),
+    ({"angles": []}, "parameter centres must have shape (7, 4), got (7, 5)"),
+    ({"names": [], "units": [], "angles": []}, "names must be those of one entry at least, got"),
+    ({"control_period": "0.1"}, "entry control_period must be a float, got '0.1'"),
+    ({"control_period": float("nan")}, "control_period (s) must be a positive finite number, got"),
+    ({"parameters": None}, "entry parameters must be a dict of tensors, got NoneType"),
+    ({"parameters": {}}, f"{PARAMETERS}, got none"),
+]
+
+
+@pytest.mark.parametrize(("entries", "complaint"), WRONG_ENTRIES)
 def test_entries_that_are_wrong_or_do_not_fit_are_named(
     path: Path, entries: dict[str, object], complaint: str
 ) -> None:
     assert error_of(edited(path, **entries)).startswith(complaint)
 
 
+def full(value: float, *shape: int) -> torch.Tensor:
+    return torch.full(shape, value, dtype=torch.float64)
+
+
+WIDTHS = "widths must have squares that are positive and finite, got log_widths = "
 WRONG_PARAMETERS = [
+    ({"weights": full(0, 6, 2)}, "parameter centres must have shape (6, 5), got (7, 5)"),
     (
-        {"weights": torch.zeros(6, 2).double()},
-        "parameter centres must have shape (6, 5), got (7, 5)",
-    ),
-    (
-        {"weights": torch.zeros(0, 2).double(), "centres": torch.zeros(0, 5).double()},
+        {"weights": full(0, 0, 2), "centres": full(0, 0, 5)},
         "a policy must have centres, inputs and actions, got 0, 5 and 2",
     ),
-    (
-        {"log_widths": torch.full((2, 5), 1e4).double()},
-        "widths must have squares that are positive and finite, got log_widths = 10000",
-    ),
-    (
-        {"log_widths": torch.full((2, 5), -1e4).double()},
-        "widths must have squares that are positive and finite, got log_widths = -10000",
-    ),
-    (
-        {"centres": torch.full((7, 5), 1e200, dtype=torch.float64)},
-        "centres must have finite squares, got ",
-    ),
-    (
-        {"centres": torch.zeros(1).double().expand(7, 5)},
-        "parameter centres must hold its numbers, got one repeated",
-    ),
-    (
-        {"weights": torch.tensor(0.0).double()},
-        "parameter centres must have shape (0, 5), got (7, 5)",
-    ),
-    (
-        {"log_widths": torch.zeros(5, 2).double()},
-        "parameter log_widths must have shape (2, 5), got (5, 2)",
-    ),
+    ({"log_widths": full(1e4, 2, 5)}, f"{WIDTHS}10000"),
+    ({"log_widths": full(-1e4, 2, 5)}, f"{WIDTHS}-10000"),
+    ({"centres": full(1e200, 7, 5)}, "centres must have finite squares, got "),
+    ({"centres": full(0, 1).expand(7, 5)}, "parameter centres must hold its numbers, got one rep"),
+    ({"weights": full(0)}, "parameter centres must have shape (0, 5), got (7, 5)"),
+    ({"log_widths": full(0, 5, 2)}, "parameter log_widths must have shape (2, 5), got (5, 2)"),
     ({"scale": torch.ones(5)}, "parameter scale must be a float64 tensor, got torch.float32"),
-    ({"scale": -torch.ones(5).double()}, "scale must be positive, got -1"),
-    ({"u_max": torch.zeros(2).double()}, "u_max must be positive, got 0"),
+    ({"scale": full(-1, 5)}, "scale must be positive, got -1"),
+    ({"u_max": full(0, 2)}, "u_max must be positive, got 0"),
     ({"u_max": [3.5, 2.0]}, "parameter u_max must be a float64 tensor, got list"),
-    (
-        {"centres": torch.full((7, 5), torch.nan).double()},
-        "parameter centres must be finite, got nan",
-    ),
-    (
-        {"weights": None},
-        "parameters must be centres, weights, log_widths, u_max, u_middle, scale, got centres, "
-        "log_widths",
-    ),
-    (
-        {"other": torch.zeros(1)},
-        "parameters must be centres, weights, log_widths, u_max, u_middle, scale, got centres, "
-        "weights",
-    ),
+    ({"centres": full(torch.nan, 7, 5)}, "parameter centres must be finite, got nan"),
+    ({"weights": None}, f"{PARAMETERS}, got centres, log_widths"),
+    ({"other": torch.zeros(1)}, f"{PARAMETERS}, got centres, weights"),
 ]
 
 

@@ -60,19 +60,6 @@ def test_belief_at_zero_covariance_holds_the_features_and_their_gradient(
         )
 
 
-def test_belief_has_the_moments_of_the_features_of_samples(space: StateSpace, draws: Draws) -> None:
-    state, count = draws.belief(4), 50_000
-    x = state.sample(count, draws.generator)
-    features, slope = space.feature_moments(state)
-    deviation, of_state = space.features(x) - features.mean, x - state.mean
-    for products, expected in (
-        (deviation, torch.zeros(6, dtype=torch.float64)),
-        (deviation[:, :, None] * deviation[:, None, :], features.cov),
-        (of_state[:, :, None] * deviation[:, None, :], state.cov @ slope),
-    ):
-        assert ((products.mean(0) - expected).abs() <= 4 * products.std(0) / count**0.5).all()
-
-
 def test_angles_in_any_position_keep_their_names(draws: Draws) -> None:
     names, units = ("a", "b", "c"), ("m", "rad", "m")
     space, x = StateSpace(names, units, (1,), joint_match(names, units)), draws.normal(3)

@@ -11,7 +11,6 @@ from torch_pmil.control.trigonometric_polynomial import (
     match_of,
     sine,
 )
-from torch_pmil.gp.gaussian import Gaussian
 
 ANGLES = torch.tensor([[0.3, -1.1, 2.0], [-2.5, 0.7, 0.1]], dtype=torch.float64)
 FIRST, SECOND, ALL, NONE = (1, 0, 0), (0, 1, 0), (2, -1, 1), (0, 0, 0)
@@ -41,18 +40,6 @@ def test_a_frequency_and_its_negative_are_the_same_wave(wave) -> None:
     sign = -1.0 if wave is sine else 1.0
     negative = tuple(-n for n in ALL)
     torch.testing.assert_close(value(wave(negative), ANGLES), sign * value(wave(ALL), ANGLES))
-
-
-def test_moments_of_a_product_agree_with_samples() -> None:
-    f, g = sine(FIRST) * cosine(SECOND) * sine(ALL), cosine(NONE) + cosine(FIRST)
-    match = match_of([f, g], ("f", "g"), ("m", "m"), 3, (0, 1, 2))
-    root = torch.tensor([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [-0.1, 0.1, 0.2]], dtype=torch.float64)
-    belief = Gaussian(ANGLES[0], root @ root.mT)
-    exact = match.moments(belief)
-    samples = match(belief.sample(100_000, torch.Generator().manual_seed(0)))
-    error = (exact.mean - samples.mean(0)).abs() / (samples.std(0) / len(samples) ** 0.5)
-    assert (error < 4).all()
-    torch.testing.assert_close(exact.cov, samples.mT.cov(), rtol=0.03, atol=1e-4)
 
 
 def test_angles_may_be_any_entries_of_the_state() -> None:

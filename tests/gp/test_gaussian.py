@@ -12,7 +12,6 @@ from torch_pmil.gp.gaussian import (
     check_belief,
     cholesky,
     joint,
-    symmetric,
 )
 
 
@@ -98,12 +97,6 @@ def test_cholesky_adds_no_jitter(draws: Draws) -> None:
     cov = draws.cov(5, 3)
     factor = cholesky(cov, "cov")
     torch.testing.assert_close(factor @ factor.mT, cov, rtol=1e-14, atol=1e-15)
-
-
-def test_symmetric_part(draws: Draws) -> None:
-    matrix = draws.normal(2, 3, 3)
-    assert torch.equal(symmetric(matrix), symmetric(matrix).mT)
-    torch.testing.assert_close(symmetric(matrix).sum(), matrix.sum())
 
 
 # --- beliefs that are none ---

@@ -11,7 +11,6 @@ from torch import Tensor
 from tests.helpers.draws import Draws
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.state_space import StateSpace, joint_match
-from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.model.calibration import (
     observed_coverage,
     standardised_residuals,
@@ -82,12 +81,6 @@ def test_coverage_of_standard_normal_errors_is_the_probability(draws: Draws) -> 
     torch.testing.assert_close(observed, expected, rtol=0, atol=tolerance)
 
 
-def test_coverage_of_a_model_that_is_too_sure_is_lower() -> None:
-    residuals, probabilities = torch.tensor([[-3.0], [3.0], [0.1]]), [0.5, 0.99, 0.999]
-    observed = observed_coverage(residuals, torch.tensor(probabilities))
-    torch.testing.assert_close(observed[:, 0], torch.tensor([1 / 3, 1 / 3, 1.0]))
-
-
 def test_two_standard_deviations_cover_95_per_cent_of_gaussian_rollouts(draws: Draws) -> None:
     """Entries of one state are correlated: the standard error is that of independent states."""
     predicted = draws.belief(5, 3)
@@ -96,12 +89,6 @@ def test_two_standard_deviations_cover_95_per_cent_of_gaussian_rollouts(draws: D
     assert two_sigma_coverage(predicted, rollouts) == pytest.approx(0.9545, abs=4 * standard_error)
     by_entry = two_sigma_coverage_by_entry(predicted, rollouts)
     assert (by_entry - 0.9545).abs().max() < 4 * standard_error
-
-
-def test_coverage_counts_entries_within_and_leaves_the_start_out() -> None:
-    predicted = Gaussian(torch.zeros(2, 1), torch.full((2, 1, 1), 0.25))
-    rollouts = torch.tensor([[[9.0], [1.0], [-1.0]], [[9.0], [1.1], [-1.1]]])
-    assert two_sigma_coverage(predicted, rollouts) == 0.5
 
 
 def test_coverage_is_the_mean_of_that_of_its_entries_and_each_is_its_own(draws: Draws) -> None:

@@ -442,11 +442,8 @@ def plain_loop(
 
 
 def test_rollout_starts_where_it_is_told(draws: Draws) -> None:
-    env, belief, x = (
-        ImaginedEnv(world(draws), robot(), (2,)),
-        draws.belief(2, 4),
-        draws.normal(2, 4),
-    )
+    env, belief = ImaginedEnv(world(draws), robot(), (2,)), draws.belief(2, 4)
+    x = draws.normal(2, 4)
     given = env.reset(as_observation(belief))["observation"]
     certain = env.reset(TensorDict({"observation": x}, [2]))["observation"]
     assert torch.equal(given["var"], belief.cov) and torch.equal(given["mean"], belief.mean)

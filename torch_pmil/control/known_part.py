@@ -40,8 +40,6 @@ class KnownPart:
         >>> known.matrix
         tensor([[1.0000, 0.1000, 0.0000],
                 [0.0000, 1.0000, 0.0000]], dtype=torch.float64)
-        >>> known.gain.flatten()
-        tensor([0.0500, 1.0000], dtype=torch.float64)
         >>> x, u = torch.tensor([[0.0, 1.0]]), torch.zeros(1, 1)
         >>> known.targets(x, u, torch.tensor([[0.2, 3.0]]))
         tensor([[2.]])

@@ -207,14 +207,13 @@ def _check_entries(content: dict) -> None:
     for name, kind in (LISTS | {"angles": int}).items():
         value = content.get(name, [] if name == OPTIONAL else None)
         if not isinstance(value, list) or {type(item) for item in value} - {kind}:
-            raise PolicyFileError(
-                f"entry {name} must be a list of {kind.__name__}, got {short(value)}"
-            )
+            wanted = f"a list of {kind.__name__}"
+            raise PolicyFileError(f"entry {name} must be {wanted}, got {short(value)}")
     for names, units in (("names", "units"), ("action_names", "action_units")):
         if len(content[units]) != len(content[names]):
+            wanted, found = short(content[names]), short(content[units])
             raise PolicyFileError(
-                f"entry {units} must hold one for each of {names} {short(content[names])}, got "
-                f"{short(content[units])}"
+                f"entry {units} must hold one for each of {names} {wanted}, got {found}"
             )
     period, parameters = content.get("control_period"), content.get("parameters")
     if not isinstance(period, float):

@@ -136,11 +136,6 @@ class RBFPolicy(nn.Module):
 
         The target are the last K of this policy's inputs. Raises ValueError if it is not finite, or
         leaves no features.
-
-        Example:
-            >>> policy = RBFPolicy(torch.zeros(5, 8), torch.ones(3), torch.ones(8))
-            >>> policy.for_target(torch.zeros(2))(torch.zeros(6)).shape
-            torch.Size([3])
         """
         check_tensor("target", target, ("K",))
         D = len(self.scale) - len(target)

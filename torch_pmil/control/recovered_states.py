@@ -16,12 +16,7 @@ STAYING = 1e-3  # weight of an entry's change between samples, beside that of th
 
 
 def rates_of(names: tuple[str, ...]) -> dict[int, int]:
-    """Indices of velocities, named dNAME, with the indices of their positions NAME.
-
-    Example:
-        >>> rates_of(("q1", "dq1", "q2", "dq2"))
-        {1: 0, 3: 2}
-    """
+    """Indices of velocities, named dNAME, with the indices of their positions NAME."""
     return {
         entry: names.index(name[1:])
         for entry, name in enumerate(names)

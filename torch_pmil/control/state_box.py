@@ -44,9 +44,6 @@ class StateBox:
         >>> box = StateBox(space, {"dq": (-10.0, 10.0)})
         >>> box.guard(torch.tensor([[0.0, 1.0], [0.0, 12.3]]))
         'dq = 12.3 rad/s left its limits of -10 to 10 rad/s'
-        >>> certain = Gaussian(torch.tensor([[0.0, 1.0]]), 1e-9 * torch.eye(2)[None])
-        >>> box.leaving_probability(certain)
-        tensor(0.)
     """
 
     space: StateSpace

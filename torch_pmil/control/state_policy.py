@@ -50,8 +50,6 @@ class StatePolicy(nn.Module):
         >>> policy = StatePolicy(network, space, control_period=0.1)
         >>> policy([3.14, 0])
         array([0.])
-        >>> policy(torch.zeros(7, 2)).shape
-        torch.Size([7, 1])
     """
 
     def __init__(
@@ -146,10 +144,8 @@ class StatePolicy(nn.Module):
         if not _is_real(state):
             raise TypeError(f"{what} must hold real numbers, got {state.dtype}")
         if state.ndim == 0 or state.shape[-1] != dim:
-            raise ValueError(
-                f"{what} must have shape (*batch, {dim}) for {', '.join(names)}, got "
-                f"{tuple(state.shape)}"
-            )
+            wanted = f"(*batch, {dim}) for {', '.join(names)}"
+            raise ValueError(f"{what} must have shape {wanted}, got {tuple(state.shape)}")
         if isinstance(state, np.ndarray):
             state = torch.from_numpy(np.array(state, dtype=np.float64, order="C")).to(device)
         elif state.device != device:

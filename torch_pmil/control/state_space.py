@@ -51,10 +51,9 @@ class MatchSpace:
             raise ValueError(f"angles must have shape (K, D), got {tuple(self.angles.shape)}")
         entries = len(self.names), 2 * self.angles.shape[0] + self.angles.shape[1]
         if len(self.units) != len(self.names) or self.weights.shape != entries:
-            raise ValueError(
-                f"weights must have shape {entries} and units {len(self.names)} entries, got "
-                f"{tuple(self.weights.shape)} and {len(self.units)}"
-            )
+            found = f"{tuple(self.weights.shape)} and {len(self.units)}"
+            wanted = f"{entries} and units {len(self.names)} entries"
+            raise ValueError(f"weights must have shape {wanted}, got {found}")
         check_finite_entries("angles", self.angles)
         check_finite_entries("weights", self.weights)
 
@@ -238,10 +237,5 @@ def _check_names(names: tuple[str, ...]) -> None:
 
 
 def joint_match(names: tuple[str, ...], units: tuple[str, ...]) -> MatchSpace:
-    """Match space that is the state itself.
-
-    Example:
-        >>> joint_match(("q",), ("rad",))(torch.ones(1))
-        tensor([1.])
-    """
+    """Match space that is the state itself."""
     return MatchSpace(names, units, torch.zeros(0, len(names)), torch.eye(len(names)))

@@ -71,20 +71,14 @@ def test_predicted_covariance_that_is_none_is_named(
 
 
 @losses
-@pytest.mark.parametrize("entry", [torch.nan, torch.inf])
-def test_predicted_covariance_that_is_not_finite_is_named(
-    draws: Draws, make: Make, entry: float
+@pytest.mark.parametrize(
+    ("part", "entry"), [("cov", torch.nan), ("cov", torch.inf), ("mean", torch.nan)]
+)
+def test_predicted_state_that_is_not_finite_is_named(
+    draws: Draws, make: Make, part: str, entry: float
 ) -> None:
     states = beliefs(draws)
-    states.cov[2, 0, 0] = entry
-    loss = foretold(make(seed=1), states)
-    assert_told_alike(lambda: loss.per_step(draws.belief(2)), "must be finite, got nan")
-
-
-@losses
-def test_predicted_mean_that_is_not_finite_is_named(draws: Draws, make: Make) -> None:
-    states = beliefs(draws)
-    states.mean[2, 1] = torch.nan
+    getattr(states, part)[2].view(-1)[0] = entry
     loss = foretold(make(seed=1), states)
     assert_told_alike(lambda: loss.per_step(draws.belief(2)), "must be finite, got nan")
 

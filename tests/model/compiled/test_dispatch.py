@@ -100,23 +100,19 @@ def test_formulas_compute_gradients_in_the_posterior(
     assert answers == ["predict_beliefs"]
 
 
-@pytest.mark.parametrize("name", ["demonstrated_mean", "demonstrated_cov", "noise_std"])
-def test_formulas_compute_gradients_in_demonstrations(
-    answers: list[str], start: Gaussian, name: str
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        *((make_kl, name) for name in ("demonstrated_mean", "demonstrated_cov", "noise_std")),
+        *((make_cost, name) for name in ("target", "to_widths")),
+    ],
+)
+def test_formulas_compute_gradients_in_demonstrations_and_targets(
+    answers: list[str], start: Gaussian, make: Callable[..., Any], name: str
 ) -> None:
-    loss = make_kl(seed=1)
-    loss.noise_std = torch.full((2,), 0.1, dtype=torch.float64)
-    check_gradient(answers, start, loss, name)
-
-
-@pytest.mark.parametrize("name", ["target", "to_widths"])
-def test_formulas_compute_gradients_in_targets(
-    answers: list[str], start: Gaussian, name: str
-) -> None:
-    check_gradient(answers, start, make_cost(seed=1), name)
-
-
-def check_gradient(answers: list[str], start: Gaussian, loss: Any, name: str) -> None:
+    loss = make(seed=1)
+    if make is make_kl:
+        loss.noise_std = torch.full((2,), 0.1, dtype=torch.float64)
     leaf = getattr(loss, name).requires_grad_()
     gradient = torch.autograd.grad(loss.per_step(start).sum(), leaf)[0]
     assert (gradient != 0).any() and answers == ["predict_beliefs"]

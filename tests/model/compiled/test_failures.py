@@ -72,10 +72,8 @@ def test_failure_at_one_belief_of_a_batch_is_named(parts: tuple[RBFPolicy, GPDyn
     policy, dynamics = parts
     start = belief(1.0, 3)
     start = Gaussian(start.mean, torch.cat([start.cov[:1], belief(0.01, 1).cov, start.cov[:1]]))
-    model = overconfident(dynamics, 0.03)
-    assert_told_alike(
-        lambda: predict_trajectory(start, policy, model, SPACE, STEPS), "at batch element (1, "
-    )
+    task = start, policy, overconfident(dynamics, 0.03), SPACE, STEPS
+    assert_told_alike(lambda: predict_trajectory(*task), "at batch element (1, ")
 
 
 @pytest.mark.parametrize("objective", [make_kl, make_cost])
@@ -162,9 +160,7 @@ def test_policy_of_other_inputs_is_refused_by_both_ways_alike(
     """The kernels, which check no shapes, would read beyond their arrays."""
     _, dynamics = parts
     policy = RBFPolicy(torch.zeros(5, inputs), torch.ones(1), torch.ones(inputs))
-    start = belief(0.1)
-    assert_told_alike(lambda: predict_trajectory(start, policy, dynamics, SPACE, STEPS), "inputs")
-    told = assert_told_alike(
-        lambda: predict_mean_trajectory(start.mean, policy, dynamics, SPACE, STEPS), "inputs"
-    )
+    start, task = belief(0.1), (policy, dynamics, SPACE, STEPS)
+    assert_told_alike(lambda: predict_trajectory(start, *task), "inputs")
+    told = assert_told_alike(lambda: predict_mean_trajectory(start.mean, *task), "inputs")
     assert told is None

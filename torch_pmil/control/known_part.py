@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -210,6 +210,6 @@ class KnownPart:
         return torch.cat([states, actions], -1) @ matrix.to(states).mT
 
 
-@cache  # each prediction of a search asks for it
+@lru_cache(64)  # each prediction of a search asks for it
 def _for_actions(known: KnownPart, num_actions: int) -> KnownPart:
     return replace(known, matrix=pad(known.matrix, (0, num_actions)))

@@ -127,7 +127,7 @@ class _States(torch.autograd.Function):
 
 
 def costs_of_beliefs(states: Gaussian, comparison: Comparison) -> Tensor | None:
-    r"""Costs of predicted marginals, (\*batch, T); None where a covariance is none."""
+    r"""Costs of predicted marginals, (\*batch, T); None where a covariance is not valid."""
     try:
         return _Costs.apply(comparison, states.mean, states.cov)
     except (_NoAnswer, NotPositiveDefiniteError):

@@ -5,9 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian, Moments
 from torch_pmil.gp.moment_matching import moment_match
-from torch_pmil.gp.moments import Moments
 from torch_pmil.model.dynamics import GPDynamics
 
 NOISE_STD = 0.05

@@ -379,7 +379,7 @@ GP = {
     ),
     "from_data, no data": misuse(
         lambda: from_data(inputs=torch.zeros(0, 2).double(), targets=torch.zeros(1, 0).double()),
-        "inputs must have shape (0, 2)",
+        "targets must have shape (E, n), got (1, 0)",
     ),
     "from_data, targets of NaN": misuse(
         lambda: from_data(targets=torch.full((1, 5), NAN).double()),
@@ -391,7 +391,7 @@ GP = {
     ),
     "from_data, targets transposed": misuse(
         lambda: from_data(targets=torch.zeros(5, 1).double()),
-        "inputs must have shape (1, 2) and not be",
+        "inputs must have shape (1, D), got (5, 2)",
     ),
     "from_data, offsets of other outputs": misuse(
         lambda: from_data(offset=torch.zeros(3).double()),
@@ -404,11 +404,11 @@ GP = {
 CONTROL = {
     "RBFPolicy, centres of NaN": misuse(
         lambda: network(centres=torch.full((3, 2), NAN)),
-        "centres must be finite, (m, D') with m >= 1, got",
+        "centres must be finite, got nan in entry",
     ),
     "RBFPolicy, no centre": misuse(
         lambda: network(centres=torch.zeros(0, 2)),
-        "centres must be finite, (m, D') with m >= 1, got shape",
+        "centres must have shape (m, inputs), got (0, 2)",
     ),
     "RBFPolicy, complex centres": misuse(
         lambda: network(centres=torch.zeros(3, 2).cdouble()), "centres must hold real numbers, got"
@@ -422,18 +422,18 @@ CONTROL = {
     ),
     "RBFPolicy, negative limits": misuse(
         lambda: network(u_max=-torch.ones(1)),
-        "u_max must be a vector of positive numbers, got",
+        "u_max must be positive, got -1",
     ),
     "RBFPolicy, limits of NaN": misuse(
         lambda: network(u_max=numbers(NAN)),
-        "u_max must be a vector of positive numbers, got [nan]",
+        "u_max must be finite, got nan in entry (0,)",
     ),
     "RBFPolicy, a number for limits": misuse(
         lambda: network(u_max=3.5), "u_max must be a tensor, got float", TypeError
     ),
     "RBFPolicy, a scale of NaN": misuse(
         lambda: network(scale=numbers(1.0, NAN)),
-        "scale must hold 2 positive numbers, got [1.0, nan]",
+        "scale must be finite, got nan in entry (1,)",
     ),
     "RBFPolicy called with other features": misuse(
         lambda: network()(torch.zeros(3)), "features must have shape (*batch, 2), got (3,)"
@@ -482,13 +482,13 @@ CONTROL = {
         lambda: STATE_POLICY(np.zeros(2), np.zeros(1)), "policy must be called with a", TypeError
     ),
     "StatePolicy, a period of zero": misuse(
-        lambda: StatePolicy(POLICY, SPACE, 0), "control_period must be positive and finite, in"
+        lambda: StatePolicy(POLICY, SPACE, 0), "control_period (s) must be a positive finite"
     ),
     "StatePolicy, a period of NaN": misuse(
-        lambda: StatePolicy(POLICY, SPACE, NAN), "control_period must be positive and finite, in"
+        lambda: StatePolicy(POLICY, SPACE, NAN), "control_period (s) must be a positive finite"
     ),
     "StatePolicy, a period in words": misuse(
-        lambda: StatePolicy(POLICY, SPACE, "0.1"), "control_period must be positive and finite, in"
+        lambda: StatePolicy(POLICY, SPACE, "0.1"), "control_period (s) must be a positive finite"
     ),
     "load_policy of a folder": misuse(
         lambda: load_policy("."),
@@ -589,7 +589,7 @@ CONTROL = {
         "rollouts must be a whole number of at least 1, got 0",
     ),
     "PDMovements, gains of other torques": misuse(
-        lambda: movements(gain=torch.ones(2, 2)), "reach and gain must have shapes (2,) and (1, 2)"
+        lambda: movements(gain=torch.ones(2, 2)), "gain must have shape (1, 2), got (2, 2)"
     ),
     "PDMovements, gains of NaN": misuse(
         lambda: movements(gain=torch.full((1, 2), NAN)),
@@ -650,7 +650,7 @@ MODEL = {
     ),
     "Experience of NaN": misuse(
         lambda: Experience(9).extend(transitions(observation=torch.full((4, 2), NAN))),
-        "transitions must be finite,",
+        "must be finite, got nan in entry",
     ),
     "Experience without actions": misuse(
         lambda: Experience(9).extend(transitions().exclude("action")),

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     )
     from torch_pmil.gp.gaussian import (
         Gaussian as Gaussian,
+        Moments as Moments,
         NotPositiveDefiniteError as NotPositiveDefiniteError,
     )
     from torch_pmil.gp.kernel_expansion import KernelExpansion as KernelExpansion
@@ -64,7 +65,6 @@ if TYPE_CHECKING:
         rounding_errors as rounding_errors,
     )
     from torch_pmil.gp.moment_matching import moment_match as moment_match
-    from torch_pmil.gp.moments import Moments as Moments
     from torch_pmil.model.dynamics import GPDynamics as GPDynamics
     from torch_pmil.model.experience import Experience as Experience
     from torch_pmil.model.particles import (
@@ -114,7 +114,7 @@ MODULES = {
     "KnownPart": "control.known_part",
     "MatchSpace": "control.state_space",
     "Method": "tasks.method",
-    "Moments": "gp.moments",
+    "Moments": "gp.gaussian",
     "MultiTargetKLLoss": "search.multi_target_loss",
     "NotPositiveDefiniteError": "gp.gaussian",
     "PMIL": "runs.pmil",

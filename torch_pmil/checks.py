@@ -68,6 +68,12 @@ def check_tensor(name: str, values: object, shape: Shape, finite: bool = True) -
         check_finite_entries(name, values)
 
 
+def check_positive_entries(name: str, values: Tensor) -> None:
+    """Raise ValueError unless all entries of a tensor are positive."""
+    if not (values > 0).all():
+        raise ValueError(f"{name} must be positive, got {values.min().item():.3g}")
+
+
 def check_real(name: str, values: object) -> None:
     """Raise TypeError unless a value is a tensor, and ValueError unless it holds real numbers."""
     if not isinstance(values, Tensor):

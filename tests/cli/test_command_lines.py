@@ -219,7 +219,7 @@ LINES = (
     ("train target_scale=2", "a setting of double_pendulum must be one of num_centres, "),
     ("train exploration.hold=2", "a setting of double_pendulum must be one of num_centres, "),
     ("train experiment=biorob exploration.hold=0", "exploration.hold must be a whole number of at"),
-    ("train experiment=biorob exploration.pose=[0]", "exploration.reach and gain must have shapes"),
+    ("train experiment=biorob exploration.pose=[0]", "exploration.reach must have shape (1,), got"),
     ("train experiment=biorob random_action=0.5", "a setting of biorob must be one of num_centres"),
     ("train experiment=double_pendulum_pilco target=[1]", "target must have shape (4,), got (1,)"),
     ("train settings=missing.yaml", "there is no file missing.yaml"),

@@ -7,8 +7,14 @@ import torch
 from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
-from torch_pmil.control.cautious_motion import FIRST_AMPLITUDE, GROWTH, CautiousMotion
-from torch_pmil.control.exploration import Exploration, PDMovements, RandomActions
+from torch_pmil.control.exploration import (
+    FIRST_AMPLITUDE,
+    GROWTH,
+    CautiousMotion,
+    Exploration,
+    PDMovements,
+    RandomActions,
+)
 from torch_pmil.control.state_box import StateBox
 from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
@@ -92,9 +98,8 @@ def test_first_motions_of_the_double_pendulum_stay_where_the_whole_ones_leave() 
     limits = {name: (-speeds[i].item(), speeds[i].item()) for i, name in ((1, "dq1"), (3, "dq2"))}
     box, left = StateBox(experiment.space, limits), {"whole": 0, "cautious": 0}
     for seed in range(100, 110):
-        whole, inner = (
-            experiment.exploration.motion(torch.Generator().manual_seed(seed)) for _ in range(2)
-        )
+        generators = [torch.Generator().manual_seed(seed) for _ in range(2)]
+        whole, inner = map(experiment.exploration.motion, generators)
         for name, motion in (("whole", whole), ("cautious", CautiousMotion(inner, box))):
             rollout = DoublePendulumEnv(seed=seed).rollout(25, motion)
             left[name] += bool(box.guard(states_of(rollout)))

@@ -15,7 +15,7 @@ CART = KnownPart.of_velocities(NAMES, {"x": "dx", "q": "dq"}, num_actions=2, tim
 
 @pytest.mark.parametrize(
     "known",
-    [KnownPart.of_differences(4, 2), KnownPart.of_successors(4, 2), CART],
+    [KnownPart.of_differences(4), KnownPart.of_successors(4), CART],
     ids=["differences", "successors", "velocities"],
 )
 def test_targets_and_successors_are_inverse(known: KnownPart, draws: Draws) -> None:
@@ -26,8 +26,8 @@ def test_targets_and_successors_are_inverse(known: KnownPart, draws: Draws) -> N
 
 def test_differences_and_successors_are_what_they_are_called(draws: Draws) -> None:
     x, u, after = draws.normal(3, 4), draws.normal(3, 2), draws.normal(3, 4)
-    assert torch.equal(KnownPart.of_differences(4, 2).targets(x, u, after), after - x)
-    assert torch.equal(KnownPart.of_successors(4, 2).targets(x, u, after), after)
+    assert torch.equal(KnownPart.of_differences(4).targets(x, u, after), after - x)
+    assert torch.equal(KnownPart.of_successors(4).targets(x, u, after), after)
 
 
 def test_constant_acceleration_is_integrated_exactly(draws: Draws) -> None:
@@ -77,7 +77,7 @@ def test_velocities_must_be_learned_entries(velocities: dict[str, str], got: str
 @pytest.mark.parametrize(
     ("matrix", "gain", "learned", "line"),
     [
-        (torch.zeros(2, 2), torch.eye(2), (0, 1), "more columns than the 2 entries"),
+        (torch.zeros(2, 1), torch.eye(2), (0, 1), "a column for each of the 2 entries"),
         (torch.zeros(3, 4), torch.eye(2), (0, 1), r"matrix must have shape \(2, 'D \+ F'\)"),
         (torch.zeros(2, 3), 2 * torch.eye(2), (0, 1), "rows of gain are the identity"),
         (torch.zeros(2, 3), torch.eye(2), (0, 2), r"2 entries of the state .* got \(0, 2\)"),

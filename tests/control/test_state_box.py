@@ -91,9 +91,8 @@ def test_wide_marginals_leave_with_probability_of_all_limits(states: Gaussian) -
     """Each of three limits is beyond half of a Gaussian that is far wider than the box."""
     wide = Gaussian(states.mean, 1e12 * states.cov)
     box = StateBox(SPACE, {"dq1": (-1.0, 1.5)})
-    torch.testing.assert_close(
-        box.leaving_by_step(wide), torch.ones(3, dtype=torch.float64), rtol=0, atol=1e-5
-    )
+    one = torch.ones(3, dtype=torch.float64)
+    torch.testing.assert_close(box.leaving_by_step(wide), one, rtol=0, atol=1e-5)
     assert (SPEEDS.leaving_by_step(wide) == 1).all()  # no more than a probability
 
 
@@ -110,9 +109,7 @@ def test_gradients_of_the_penalty_are_right(box: StateBox, spread: float, draws:
 
 def test_penalty_pulls_back_from_far_outside_and_hardly_far_inside() -> None:
     speed = torch.tensor([1e3, 10.0, 0.0], dtype=torch.float64, requires_grad=True)
-    mean = torch.zeros(3, 4, dtype=torch.float64).index_put(
-        (torch.arange(3), torch.ones(3).long()), speed
-    )
+    mean = torch.outer(speed, torch.eye(4, dtype=torch.float64)[1])
     cov = 0.01 * torch.eye(4, dtype=torch.float64).expand(3, 4, 4)
     penalty = SPEEDS.penalty(Gaussian(mean, cov))
     (gradient,) = torch.autograd.grad(penalty.sum(), speed)
@@ -149,7 +146,5 @@ def test_wrong_limits_are_refused(
 
 
 def test_settings_are_what_json_has() -> None:
-    assert SPEEDS.settings == {
-        "limits": {"dq1": [-1.0, 1.5], "dq2": [-2.0, None]},
-        "threshold": 0.05,
-    }
+    limits = {"dq1": [-1.0, 1.5], "dq2": [-2.0, None]}
+    assert SPEEDS.settings == {"limits": limits, "threshold": 0.05}

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from torchrl.collectors import Collector
 from torchrl.envs.utils import check_env_specs
 
 from tests.helpers.draws import Draws
@@ -25,18 +24,14 @@ from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.tasks.registry import load_experiment
 
 STEP_SECONDS = 1e-3
-BLOCKED = (
-    "torch_pmil",
-    "gpytorch",
-    "linear_operator",
-    "torchrl",
-    "tensordict",
-    "mujoco",
-    "scipy",
-    "hydra",
-    "matplotlib",
-    "numpy",
-)
+BLOCKED = ["torch_pmil", "gpytorch", "linear_operator", "torchrl", "tensordict", "mujoco", "scipy"]
+BLOCKED += ["hydra", "matplotlib", "numpy"]
+LINE = StateSpace(("x", "v"), ("m", "m/s"), (), joint_match(("x", "v"), ("m", "m/s")))
+
+
+def on_a_line(draws: Draws, centres: int = 3) -> StatePolicy:
+    """A policy of two plain entries that still learns."""
+    return StatePolicy(RBFPolicy(draws.normal(centres, 2), torch.ones(1), torch.ones(2)), LINE, 0.1)
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +41,8 @@ def policy() -> StatePolicy:
     network = experiment.make_policy(torch.Generator().manual_seed(0))
     with torch.no_grad():
         network.weights.mul_(10)
-    return StatePolicy(
-        network.requires_grad_(False), experiment.space, 0.1, actions=experiment.actions
-    )
+    network.requires_grad_(False)
+    return StatePolicy(network, experiment.space, 0.1, actions=experiment.actions)
 
 
 @pytest.fixture(scope="module")
@@ -100,9 +94,8 @@ def test_arrays_make_arrays_and_tensors_make_tensors_of_any_batch(
 
 def test_batch_is_its_states_one_by_one(policy: StatePolicy, draws: Draws) -> None:
     states = draws.normal(6, 4)
-    torch.testing.assert_close(
-        policy(states), torch.stack([policy(state) for state in states]), rtol=0, atol=1e-13
-    )
+    alone = torch.stack([policy(state) for state in states])
+    torch.testing.assert_close(policy(states), alone, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16, np.int64, np.uint8, ">f8"])
@@ -133,30 +126,16 @@ def test_gradient_by_the_state_passes(policy: StatePolicy, draws: Draws) -> None
 
 
 def test_policy_that_still_learns_gives_arrays_too(draws: Draws) -> None:
-    space = StateSpace(("x",), ("m",), (), joint_match(("x",), ("m",)))
-    learning = StatePolicy(
-        RBFPolicy(draws.normal(3, 1), torch.ones(1), torch.ones(1)), space, control_period=0.1
-    )
-    assert learning(torch.zeros(1)).requires_grad
-    assert isinstance(learning(np.zeros(1)), np.ndarray)
+    learning = on_a_line(draws)
+    assert learning(torch.zeros(2)).requires_grad
+    assert isinstance(learning(np.zeros(2)), np.ndarray)
 
 
 @pytest.mark.parametrize("kind", [np.asarray, torch.as_tensor], ids=["numpy", "torch"])
 @pytest.mark.parametrize(
     ("state", "error", "complaint"),
     [
-        (
-            [0.0, 0.0, 0.0],
-            ValueError,
-            "state must have shape (*batch, 4) for q1, dq1, q2, dq2, got (3,)",
-        ),
         (0.0, ValueError, "state must have shape (*batch, 4) for q1, dq1, q2, dq2, got ()"),
-        (
-            [[0.0] * 5] * 4,
-            ValueError,
-            "state must have shape (*batch, 4) for q1, dq1, q2, dq2, got (4, 5)",
-        ),
-        ([0.0, float("nan"), 0.0, 0.0], ValueError, "state must be finite, got dq1 = nan"),
         (
             [[0.0] * 4, [0.0, 0.0, 0.0, -float("inf")]],
             ValueError,
@@ -171,10 +150,8 @@ def test_wrong_state_is_one_line(
 ) -> None:
     with pytest.raises(error) as raised:
         policy(kind(state))
-    assert str(raised.value).startswith(
-        complaint.format("torch." if kind is torch.as_tensor else "")
-    )
-    assert "\n" not in str(raised.value)
+    line = complaint.format("torch." if kind is torch.as_tensor else "")
+    assert str(raised.value).startswith(line) and "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("kind", [list, tuple])
@@ -190,21 +167,6 @@ def test_ragged_list_is_one_line(policy: StatePolicy) -> None:
         policy([[0.0] * 4, [0.0]])
 
 
-@pytest.mark.parametrize("state", [None, "0000", {0.0}])
-def test_state_that_is_no_array_is_an_error(policy: StatePolicy, state: object) -> None:
-    with pytest.raises(
-        TypeError,
-        match=f"state must be a NumPy array, .* or a list, got {type(state).__name__}",
-    ):
-        policy(state)
-
-
-def test_arrays_of_words_or_objects_are_an_error(policy: StatePolicy) -> None:
-    for array in (np.array(["0"] * 4), np.array([None] * 4), np.zeros(4, dtype="datetime64[s]")):
-        with pytest.raises(TypeError, match="state must hold real numbers, got"):
-            policy(array)
-
-
 def test_tensor_on_another_device_is_an_error(policy: StatePolicy) -> None:
     with pytest.raises(ValueError, match="state must be on cpu like the policy, got meta"):
         policy(torch.zeros(4, device="meta"))
@@ -215,18 +177,13 @@ def test_policy_on_a_gpu_acts_as_on_the_cpu_and_is_exported_for_the_cpu(
     policy: StatePolicy, tmp_path: Path, draws: Draws
 ) -> None:
     states, there = draws.normal(5, 4), copy.deepcopy(policy).cuda()
-    torch.testing.assert_close(there(states.cuda()).cpu(), policy(states), rtol=0, atol=1e-12)
-    torch.testing.assert_close(
-        torch.from_numpy(there(states.numpy())), policy(states), rtol=0, atol=1e-12
-    )
+    close = {"rtol": 0, "atol": 1e-12}
+    torch.testing.assert_close(there(states.cuda()).cpu(), policy(states), **close)
+    torch.testing.assert_close(torch.from_numpy(there(states.numpy())), policy(states), **close)
     there.export(tmp_path / "policy.pt2")
     assert there.policy.u_max.is_cuda
-    torch.testing.assert_close(
-        torch.export.load(tmp_path / "policy.pt2").module()(states[0]),
-        policy(states[0]),
-        rtol=0,
-        atol=1e-12,
-    )
+    program = torch.export.load(tmp_path / "policy.pt2").module()
+    torch.testing.assert_close(program(states[0]), policy(states[0]), **close)
 
 
 def test_policy_says_what_it_is_for(policy: StatePolicy) -> None:
@@ -246,36 +203,12 @@ def test_tensordict_module_acts_in_an_environment_as_the_policy_does(policy: Sta
     assert env.action_spec.is_in(rollout["action"][:, 0])
 
 
-def test_tensordict_module_collects(policy: StatePolicy) -> None:
-    env = load_experiment("double_pendulum").make_env(seed=0)
-    collector = Collector(
-        env,
-        policy.as_tensordict_module(),
-        frames_per_batch=5,
-        total_frames=10,
-        auto_register_policy_transforms=False,
-    )
-    for batch in collector:
-        torch.testing.assert_close(
-            batch["action"], policy(batch["observation"]), rtol=0, atol=1e-13
-        )
-    collector.shutdown()
-
-
-def test_exported_programs_are_the_policy(
-    policy: StatePolicy,
-    program: Callable[[Tensor], Tensor],
-    batch_program: Callable[[Tensor], Tensor],
-    draws: Draws,
+def test_exported_program_takes_batches_of_any_size(
+    policy: StatePolicy, batch_program: Callable[[Tensor], Tensor], draws: Draws
 ) -> None:
-    states = 3 * draws.normal(100, 4)
-    torch.testing.assert_close(
-        torch.stack([program(state) for state in states]), policy(states), rtol=0, atol=1e-12
-    )
     for count in (0, 1, 2, 100):
-        torch.testing.assert_close(
-            batch_program(states[:count]), policy(states[:count]), rtol=0, atol=1e-12
-        )
+        states = 3 * draws.normal(count, 4)
+        torch.testing.assert_close(batch_program(states), policy(states), rtol=0, atol=1e-12)
 
 
 def test_export_leaves_the_policy_and_its_state_space_as_they_were(
@@ -287,35 +220,23 @@ def test_export_leaves_the_policy_and_its_state_space_as_they_were(
 
 
 def test_first_use_of_a_state_space_may_be_an_export(tmp_path: Path, draws: Draws) -> None:
-    names, units = ("q", "dq"), ("rad", "rad/s")
-    fresh = StatePolicy(
-        RBFPolicy(draws.normal(3, 3), torch.ones(1), torch.ones(3)),
-        StateSpace(names, units, (0,), joint_match(names, units)),
-        0.1,
-    )
+    space = StateSpace(("q", "dq"), ("", ""), (0,), joint_match(("q", "dq"), ("", "")))
+    fresh = StatePolicy(RBFPolicy(draws.normal(3, 3), torch.ones(1), torch.ones(3)), space, 0.1)
     fresh.export(tmp_path / "policy.pt2")
     assert type(fresh.space.augmentation.rows) is Tensor
     assert fresh(np.zeros(2)) == 0
 
 
 def test_policy_that_still_learns_is_exported_as_it_is_then(tmp_path: Path, draws: Draws) -> None:
-    network = RBFPolicy(draws.normal(3, 2), torch.ones(1), torch.ones(2))
-    learning = StatePolicy(
-        network,
-        StateSpace(("x", "v"), ("m", "m/s"), (), joint_match(("x", "v"), ("m", "m/s"))),
-        0.1,
-    )
-    with torch.no_grad():
-        network.weights.copy_(draws.normal(3, 1))
+    learning, state = on_a_line(draws), draws.normal(2)
+    weights = learning.policy.weights
+    weights.data.copy_(draws.normal(3, 1))
     learning.export(tmp_path / "policy.pt2")
-    state = draws.normal(2)
     expected = learning(state).detach()
-    with torch.no_grad():
-        network.weights.zero_()
-    assert network.weights.requires_grad
-    torch.testing.assert_close(
-        torch.export.load(tmp_path / "policy.pt2").module()(state), expected, rtol=0, atol=1e-12
-    )
+    weights.data.zero_()
+    assert weights.requires_grad
+    program = torch.export.load(tmp_path / "policy.pt2").module()
+    torch.testing.assert_close(program(state), expected, rtol=0, atol=1e-12)
 
 
 def test_exported_program_needs_pytorch_alone(
@@ -373,35 +294,16 @@ def test_exported_batch_program_refuses_one_state_and_other_sizes(
 def test_exported_program_refuses_batches_even_where_sizes_would_fit(
     tmp_path: Path, draws: Draws
 ) -> None:
-    """As many centres as features, and as many states as entries: nothing else would stop the
-    broadcasting.
-    """
-    space = StateSpace(("x", "v"), ("m", "m/s"), (), joint_match(("x", "v"), ("m", "m/s")))
-    StatePolicy(RBFPolicy(draws.normal(2, 2), torch.ones(1), torch.ones(2)), space, 0.1).export(
-        tmp_path / "policy.pt2"
-    )
+    """As many centres as features, and as many states as entries."""
+    on_a_line(draws, centres=2).export(tmp_path / "policy.pt2")
     with pytest.raises(RuntimeError, match="invalid for input of size 4"):
         torch.export.load(tmp_path / "policy.pt2").module()(torch.zeros(2, 2, dtype=torch.float64))
 
 
-def test_export_to_another_ending_or_a_missing_folder_is_an_error(
-    policy: StatePolicy, tmp_path: Path
-) -> None:
-    with pytest.raises(ValueError, match=r"an exported policy must be a .pt2 file, got policy.pt"):
-        policy.export("policy.pt")
+def test_export_to_a_missing_folder_is_an_error(policy: StatePolicy, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         policy.export(tmp_path / "nowhere" / "policy.pt2")
     assert os.listdir(tmp_path) == []
-
-
-def test_policy_of_other_features_is_an_error() -> None:
-    space = StateSpace(("q",), ("rad",), (0,), joint_match(("q",), ("rad",)))
-    with pytest.raises(
-        ValueError, match="policy must see the features sin q, cos q, got one of 3 features"
-    ):
-        StatePolicy(
-            RBFPolicy(torch.zeros(2, 3), torch.ones(1), torch.ones(3)), space, control_period=0.1
-        )
 
 
 @pytest.mark.parametrize("form", ["numpy", "torch", "exported"])

@@ -5,26 +5,24 @@ posterior.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import exp
 
 import gpytorch
 import pytest
 import torch
-from gpytorch.kernels import RBFKernel, ScaleKernel
-from gpytorch.likelihoods import GaussianLikelihood
 from gpytorch.means import ConstantMean
 from torch import Tensor
 
 from tests.helpers.draws import Draws
+from tests.helpers.exact_gps import exact_gp_of
 from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import moment_match
 
 both = pytest.mark.parametrize("make", [Draws.gp, Draws.network])
 Make = Callable[[Draws, int, int, int], KernelExpansion]
-FAR = (
-    2.0**20
-)  # about 1e6, so that numbers with at most 32 binary places can be moved by it without rounding
+FAR = 2.0**20  # moves numbers of at most 32 binary places without rounding
 
 
 def naive_kernel(f: KernelExpansion, a: int, x: Tensor, y: Tensor) -> float:
@@ -47,15 +45,7 @@ def naive_kernels(f: KernelExpansion, x: Tensor) -> Tensor:
 @both
 def test_kernel_and_mean_are_the_formula(draws: Draws, make: Make) -> None:
     f, x = make(draws, 6, 3, 2), draws.normal(2, 4, 3)
-    f = KernelExpansion(
-        f.inputs,
-        f.weights,
-        f.lengthscales,
-        draws.uniform(0.5, 2.0, 2),
-        f.gram_inverse,
-        f.noise_variance,
-        offset=draws.normal(2),
-    )
+    f = replace(f, signal_variance=draws.uniform(0.5, 2.0, 2), offset=draws.normal(2))
     kernel, mean = f.kernel(x), f.mean(x)
     assert kernel.shape == (2, 4, 2, 6) and mean.shape == (2, 4, 2)
     for index in range(8):
@@ -76,11 +66,10 @@ def test_prediction_is_the_posterior_written_with_the_whole_gram_matrix(draws: D
     mean, variance = f.predict(x)
     torch.testing.assert_close(mean, f.mean(x))
     for a in range(3):
-        gram = torch.stack([naive_kernels(f, y)[a] for y in f.inputs]) + f.noise_variance[
-            a
-        ] * torch.eye(8, dtype=torch.float64)
+        eye = torch.eye(8, dtype=torch.float64)
+        gram = torch.stack([naive_kernels(f, y)[a] for y in f.inputs]) + f.noise_variance[a] * eye
         k = torch.stack([naive_kernels(f, point)[a] for point in x])  # (5, 8)
-        torch.testing.assert_close(f.gram_inverse[a] @ gram, torch.eye(8, dtype=torch.float64))
+        torch.testing.assert_close(f.gram_inverse[a] @ gram, eye)
         torch.testing.assert_close(
             mean[:, a], f.offset[a] + k @ torch.linalg.solve(gram, targets[a] - f.offset[a])
         )
@@ -103,17 +92,6 @@ def test_posterior_far_from_the_data_is_the_prior(draws: Draws) -> None:
     assert torch.equal(variance[0], f.signal_variance)
 
 
-def test_posterior_without_noise_passes_through_the_data(draws: Draws) -> None:
-    inputs, targets = draws.uniform(-2, 2, 8, 2), draws.normal(2, 8)
-    one = torch.ones(2, dtype=torch.float64)
-    f = KernelExpansion.from_data(
-        inputs, targets, torch.full((2, 2), 0.5, dtype=torch.float64), one, 1e-10 * one
-    )
-    mean, variance = f.predict(inputs)
-    torch.testing.assert_close(mean.mT, targets, rtol=0, atol=1e-6)
-    assert variance.abs().max() < 1e-6
-
-
 # --- inputs of the outputs' own ---
 
 
@@ -134,15 +112,10 @@ def test_outputs_with_own_inputs_are_expansions_of_their_own(draws: Draws) -> No
             torch.testing.assert_close(ours[:, a], expected[:, 0], rtol=1e-11, atol=1e-11)
         expected = moment_match(alone, belief, observation_noise=True)
         torch.testing.assert_close(moments.mean[:, a], expected.mean[:, 0], rtol=1e-11, atol=1e-11)
-        torch.testing.assert_close(
-            moments.cov[:, a, a], expected.cov[:, 0, 0], rtol=1e-10, atol=1e-10
-        )
-        torch.testing.assert_close(
-            moments.inv_cov_cross_cov[..., a],
-            expected.inv_cov_cross_cov[..., 0],
-            rtol=1e-10,
-            atol=1e-10,
-        )
+        close = {"rtol": 1e-10, "atol": 1e-10}
+        torch.testing.assert_close(moments.cov[:, a, a], expected.cov[:, 0, 0], **close)
+        slope, wanted = (each.inv_cov_cross_cov for each in (moments, expected))
+        torch.testing.assert_close(slope[..., a], wanted[..., 0], **close)
 
 
 def test_own_inputs_that_are_the_same_are_shared_ones(draws: Draws) -> None:
@@ -158,13 +131,6 @@ def test_own_inputs_that_are_the_same_are_shared_ones(draws: Draws) -> None:
     )
 
 
-def test_singular_gram_matrix_of_own_inputs_is_an_error_that_names_the_output(draws: Draws) -> None:
-    inputs = torch.stack([draws.normal(3, 1), torch.zeros(3, 1, dtype=torch.float64)])
-    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, 0.0], dtype=torch.float64)
-    with pytest.raises(NotPositiveDefiniteError, match=r"Gram matrix .* batch element \(1,\)"):
-        KernelExpansion.from_data(inputs, draws.normal(2, 3), one[:, None], one, noise)
-
-
 # --- inputs far from zero ---
 
 
@@ -177,21 +143,17 @@ def dyadic(values: Tensor) -> Tensor:
 def test_inputs_far_from_zero_fit_as_well_as_centred_ones(draws: Draws, own_inputs: bool) -> None:
     gp, targets, x = draws.gp(10, 2, 2), draws.normal(2, 10), dyadic(draws.normal(4, 2))
     inputs = dyadic(draws.normal(2, 10, 2) if own_inputs else gp.inputs)
+    kernel = gp.lengthscales, gp.signal_variance, gp.noise_variance
     near, far = (
-        KernelExpansion.from_data(
-            inputs + offset, targets, gp.lengthscales, gp.signal_variance, gp.noise_variance
-        )
-        for offset in (0.0, FAR)
+        KernelExpansion.from_data(inputs + offset, targets, *kernel) for offset in (0.0, FAR)
     )
     torch.testing.assert_close(far.weights, near.weights, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(far.gram_inverse, near.gram_inverse, rtol=1e-9, atol=1e-9)
     for ours, expected in zip(far.predict(x + FAR), near.predict(x), strict=True):
         torch.testing.assert_close(ours, expected, rtol=1e-9, atol=1e-9)
     cov = draws.cov(4, 2)
-    moments, expected = (
-        moment_match(far, Gaussian(x + FAR, cov)),
-        moment_match(near, Gaussian(x, cov)),
-    )
+    moments = moment_match(far, Gaussian(x + FAR, cov))
+    expected = moment_match(near, Gaussian(x, cov))
     torch.testing.assert_close(moments.mean, expected.mean, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(moments.cov, expected.cov, rtol=1e-9, atol=1e-9)
 
@@ -199,25 +161,10 @@ def test_inputs_far_from_zero_fit_as_well_as_centred_ones(draws: Draws, own_inpu
 # --- GPyTorch's models ---
 
 
-class ExactGP(gpytorch.models.ExactGP):
-    """Two outputs, each with a constant mean."""
-
-    def __init__(self, inputs: Tensor, targets: Tensor) -> None:
-        size = targets.shape[:-1]
-        super().__init__(inputs, targets, GaussianLikelihood(batch_shape=size))
-        self.mean_module = ConstantMean(batch_shape=size)
-        self.covar_module = ScaleKernel(
-            RBFKernel(ard_num_dims=inputs.shape[-1], batch_shape=size), batch_shape=size
-        )
-
-    def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
-        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
-
-
-def exact_gp(draws: Draws, own_inputs: bool = False) -> ExactGP:
-    """Hyper-parameters in float32 and data in float64."""
+def exact_gp(draws: Draws, own_inputs: bool = False) -> gpytorch.models.ExactGP:
+    """Two outputs with constant means: hyper-parameters in float32 and data in float64."""
     inputs = draws.normal(2, 9, 2) if own_inputs else draws.normal(9, 2).expand(2, 9, 2)
-    model = ExactGP(inputs, draws.normal(2, 9))
+    model = exact_gp_of(inputs, draws.normal(2, 9), ConstantMean)
     model.covar_module.base_kernel.lengthscale = draws.uniform(0.7, 2.0, 2, 1, 2)
     model.covar_module.outputscale = draws.uniform(0.5, 2.0, 2)
     model.likelihood.noise = draws.uniform(0.01, 0.1, 2, 1)
@@ -229,20 +176,17 @@ def exact_gp(draws: Draws, own_inputs: bool = False) -> ExactGP:
 def test_single_precision_hyperparameters_serve_data_in_double_precision(
     draws: Draws, own_inputs: bool
 ) -> None:
-    """The expansion is that of the same numbers in double precision, and of GPyTorch's posterior
-    with these.
-    """
+    """The expansion is that of the same numbers in double precision, and GPyTorch's posterior."""
     model, x = exact_gp(draws, own_inputs), draws.normal(4, 2)
     assert {parameter.dtype for parameter in model.parameters()} == {torch.float32}
     single = KernelExpansion.from_exact_gp(model)
     assert {t.dtype for t in vars(single).values()} == {torch.float64}
     assert len(single.inputs) == (18 if own_inputs else 9)
 
-    double = ExactGP(model.train_inputs[0], model.train_targets).double().eval()
-    double.covar_module.base_kernel.lengthscale = (
-        model.covar_module.base_kernel.lengthscale.double()
-    )
-    double.covar_module.outputscale = model.covar_module.outputscale.double()
+    double = exact_gp_of(model.train_inputs[0], model.train_targets, ConstantMean).double().eval()
+    kernel, its = double.covar_module, model.covar_module
+    kernel.base_kernel.lengthscale = its.base_kernel.lengthscale.double()
+    kernel.outputscale = its.outputscale.double()
     double.likelihood.noise = model.likelihood.noise.double()
     double.mean_module.constant.data.copy_(model.mean_module.constant.data)
     posterior = double(x.expand(2, 4, 2))
@@ -256,49 +200,33 @@ def test_single_precision_hyperparameters_serve_data_in_double_precision(
         torch.testing.assert_close(ours, theirs.mT, rtol=1e-8, atol=1e-8)
 
 
-def test_expansion_of_a_gpytorch_model_passes_gradients_to_its_hyperparameters(
-    draws: Draws,
-) -> None:
-    model = exact_gp(draws).double()
-    KernelExpansion.from_exact_gp(model).mean(draws.normal(2)).sum().backward()
-    for name, parameter in model.named_parameters():
-        assert parameter.grad is not None and parameter.grad.abs().sum() > 0, name
-
-
 # --- arguments ---
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"noise_variance": [0.1, -1e-9]}, "noise_variance must not be negative, got -1e-09"),
-        ({"lengthscales": [[1.0], [-1.0]]}, "lengthscales must be positive, got -1"),
-        ({"lengthscales": [[1.0], [0.0]]}, "lengthscales must be positive, got 0"),
-        ({"signal_variance": [0.0, 1.0]}, "signal_variance must be positive, got 0"),
-        ({"signal_variance": [torch.nan, 1.0]}, "signal_variance must be finite, got nan"),
         ({"inputs": [[0.0], [torch.inf]]}, "inputs must be finite, got inf"),
-        ({"targets": [[0.0, 0.0], [torch.nan, 0.0]]}, "targets must be finite, got nan"),
-        ({"targets": [0.0, 0.0]}, "inputs must have shape"),
-        ({"targets": [[0.0, 0.0, 0.0]] * 2}, "inputs must have shape"),
+        ({"targets": [0.0, 0.0]}, r"targets must have shape \(E, n\), got \(2,\)"),
         ({"lengthscales": [1.0, 1.0]}, r"lengthscales must have shape \(2, 1\)"),
         ({"offset": [torch.nan, 0.0]}, "offset must be finite"),
     ],
 )
-def test_data_and_hyperparameters_that_are_none_are_errors(changes: dict, message: str) -> None:
-    arguments = {
-        "inputs": [[0.0], [1.0]],
-        "targets": [[0.0, 0.0], [1.0, 1.0]],
-        "lengthscales": [[1.0], [1.0]],
-        "signal_variance": [1.0, 1.0],
-        "noise_variance": [0.1, 0.1],
-    } | changes
+def test_data_that_do_not_fit_are_errors(changes: dict, message: str) -> None:
+    one = [1.0, 1.0]
+    data = {"inputs": [[0.0], [1.0]], "targets": [one, one], "lengthscales": [[1.0], [1.0]]}
+    arguments = data | {"signal_variance": one, "noise_variance": one} | changes
     tensors = {n: torch.tensor(values, dtype=torch.float64) for n, values in arguments.items()}
-    with pytest.raises(ValueError, match=message) as error:
+    with pytest.raises(ValueError, match=message):
         KernelExpansion.from_data(**tensors)
-    assert "\n" not in str(error.value)
 
 
-def test_mixed_dtypes_are_an_error(draws: Draws) -> None:
-    one = torch.ones(1, dtype=torch.float64)
-    with pytest.raises(ValueError, match="targets must be a float like inputs"):
-        KernelExpansion.from_data(draws.normal(3, 1), torch.zeros(1, 3), one[None], one, one)
+@pytest.mark.parametrize("own_inputs", [False, True], ids=["shared inputs", "own inputs"])
+def test_singular_gram_matrix_is_an_error_that_names_the_output(
+    draws: Draws, own_inputs: bool
+) -> None:
+    zeros = torch.zeros(3, 1, dtype=torch.float64)
+    inputs = torch.stack([draws.normal(3, 1), zeros]) if own_inputs else zeros
+    one, noise = torch.ones(2, dtype=torch.float64), torch.tensor([1.0, 0.0], dtype=torch.float64)
+    with pytest.raises(NotPositiveDefiniteError, match=r"Gram matrix .* batch element \(1,\)"):
+        KernelExpansion.from_data(inputs, draws.normal(2, 3), one[:, None], one, noise)

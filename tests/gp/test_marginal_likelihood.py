@@ -8,31 +8,9 @@ import torch
 from torch import Tensor
 
 from tests.helpers.draws import Draws
+from tests.helpers.exact_gps import ExactGP, exact_gp_of
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
-
-
-class Model(gpytorch.models.ExactGP):
-    """One output, with the hyper-parameters of a vector (D + 2,)."""
-
-    def __init__(self, inputs: Tensor, target: Tensor, log_parameters: Tensor) -> None:
-        super().__init__(
-            inputs,
-            target,
-            gpytorch.likelihoods.GaussianLikelihood(
-                noise_constraint=gpytorch.constraints.GreaterThan(0)
-            ),
-        )
-        self.mean_module = gpytorch.means.ZeroMean()
-        self.covar_module = gpytorch.kernels.ScaleKernel(
-            gpytorch.kernels.RBFKernel(ard_num_dims=inputs.shape[-1])
-        )
-        self.double()
-        self.covar_module.base_kernel.lengthscale = log_parameters[:-2].exp()
-        self.covar_module.outputscale, self.likelihood.noise = log_parameters[-2:].exp()
-
-    def forward(self, x: Tensor) -> gpytorch.distributions.MultivariateNormal:
-        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
 
 def log_parameters(draws: Draws, D: int) -> Tensor:
@@ -40,9 +18,18 @@ def log_parameters(draws: Draws, D: int) -> Tensor:
     return torch.cat([draws.uniform(-0.5, 2, D), draws.uniform(-3, 1, 1), draws.uniform(-8, -2, 1)])
 
 
+def model_of(inputs: Tensor, target: Tensor, log_parameters: Tensor) -> ExactGP:
+    """GPyTorch's model of one output, with the hyper-parameters of a vector (D + 2,)."""
+    above_zero = gpytorch.constraints.GreaterThan(0)
+    model = exact_gp_of(inputs, target, noise_constraint=above_zero).double()
+    model.covar_module.base_kernel.lengthscale = log_parameters[:-2].exp()
+    model.covar_module.outputscale, model.likelihood.noise = log_parameters[-2:].exp()
+    return model
+
+
 def of_gpytorch(inputs: Tensor, target: Tensor, parameters: Tensor) -> tuple[Tensor, Tensor]:
     """Value, and gradient by automatic differentiation with respect to the logarithms."""
-    model = Model(inputs, target, parameters)
+    model = model_of(inputs, target, parameters)
     with gpytorch.settings.fast_computations(
         covar_root_decomposition=False, log_prob=False, solves=False
     ):
@@ -52,9 +39,8 @@ def of_gpytorch(inputs: Tensor, target: Tensor, parameters: Tensor) -> tuple[Ten
     loss = -len(target) * mean_log_likelihood
     kernel, noise = model.covar_module, model.likelihood.noise_covar
     raw = [kernel.base_kernel.raw_lengthscale, kernel.raw_outputscale, noise.raw_noise]
-    gradients = torch.autograd.grad(
-        loss, raw
-    )  # of softplus: dv/draw = 1 - exp(-v), d/dlog v = v d/dv
+    gradients = torch.autograd.grad(loss, raw)
+    # of softplus: dv/draw = 1 - exp(-v), d/dlog v = v d/dv
     values = [kernel.base_kernel.lengthscale, kernel.outputscale, noise.noise]
     chained = [
         (g * v / (1 - torch.exp(-v))).flatten() for g, v in zip(gradients, values, strict=True)
@@ -90,19 +76,6 @@ def test_value_and_gradient_are_those_of_gpytorch_and_of_the_density(
             torch.testing.assert_close(gradient, expected_gradient, rtol=1e-8, atol=1e-9 * largest)
 
 
-def test_gradient_is_the_slope_of_the_value(draws: Draws) -> None:
-    inputs, target, parameters = draws.normal(30, 3), draws.normal(30), log_parameters(draws, 3)
-    _, gradient = negative_log_likelihood(inputs, target, parameters)
-    step = 1e-5
-    slopes = [
-        negative_log_likelihood(inputs, target, parameters + change)[0]
-        - negative_log_likelihood(inputs, target, parameters - change)[0]
-        for change in step * torch.eye(5, dtype=torch.float64)
-    ]
-    expected = torch.tensor(slopes, dtype=torch.float64) / (2 * step)
-    torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-6)
-
-
 def test_offset_of_the_inputs_does_not_matter(draws: Draws) -> None:
     inputs, target, parameters = draws.normal(30, 3), draws.normal(30), log_parameters(draws, 3)
     expected, _ = negative_log_likelihood(inputs, target, parameters)
@@ -120,8 +93,5 @@ def test_data_are_left_as_they_were(draws: Draws) -> None:
 def test_gram_matrix_without_cholesky_factor_is_an_error_not_jittered(draws: Draws) -> None:
     """Two data at the same place, without noise."""
     parameters = torch.tensor([0.0, 0.0, 0.0, -1000.0], dtype=torch.float64)
-    with pytest.raises(
-        NotPositiveDefiniteError,
-        match="Gram matrix must be positive definite, got eigenvalues from",
-    ):
+    with pytest.raises(NotPositiveDefiniteError, match="Gram matrix must be positive definite"):
         negative_log_likelihood(draws.normal(1, 2).expand(2, 2), draws.normal(2), parameters)

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
-from torch_pmil.gp.gram import gram
 from torch_pmil.gp.kernel_expansion import KernelExpansion
+from torch_pmil.gp.kernel_pairs import gram
 from torch_pmil.gp.sparse_posterior import inducing_data, sparse_posterior
 
 OUTPUTS, INPUTS, DATA, INDUCING = 2, 3, 40, 12

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from tests.helpers.draws import Draws
+from tests.helpers.textbook import hermite_grid
 from torch_pmil.gp.gaussian import Gaussian, symmetric
 from torch_pmil.gp.trigonometry import augment, cosines_adjoint, squash
 
@@ -53,9 +54,7 @@ def test_moments_are_those_of_quadrature(
     draws: Draws, moments: Moments, function: Function, scale: float
 ) -> None:
     belief = draws.belief(2, scale=scale)
-    nodes, weights = (torch.as_tensor(a) for a in np.polynomial.hermite_e.hermegauss(80))
-    x = belief.mean + torch.cartesian_prod(nodes, nodes) @ torch.linalg.cholesky(belief.cov).mT
-    w = torch.cartesian_prod(weights, weights).prod(-1) / (2 * torch.pi)
+    x, w = hermite_grid(belief)
     y = function(x)
     mean = w @ y
     cov = (y - mean).mT @ (w[:, None] * (y - mean))
@@ -119,12 +118,9 @@ def test_tiny_variances_keep_their_digits(variance: float) -> None:
     m = 0.7
     with mpmath.workdps(50):
         v = mpmath.mpf(variance)
-        var_sin = float(
-            (1 - mpmath.exp(-v)) * (1 + mpmath.exp(-v) * mpmath.cos(2 * mpmath.mpf(m))) / 2
-        )
-        cov_sin_cos = float(
-            -(1 - mpmath.exp(-v)) * mpmath.exp(-v) * mpmath.sin(2 * mpmath.mpf(m)) / 2
-        )
+        decay, twice = mpmath.exp(-v), 2 * mpmath.mpf(m)
+        var_sin = float((1 - decay) * (1 + decay * mpmath.cos(twice)) / 2)
+        cov_sin_cos = float(-(1 - decay) * decay * mpmath.sin(twice) / 2)
         cov_x_sin = float(v * mpmath.exp(-v / 2) * mpmath.cos(m))
     one = torch.ones(1, 1, dtype=torch.float64)
     cov = augment(Gaussian(m * one[0], variance * one), one, one)[0].cov  # of x, sin, cos
@@ -134,10 +130,8 @@ def test_tiny_variances_keep_their_digits(variance: float) -> None:
 
 
 def test_wide_belief_spreads_over_the_circle() -> None:
-    one, variance = (
-        torch.ones(1, 1, dtype=torch.float64),
-        torch.full((1, 1), 1e4, dtype=torch.float64, requires_grad=True),
-    )
+    one = torch.ones(1, 1, dtype=torch.float64)
+    variance = (1e4 * one).requires_grad_()
     result, slope = augment(Gaussian(one[0], variance), one, one)
     torch.testing.assert_close(result.mean[1:], torch.zeros(2, dtype=torch.float64))
     torch.testing.assert_close(result.cov[1:, 1:], 0.5 * torch.eye(2, dtype=torch.float64))
@@ -166,17 +160,10 @@ def test_cosine_at_its_summit_keeps_its_digits(variance: float, quarters: int) -
     one, m = torch.ones(1, 1, dtype=torch.float64), quarters * torch.pi / 2
     with mpmath.workdps(50):
         v = mpmath.mpf(variance)
-        at_summit, across = (
-            float((1 - mpmath.exp(-v)) ** 2 / 2),
-            float(mpmath.sinh(v) * mpmath.exp(-v)),
-        )
-    sine, cosine = (
-        augment(Gaussian(m * one[0], variance * one), torch.zeros(0, 1, dtype=torch.float64), one)[
-            0
-        ]
-        .cov.diagonal()
-        .tolist()
-    )
+        at_summit = float((1 - mpmath.exp(-v)) ** 2 / 2)
+        across = float(mpmath.sinh(v) * mpmath.exp(-v))
+    result, _ = augment(Gaussian(m * one[0], variance * one), one[:0], one)
+    sine, cosine = result.cov.diagonal().tolist()
     flat, steep = (sine, cosine) if quarters == 1 else (cosine, sine)
     assert flat == pytest.approx(at_summit, rel=1e-12, abs=0)
     assert steep == pytest.approx(across, rel=1e-12, abs=0)

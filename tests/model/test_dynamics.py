@@ -8,7 +8,6 @@ import gpytorch
 import pytest
 import torch
 from torch import Tensor
-from torch.distributions import MultivariateNormal
 
 import torch_pmil.model.dynamics
 from tests.helpers.draws import Draws
@@ -40,54 +39,28 @@ def fitted(data: tuple[Tensor, Tensor]) -> GPDynamics:
 def hyperparameters(dynamics: GPDynamics) -> tuple[Tensor, Tensor, Tensor]:
     """Lengthscales (E, D), signal variances (E,), noise variances (E,) of the GPyTorch model."""
     kernel = dynamics.gp.covar_module
-    parameters = (
-        kernel.base_kernel.lengthscale[:, 0],
-        kernel.outputscale,
-        dynamics.gp.likelihood.noise[:, 0],
-    )
+    lengthscale, noise = kernel.base_kernel.lengthscale, dynamics.gp.likelihood.noise
+    parameters = lengthscale[:, 0], kernel.outputscale, noise[:, 0]
     return tuple(parameter.detach() for parameter in parameters)
 
 
-def test_fit_recovers_a_known_function(fitted: GPDynamics, draws: Draws) -> None:
+def test_fit_recovers_a_known_function_and_its_noise(fitted: GPDynamics, draws: Draws) -> None:
     x = draws.uniform(-1.5, 1.5, 200, 2)
     mean, variance = fitted.expansion.predict(x)
     error = mean - true_function(x)
     assert error.square().mean().sqrt() < 0.05
     assert ((error / variance.sqrt()).abs() < 5).all()
-
-
-def test_fit_recovers_the_noise(fitted: GPDynamics) -> None:
-    _, _, noise = hyperparameters(fitted)
-    torch.testing.assert_close(
-        noise.sqrt(), torch.full((2,), 0.05, dtype=torch.float64), rtol=0.5, atol=0
-    )
-
-
-def test_objective_is_the_marginal_likelihood(data: tuple[Tensor, Tensor]) -> None:
-    dynamics = GPDynamics(2, 2)
-    result = dynamics.fit(*data)
-    (inputs, targets), (lengthscales, signal, noise) = data, hyperparameters(dynamics)
-    for e in range(2):
-        scaled = inputs / lengthscales[e]
-        gram = signal[e] * torch.exp(-torch.cdist(scaled, scaled).square() / 2) + noise[
-            e
-        ] * torch.eye(40, dtype=torch.float64)
-        log_likelihood = MultivariateNormal(torch.zeros(40, dtype=torch.float64), gram).log_prob(
-            targets[:, e]
-        )
-        torch.testing.assert_close(
-            result.negative_log_likelihood[e], -log_likelihood, rtol=1e-6, atol=1e-6
-        )
+    expected = torch.full((2,), 0.05, dtype=torch.float64)
+    noise = hyperparameters(fitted)[2].sqrt()
+    torch.testing.assert_close(noise, expected, rtol=0.5, atol=0)
 
 
 def test_fit_ends_where_the_likelihood_of_gpytorch_is_flat(fitted: GPDynamics) -> None:
     model = fitted.gp.train()
-    likelihood = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)(
-        model(*model.train_inputs), model.train_targets
-    )
-    for gradient in torch.autograd.grad(
-        -len(fitted.train_inputs) * likelihood.sum(), tuple(model.parameters())
-    ):
+    objective = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)
+    likelihood = objective(model(*model.train_inputs), model.train_targets)
+    nats = -len(fitted.train_inputs) * likelihood.sum()
+    for gradient in torch.autograd.grad(nats, tuple(model.parameters())):
         assert gradient.abs().max() < 0.1  # nats for a factor e
 
 
@@ -112,13 +85,9 @@ def test_scaling_the_targets_scales_the_variances(data: tuple[Tensor, Tensor]) -
     one, ten = GPDynamics(2, 2), GPDynamics(2, 2)
     one.fit(inputs, targets)
     ten.fit(inputs, 10 * targets)
-    (lengthscales, signal, noise), (lengthscales_10, signal_10, noise_10) = (
-        hyperparameters(one),
-        hyperparameters(ten),
-    )
-    torch.testing.assert_close(signal_10, 100 * signal, rtol=0.02, atol=0)
-    torch.testing.assert_close(noise_10, 100 * noise, rtol=0.02, atol=0)
-    torch.testing.assert_close(lengthscales_10, lengthscales, rtol=0.02, atol=0)
+    scaled = zip((1, 100, 100), hyperparameters(one), hyperparameters(ten), strict=True)
+    for factor, values, of_ten in scaled:
+        torch.testing.assert_close(of_ten, factor * values, rtol=0.02, atol=0)
 
 
 def test_scaling_the_inputs_scales_the_lengthscales(data: tuple[Tensor, Tensor]) -> None:
@@ -127,9 +96,8 @@ def test_scaling_the_inputs_scales_the_lengthscales(data: tuple[Tensor, Tensor])
     one, other = GPDynamics(2, 2), GPDynamics(2, 2)
     one.fit(inputs, targets)
     other.fit(inputs * units, targets)
-    torch.testing.assert_close(
-        hyperparameters(other)[0], hyperparameters(one)[0] * units, rtol=0.02, atol=0
-    )
+    expected = hyperparameters(one)[0] * units
+    torch.testing.assert_close(hyperparameters(other)[0], expected, rtol=0.02, atol=0)
 
 
 def test_signal_to_noise_ratio_stays_bounded_without_noise(draws: Draws) -> None:
@@ -144,36 +112,15 @@ def test_signal_to_noise_ratio_stays_bounded_without_noise(draws: Draws) -> None
     assert ((signal / noise).sqrt() < 1000).all() and (signal / noise).sqrt().max() > 200
 
 
-def test_lengthscales_stay_bounded_where_an_input_has_no_effect(draws: Draws) -> None:
-    inputs = draws.uniform(-2, 2, 30, 2)
-    dynamics = GPDynamics(2, 1)
-    dynamics.fit(inputs, inputs[:, :1].sin() + 0.05 * draws.normal(30, 1))
-    lengthscales, _, _ = hyperparameters(dynamics)
-    assert (lengthscales < 60 * inputs.std(0)).all()
-
-
 def test_constant_input_does_not_break_the_fit(draws: Draws) -> None:
-    inputs = torch.cat(
-        [draws.uniform(-2, 2, 30, 1), torch.full((30, 1), 1000.0, dtype=torch.float64)], -1
-    )
+    inputs = draws.uniform(-2, 2, 30, 1)
+    inputs = torch.cat([inputs, torch.full_like(inputs, 1000.0)], -1)
     targets = inputs[:, :1].sin() + 0.05 * draws.normal(30, 1)
     with_constant, without = GPDynamics(2, 1), GPDynamics(1, 1)
     with_constant.fit(inputs, targets)
     without.fit(inputs[:, :1], targets)
-    torch.testing.assert_close(
-        with_constant.expansion.mean(inputs),
-        without.expansion.mean(inputs[:, :1]),
-        rtol=0,
-        atol=1e-2,
-    )
-
-
-def test_second_fit_starts_from_the_last_optimum(data: tuple[Tensor, Tensor]) -> None:
-    dynamics = GPDynamics(2, 2)
-    first = dynamics.fit(*data)
-    second = dynamics.fit(*data, max_iterations=1)
-    assert (second.negative_log_likelihood <= first.negative_log_likelihood + 1e-6).all()
-    assert second.evaluations < first.evaluations / 3
+    expected = without.expansion.mean(inputs[:, :1])
+    torch.testing.assert_close(with_constant.expansion.mean(inputs), expected, rtol=0, atol=1e-2)
 
 
 def test_fit_to_a_little_more_data_is_as_good_as_one_from_the_beginning(
@@ -216,12 +163,8 @@ def test_all_starts_are_searched_for_other_data(
     inputs, targets = data
     fitted.fit(*data)
     assert starts == [1, 1]
-    for other in (
-        (inputs.flip(0), targets),
-        (inputs.flip(0), targets.flip(0)),
-        (inputs.flip(0)[:30], targets.flip(0)[:30]),
-        data,
-    ):
+    back = inputs.flip(0), targets.flip(0)
+    for other in ((back[0], targets), back, (back[0][:30], back[1][:30]), data):
         starts.clear()
         fitted.fit(*other)
         assert starts == [5, 5]
@@ -256,21 +199,14 @@ def test_all_starts_are_searched_where_the_last_optimum_fails(
 def test_result_says_for_each_output_why_its_search_ended(data: tuple[Tensor, Tensor]) -> None:
     dynamics = GPDynamics(2, 2)
     assert dynamics.fit(*data, max_iterations=1).stop_reason == ("iteration limit",) * 2
-    assert set(dynamics.fit(data[0][:30], data[1][:30]).stop_reason) <= {
-        "gradient is small",
-        "no further progress",
-    }
+    ended = {"gradient is small", "no further progress"}
+    assert set(dynamics.fit(data[0][:30], data[1][:30]).stop_reason) <= ended
 
 
 def test_targets_that_never_change_are_learned(data: tuple[Tensor, Tensor]) -> None:
     dynamics = GPDynamics(2, 1)
     dynamics.fit(data[0], torch.full((40, 1), 3.0))
-    torch.testing.assert_close(
-        dynamics.expansion.mean(data[0][0]),
-        torch.full((1,), 3.0, dtype=torch.float64),
-        rtol=1e-2,
-        atol=0,
-    )
+    assert dynamics.expansion.mean(data[0][0]).item() == pytest.approx(3.0, rel=1e-2)
 
 
 def test_new_data_keep_the_hyperparameters_and_change_the_posterior(
@@ -305,30 +241,17 @@ def assert_same_predictions(one: GPDynamics, other: GPDynamics, belief: Gaussian
     assert torch.equal(result.inv_cov_cross_cov, expected.inv_cov_cross_cov)
 
 
-def test_fresh_model_predicts_the_same_from_a_file(
+def test_fresh_or_other_model_in_a_module_predicts_the_same_from_a_file(
     fitted: GPDynamics, draws: Draws, tmp_path: Path
 ) -> None:
-    torch.save(fitted.state_dict(), tmp_path / "dynamics.pt")
-    fresh = GPDynamics(2, 2)
-    fresh.load_state_dict(torch.load(tmp_path / "dynamics.pt", weights_only=True))
-    assert_same_predictions(fitted, fresh, draws.belief(2))
-
-
-def test_model_with_other_data_predicts_the_same_after_loading(
-    fitted: GPDynamics, draws: Draws
-) -> None:
-    other, inputs = GPDynamics(2, 2), draws.normal(7, 2)
+    torch.save(torch.nn.ModuleList([fitted]).state_dict(), tmp_path / "dynamics.pt")
+    fresh, other, inputs = GPDynamics(2, 2), GPDynamics(2, 2), draws.normal(7, 2)
     other.set_data(inputs, true_function(inputs))
-    belief = draws.belief(2)
-    moment_match(other.expansion, belief)
-    other.load_state_dict(fitted.state_dict())
-    assert_same_predictions(fitted, other, belief)
-
-
-def test_part_of_a_larger_module_loads_too(fitted: GPDynamics, draws: Draws) -> None:
-    fresh = torch.nn.ModuleDict({"dynamics": GPDynamics(2, 2)})
-    fresh.load_state_dict(torch.nn.ModuleDict({"dynamics": fitted}).state_dict())
-    assert_same_predictions(fitted, fresh["dynamics"], draws.belief(2))
+    assert other.expansion.inputs.shape == (7, 2)
+    for model in (fresh, other):
+        saved = torch.load(tmp_path / "dynamics.pt", weights_only=True)
+        torch.nn.ModuleList([model]).load_state_dict(saved)
+        assert_same_predictions(fitted, model, draws.belief(2))
 
 
 def test_state_without_data_loads_too() -> None:
@@ -336,34 +259,6 @@ def test_state_without_data_loads_too() -> None:
     fresh.load_state_dict(GPDynamics(2, 2).state_dict())
     with pytest.raises(RuntimeError, match="no data yet"):
         _ = fresh.expansion
-
-
-def test_no_data_is_an_error() -> None:
-    with pytest.raises(RuntimeError, match=r"no data yet: call fit\(inputs, targets\) first"):
-        _ = GPDynamics(2, 2).expansion
-
-
-@pytest.mark.parametrize(
-    ("inputs", "targets"),
-    [((5, 3), (5, 2)), ((5, 2), (5, 1)), ((5, 2), (4, 2)), ((1, 2), (1, 2)), ((0, 2), (0, 2))],
-)
-def test_data_of_a_wrong_shape_are_an_error(inputs: tuple, targets: tuple) -> None:
-    with pytest.raises(
-        ValueError, match=r"expected inputs \(n, 2\) and targets \(n, 2\) with n >= 2, got"
-    ):
-        GPDynamics(2, 2).fit(torch.zeros(inputs), torch.zeros(targets))
-
-
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_data_that_are_not_finite_are_an_error_that_says_where(
-    data: tuple[Tensor, Tensor], value: float
-) -> None:
-    inputs, targets = data
-    targets[3, 1] = value
-    with pytest.raises(
-        ValueError, match=rf"targets must be finite, got {value} in row 3, column 1"
-    ):
-        GPDynamics(2, 2).fit(inputs, targets)
 
 
 def test_data_are_copied(fitted: GPDynamics, data: tuple[Tensor, Tensor], draws: Draws) -> None:
@@ -383,27 +278,8 @@ def test_refused_data_leave_the_model_as_it_was(fitted: GPDynamics, draws: Draws
     assert torch.equal(fitted.expansion.predict(x)[0], before)
 
 
-def test_unknown_kind_of_targets_is_an_error() -> None:
-    with pytest.raises(
-        ValueError, match='targets must be "difference" or "successor", got \'velocity\''
-    ):
-        GPDynamics(2, 2, targets="velocity")
-
-
-def test_model_of_nothing_is_an_error() -> None:
-    with pytest.raises(ValueError, match="num_inputs must be a whole number of at least 1, got 0"):
-        GPDynamics(0, 1)
-
-
-def test_data_that_are_no_real_numbers_are_an_error() -> None:
-    with pytest.raises(ValueError, match=r"targets must hold real numbers, got torch\.complex64"):
-        GPDynamics(1, 1).set_data(torch.zeros(3, 1), torch.zeros(3, 1, dtype=torch.complex64))
-
-
 def test_fit_without_iterations_is_an_error() -> None:
-    with pytest.raises(
-        ValueError, match="max_iterations must be a whole number of at least 1, got 0"
-    ):
+    with pytest.raises(ValueError, match="max_iterations must be a whole number of at least 1"):
         GPDynamics(1, 1).fit(torch.zeros(3, 1), torch.zeros(3, 1), max_iterations=0)
 
 
@@ -416,10 +292,8 @@ def test_more_data_than_an_exact_posterior_has_make_a_sparse_one(draws: Draws) -
     assert sparse.sparse and not exact.sparse
     assert sparse.expansion.inputs.shape == (40, 2)
     assert all((row == inputs).all(-1).any() for row in sparse.expansion.inputs)
-    errors = [
-        (dynamics.expansion.mean(other) - true_function(other)).square().mean().sqrt()
-        for dynamics in (sparse, exact)
-    ]
+    predicted = [dynamics.expansion.mean(other) for dynamics in (sparse, exact)]
+    errors = [(mean - true_function(other)).square().mean().sqrt() for mean in predicted]
     assert errors[0] < 1.5 * errors[1]
 
 
@@ -437,11 +311,7 @@ def test_sparse_model_predicts_the_same_from_a_file(
     saved, loaded = (GPDynamics(2, 2, most_exact=20, num_inducing=10) for _ in range(2))
     saved.fit(*data)
     loaded.load_state_dict(saved.state_dict())
-    points = draws.uniform(-2, 2, 5, 2)
-    for ours, wanted in zip(
-        loaded.expansion.predict(points), saved.expansion.predict(points), strict=True
-    ):
-        assert torch.equal(ours, wanted)
+    assert_same_predictions(saved, loaded, draws.belief(2))
 
 
 def test_more_inducing_inputs_than_exact_data_are_an_error() -> None:
@@ -456,14 +326,13 @@ def test_rule_of_the_positions_is_learned_and_comes_back_from_a_file(draws: Draw
     dynamics, loaded = GPDynamics(3, 1, known), GPDynamics(3, 1, known)
     dynamics.fit_known_part(x, after)
     loaded.load_state_dict(dynamics.state_dict())
+    expected = torch.tensor([[0.02, 0.07]]).double()
     for model in (dynamics, loaded):
-        torch.testing.assert_close(
-            model.targets.rule, torch.tensor([[0.02, 0.07]]).double(), rtol=1e-4, atol=0
-        )
+        torch.testing.assert_close(model.targets.rule, expected, rtol=1e-4, atol=0)
     torch.testing.assert_close(known.rule, torch.full((1, 2), 0.05).double())
 
 
 def test_model_of_all_entries_has_no_rule(fitted: GPDynamics) -> None:
     fitted.fit_known_part(torch.zeros(3, 2), torch.zeros(3, 2))
     assert "position_rule" not in fitted.state_dict()
-    assert fitted.targets == "difference"
+    assert fitted.targets.learned == (0, 1)

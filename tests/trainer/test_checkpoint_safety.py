@@ -398,7 +398,7 @@ MISFITS = [
         "policy.centres must be torch.float64 of shape (5, 6), got torch.float64 of shape (4, 6)",
     ),
     (put(POLICY, 2, numbers(1e4)), "widths must have squares that are positive and finite"),
-    (put(POLICY, 5, numbers(-1.0)), "scale must hold 6 positive numbers"),
+    (put(POLICY, 5, numbers(-1.0)), "scale must be positive, got -1"),
     (put(LOSS, 4, numbers(float("inf"))), "loss_module.actor_network.log_widths must be finite"),
     (put(LOSS, 8, NAN), "loss_module.dynamics.train_inputs must be finite, got nan"),
     (

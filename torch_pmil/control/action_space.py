@@ -17,14 +17,12 @@ class ActionSpace:
     """Names, units and ranges of the F actions of a robot: torques, or targets of its servos.
 
     Args:
-        names: of the actions.
-        units: of the actions, "" where one is not known.
+        names, units: of the actions; "" for a unit that is not known.
         low, high: least and largest actions, (F,), in those units.
 
     Raises:
-        TypeError: a bound is no tensor.
-        ValueError: there are not as many names, units and bounds, a name comes twice, or a bound is
-            not finite, or a least action not below the largest.
+        TypeError: a bound is not a tensor.
+        ValueError: sizes do not fit, a name comes twice, or bounds are not finite and ordered.
 
     Example:
         >>> import torch
@@ -60,10 +58,7 @@ class ActionSpace:
     def around(
         cls, middle: Tensor, half_range: Tensor, names: Sequence[str], units: Sequence[str]
     ) -> Self:
-        """The space of actions within ``half_range`` of ``middle``, (F,) each.
-
-        Without names the actions have their numbers, without units none is known.
-        """
+        """Actions within ``half_range`` of ``middle``, (F,) each; names default to numbers."""
         F = len(middle)
         names = tuple(names) or tuple(map(str, range(F)))
         low, high = middle - half_range, middle + half_range
@@ -81,13 +76,7 @@ class ActionSpace:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names for figures, with the units that are known.
-
-        Example:
-            >>> import torch
-            >>> ActionSpace.around(torch.zeros(1), torch.ones(1), ["tau"], ["N·m"]).labels
-            ('action tau (N·m)',)
-        """
+        """Names for figures, with the units that are known."""
         named = zip(self.names, self.units, strict=True)
         return tuple(with_unit(f"action {name}", unit) for name, unit in named)
 

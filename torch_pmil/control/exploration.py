@@ -9,20 +9,22 @@ from typing import ClassVar, Protocol
 import torch
 from torch import Tensor
 
-from torch_pmil.checks import check_finite_entries, check_tensor, check_whole
+from torch_pmil.checks import check_tensor, check_whole
 from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.control.state_box import StateBox
 from torch_pmil.settings import Settings, setting
 
 Feedforward = Callable[[Tensor], Tensor]
 
 OF_STATE = "numbers, one for each entry of the state"
+# of cautious motions
+FIRST_AMPLITUDE = 1 / 16  # of a motion, with which each of its rollouts begins
+GROWTH = 1.25  # of the amplitude with each step
+KEPT = 0.75  # part of each margin at the start that must be left where the amplitude grows
 
 
 class Motion(Protocol):
-    """Actions (*batch, F) at states (*batch, D), called once for each control step.
-
-    ``amplitude``, from 0 to 1, scales the motion around the action or the pose where it stays.
-    """
+    """Actions at states, called once for each control step; ``amplitude`` from 0 to 1 scales it."""
 
     amplitude: float
 
@@ -34,7 +36,7 @@ class Motion(Protocol):
 
 
 class Exploration(Protocol):
-    """An experiment's exploration: number and length of its rollouts, and the robot's motion."""
+    """How a robot explores: number and length of rollouts, and motion."""
 
     @property
     def rollouts(self) -> int:
@@ -58,25 +60,21 @@ class RandomActions:
 
     Args:
         actions: the robot's actions.
-        fraction: how far they go from the action around which they are drawn, as a fraction of
-            half the range; what would leave the range is clipped.
-        steps: control steps of each rollout.
-        rollouts: number of rollouts.
-        around: the action around which they are drawn, (F,), or that of each step, (steps, F); None
-            for the middle of the range.
+        fraction: largest distance from that action, as a fraction of half the range; actions are
+            clipped to the range.
+        steps, rollouts: control steps of each rollout, and number of rollouts.
+        around: that action, (F,), or one for each step, (steps, F); None for the middle.
 
     Raises:
-        ValueError: the fraction is not in (0, 1], there is no step or no rollout, or an action is
-            not finite or has another shape.
+        ValueError: the fraction is not in (0, 1], or another number or shape does not fit.
 
     Example:
         >>> low, high = torch.tensor([-4.0, -3.0]), torch.tensor([4.0, 3.0])
         >>> targets = ActionSpace(("q1", "q2"), ("rad", "rad"), low, high)
-        >>> motion = RandomActions(targets, 0.1, steps=25, around=torch.tensor([3.9, 0.0]))
-        >>> drawn = motion.motion(torch.Generator().manual_seed(0))(torch.zeros(1000, 4))
-        >>> [(round(least, 1), round(most, 1)) for least, most in zip(drawn.amin(0).tolist(),
-        ...                                                         drawn.amax(0).tolist())]
-        [(3.5, 4.0), (-0.3, 0.3)]
+        >>> random = RandomActions(targets, 0.1, steps=25, around=torch.tensor([3.9, 0.0]))
+        >>> drawn = random.motion(torch.Generator().manual_seed(0))(torch.zeros(1000, 4))
+        >>> drawn.amax(0).round(decimals=1)
+        tensor([4.0000, 0.3000], dtype=torch.float64)
     """
 
     actions: ActionSpace
@@ -96,12 +94,9 @@ class RandomActions:
 
     @property
     def settings(self) -> dict[str, object]:
-        """Number and length of the rollouts, the fraction, and the action if one is given."""
-        numbers: dict[str, object] = {
-            "rollouts": self.rollouts,
-            "steps": self.steps,
-            "random_action": self.fraction,
-        }
+        """Numbers on which a run depends, in types that JSON has."""
+        counts: dict[str, object] = {"rollouts": self.rollouts, "steps": self.steps}
+        numbers = counts | {"random_action": self.fraction}
         return numbers if self.around is None else numbers | {"around": self.around.tolist()}
 
     def motion(self, generator: torch.Generator) -> Motion:
@@ -109,9 +104,15 @@ class RandomActions:
         return _Uniform(self, generator)
 
 
-class _Uniform:
+class _Stepwise:
     amplitude = 1.0
 
+    def begin(self) -> None:
+        """Start a new rollout."""
+        self.step = 0
+
+
+class _Uniform(_Stepwise):
     def __init__(self, random: RandomActions, generator: torch.Generator) -> None:
         actions = random.actions
         self.low, self.high = actions.low.double(), actions.high.double()
@@ -119,10 +120,6 @@ class _Uniform:
         self.around = around.expand(random.steps, -1)
         self.reach, self.generator = random.fraction * actions.half_range.double(), generator
         self.begin()
-
-    def begin(self) -> None:
-        """Start a new rollout, with the first step."""
-        self.step = 0
 
     def __call__(self, state: Tensor) -> Tensor:
         shape = (*state.shape[:-1], len(self.reach))
@@ -144,16 +141,14 @@ class PDMovements(Settings):
     Args:
         pose: state (D,) around which the robot moves.
         reach: largest distances (D,) of a target from the pose, in its units; 0 for velocities.
-        gain: K (F, D): stiffness (N·m/rad) in the columns of the positions, damping (N·m·s/rad) in
-            those of the velocities.
+        gain: K (F, D): stiffness (N·m/rad) of positions, damping (N·m·s/rad) of velocities.
         u_max: torque limits (F,), N·m.
         hold: control steps for which a target stays.
         rollouts, steps: number of rollouts, and control steps of each.
         feedforward: torques (*batch, F) at states (*batch, D), which carry the robot's weight.
 
     Raises:
-        ValueError: shapes do not fit each other, a number is not finite, a distance is negative,
-            or a number is not positive.
+        ValueError: shapes do not fit each other, or a number is out of range.
 
     Example:
         >>> still, gain = torch.zeros(2), torch.tensor([[5.0, 1.0]])
@@ -191,13 +186,9 @@ class PDMovements(Settings):
         super().__post_init__()
         check_tensor("exploration.pose", self.pose, ("D",))
         D, F = len(self.pose), len(self.u_max)
-        if self.reach.shape != (D,) or self.gain.shape != (F, D):
-            got = f"{tuple(self.reach.shape)} and {tuple(self.gain.shape)}"
-            raise ValueError(
-                f"exploration.reach and gain must have shapes ({D},) and ({F}, {D}) for a pose of "
-                f"{D} and {F} torques, got {got}"
-            )
-        check_finite_entries("u_max", self.u_max)
+        for name, shape in (("reach", (D,)), ("gain", (F, D))):
+            check_tensor(f"exploration.{name}", getattr(self, name), shape)
+        check_tensor("u_max", self.u_max, (F,))
         if not (self.u_max > 0).all():
             raise ValueError(f"u_max must be positive, got {self.u_max.tolist()}")
 
@@ -211,16 +202,10 @@ class PDMovements(Settings):
         return _PDControl(self, generator)
 
 
-class _PDControl:
-    amplitude = 1.0
-
+class _PDControl(_Stepwise):
     def __init__(self, movements: PDMovements, generator: torch.Generator) -> None:
         self.movements, self.generator = movements, generator
         self.begin()
-
-    def begin(self) -> None:
-        """Start a new rollout, whose first target is drawn at the next step."""
-        self.step = 0
 
     def __call__(self, state: Tensor) -> Tensor:
         movements, state = self.movements, state.double()
@@ -230,3 +215,53 @@ class _PDControl:
         self.step += 1
         torque = movements.feedforward(state) + (self.target - state) @ movements.gain.double().mT
         return torque.clamp(-movements.u_max, movements.u_max)
+
+
+class CautiousMotion:
+    """A motion whose amplitude depends on how near the robot is to the limits of a box.
+
+    Each rollout begins with a sixteenth of the amplitude. It grows by a quarter with each step at
+    which three quarters of all margins of the start are left, and is halved at all others. This is
+    not a guarantee: the box's guard stops a rollout that leaves nevertheless.
+
+    Args:
+        motion: the motion, whose amplitude is set.
+        box: limits of the state.
+
+    Example:
+        >>> from torch_pmil.control.state_space import StateSpace, joint_match
+        >>> space = StateSpace(("q",), ("rad",), (), joint_match(("q",), ("rad",)))
+        >>> motors = ActionSpace(("tau",), ("N·m",), -torch.ones(1), torch.ones(1))
+        >>> motion = RandomActions(motors, 0.4, 25).motion(torch.Generator().manual_seed(0))
+        >>> cautious = CautiousMotion(motion, StateBox(space, {"q": (-1.0, 1.0)}))
+        >>> cautious.begin()
+        >>> for q in (0.0, 0.1, 0.2, 0.5):
+        ...     action = cautious(torch.tensor([q]))
+        ...     print(cautious.amplitude)
+        0.0625
+        0.078125
+        0.09765625
+        0.048828125
+    """
+
+    def __init__(self, motion: Motion, box: StateBox) -> None:
+        self.motion, self.box = motion, box
+        self.begin()
+
+    def begin(self) -> None:
+        """Start a new rollout."""
+        self.motion.begin()
+        self.amplitude = FIRST_AMPLITUDE
+        self._at_start: Tensor | None = None
+
+    def __call__(self, state: Tensor) -> Tensor:
+        """Actions of the next step, (*batch, F), at states (*batch, D)."""
+        margins = self.box.margins(state)
+        if self._at_start is None:
+            self._at_start = margins.clamp(min=0)
+        elif (margins >= KEPT * self._at_start).all():
+            self.amplitude = min(GROWTH * self.amplitude, 1.0)
+        else:
+            self.amplitude /= 2
+        self.motion.amplitude = self.amplitude
+        return self.motion(state)

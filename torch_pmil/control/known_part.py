@@ -1,48 +1,45 @@
-"""The known linear part of a robot's dynamics, beside what a model learns of it."""
+"""The known linear part of a robot's dynamics; a model learns the rest."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torch_pmil.checks import check_positive, check_tensor, check_whole
 
-# weight of the trapezoidal rule beside the data, over theirs: it counts where nothing moves
+# weight of the trapezoidal rule over that of the data: it counts where nothing moves
 RULE_RIDGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class KnownPart:
-    r"""What is known of the next state: how it depends on state, action and the learned function.
+    r"""What is known of the next state, given state, action and the learned function g.
 
     .. math:: x_{t+1} = A\,[x_t, u_t] + C\,g(x_t, u_t)
 
-    A model learns g, of E outputs. It may have fewer entries than the state: where velocities are
-    entries, the positions follow from them. Each output has an entry of the state of its own, to
-    which it is added as it is.
+    A model learns the E outputs of g, at most as many as the state has entries: positions may
+    follow from velocities. Each output is added to an entry of its own, as it is.
 
     Args:
-        matrix: A, (D, D + F).
+        matrix: A, (D, D + F); (D, D) fits any number of actions, which then have no known effect.
         gain: C, (D, E).
         learned: index of the own entry of each output, E; these rows of C are the identity.
-        followed: indices of each position that follows from a velocity, and of that velocity, P
-            pairs.
+        followed: P pairs of indices, of a position and the velocity from which it follows.
 
     Raises:
-        TypeError: a matrix is no tensor.
-        ValueError: shapes do not fit, a number is not finite, or the rows of ``learned`` are not
-            the identity.
+        TypeError: a matrix is not a tensor.
+        ValueError: shapes do not fit, a number is not finite, or ``learned`` does not fit C.
 
     Example:
         >>> known = KnownPart.of_velocities(["q", "dq"], {"q": "dq"}, num_actions=1, time_step=0.1)
         >>> known.matrix
         tensor([[1.0000, 0.1000, 0.0000],
                 [0.0000, 1.0000, 0.0000]], dtype=torch.float64)
-        >>> known.gain.flatten()
-        tensor([0.0500, 1.0000], dtype=torch.float64)
         >>> x, u = torch.tensor([[0.0, 1.0]]), torch.zeros(1, 1)
         >>> known.targets(x, u, torch.tensor([[0.2, 3.0]]))
         tensor([[2.]])
@@ -59,9 +56,9 @@ class KnownPart:
         check_tensor("gain", self.gain, ("D", "E"))
         D, E = self.gain.shape
         check_tensor("matrix", self.matrix, (D, "D + F"))
-        if self.num_actions < 1:
+        if self.num_actions < 0:
             raise ValueError(
-                f"matrix must have more columns than the {D} entries of the state, got "
+                f"matrix must have a column for each of the {D} entries of the state, got "
                 f"{self.matrix.shape[-1]}"
             )
         own = self.gain[list(self.learned)] if set(self.learned) <= set(range(D)) else None
@@ -72,16 +69,16 @@ class KnownPart:
             )
 
     @classmethod
-    def of_differences(cls, dim: int, num_actions: int) -> KnownPart:
+    def of_differences(cls, dim: int) -> KnownPart:
         r"""All D entries change by what is learned, :math:`x_{t+1} = x_t + g(x_t, u_t)`."""
         identity = torch.eye(dim, dtype=torch.float64)
-        return cls._of(identity, identity, num_actions)
+        return cls(identity, identity, tuple(range(dim)))
 
     @classmethod
-    def of_successors(cls, dim: int, num_actions: int) -> KnownPart:
+    def of_successors(cls, dim: int) -> KnownPart:
         r"""Nothing is known: :math:`x_{t+1} = g(x_t, u_t)`."""
         identity = torch.eye(dim, dtype=torch.float64)
-        return cls._of(torch.zeros_like(identity), identity, num_actions)
+        return cls(torch.zeros_like(identity), identity, tuple(range(dim)))
 
     @classmethod
     def of_velocities(
@@ -95,9 +92,9 @@ class KnownPart:
 
         .. math:: q_{t+1} = q_t + \Delta t \, (\dot q_t + \dot q_{t+1}) / 2
 
-        This is the trapezoidal rule: its error is :math:`\Delta t^3 / 12` times the change of the
-        acceleration in a second. Where a servo changes a joint's speed within one period, a rule
-        that is learned from transitions is better, see :meth:`fitted_rule`.
+        The error of this trapezoidal rule is :math:`\Delta t^3 / 12` times the change of the
+        acceleration in a second. Where a servo changes a joint's speed within one period,
+        :meth:`fitted_rule` is better.
 
         Args:
             names: of the D entries of the state.
@@ -106,7 +103,7 @@ class KnownPart:
             time_step: control period, s.
 
         Raises:
-            ValueError: a name is no entry, or a velocity follows from another one.
+            ValueError: a name is not an entry, or a velocity follows from another one.
         """
         check_positive("time_step", time_step)
         check_whole("num_actions", num_actions, 1)
@@ -118,14 +115,10 @@ class KnownPart:
                 f"them, got {dict(velocities)}"
             )
         learned = tuple(number for name, number in index.items() if name not in velocities)
-        identity = torch.eye(len(names), dtype=torch.float64)
-        of_state, gain = identity.clone(), identity[:, list(learned)]
-        for position, velocity in velocities.items():
-            row, column = index[position], index[velocity]
-            of_state[row, column] = time_step
-            gain[row, learned.index(column)] = time_step / 2
         followed = tuple((index[position], index[rate]) for position, rate in velocities.items())
-        return replace(cls._of(of_state, gain, num_actions, learned), followed=followed)
+        identity = torch.eye(len(names), dtype=torch.float64)
+        known = cls(pad(identity, (0, num_actions)), identity[:, list(learned)], learned, followed)
+        return known.with_rule(torch.full((len(followed), 2), time_step / 2, dtype=torch.float64))
 
     @classmethod
     def of_readings(cls, shift: Tensor, gain: Tensor, measured: Sequence[int]) -> KnownPart:
@@ -133,10 +126,7 @@ class KnownPart:
 
         .. math:: x_{t+1} = S\,[x_t, u_t] + C\,(y_t + g(x_t, u_t))
 
-        Args:
-            shift: S, (D, D + F).
-            gain: C, (D, E).
-            measured: indices of the E entries y of the state.
+        S is ``shift`` (D, D + F), and ``measured`` the indices of the E entries y.
         """
         matrix = shift.clone()
         matrix[:, list(measured)] += gain
@@ -144,16 +134,16 @@ class KnownPart:
 
     @property
     def rule(self) -> Tensor:
-        r"""Numbers a and b of each position that follows, :math:`q' = q + a \dot q + b \dot q'`.
+        r"""Numbers a and b (P, 2), s, of :math:`q' = q + a \dot q + b \dot q'` for each position.
 
-        They are (P, 2), in s; both are half the control period by the trapezoidal rule.
+        Both are half the control period by the trapezoidal rule.
         """
         rows, rates = ([pair[end] for pair in self.followed] for end in (0, 1))
         b = self.gain[rows, [self.learned.index(rate) for rate in rates]]
         return torch.stack([self.matrix[rows, rates] - b, b], -1)
 
     def with_rule(self, rule: Tensor) -> KnownPart:
-        """The same with other numbers of the positions that follow, (P, 2)."""
+        """The same with another rule (P, 2)."""
         check_tensor("rule", rule, (len(self.followed), 2))
         matrix, gain = self.matrix.clone(), self.gain.clone()
         for (row, rate), (a, b) in zip(self.followed, rule.to(matrix), strict=True):
@@ -161,19 +151,10 @@ class KnownPart:
         return replace(self, matrix=matrix, gain=gain)
 
     def fitted_rule(self, states: Tensor, successors: Tensor) -> Tensor:
-        r"""The numbers (P, 2) by least squares from transitions (n, D), near the present ones.
+        r"""The rule (P, 2) by least squares from transitions (n, D), near the present one.
 
-        A joint that is driven by a linear servo with held targets obeys such a rule exactly: of
-        :math:`q'` and :math:`\dot q'`, linear in q, :math:`\dot q` and the target, the target can
-        be eliminated.
-
-        Example:
-            >>> known = KnownPart.of_velocities(["q", "dq"], {"q": "dq"}, 1, time_step=0.1)
-            >>> x = torch.tensor([[0.0, 1.0], [0.0, 2.0], [1.0, 0.0]]).double()
-            >>> dq = torch.tensor([0.5, 3.0, 1.0]).double()
-            >>> after = torch.stack([x[:, 0] + 0.02 * x[:, 1] + 0.07 * dq, dq], -1)
-            >>> known.fitted_rule(x, after).round(decimals=4)
-            tensor([[0.0200, 0.0700]], dtype=torch.float64)
+        It is exact for a linear servo with held targets: :math:`q'` and :math:`\dot q'` are linear
+        in q, :math:`\dot q` and the target, which can be eliminated.
         """
         numbers = []
         for (row, rate), before in zip(self.followed, self.rule, strict=True):
@@ -185,14 +166,16 @@ class KnownPart:
             numbers.append(before + torch.linalg.solve(normal, speeds.mT @ left))
         return torch.stack(numbers)
 
-    @classmethod
-    def _of(
-        cls, of_state: Tensor, gain: Tensor, num_actions: int, learned: tuple[int, ...] = ()
-    ) -> KnownPart:
-        """One in which actions have no known effect."""
-        of_action = of_state.new_zeros(len(of_state), num_actions)
-        own = learned or tuple(range(len(gain)))
-        return cls(torch.cat([of_state, of_action], -1), gain, own)
+    def for_actions(self, num_actions: int) -> KnownPart:
+        """The same with a column for each of F actions; ValueError if it is for another number."""
+        if self.num_actions == num_actions:
+            return self
+        if self.num_actions:
+            raise ValueError(
+                f"the known part must be of the {num_actions} actions, got one of "
+                f"{self.num_actions}"
+            )
+        return _for_actions(self, num_actions)
 
     @property
     def dim(self) -> int:
@@ -206,19 +189,16 @@ class KnownPart:
 
     @property
     def num_actions(self) -> int:
-        """Number of actions F."""
+        """Number of actions F, or 0 for any."""
         return self.matrix.shape[-1] - self.dim
 
     @property
     def uncertain(self) -> Tensor:
-        """Whether something of an entry of the state is learned, bool, (D,)."""
+        """Whether anything is learned of each entry of the state, bool, (D,)."""
         return self.gain.any(-1)
 
     def targets(self, states: Tensor, actions: Tensor, successors: Tensor) -> Tensor:
-        """What the model had to say, (*batch, E), of x_t and x_{t+1} (*batch, D), u_t (*batch, F).
-
-        What the known part says wrongly of the other entries is left out.
-        """
+        """Outputs g (*batch, E) that explain x_t, x_{t+1} (*batch, D) and u_t (*batch, F)."""
         return (successors - self._expected(states, actions))[..., list(self.learned)]
 
     def successors(self, states: Tensor, actions: Tensor, outputs: Tensor) -> Tensor:
@@ -226,4 +206,10 @@ class KnownPart:
         return self._expected(states, actions) + outputs @ self.gain.to(outputs).mT
 
     def _expected(self, states: Tensor, actions: Tensor) -> Tensor:
-        return torch.cat([states, actions], -1) @ self.matrix.to(states).mT
+        matrix = self.for_actions(actions.shape[-1]).matrix
+        return torch.cat([states, actions], -1) @ matrix.to(states).mT
+
+
+@lru_cache(64)  # each prediction of a search asks for it
+def _for_actions(known: KnownPart, num_actions: int) -> KnownPart:
+    return replace(known, matrix=pad(known.matrix, (0, num_actions)))

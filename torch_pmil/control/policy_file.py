@@ -6,23 +6,18 @@ entry               holds
 ``format``          ``"torch_pmil policy"``
 ``version``         version of the format, 2
 ``torch_pmil``      version of the package that wrote the file
-``names``           names of the D entries of the state
-``units``           units of the D entries of the state
-``angles``          indices of the entries that are angles (rad), of which the policy sees sin and
-                    cos
-``action_names``    names of the F actions
-``action_units``    units of the F actions, "" where one is not known
+``names``           names of the D entries of the state; ``units`` holds their units
+``angles``          indices of the entries that are angles (rad)
+``action_names``    names of the F actions; ``action_units`` holds their units, "" if not known
 ``control_period``  time for which the robot holds an action, s
-``target_names``    names of the K entries of a target, which the policy sees after the features;
-                    absent if it has none
-``parameters``      ``RBFPolicy.state_dict()``: float64 tensors ``centres`` (m, D' + K) and
+``target_names``    names of the K entries of a target; absent if it has none
+``parameters``      float64 tensors of :class:`RBFPolicy`: ``centres`` (m, D' + K) and
                     ``log_widths`` (F, D' + K) in multiples of ``scale`` (D' + K,), ``weights``
-                    (m, F), middles ``u_middle`` (F,) of the actions' ranges and their half widths
-                    ``u_max`` (F,) in the units of the actions
+                    (m, F), ``u_middle`` (F,) and ``u_max`` (F,) in the units of the actions
 ==================  ==============================================================================
 
-A file of version 1 has no names and units of actions and no ``u_middle``: they are torques in N·m
-around zero.
+A file of version 1 has no names and units of actions and no ``u_middle``: its actions are torques
+in N·m around zero.
 """
 
 from __future__ import annotations
@@ -34,6 +29,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torch_pmil.checks import check_finite_entries
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_policy import StatePolicy
@@ -43,22 +39,12 @@ from torch_pmil.files import FileError, LineError, replacing, short
 
 FORMAT, FORMAT_VERSION = "torch_pmil policy", 2
 OF_TORQUES = 1  # version that knows torques alone
-LISTS = {
-    "names": str,
-    "units": str,
-    "angles": int,
-    "action_names": str,
-    "action_units": str,
-    "target_names": str,
-}
-OPTIONAL = ("target_names",)
+OPTIONAL = "target_names"
+LISTS = dict.fromkeys(("names", "units", "action_names", "action_units", OPTIONAL), str)
 
 
 class PolicyFileError(LineError):
-    """A file holds no policy that can be used.
-
-    The message says in one line where, what was expected and what came.
-    """
+    """A file does not hold a policy that can be used."""
 
 
 def save_policy(
@@ -73,15 +59,11 @@ def save_policy(
 
     Args:
         path: the file to write; an existing file is replaced.
-        policy: a policy that sees the features of the state, then the target if there is one.
-        space: names, units and angles of the state. The match space is not saved.
-        control_period: time for which the robot holds an action, s.
-        target_names: names of the K entries of a target.
-        actions: names, units and range of the actions; of None, numbers without units.
+        policy, space, control_period, target_names, actions: as in :class:`StatePolicy`. The match
+            space is not saved.
 
     Raises:
-        ValueError: the policy sees another number of features, has other actions, or the control
-            period is not positive.
+        ValueError: as :class:`StatePolicy`.
         OSError: the file cannot be written.
 
     Example: see :func:`load_policy`.
@@ -105,16 +87,10 @@ def save_policy(
 
 
 def load_policy(path: Path | str) -> StatePolicy:
-    """Load a policy that :func:`save_policy` or ``pmil train`` wrote.
-
-    Nothing that the file carries is executed.
-
-    Args:
-        path: the file to read.
+    """Load a policy that :func:`save_policy` or ``pmil train`` wrote, without executing anything.
 
     Returns:
-        The policy as a function of the state, on the CPU, its parameters without gradient. Its
-        match space is the state itself.
+        The policy on the CPU, without gradient. Its match space is the state itself.
 
     Raises:
         PolicyFileError: the file is damaged, of another kind or version, or its entries do not fit
@@ -136,7 +112,7 @@ def load_policy(path: Path | str) -> StatePolicy:
         _check_entries(content)
         names, units = tuple(content["names"]), tuple(content["units"])
         space = StateSpace(names, units, tuple(content["angles"]), joint_match(names, units))
-        targets = content.get("target_names", [])
+        targets = content.get(OPTIONAL, [])
         inputs = len(space.feature_names) + len(targets)
         network = policy_of(_entries(content["parameters"]), inputs)
         limits = network.u_middle, network.u_max
@@ -149,9 +125,7 @@ def load_policy(path: Path | str) -> StatePolicy:
 def policy_of(parameters: Mapping[str, Tensor], inputs: int) -> RBFPolicy:
     """The policy with the given parameters, which sees ``inputs`` features, without gradient.
 
-    Raises:
-        PolicyFileError: a parameter is missing, or has another shape or type, or is none of which
-            an action can be computed.
+    Raises PolicyFileError where parameters are missing, do not fit, or give no finite action.
     """
     m, outputs = (*getattr(parameters.get("weights"), "shape", ()), 0, 0)[:2]
     shapes = {
@@ -185,9 +159,8 @@ def _loaded(path: Path | str) -> dict:
         raise PolicyFileError(f"must be a file of save_policy: {error}") from error
     entries = _entries(content)
     if entries.get("format") != FORMAT:
-        found = f"a {type(content).__name__}"
-        if isinstance(content, dict):
-            found = f"entries {_listed(list(entries)[:5]) or 'none'}"
+        some = f"entries {_listed(list(entries)[:5]) or 'none'}"
+        found = some if isinstance(content, dict) else f"a {type(content).__name__}"
         raise PolicyFileError(
             f"must be a file of save_policy, with the entry format = {FORMAT!r}, got {found}"
         )
@@ -212,12 +185,12 @@ def _as_present(content: dict) -> dict:
 
 
 def _entries(content: object) -> dict:
-    """Entries of a dictionary, not by its own methods: a file can replace those of OrderedDict."""
+    """Entries of a dictionary, without its own methods, which a file can replace."""
     return dict(dict.items(content)) if isinstance(content, dict) else {}
 
 
 def _listed(names: Iterable[object]) -> str:
-    """Names in a line of a message, as they are if they are short words."""
+    """Names in one line of a message."""
     return ", ".join(
         name if isinstance(name, str) and name.isprintable() and len(name) < 40 else short(name)
         for name in names
@@ -225,64 +198,53 @@ def _listed(names: Iterable[object]) -> str:
 
 
 def _check_entries(content: dict) -> None:
-    found = content.get("version")
+    found, writer = content.get("version"), _listed([content.get("torch_pmil")])
     if type(found) is not int or found != FORMAT_VERSION:
-        writer = content.get("torch_pmil")
         raise PolicyFileError(
             f"format version must be {FORMAT_VERSION}, got {short(found)}, written by torch_pmil "
-            f"{_listed([writer])}"
+            f"{writer}"
         )
-    for name, kind in LISTS.items():
-        value = content.get(name, [] if name in OPTIONAL else None)
+    for name, kind in (LISTS | {"angles": int}).items():
+        value = content.get(name, [] if name == OPTIONAL else None)
         if not isinstance(value, list) or {type(item) for item in value} - {kind}:
-            raise PolicyFileError(
-                f"entry {name} must be a list of {kind.__name__}, got {short(value)}"
-            )
+            wanted = f"a list of {kind.__name__}"
+            raise PolicyFileError(f"entry {name} must be {wanted}, got {short(value)}")
     for names, units in (("names", "units"), ("action_names", "action_units")):
         if len(content[units]) != len(content[names]):
+            wanted, found = short(content[names]), short(content[units])
             raise PolicyFileError(
-                f"entry {units} must hold one for each of {names} {short(content[names])}, got "
-                f"{short(content[units])}"
+                f"entry {units} must hold one for each of {names} {wanted}, got {found}"
             )
-    if not isinstance(content.get("control_period"), float):
-        raise PolicyFileError(
-            f"entry control_period must be a float, got {short(content.get('control_period'))}"
-        )
-    if not isinstance(content.get("parameters"), dict):
-        raise PolicyFileError(
-            "entry parameters must be a dict of tensors, got "
-            f"{type(content.get('parameters')).__name__}"
-        )
+    period, parameters = content.get("control_period"), content.get("parameters")
+    if not isinstance(period, float):
+        raise PolicyFileError(f"entry control_period must be a float, got {short(period)}")
+    if not isinstance(parameters, dict):
+        found = type(parameters).__name__
+        raise PolicyFileError(f"entry parameters must be a dict of tensors, got {found}")
 
 
 def _check_parameter(name: str, value: object, shape: tuple[int, ...]) -> None:
     if not isinstance(value, Tensor) or value.dtype != torch.float64:
-        raise PolicyFileError(
-            f"parameter {name} must be a float64 tensor, got "
-            f"{getattr(value, 'dtype', type(value).__name__)}"
-        )
+        found = getattr(value, "dtype", type(value).__name__)
+        raise PolicyFileError(f"parameter {name} must be a float64 tensor, got {found}")
     if value.shape != shape:
         raise PolicyFileError(f"parameter {name} must have shape {shape}, got {tuple(value.shape)}")
     if not is_whole(value):
         raise PolicyFileError(f"parameter {name} must hold its numbers, got one repeated")
-    if not value.isfinite().all():
-        raise PolicyFileError(
-            f"parameter {name} must be finite, got {value[~value.isfinite()][0].item()}"
-        )
+    check_finite_entries(f"parameter {name}", value, lambda message, _: PolicyFileError(message))
 
 
 def _check_magnitudes(policy: RBFPolicy) -> None:
-    """Refuse numbers each of which is finite, while what the network makes of them is not."""
+    """Raise where finite numbers have squares that are not, or are zero."""
     centres, _, widths = policy.controller.parameters
     endless = ~centres.square().isfinite()
     if endless.any():
-        raise PolicyFileError(
-            f"centres must have finite squares, got {centres[endless][0].item():g}"
-        )
+        found = centres[endless][0].item()
+        raise PolicyFileError(f"centres must have finite squares, got {found:g}")
     squares = widths.square()
-    none = ~squares.isfinite() | (squares == 0)
-    if none.any():
+    endless = ~squares.isfinite() | (squares == 0)
+    if endless.any():
+        found = policy.log_widths[endless][0].item()
         raise PolicyFileError(
-            "widths must have squares that are positive and finite, got log_widths = "
-            f"{policy.log_widths[none][0].item():g}"
+            f"widths must have squares that are positive and finite, got log_widths = {found:g}"
         )

@@ -1,4 +1,4 @@
-r"""The policy: an RBF network squashed to the actions' range (Eqs. 25-27), of states and beliefs.
+r"""The policy: an RBF network squashed to the actions' range (Eqs. 25-27).
 
 ====================  ===========================================
 paper                 here
@@ -18,14 +18,13 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
-from torch_pmil.checks import check_positive, check_real, check_tensor
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.checks import check_positive, check_positive_entries, check_tensor
+from torch_pmil.gp.gaussian import Gaussian, Moments
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_matching import moment_match
-from torch_pmil.gp.moments import Moments
 from torch_pmil.gp.trigonometry import squash
 
-# bound of the sine when Eq. 27 is inverted: at the limit itself its slope is zero
+# bound of the sine when Eq. 27 is inverted, since its slope at 1 is zero
 MAX_SINE = 0.999
 
 
@@ -34,13 +33,7 @@ class Policy(Protocol):
 
     @property
     def controller(self) -> Controller:
-        """Controller at the features of a state, or of N states if the policy is for N targets."""
-
-
-def check_limits(u_max: Tensor) -> None:
-    """Raise ValueError unless limits of actions are a vector (F,) of positive finite numbers."""
-    if u_max.ndim != 1 or not len(u_max) or not ((u_max > 0) & u_max.isfinite()).all():
-        raise ValueError(f"u_max must be a vector of positive numbers, got {u_max.tolist()}")
+        """Controller of one state, or of N states for N targets."""
 
 
 class RBFPolicy(nn.Module):
@@ -49,9 +42,8 @@ class RBFPolicy(nn.Module):
     .. math:: \pi(x) = \bar u + u_{\max} \sin\left(
         \sum_i w_i \exp(-\tfrac12 (x - c_i)^\top \Gamma^{-1} (x - c_i)) \right)
 
-    The paper's actions are torques within :math:`\pm u_{\max}`, so that :math:`\bar u = 0`.
-    Inputs are divided by ``scale`` first, so that parameters of all inputs are of order one; the
-    policy has m (D' + F) + F D' parameters.
+    The paper's actions are torques within :math:`\pm u_{\max}`, so that :math:`\bar u = 0`. There
+    are m (D' + F) + F D' parameters, of order one for inputs that are divided by ``scale``.
 
     Args:
         centres: (m, D'), in the units of the inputs.
@@ -60,8 +52,8 @@ class RBFPolicy(nn.Module):
         u_middle: middles of the actions' ranges (F,); None for zero.
 
     Raises:
-        TypeError: one of them is no tensor.
-        ValueError: one has another shape, or holds what is not finite, or not positive.
+        TypeError: one of them is not a tensor.
+        ValueError: one has another shape, or a number is not finite or not positive.
 
     Example:
         >>> u_max = torch.tensor([3.5, 3.5])
@@ -80,17 +72,12 @@ class RBFPolicy(nn.Module):
         self, centres: Tensor, u_max: Tensor, scale: Tensor, u_middle: Tensor | None = None
     ) -> None:
         super().__init__()
-        for name, values in (("centres", centres), ("u_max", u_max), ("scale", scale)):
-            check_real(name, values)
-        if centres.ndim != 2 or centres.numel() == 0 or not centres.isfinite().all():
-            raise ValueError(
-                f"centres must be finite, (m, D') with m >= 1, got shape {tuple(centres.shape)} "
-                f"with {(~centres.isfinite()).sum().item()} entries that are not finite"
-            )
+        check_tensor("centres", centres, ("m", "inputs"))
         m, inputs = centres.shape
-        if scale.shape != (inputs,) or not ((scale > 0) & scale.isfinite()).all():
-            raise ValueError(f"scale must hold {inputs} positive numbers, got {scale.tolist()}")
-        check_limits(u_max)
+        check_tensor("scale", scale, (inputs,))
+        check_tensor("u_max", u_max, ("F",))
+        check_positive_entries("scale", scale)
+        check_positive_entries("u_max", u_max)
         u_middle = torch.zeros_like(u_max) if u_middle is None else u_middle
         check_tensor("u_middle", u_middle, (len(u_max),))
         self.register_buffer("u_max", u_max.double())
@@ -102,10 +89,7 @@ class RBFPolicy(nn.Module):
 
     @property
     def controller(self) -> Controller:
-        """The policy as a function of its present parameters, with their graph.
-
-        Building it costs time: build it once for a rollout.
-        """
+        """The policy at its present parameters, with their graph; build it once for a rollout."""
         network = KernelExpansion(
             inputs=self.centres * self.scale,
             weights=self.weights.mT,
@@ -115,10 +99,7 @@ class RBFPolicy(nn.Module):
         return Controller(network, self.u_max, self.u_middle)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Action (*batch, F) at features of the state (*batch, D').
-
-        Raises ValueError where features have another shape or are not finite.
-        """
+        """Action (*batch, F) at finite features of the state (*batch, D')."""
         check_tensor("features", features, ("*batch", len(self.scale)))
         return self.controller(features.double())
 
@@ -129,10 +110,7 @@ class RBFPolicy(nn.Module):
         Args:
             features: (S, D').
             actions: (S, F), in their units, within their range.
-            ridge: penalty of a change of the weights; actions before squashing count in rad.
-
-        Raises:
-            ValueError: shapes do not fit, a number is not finite, or the penalty is not positive.
+            ridge: positive penalty of a change of the weights, beside actions in rad.
 
         Example:
             >>> policy = RBFPolicy(torch.zeros(1, 1), u_max=torch.ones(1), scale=torch.ones(1))
@@ -156,15 +134,8 @@ class RBFPolicy(nn.Module):
     def for_target(self, target: Tensor) -> RBFPolicy:
         """The policy for one target (K,), a function of the features alone (Eq. 31).
 
-        The target is the last K of this policy's inputs; the actions are those of this policy.
-
-        Raises:
-            ValueError: the target is not finite, or leaves no features.
-
-        Example:
-            >>> policy = RBFPolicy(torch.zeros(5, 8), torch.ones(3), torch.ones(8))
-            >>> policy.for_target(torch.zeros(2))(torch.zeros(6)).shape
-            torch.Size([3])
+        The target are the last K of this policy's inputs. Raises ValueError if it is not finite, or
+        leaves no features.
         """
         check_tensor("target", target, ("K",))
         D = len(self.scale) - len(target)
@@ -183,12 +154,8 @@ class RBFPolicy(nn.Module):
 class PolicyAtTargets:
     """A policy whose last K inputs are a target, at N targets (Eq. 31).
 
-    Row i of a batch of N states is for target i. A target is known exactly, so it has no variance
-    and its part of the network is a factor of the weights.
-
-    Args:
-        policy: a policy that sees the features of the state, then the target.
-        targets: (N, K).
+    Row i of a batch of N states is for target i of ``targets`` (N, K). A target has no variance, so
+    that its part of the network is a factor of the weights.
     """
 
     policy: RBFPolicy
@@ -203,7 +170,7 @@ class PolicyAtTargets:
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """An RBF network, and the range to which its output is squashed (Eq. 27): middle and half."""
+    """An RBF network, and the range to which its output is squashed (Eq. 27)."""
 
     network: KernelExpansion
     u_max: Tensor
@@ -215,25 +182,18 @@ class Controller:
 
     @property
     def parameters(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D') of the network.
-
-        Centres and widths are in the units of its inputs.
-        """
+        """Centres (m, D'), weights (F, m) or (N, F, m), and widths (F, D') of the network."""
         return self.network.inputs, self.network.weights, self.network.lengthscales
 
     def on_belief(self, features: Gaussian) -> tuple[Gaussian, Tensor]:
-        """Exact moments of the action at a belief over the features: of the network, then squashed.
+        """Exact belief over the action at one over the features.
 
-        Args:
-            features: belief over the policy's inputs.
-
-        Returns:
-            The belief over the action, and Sigma^-1 cov(features, action), (*batch, D', F).
+        The second result is Sigma^-1 cov(features, action), (*batch, D', F).
         """
         return self.squashed(moment_match(self.network, features))
 
     def squashed(self, raw: Moments) -> tuple[Gaussian, Tensor]:
-        """Results of :meth:`on_belief`, from the moments of the network."""
+        """:meth:`on_belief` from the moments of the network."""
         action, slope = squash(raw.gaussian, self.u_max)
         action = Gaussian(self.u_middle + action.mean, action.cov)
         return action, raw.inv_cov_cross_cov * slope[..., None, :]

@@ -12,16 +12,11 @@ from torch import Tensor
 
 from torch_pmil.control.state_space import MatchSpace
 
-STAYING = 1e-3  # weight of an entry's change from the sample before, beside that of the observation
+STAYING = 1e-3  # weight of an entry's change between samples, beside that of the observation
 
 
 def rates_of(names: tuple[str, ...]) -> dict[int, int]:
-    """Entries that are velocities by their names, dNAME beside NAME, with the entries they are of.
-
-    Example:
-        >>> rates_of(("q1", "dq1", "q2", "dq2"))
-        {1: 0, 3: 2}
-    """
+    """Indices of velocities, named dNAME, with the indices of their positions NAME."""
     return {
         entry: names.index(name[1:])
         for entry, name in enumerate(names)
@@ -38,16 +33,16 @@ def recover_states(
 ) -> Tensor:
     """States that show trajectories of the match space.
 
-    Each sample is solved by least squares from the sample before, so that an angle goes on beyond a
-    whole turn. An entry that the match space does not show is the derivative of another entry by
-    central differences, if ``rates`` says of which, and else stays as it starts.
+    Least squares solve for each sample from the one before, so that angles continue beyond a whole
+    turn. An entry that is not shown is, if ``rates`` has it, the derivative of its position by
+    central differences; otherwise it stays as it starts.
 
     Args:
         match_space: what is shown of a state.
         observed: trajectories (N, T + 1, M).
         time_step: between samples, s.
         start: near which the first states are sought, (D,).
-        rates: indices of entries that are velocities, with the indices of their positions.
+        rates: indices of velocities, with the indices of their positions.
 
     Returns:
         (N, T + 1, D), float64.
@@ -69,14 +64,11 @@ def recover_states(
 
 
 def without_turns(states: Tensor, start: Tensor, angles: Sequence[int]) -> Tensor:
-    """Trajectories of states (N, T, D) whose first angles are those nearest to a start (D,).
+    """Trajectories (N, T, D), moved by whole turns so that they begin near a start (D,).
 
-    What is observed tells angles but for whole turns. Two trajectories that are a turn apart have
-    no mean, and a servo's target is another one a turn further.
+    Otherwise trajectories a turn apart would have no mean, nor a servo the right target.
 
     Args:
-        states: each trajectory is moved by whole turns.
-        start: near which the first state is.
         angles: indices of the entries that are angles, rad.
 
     Example:
@@ -104,7 +96,7 @@ def _solved(match_space: MatchSpace, observed: Tensor, start: Tensor) -> Tensor:
             apart = (match_space(torch.from_numpy(before + change)) - sample) / scale
             return np.concatenate([apart.numpy(), STAYING * change])
 
-        # of the change: a search that begins near zero takes steps as small as that
+        # the unknown is the change, which begins at zero: steps of the search are relative
         state = state + least_squares(residual, np.zeros_like(state)).x
         states.append(torch.from_numpy(state))
     return torch.stack(states)
@@ -113,8 +105,7 @@ def _solved(match_space: MatchSpace, observed: Tensor, start: Tensor) -> Tensor:
 def _shown_entries(match_space: MatchSpace) -> set[int]:
     """Indices of the state's entries on which the observation depends."""
     D = match_space.angles.shape[-1]
-    plain, sines, cosines = (
-        match_space.weights.abs().sum(0).split([D, *2 * [match_space.angles.shape[0]]])
-    )
+    sizes = [D, *2 * [len(match_space.angles)]]
+    plain, sines, cosines = match_space.weights.abs().sum(0).split(sizes)
     through_angles = (sines + cosines) @ match_space.angles.abs()
     return set((plain + through_angles).nonzero().flatten().tolist())

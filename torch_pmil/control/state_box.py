@@ -23,12 +23,11 @@ from torch_pmil.gp.gaussian import Gaussian
 
 @dataclass(frozen=True, eq=False)
 class StateBox:
-    r"""A box in which a robot's motion shall stay: limits of entries that are named.
+    r"""Limits of named entries of the state (joint angles, speeds) or match space (a tip's place).
 
-    The entries are those of the state, as joint angles and speeds, and those of the match space, as
-    the position of the tip. The box is no guarantee: what is predicted are Gaussian approximations
-    under a learned model, and what is watched are the states at the ends of control periods. It
-    does not take the place of an emergency stop, nor of limits in the robot's own controller.
+    The box is not a guarantee: predictions are Gaussian approximations under a learned model, and
+    states are watched at the ends of control periods only. It replaces neither an emergency stop
+    nor limits in the robot's own controller.
 
     Args:
         space: the robot's state space.
@@ -36,8 +35,7 @@ class StateBox:
         threshold: predicted probability of leaving up to which a rollout is admitted.
 
     Raises:
-        ValueError: there is no such entry, or no finite limit, or a lowest value is not below the
-            highest one, or the threshold is not between 0 and 1.
+        ValueError: there is no such entry, no finite limit, or numbers are out of range.
 
     Example:
         >>> from torch_pmil.control.state_space import joint_match
@@ -46,9 +44,6 @@ class StateBox:
         >>> box = StateBox(space, {"dq": (-10.0, 10.0)})
         >>> box.guard(torch.tensor([[0.0, 1.0], [0.0, 12.3]]))
         'dq = 12.3 rad/s left its limits of -10 to 10 rad/s'
-        >>> certain = Gaussian(torch.tensor([[0.0, 1.0]]), 1e-9 * torch.eye(2)[None])
-        >>> box.leaving_probability(certain)
-        tensor(0.)
     """
 
     space: StateSpace
@@ -56,13 +51,13 @@ class StateBox:
     threshold: float = 0.05
 
     def __post_init__(self) -> None:
-        known = self._names
+        known = dict.fromkeys((*self.space.names, *self.space.match_space.names))
         for name, (low, high) in self.limits.items():
             if name not in known:
                 raise ValueError(f"limits must be of {', '.join(known)}, got {name}")
             if not low < high:
                 raise ValueError(f"limits of {name} must be low < high, got {low} and {high}")
-        if not self._bounds.isfinite().any():
+        if not len(self._finite[1]):
             raise ValueError(f"limits must hold a finite number, got {dict(self.limits)}")
         check_positive("threshold", self.threshold)
         if self.threshold >= 1:
@@ -70,7 +65,7 @@ class StateBox:
 
     @property
     def settings(self) -> dict[str, object]:
-        """The limits by name, null where there is none, and the threshold, as JSON has them."""
+        """The limits by name, with None for infinite ones, and the threshold."""
         finite = {
             name: [bound if abs(bound) < torch.inf else None for bound in bounds]
             for name, bounds in self.limits.items()
@@ -79,15 +74,16 @@ class StateBox:
 
     def guard(self, states: Tensor) -> str:
         """Why states (*batch, D) are outside, in one line; "" if all are within."""
-        margins = self.margins(states).reshape(-1, len(self._sides))
+        bounds, entries, _ = self._finite
+        margins = self.margins(states).reshape(-1, len(entries))
         outside = (margins < 0).nonzero()
         if not len(outside):
             return ""
         state, side = outside[0].tolist()
-        entry = self._entries[side]
+        entry = entries[side]
         value = self._limited(states.reshape(-1, self.space.dim)[state])[entry].item()
         name, unit = self._limited.names[entry], self._limited.units[entry]
-        low, high = self._bounds[entry].tolist()
+        low, high = bounds[entry].tolist()
         return f"{name} = {value:.3g} {unit} left its limits of {low:g} to {high:g} {unit}"
 
     def margins(self, states: Tensor) -> Tensor:
@@ -99,41 +95,22 @@ class StateBox:
 
         .. math:: p_t \le \min\left(1, \sum_b \Phi(-m_{tb} / \sigma_{tb})\right)
 
-        It is exact where one entry alone is limited.
-
-        Args:
-            states: predicted marginals, mean (*batch, T, D).
-
-        Returns:
-            (*batch, T).
+        It is exact where one limit is finite. ``states`` are predicted marginals, mean (*batch, T,
+        D); the bound is (*batch, T).
         """
         return torch.special.ndtr(-self._standardised(states)).sum(-1).clamp(max=1)
 
     def leaving_probability(self, states: Gaussian) -> Tensor:
-        r"""Bound on the probability that a rollout leaves the box at any of its steps.
+        """Bound (*batch) on the probability that a rollout leaves the box at any of its steps.
 
-        It is the sum of :meth:`leaving_by_step`, at most 1 (Boole's inequality). The bound is that
-        of the predicted marginals, which are Gaussian approximations: it is no guarantee.
-
-        Args:
-            states: predicted marginals at t = 1..T, mean (*batch, T, D).
-
-        Returns:
-            (*batch).
+        It is the sum of :meth:`leaving_by_step`, at most 1 (Boole's inequality).
         """
         return self.leaving_by_step(states).sum(-1).clamp(max=1)
 
     def penalty(self, states: Gaussian, weight: float = 1.0) -> Tensor:
-        r"""Penalty of predicted states that may leave, in nats, smooth and steep far outside.
+        r"""Penalty (*batch, T) of states that may leave, in nats, smooth and steep far outside.
 
         .. math:: -w \sum_b \log \Phi(m_{tb} / \sigma_{tb})
-
-        Args:
-            states: predicted marginals, mean (*batch, T, D).
-            weight: w.
-
-        Returns:
-            (*batch, T).
         """
         return -weight * torch.special.log_ndtr(self._standardised(states)).sum(-1)
 
@@ -142,32 +119,18 @@ class StateBox:
         limited = self._limited.moments(states)
         variance = limited.cov.diagonal(dim1=-2, dim2=-1)
         std = variance.clamp(min=torch.finfo(variance.dtype).tiny).sqrt()
-        return self._margins(limited.mean) / std[..., self._entries]
+        return self._margins(limited.mean) / std[..., self._finite[1]]
 
     def _margins(self, values: Tensor) -> Tensor:
-        bounds = self._bounds.to(values)[self._entries, self._sides]
-        return (2 * self._sides - 1) * (bounds - values[..., self._entries])
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        """Names of all entries that can be limited: of the state, then of the match space."""
-        state, match_space = self.space.names, self.space.match_space
-        return (*state, *(name for name in match_space.names if name not in state))
+        bounds, entries, sides = self._finite
+        return (2 * sides - 1) * (bounds.to(values)[entries, sides] - values[..., entries])
 
     @cached_property
-    def _bounds(self) -> Tensor:
-        """Lowest and highest values of the limited entries, (K, 2)."""
-        return torch.tensor(list(self.limits.values()), dtype=torch.float64).reshape(-1, 2)
-
-    @cached_property
-    def _entries(self) -> Tensor:
-        """Limited entry of each finite limit."""
-        return self._bounds.isfinite().nonzero()[:, 0]
-
-    @cached_property
-    def _sides(self) -> Tensor:
-        """Side of each finite limit: 0 below, 1 above."""
-        return self._bounds.isfinite().nonzero()[:, 1]
+    def _finite(self) -> tuple[Tensor, Tensor, Tensor]:
+        """All bounds (K, 2), and entry and side (0 below, 1 above) of each finite one."""
+        bounds = torch.tensor(list(self.limits.values()), dtype=torch.float64).reshape(-1, 2)
+        entries, sides = bounds.isfinite().nonzero().unbind(-1)
+        return bounds, entries, sides
 
     @cached_property
     def _limited(self) -> MatchSpace:
@@ -176,10 +139,9 @@ class StateBox:
         sines = match_space.weights.shape[-1] - space.dim
         units = dict(zip(match_space.names, match_space.units, strict=True))
         rows = dict(zip(match_space.names, match_space.weights.double(), strict=True))
+        own = pad(torch.eye(space.dim, dtype=torch.float64), (0, sines))
         units |= zip(space.names, space.units, strict=True)
-        rows |= zip(
-            space.names, pad(torch.eye(space.dim, dtype=torch.float64), (0, sines)), strict=True
-        )
+        rows |= zip(space.names, own, strict=True)
         return MatchSpace(
             tuple(self.limits),
             tuple(units[name] for name in self.limits),

@@ -1,11 +1,7 @@
-"""A learned policy as the robot needs it: from the measured state to the action.
-
-It is a function of NumPy arrays, PyTorch tensors or TensorDicts, and can be exported.
-"""
+"""A learned policy as the robot needs it: from the measured state to the action."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +11,7 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
+from torch_pmil.checks import check_positive
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.rbf_policy import Controller, RBFPolicy
 from torch_pmil.control.state_space import StateSpace, with_unit
@@ -27,25 +24,23 @@ State = TypeVar("State", np.ndarray, Tensor)
 class StatePolicy(nn.Module):
     """Policy that maps states (*batch, D) to actions (*batch, F), in the units of the robot.
 
-    It returns tensors for tensors, and NumPy arrays for NumPy arrays and lists, always float64.
-    Integers and floats of any precision are taken; a tensor must be on the device of the policy,
-    and its gradient passes. A policy of targets is called with these too, (*batch, K):
-    ``policy(state, target)``.
+    It returns float64 tensors for tensors, and NumPy arrays for arrays and lists, of integers or
+    floats. A tensor must be on the device of the policy; its gradient passes. A policy of targets
+    (*batch, K) is called as ``policy(state, target)``.
 
     Args:
         policy: a policy that sees the features of the state, then the target if there is one.
         space: names, units and angles of the state.
         control_period: time for which the robot holds an action, s.
         target_names: names of the K entries of a target.
-        actions: names, units and range of the actions; of None, numbers without units.
+        actions: names, units and range of the actions; numbers without units if None.
 
     Raises:
         ValueError: the policy sees another number of inputs, has other actions, or the control
-            period is not positive.
-            When called: the state or the target has another shape, is not finite, or is on another
-            device.
-        TypeError: when called: the state or the target is no array or tensor, does not hold real
-            numbers, or a target is missing or too much.
+            period is not positive. When called: the state or the target has another shape or
+            device, or is not finite.
+        TypeError: when called: the state or the target does not hold real numbers, or a target is
+            missing or too much.
 
     Example:
         >>> from torch_pmil.control.state_space import joint_match
@@ -55,8 +50,6 @@ class StatePolicy(nn.Module):
         >>> policy = StatePolicy(network, space, control_period=0.1)
         >>> policy([3.14, 0])
         array([0.])
-        >>> policy(torch.zeros(7, 2)).shape
-        torch.Size([7, 1])
     """
 
     def __init__(
@@ -74,10 +67,7 @@ class StatePolicy(nn.Module):
                 f"policy must see the features {', '.join(inputs)}, got one of {len(policy.scale)} "
                 "features"
             )
-        if not isinstance(control_period, int | float) or not 0 < control_period < math.inf:
-            raise ValueError(
-                f"control_period must be positive and finite, in seconds, got {control_period!r}"
-            )
+        check_positive("control_period (s)", control_period)
         own = ActionSpace.around(policy.u_middle, policy.u_max, (), ())
         if actions is not None and not _same_range(actions, own):
             raise ValueError(f"actions must be those of the policy, {own}, got {actions}")
@@ -94,11 +84,10 @@ class StatePolicy(nn.Module):
     def forward(self, state: State, target: State | None = None) -> State:
         """Actions (*batch, F) at states (*batch, D) and, if any, for targets (*batch, K)."""
         state, target = _as_array("state", state), _as_array("target", target)
-        if (target is None) == bool(self.target_names):
-            wanted, got = ("a state alone", "a target too")
-            if self.target_names:
-                wanted, got = ("a state and a target", "a state alone")
-            raise TypeError(f"policy must be called with {wanted}, got {got}")
+        if self.target_names and target is None:
+            raise TypeError("policy must be called with a state and a target, got a state alone")
+        if target is not None and not self.target_names:
+            raise TypeError("policy must be called with a state alone, got a target too")
         inputs = self.space.features(self._checked("state", state, self.space.names))
         if target is not None:
             known = self._checked("target", target, self.target_names)
@@ -107,9 +96,7 @@ class StatePolicy(nn.Module):
         return action.detach().cpu().numpy() if isinstance(state, np.ndarray) else action
 
     def as_tensordict_module(self) -> TensorDictModule:
-        """The policy as a module for TorchRL's environments and collectors.
-
-        It reads ``"observation"``, and ``"target"`` if it has targets, and writes ``"action"``.
+        """A module that reads ``"observation"`` (and ``"target"``), and writes ``"action"``.
 
         Example: see ``docs/how_to/deploy.md``.
         """
@@ -117,16 +104,14 @@ class StatePolicy(nn.Module):
         return TensorDictModule(self, in_keys=in_keys, out_keys=["action"])
 
     def export(self, path: Path | str, batch: bool = False) -> None:
-        """Write a program that ``torch.export.load`` reads where there is nothing but PyTorch.
+        """Write a program for ``torch.export.load``, which needs nothing but PyTorch.
 
-        Its inputs, the state and the target if there is one, are float64 tensors on the CPU with
-        the number of dimensions that it was exported for. The program raises an error at another
-        shape or dtype, and at a number that is not finite.
+        Its inputs, state and target, are finite float64 tensors on the CPU; it raises an error at
+        others.
 
         Args:
             path: the file to write, ending in .pt2.
-            batch: whether the program takes states (N, D) and targets (N, K), any N, and not one
-                state (D,) and target (K,).
+            batch: whether it takes states (N, D) and targets (N, K), any N, or (D,) and (K,).
 
         Raises:
             ValueError: the file has another ending.
@@ -141,7 +126,7 @@ class StatePolicy(nn.Module):
         dims = [self.space.dim, *([len(self.target_names)] if self.target_names else [])]
         shape = (2,) if batch else ()
         examples = tuple(torch.zeros(*shape, dim, dtype=torch.float64) for dim in dims)
-        # space and network cache tensors in their first call, which must not come from the tracer
+        # the first call caches tensors, which must not come from the tracer
         program(*examples)
         shapes = tuple({0: torch.export.Dim("N", min=0)} for _ in dims) if batch else None
         exported = torch.export.export(program, examples, dynamic_shapes=shapes)
@@ -149,23 +134,18 @@ class StatePolicy(nn.Module):
             torch.export.save(exported, file)
 
     def _checked(self, what: str, state: np.ndarray | Tensor, names: Sequence[str]) -> Tensor:
-        """The state or the target, after checks, as float64 tensor on the policy's device.
-
-        The entries are named ``names``; ``what`` is the argument's name for errors.
-        """
+        """The argument ``what``, after checks, as float64 tensor on the policy's device."""
         dim, device = len(names), self.policy.u_max.device
         if not isinstance(state, np.ndarray | Tensor):
+            found = type(state).__name__
             raise TypeError(
-                f"{what} must be a NumPy array, a PyTorch tensor or a list, got "
-                f"{type(state).__name__}"
+                f"{what} must be a NumPy array, a PyTorch tensor or a list, got {found}"
             )
         if not _is_real(state):
             raise TypeError(f"{what} must hold real numbers, got {state.dtype}")
         if state.ndim == 0 or state.shape[-1] != dim:
-            raise ValueError(
-                f"{what} must have shape (*batch, {dim}) for {', '.join(names)}, got "
-                f"{tuple(state.shape)}"
-            )
+            wanted = f"(*batch, {dim}) for {', '.join(names)}"
+            raise ValueError(f"{what} must have shape {wanted}, got {tuple(state.shape)}")
         if isinstance(state, np.ndarray):
             state = torch.from_numpy(np.array(state, dtype=np.float64, order="C")).to(device)
         elif state.device != device:
@@ -173,11 +153,9 @@ class StatePolicy(nn.Module):
         finite = state.isfinite()
         if not finite.all():
             *element, entry = (~finite).nonzero()[0].tolist()
+            found = f"{names[entry]} = {state[*element, entry].item()}"
             where = f" at batch element {tuple(element)}" if element else ""
-            raise ValueError(
-                f"{what} must be finite, got {names[entry]} = "
-                f"{state[*element, entry].item()}{where}"
-            )
+            raise ValueError(f"{what} must be finite, got {found}{where}")
         return state.double()
 
 
@@ -188,9 +166,8 @@ def _as_array(what: str, values: Any) -> Any:
     try:
         return np.array(values)
     except ValueError as error:
-        raise ValueError(
-            f"{what} must hold numbers, as many in each row, got {values!r:.80}"
-        ) from error
+        message = f"{what} must hold numbers, as many in each row, got {values!r:.80}"
+        raise ValueError(message) from error
 
 
 def _is_real(state: np.ndarray | Tensor) -> bool:
@@ -201,19 +178,13 @@ def _is_real(state: np.ndarray | Tensor) -> bool:
 
 def _constant(controller: Controller) -> Controller:
     """This controller with tensors on the CPU that are neither parameters nor views."""
-    network = controller.network
-    tensors = (
-        network.inputs,
-        network.weights,
-        network.lengthscales,
-        network.signal_variance,
-        controller.u_max,
-        controller.u_middle,
-    )
-    *of_network, u_max, u_middle = (
-        tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for tensor in tensors
-    )
-    return Controller(KernelExpansion(*of_network), u_max, u_middle)
+
+    def copy(tensor: Tensor) -> Tensor:
+        return tensor.detach().cpu().clone(memory_format=torch.contiguous_format)
+
+    parameters = *controller.parameters, controller.network.signal_variance
+    network = KernelExpansion(*map(copy, parameters))
+    return Controller(network, copy(controller.u_max), copy(controller.u_middle))
 
 
 def _same_range(actions: ActionSpace, others: ActionSpace) -> bool:

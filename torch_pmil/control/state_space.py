@@ -1,7 +1,4 @@
-"""Meaning of a state's entries: its angles, its features, and its match space.
-
-Models and policies see the features; trajectories are compared in the match space.
-"""
+"""Meaning of a state's entries: features, which models see, and match space of trajectories."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torch_pmil.checks import check_real
+from torch_pmil.checks import check_finite_entries, check_real, check_tensor
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.trigonometry import Augmentation
 
@@ -22,18 +19,15 @@ from torch_pmil.gp.trigonometry import Augmentation
 class MatchSpace:
     r"""The space in which demonstrations were observed.
 
-    It is affine in the state and in the sines and cosines of linear combinations of the state.
-
     .. math:: z = B\,[x, \sin(Ax), \cos(Ax)]
 
     Args:
-        names: one for each of the M observed entries.
-        units: one for each entry.
+        names, units: one for each of the M observed entries.
         angles: A, (K, D), rad.
         weights: B, (M, D + 2K).
 
     Raises:
-        TypeError: angles or weights are no tensors.
+        TypeError: angles or weights are not tensors.
         ValueError: there is no entry, a name comes twice, shapes do not fit, or a number is not
             finite.
 
@@ -53,32 +47,21 @@ class MatchSpace:
         _check_names(self.names)
         check_real("angles", self.angles)
         check_real("weights", self.weights)
-        if self.angles.ndim != 2:
+        if self.angles.ndim != 2:  # K may be zero
             raise ValueError(f"angles must have shape (K, D), got {tuple(self.angles.shape)}")
         entries = len(self.names), 2 * self.angles.shape[0] + self.angles.shape[1]
         if len(self.units) != len(self.names) or self.weights.shape != entries:
-            raise ValueError(
-                f"weights must have shape {entries} and units {len(self.names)} entries, got "
-                f"{tuple(self.weights.shape)} and {len(self.units)}"
-            )
-        if not (self.weights.isfinite().all() and self.angles.isfinite().all()):
-            raise ValueError(
-                f"angles and weights of {self.names} must be finite, got an entry that is not"
-            )
+            found = f"{tuple(self.weights.shape)} and {len(self.units)}"
+            wanted = f"{entries} and units {len(self.names)} entries"
+            raise ValueError(f"weights must have shape {wanted}, got {found}")
+        check_finite_entries("angles", self.angles)
+        check_finite_entries("weights", self.weights)
 
     @classmethod
     def of_entries(
         cls, names: Sequence[str], state: Sequence[str], units: Sequence[str] = ()
     ) -> MatchSpace:
-        """Some entries of the state, as they are.
-
-        Args:
-            names: of the M observed entries.
-            state: names of the D entries of the state.
-            units: of the observed entries; none if empty.
-
-        Raises:
-            ValueError: there is no such entry.
+        """Some of the entries of the state, as they are; ValueError if there is no such entry.
 
         Example:
             >>> MatchSpace.of_entries(("q",), state=("q", "dq"))(torch.tensor([1.0, 2.0]))
@@ -108,16 +91,15 @@ class MatchSpace:
             y_k = \sum_{i \le k} l_i \cos(q_1 + \dots + q_i)
 
         Args:
-            angles: names of the joints' angles from the base to the tip, each (rad) from the link
-                before, the first from upwards.
+            angles: names of the joints' angles from base to tip, each (rad) from the link before,
+                the first from upwards.
             lengths: of the links, m.
             state: names of the D entries of the state.
-            zero: direction of the first link where its angle is 0, rad from upwards; pi for an arm
-                that hangs there.
+            zero: direction (rad from upwards) of the first link at angle 0; pi if it hangs.
             names: of the coordinates; x1, y1, x2, ... if empty.
 
         Raises:
-            ValueError: lengths and angles are not as many, or an angle is no entry of the state.
+            ValueError: there are not as many lengths, or an angle is not an entry of the state.
 
         Example:
             >>> state = ("q1", "dq1", "q2", "dq2")
@@ -145,7 +127,7 @@ class MatchSpace:
 
     def __call__(self, states: Tensor) -> Tensor:
         """Observations (*batch, M) of states (*batch, D)."""
-        _check_states(states, self.angles.shape[-1])
+        check_tensor("states", states, ("*batch", self.angles.shape[-1]), finite=False)
         angles = states @ self.angles.to(states).mT
         return torch.cat([states, angles.sin(), angles.cos()], -1) @ self.weights.to(states).mT
 
@@ -155,7 +137,7 @@ class MatchSpace:
 
     @cached_property
     def augmentation(self) -> Augmentation:
-        """The map from the moments of a state to those of the state, its sines and cosines."""
+        """The map to the state, its sines and cosines."""
         plain = torch.eye(self.angles.shape[-1], dtype=torch.float64)
         return Augmentation.of(plain, self.angles.double())
 
@@ -164,8 +146,7 @@ class MatchSpace:
 class StateSpace:
     """A robot's state: names and units of its D entries, which are angles, and its match space.
 
-    Models and policies see sin and cos in place of each angle, and the other entries as they are,
-    D' = D + number of angles in all.
+    Models and policies see D' = D + number of angles features: sin and cos in place of each angle.
 
     Args:
         names, units: one for each entry.
@@ -173,8 +154,8 @@ class StateSpace:
         match_space: the space in which predictions are compared with demonstrations.
 
     Raises:
-        ValueError: there is no entry, a name comes twice, units or the match space are of another
-            number of entries, or angles are no different indices.
+        ValueError: there is no entry, a name comes twice, sizes do not fit, or angles are not
+            different indices.
 
     Example:
         >>> names, units = ("q", "dq"), ("rad", "rad/s")
@@ -225,34 +206,26 @@ class StateSpace:
         return self.match_space(states)
 
     def features(self, states: Tensor) -> Tensor:
-        """Features (*batch, D') of states (*batch, D), which models and policies see."""
-        _check_states(states, self.dim)
+        """Features (*batch, D') of states (*batch, D)."""
+        check_tensor("states", states, ("*batch", self.dim), finite=False)
         selected = states @ self.augmentation.to(states).rows.mT
         sizes = [len(self.plain), len(self.angles), len(self.angles)]
         plain, for_sine, for_cosine = selected.split(sizes, -1)
         return torch.cat([plain, for_sine.sin(), for_cosine.cos()], -1)
 
     def feature_moments(self, state: Gaussian) -> tuple[Gaussian, Tensor]:
-        """Exact moments of the features of an uncertain state.
-
-        The second result is Sigma_x^-1 cov(x, features), (*batch, D, D').
-        """
+        """Exact moments of the features, and Sigma_x^-1 cov(x, features), (*batch, D, D')."""
         return self.augmentation.to(state.mean)(state)
 
     @cached_property
     def augmentation(self) -> Augmentation:
-        """The map from the moments of a state to those of its features."""
+        """The map from a state to its features."""
         identity = torch.eye(self.dim, dtype=torch.float64)
         return Augmentation.of(identity[list(self.plain)], identity[list(self.angles)])
 
 
 def with_unit(name: str, unit: str | None) -> str:
-    """A name with its unit, if that is known and not 1.
-
-    Example:
-        >>> with_unit("x", "m"), with_unit("cost", ""), with_unit("x", None)
-        ('x (m)', 'cost', 'x')
-    """
+    """A name with its unit, if there is one, as in "x (m)"."""
     return f"{name} ({unit})" if unit else name
 
 
@@ -263,16 +236,6 @@ def _check_names(names: tuple[str, ...]) -> None:
         raise ValueError(f"names must be different, got {names}")
 
 
-def _check_states(states: Tensor, dim: int) -> None:
-    if states.shape[-1:] != (dim,):
-        raise ValueError(f"states must have shape (*batch, {dim}), got {tuple(states.shape)}")
-
-
 def joint_match(names: tuple[str, ...], units: tuple[str, ...]) -> MatchSpace:
-    """Match space that is the state itself.
-
-    Example:
-        >>> joint_match(("q",), ("rad",))(torch.ones(1))
-        tensor([1.])
-    """
+    """Match space that is the state itself."""
     return MatchSpace(names, units, torch.zeros(0, len(names)), torch.eye(len(names)))

@@ -1,8 +1,8 @@
 r"""Sums of sines and cosines of linear combinations of angles, closed under products.
 
-The position of a point of a chain of hinges is a sum of products of sines and cosines of its
-angles. With :math:`\cos a \cos b = \tfrac12 [\cos(a - b) + \cos(a + b)]` and its kin it is a sum of
-sines and cosines of sums of angles, whose moments under a Gaussian are known: a match space.
+A point of a chain of hinges has a position that is a sum of products of sines and cosines. With
+:math:`\cos a \cos b = \tfrac12 [\cos(a - b) + \cos(a + b)]` and the like it is a sum of sines and
+cosines of sums of angles, whose moments under a Gaussian are known: a match space.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ Frequency = tuple[int, ...]
 
 @dataclass(frozen=True)
 class TrigonometricPolynomial:
-    r"""A real function of K angles, :math:`f(q) = \sum_n c_n e^{i n^\top q}` with conjugate pairs.
+    r"""A function of K angles, :math:`\sum_n c_n e^{i n^\top q}` with :math:`c_{-n} = \bar c_n`.
 
-    The pairs are :math:`c_{-n} = \bar c_n`. Sums of polynomials, and products with polynomials and
-    numbers, are polynomials again; a product has the coefficients :math:`\sum_{k + l = n} a_k b_l`.
+    Sums and products are polynomials again, the latter with :math:`\sum_{k + l = n} a_k b_l`.
 
     Args:
         coefficients: c_n by n.
@@ -55,10 +54,7 @@ class TrigonometricPolynomial:
 
     @property
     def terms(self) -> dict[Frequency, tuple[float, float]]:
-        """Coefficients of cos(n q) and sin(n q), each pair n and -n once.
-
-        They are given for n = 0 and for those n whose first entry other than 0 is positive.
-        """
+        """Coefficients of cos(n q) and sin(n q) for n = 0 and those n that begin positive."""
         zero = (0,) * len(next(iter(self.coefficients)))
         ordered = sorted(self.coefficients.items())
         once = {n: (1 if n == zero else 2) * c for n, c in ordered if n >= zero and c}
@@ -66,18 +62,13 @@ class TrigonometricPolynomial:
 
 
 def cosine(frequency: Frequency) -> TrigonometricPolynomial:
-    """The cosine of the sum of the angles, each as often as ``frequency`` says.
-
-    It is 1 if ``frequency`` has no angle.
-    """
-    half = TrigonometricPolynomial({frequency: 0.5 + 0j})
-    return half + TrigonometricPolynomial({_negative(frequency): 0.5 + 0j})
+    """The cosine of the sum of the angles, each as often as ``frequency`` says."""
+    return _with_conjugate(frequency, 0.5 + 0j)
 
 
 def sine(frequency: Frequency) -> TrigonometricPolynomial:
     """The sine of the sum of the angles, each as often as ``frequency`` says."""
-    half = TrigonometricPolynomial({frequency: -0.5j})
-    return half + TrigonometricPolynomial({_negative(frequency): 0.5j})
+    return _with_conjugate(frequency, -0.5j)
 
 
 def match_of(
@@ -91,12 +82,9 @@ def match_of(
 
     Args:
         polynomials: one for each entry of the match space, of K angles.
-        names, units: names and units of the entries of the match space.
+        names, units: of the entries of the match space.
         dim: D, number of entries of the state.
-        angles: the K entries of the state that are the angles.
-
-    Raises:
-        ValueError: angles are no entries of the state, or as many as those of the polynomials.
+        angles: the K entries of the state that are the angles; ValueError if they do not fit.
 
     Example:
         >>> x, y = 0.5 * sine((1,)), 0.5 * cosine((1,))
@@ -107,23 +95,20 @@ def match_of(
     terms = [polynomial.terms for polynomial in polynomials]
     frequencies = sorted({n for entry in terms for n in entry})
     if not set(angles) <= set(range(dim)) or {len(n) for n in frequencies} != {len(angles)}:
+        wanted = ", ".join(map(str, sorted({len(n) for n in frequencies})))
         raise ValueError(
-            f"angles must be entries below {dim}, as many as polynomials of "
-            f"{', '.join(map(str, sorted({len(n) for n in frequencies})))} angles have, got "
-            f"{tuple(angles)}"
+            f"angles must be entries below {dim}, as many as polynomials of {wanted} angles have, "
+            f"got {tuple(angles)}"
         )
     combinations = torch.zeros(len(frequencies), dim, dtype=torch.float64)
     combinations[:, list(angles)] = torch.tensor(frequencies, dtype=torch.float64)
-    cosines, sines = (
-        torch.tensor(
-            [[entry.get(n, (0.0, 0.0))[part] for n in frequencies] for entry in terms],
-            dtype=torch.float64,
-        )
-        for part in (0, 1)
-    )
+    pairs = [[entry.get(n, (0.0, 0.0)) for n in frequencies] for entry in terms]
+    cosines, sines = torch.tensor(pairs, dtype=torch.float64).unbind(-1)
     plain = torch.zeros(len(terms), dim, dtype=torch.float64)
     return MatchSpace(names, units, combinations, torch.cat([plain, sines, cosines], -1))
 
 
-def _negative(frequency: Frequency) -> Frequency:
-    return tuple(-entry for entry in frequency)
+def _with_conjugate(frequency: Frequency, coefficient: complex) -> TrigonometricPolynomial:
+    negative = tuple(-entry for entry in frequency)
+    half = TrigonometricPolynomial({frequency: coefficient})
+    return half + TrigonometricPolynomial({negative: coefficient.conjugate()})

@@ -1,4 +1,4 @@
-"""Gaussian beliefs: the one object that predictions, demonstrations and policies exchange."""
+"""Gaussian beliefs, which predictions, demonstrations and policies exchange, and their moments."""
 
 from __future__ import annotations
 
@@ -16,10 +16,7 @@ NEGLIGIBLE = 1e-5
 
 
 class NotPositiveDefiniteError(ValueError):
-    """A matrix that must be positive definite has no Cholesky factor.
-
-    Its index in the batch is ``element``.
-    """
+    """A matrix that must be positive definite is not; ``element`` is its index in the batch."""
 
     def __init__(self, message: str, element: tuple[int, ...] = ()) -> None:
         super().__init__(message)
@@ -35,8 +32,7 @@ def cholesky(matrix: Tensor, name: str) -> Tensor:
     """Lower Cholesky factor of a matrix (*batch, D, D), without jitter.
 
     Raises:
-        NotPositiveDefiniteError: says which matrix (``name``), which batch element, and its extreme
-            eigenvalues.
+        NotPositiveDefiniteError: gives ``name``, batch element and extreme eigenvalues.
     """
     try:
         return torch.linalg.cholesky(matrix)
@@ -61,25 +57,19 @@ def _describe_failure(failed: Tensor, element: tuple[int, ...], name: str) -> st
 def check_belief(
     belief: Gaussian, name: str, like: Tensor | None = None, floor: Tensor | float = 0.0
 ) -> None:
-    """Refuse a belief that is none, before anything is computed from it.
+    """Raise if this is not a valid belief.
 
     Args:
-        belief: any batch shape; its covariance may be singular or zero, and its eigenvalues
-            negative and its triangles unequal by rounding.
+        belief: any batch shape. Its covariance may be singular, and valid but for rounding.
         name: of the belief, for the error.
-        like: a tensor with the dtype that mean and covariance must have; None for one of their own.
+        like: a tensor with the dtype that mean and covariance must have; any float if None.
         floor: a variance that does not count.
 
     Raises:
-        TypeError: it is no Gaussian.
-        ValueError: an entry of the mean is not finite, or a dtype another one.
+        TypeError: it is not a Gaussian.
+        ValueError: the mean is not finite, or a dtype is wrong.
         NotPositiveDefiniteError: the covariance is not finite, not symmetric, or has a clearly
             negative eigenvalue.
-
-    Example:
-        >>> check_belief(Gaussian(torch.tensor([torch.nan]), torch.eye(1)), "start", torch.ones(1))
-        Traceback (most recent call last):
-        ValueError: mean of start must be finite, got nan in entry (0,)
     """
     check_moments(belief, name, like, floor)
     cov = belief.cov.detach()
@@ -95,7 +85,7 @@ def check_belief(
 def check_moments(
     belief: Gaussian, name: str, like: Tensor | None = None, floor: Tensor | float = 0.0
 ) -> None:
-    """:func:`check_belief`, but for the eigenvalues, which a Cholesky factor needs not be told."""
+    """:func:`check_belief` without the eigenvalues, for what a Cholesky factor checks anyway."""
     if not isinstance(belief, Gaussian):
         raise TypeError(f"{name} must be a Gaussian, got {type(belief).__name__}")
     mean, cov = belief.mean.detach(), belief.cov.detach()
@@ -107,7 +97,11 @@ def check_moments(
     if not mean.is_floating_point():
         raise ValueError(f"{name} must have mean and covariance of floats, got {mean.dtype}")
     check_finite_entries(f"mean of {name}", mean)
-    check_finite_entries(f"covariance of {name}", cov, _not_a_covariance)
+    check_finite_entries(
+        f"covariance of {name}",
+        cov,
+        lambda message, entry: NotPositiveDefiniteError(message, entry[:-2]),
+    )
     if cov.numel():
         difference = (cov - cov.mT).abs().amax((-2, -1))
         if (asymmetric := difference > _negligible(cov, floor)).any():
@@ -119,12 +113,8 @@ def check_moments(
 
 
 def _negligible(cov: Tensor, floor: Tensor | float) -> Tensor:
-    """What rounding may change in each of the covariances (*batch, D, D), (*batch)."""
+    """How far rounding may change each of the covariances (*batch, D, D), (*batch)."""
     return NEGLIGIBLE * cov.abs().amax((-2, -1)) + floor
-
-
-def _not_a_covariance(message: str, entry: tuple[int, ...]) -> NotPositiveDefiniteError:
-    return NotPositiveDefiniteError(message, entry[:-2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +126,7 @@ class Gaussian:
         cov: (*batch, D, D), symmetric and positive semi-definite (it may be zero).
 
     Raises:
-        TypeError: one of the two is no tensor.
+        TypeError: one of the two is not a tensor.
         ValueError: shapes do not fit each other.
 
     Example:
@@ -184,7 +174,7 @@ class Gaussian:
         return Gaussian(self.mean.reshape(-1, self.dim), self.cov.reshape(-1, self.dim, self.dim))
 
     def __getitem__(self, index: Any) -> Gaussian:
-        """Part of the batch; the variable's axes stay as they are."""
+        """Part of the batch."""
         return Gaussian(self.mean[index], self.cov[index])
 
     def detach(self) -> Gaussian:
@@ -214,14 +204,7 @@ class Gaussian:
         return Gaussian(self.mean, self.cov + torch.diag_embed(noise.expand(self.mean.shape)))
 
     def sample(self, count: int, generator: torch.Generator | None = None) -> Tensor:
-        """Draws, (count, *batch, D), also from a singular covariance, through its eigenvectors.
-
-        Example:
-            >>> belief = Gaussian(torch.ones(2), torch.zeros(2, 2))
-            >>> belief.sample(2)
-            tensor([[1., 1.],
-                    [1., 1.]])
-        """
+        """Draws, (count, *batch, D), also from a singular covariance, through its eigenvectors."""
         check_whole("count", count, 0)
         values, vectors = torch.linalg.eigh(self.cov)
         root = vectors * values.clamp(min=0).sqrt()[..., None, :]
@@ -229,11 +212,40 @@ class Gaussian:
         return self.mean + (root @ white[..., None])[..., 0]
 
 
-def normal(shape: Sequence[int], like: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """Standard normal draws with the dtype and on the device of the tensor ``like``.
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Moments of f(x) when x is Gaussian and f an expansion of E outputs.
 
-    They are drawn on the device of the generator.
+    Args:
+        mean: (*batch, E), in the units of the outputs.
+        cov: (*batch, E, E).
+        inv_cov_cross_cov: Sigma_x^-1 cov(x, f), (*batch, D, E), finite where Sigma_x is singular;
+            :meth:`cross_cov` is the covariance itself.
     """
+
+    mean: Tensor  # (*batch, E)
+    cov: Tensor  # (*batch, E, E)
+    inv_cov_cross_cov: Tensor  # (*batch, D, E)
+
+    @property
+    def gaussian(self) -> Gaussian:
+        """The Gaussian with this mean and covariance."""
+        return Gaussian(self.mean, self.cov)
+
+    def unflatten(self, batch_shape: torch.Size) -> Moments:
+        """These moments with a batch shape in place of one batch dimension."""
+        if len(batch_shape) == 1:
+            return self
+        flat = self.mean, self.cov, self.inv_cov_cross_cov
+        return Moments(*(t.reshape(*batch_shape, *t.shape[1:]) for t in flat))
+
+    def cross_cov(self, belief: Gaussian) -> Tensor:
+        """Input-output covariance cov(x, f), (*batch, D, E), at the belief of these moments."""
+        return belief.cov @ self.inv_cov_cross_cov
+
+
+def normal(shape: Sequence[int], like: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """Standard normal draws, like a tensor in dtype and device, drawn on the generator's device."""
     device = like.device if generator is None else generator.device
     return torch.randn(*shape, dtype=like.dtype, device=device, generator=generator).to(like.device)
 
@@ -247,8 +259,5 @@ def joint(x: Gaussian, y: Gaussian, cross_cov: Tensor) -> Gaussian:
 def apply(
     function: type[torch.autograd.Function], *arguments: object
 ) -> Tensor | tuple[Tensor, ...]:
-    """``function.apply``, or its forward pass alone where no graph is recorded, to save overhead.
-
-    The function must have a ``setup_context``, so that its ``forward`` takes no context.
-    """
+    """``function.apply``, or only its ``forward`` (without context) where no graph is recorded."""
     return (function.apply if torch.is_grad_enabled() else function.forward)(*arguments)

@@ -27,8 +27,8 @@ class GaussianIntegrals:
             - \tfrac12 (x_i - x_j)^\top (\Lambda_a + \Lambda_b)^{-1} (x_i - x_j)
 
     where :math:`\nu_{ij} = P^{-1} (\Lambda_a^{-1} \nu_i + \Lambda_b^{-1} \nu_j)` is the centre of
-    the product of the two kernels; this is Eq. 17 with the squares completed. All outputs share
-    the inputs, so that all quadratic forms are one matrix product.
+    the product of the two kernels: Eq. 17 with the squares completed. All outputs share the inputs,
+    so that one matrix product gives all quadratic forms.
 
     Args:
         nu1: nu, and a last row of ones, (N, D + 1, n).
@@ -48,10 +48,8 @@ class GaussianIntegrals:
     def of(cls, f: KernelExpansion, belief: Gaussian) -> GaussianIntegrals:
         """Integrals of the kernels of ``f`` over N beliefs, mean (N, D).
 
-        Raises:
-            ValueError: the belief is not over the inputs of ``f``.
-            NotPositiveDefiniteError: its covariance has a clearly negative eigenvalue, or is not
-                finite.
+        Raises ValueError at other inputs, and NotPositiveDefiniteError at a covariance that is not
+        finite or has a clearly negative eigenvalue.
         """
         D, E, pairs = f.num_inputs, f.num_outputs, f.pairs
         if belief.dim != D:
@@ -72,10 +70,7 @@ class GaussianIntegrals:
 
 
 def _centred(f: KernelExpansion, mean: Tensor) -> tuple[Tensor, Tensor]:
-    """The centred inputs nu with a last row of ones, (N, D + 1, n), and their outer squares.
-
-    The second array holds the outer products of nu with itself, (N, D * D, n); means are (N, D).
-    """
+    """Inputs nu less the means (N, D), with a last row of ones, (N, D + 1, n), and nu nu'."""
     nu1 = f.inputs_and_one - torch.nn.functional.pad(mean, (0, 1))[:, :, None]
     nu = nu1[:, :-1]
     return nu1, (nu[:, :, None] * nu[:, None]).flatten(1, 2)

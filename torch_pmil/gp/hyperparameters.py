@@ -1,9 +1,8 @@
-"""Hyper-parameters of a Gaussian process by maximum marginal likelihood.
+"""Hyper-parameters of a Gaussian process by maximum marginal likelihood and L-BFGS.
 
-Starting points and penalties are PILCO's, the latter with narrower bounds; the optimiser is
-L-BFGS. All parameters are logarithms, in one vector (D + 2 E,): of the D lengthscales, of the
-signal variances and of the noise variances. E is 1, or the number of outputs that are to have the
-same lengthscales.
+Starting points and penalties are PILCO's, with narrower bounds. Parameters are logarithms in one
+vector (D + 2 E,): of the D lengthscales, the E signal variances and the E noise variances, of E
+outputs that share their lengthscales.
 """
 
 from __future__ import annotations
@@ -19,21 +18,20 @@ from torch_pmil.gp.gaussian import NotPositiveDefiniteError
 from torch_pmil.gp.lbfgs import MinimiseResult, NotFiniteError, minimise_function
 from torch_pmil.gp.marginal_likelihood import negative_log_likelihood
 
-# PILCO's penalties lower the likelihood beyond a ratio of standard deviations, this one for a model
-# of which moments are matched, and beyond this factor between a lengthscale and the spread of its
-# input. PILCO has 500 and 100: there the rounding of a variance ends a search, and a first small
-# motion tells what large actions do
+# Penalties lower the likelihood beyond this ratio of standard deviations, and beyond this factor
+# between a lengthscale and the spread of its input. With PILCO's 500 and 100, rounding of variances
+# ends a search, and a first small motion determines what large actions do
 MOST_SIGNAL_TO_NOISE = 100.0
 MAX_LENGTHSCALE_RATIO = 30.0
 PENALTY_POWER = 30
-# noise std over signal std at PILCO's start, and at a second start that explains less by noise
+# noise std over signal std at PILCO's start, and at a second one
 NOISE_RATIOS = (0.1, 0.01)
-# fewer data than this have several optima: starts with twice the lengthscales are tried too
+# fewer data than this have several optima, so that twice the lengthscales are tried too
 FEW_DATA = 100
 # a column whose std is less than this part of its size changes by rounding only
 CONSTANT = 1e-9
-# tolerances of L-BFGS: nats for a factor e, and nats an iteration; with both, searches of some
-# hundred data end within 1e-5 nats of an optimum
+# of L-BFGS, in nats for a factor e and nats an iteration: searches of some hundred data end within
+# 1e-5 nats of an optimum
 SMALL_GRADIENT = 1e-3
 SMALL_CHANGE = 1e-6
 
@@ -62,20 +60,19 @@ def find_hyperparameters(
     max_iterations: int,
     most_signal_to_noise: float = MOST_SIGNAL_TO_NOISE,
 ) -> Optimum:
-    """Minimise the penalised negative log marginal likelihood by L-BFGS from several starts.
+    """Minimise the penalised negative log marginal likelihood from several starts; keep the best.
 
-    The best result is kept. A start at which the likelihood has no value is passed over.
+    A start at which the likelihood has no value is passed over.
 
     Args:
         inputs: (n, D).
-        targets: one output (n,), or E that are to have the same lengthscales, (n, E).
+        targets: one output (n,), or E that share their lengthscales, (n, E).
         starts: log parameters, (D + 2 E,) each.
         max_iterations: limit of L-BFGS for each start.
         most_signal_to_noise: ratio of standard deviations beyond which it is penalised.
 
     Raises:
-        NotPositiveDefiniteError, NotFiniteError: the likelihood has no value at any start; the
-            error is that of the first.
+        NotPositiveDefiniteError, NotFiniteError: of the first start, if no start has a value.
 
     Example:
         >>> x = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
@@ -96,37 +93,25 @@ def find_hyperparameters(
             slopes.append(slope + penalty_slope)
         return total, joined(torch.stack(slopes))
 
+    limits = max_iterations, (NotPositiveDefiniteError,), SMALL_GRADIENT, SMALL_CHANGE
     runs: list[tuple[Tensor, MinimiseResult]] = []
     failures: list[ValueError] = []
     for start in starts:
         try:
-            runs.append(
-                minimise_function(
-                    start,
-                    objective,
-                    max_iterations,
-                    survives=(NotPositiveDefiniteError,),
-                    tolerance_grad=SMALL_GRADIENT,
-                    tolerance_change=SMALL_CHANGE,
-                )
-            )
+            runs.append(minimise_function(start, objective, *limits))
         except (NotPositiveDefiniteError, NotFiniteError) as error:
             failures.append(error)
     if not runs:
         raise failures[0]
     best, result = min(runs, key=lambda run: run[1].loss)
-    likelihood = torch.tensor(
-        [
-            negative_log_likelihood(inputs, target, own)[0]
-            for target, own in zip(outputs, of_outputs(best, D), strict=True)
-        ],
-        dtype=torch.float64,
-    )
+    own = zip(outputs, of_outputs(best, D), strict=True)
+    nats = [negative_log_likelihood(inputs, target, parameters)[0] for target, parameters in own]
+    likelihood = torch.tensor(nats, dtype=torch.float64)
     return Optimum(best, likelihood, sum(run.evaluations for _, run in runs), result.stop_reason)
 
 
 def of_outputs(log_parameters: Tensor, num_inputs: int) -> Tensor:
-    """Log parameters of each output, (E, D + 2), from those of all, (D + 2 E,)."""
+    """Log parameters of each output, (E, D + 2), from one vector (D + 2 E,)."""
     lengthscales, variances = log_parameters[:num_inputs], log_parameters[num_inputs:]
     own = variances.view(2, -1).mT
     return torch.cat([lengthscales.expand(len(own), -1), own], -1)
@@ -138,30 +123,26 @@ def joined(of_output: Tensor) -> Tensor:
 
 
 def pilco_starts(inputs: Tensor, targets: Tensor) -> list[Tensor]:
-    """Log parameters (D + 2 E,) of the starting points of the search, as in PILCO.
+    """Starting points (D + 2 E,) as in PILCO, for arguments of :func:`find_hyperparameters`.
 
-    The lengthscales are std(input), the signals std(target), and the noises one of
-    ``NOISE_RATIOS`` times these. Few data have further starts with twice the lengthscales.
-
-    Args:
-        inputs, targets: as in :func:`find_hyperparameters`.
+    Lengthscales are std(input), signals std(target), noises ``NOISE_RATIOS`` times these. Few data
+    also have starts with twice the lengthscales.
     """
     log_signal, log_spread = 2 * _log_spread(targets).reshape(-1), _log_spread(inputs)
-    variances = [
-        torch.cat([log_signal, log_signal + 2 * math.log(ratio)]) for ratio in NOISE_RATIOS
-    ]
     factors = (1.0, 2.0) if len(inputs) < FEW_DATA else (1.0,)
     return [
-        torch.cat([log_spread + math.log(factor), pair]) for factor in factors for pair in variances
+        torch.cat([log_spread + math.log(factor), log_signal, log_signal + 2 * math.log(ratio)])
+        for factor in factors
+        for ratio in NOISE_RATIOS
     ]
 
 
 def penalty(
     log_parameters: Tensor, log_spread: Tensor, most_signal_to_noise: float = MOST_SIGNAL_TO_NOISE
 ) -> tuple[float, Tensor]:
-    """Nats by which PILCO's penalties lower the log likelihood, next to none inside the bounds.
+    """Nats by which PILCO's penalties lower the likelihood, and their gradient (D + 2,).
 
-    With their gradient in the log parameters, (D + 2,).
+    Inside the bounds they are next to nothing.
     """
     signal_scale, length_scale = 2 * math.log(most_signal_to_noise), math.log(MAX_LENGTHSCALE_RATIO)
     ratio = (log_parameters[-2:-1] - log_parameters[-1:]) / signal_scale
@@ -175,9 +156,6 @@ def penalty(
 
 
 def _log_spread(values: Tensor) -> Tensor:
-    """Log standard deviations of columns (n, ...).
-
-    A column that never changes has the log of its size instead, or 0 if its size is zero.
-    """
+    """Log standard deviations of columns (n, ...), or of the size of a constant one, or 0."""
     std, size = values.std(0), values.square().mean(0).sqrt()
     return torch.where(std > CONSTANT * size, std, torch.where(size > 0, size, 1.0)).log()

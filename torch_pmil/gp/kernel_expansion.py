@@ -11,10 +11,15 @@ from gpytorch.kernels import RBFKernel, ScaleKernel
 from gpytorch.means import ConstantMean, ZeroMean
 from torch import Tensor
 
-from torch_pmil.checks import check_finite_entries, check_real
+from torch_pmil.checks import (
+    Shape,
+    check_finite_entries,
+    check_positive_entries,
+    check_real,
+    check_tensor,
+)
 from torch_pmil.gp.gaussian import cholesky
-from torch_pmil.gp.gram import gram
-from torch_pmil.gp.kernel_pairs import KernelPairs
+from torch_pmil.gp.kernel_pairs import KernelPairs, gram
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,14 +29,13 @@ class KernelExpansion:
     .. math::
         k_a(x, x') = \alpha_a^2 \exp\left(-\tfrac12 (x - x')^\top \Lambda_a^{-1} (x - x')\right)
 
-    A GP posterior has :math:`\beta_a = K_a^{-1} (y_a - c_a)` and the inverse Gram matrix (which
-    holds the noise); an RBF network has its weights for :math:`\beta` and no Gram matrix: it is a
-    GP without the variance term.
+    A GP posterior has :math:`\beta_a = K_a^{-1} (y_a - c_a)` and the inverse Gram matrix, noise
+    included. An RBF network has its weights for :math:`\beta` and no Gram matrix.
 
     Args:
         inputs: (n, D).
-        weights: beta, (E, n); a deterministic function may also have (N, E, n), other weights for
-            each of the N points or beliefs at which it is evaluated.
+        weights: beta, (E, n); for a deterministic function also (N, E, n), one row for each of the
+            N points or beliefs at which it is evaluated.
         lengthscales: square roots of the diagonal of Lambda_a, (E, D), in the units of the inputs.
         signal_variance: alpha_a^2, (E,), in the squared units of the outputs.
         gram_inverse: K_a^-1, (E, n, n), or None for a deterministic function.
@@ -73,15 +77,15 @@ class KernelExpansion:
             )
 
     def check_parameters(self) -> None:
-        """Raise ValueError unless all parameters are finite, and those positive that must be."""
+        """Raise ValueError unless all parameters are finite, lengthscales and signal positive."""
         for name in ("inputs", "weights", "lengthscales", "signal_variance"):
             check_finite_entries(name, getattr(self, name).detach())
         for name in ("lengthscales", "signal_variance"):
-            _check_positive(name, getattr(self, name))
+            check_positive_entries(name, getattr(self, name))
 
     @property
     def tensors(self) -> list[Tensor]:
-        """Those of its arguments that are tensors."""
+        """All arguments that are tensors."""
         values = (getattr(self, field.name) for field in fields(self))
         return [value for value in values if isinstance(value, Tensor)]
 
@@ -106,10 +110,6 @@ class KernelExpansion:
         return self.signal_variance.log()
 
     @cached_property
-    def _minus_half_precision(self) -> Tensor:
-        return self.precision / -2
-
-    @cached_property
     def pairs(self) -> KernelPairs:
         """Pairs of outputs, and the precisions of their kernels' products."""
         return KernelPairs.of(self.precision, self.log_signal_variance)
@@ -121,10 +121,7 @@ class KernelExpansion:
 
     @cached_property
     def pair_weights(self) -> tuple[Tensor, Tensor]:
-        """Weights w and z of the two outputs of each product, (P, 1, n) or (N, P, 1, n) each.
-
-        They multiply Q_ij as w_i z_j.
-        """
+        """Weights of each product Q, which are w_i z_j, (P, 1, n) or (N, P, 1, n) each."""
         w, z = self.weights[..., self.pairs.first, :], self.weights[..., self.pairs.second, :]
         if self.gram_inverse is not None:
             one = torch.ones_like(self.weights)  # self_weights holds an output's own weights
@@ -133,10 +130,7 @@ class KernelExpansion:
 
     @cached_property
     def self_weights(self) -> Tensor | None:
-        """Weights of Q in an output's own variance (Eq. 16): beta_a beta_a' - K_a^-1, (E, n, n).
-
-        None without a Gram matrix.
-        """
+        """Weights beta_a beta_a' - K_a^-1 of Q in an output's variance (Eq. 16), (E, n, n)."""
         if self.gram_inverse is None:
             return None
         return torch.baddbmm(
@@ -146,54 +140,39 @@ class KernelExpansion:
     @cached_property
     @torch.no_grad()
     def self_weights_norm(self) -> Tensor:
-        """Frobenius norms of :attr:`self_weights`, (E,), without a graph: how much may cancel."""
+        """Frobenius norms of :attr:`self_weights`, (E,): how much may cancel."""
         assert self.self_weights is not None
         return torch.linalg.matrix_norm(self.self_weights)
 
-    @cached_property
-    def prior_cov(self) -> Tensor:
-        """Prior covariance of the outputs at one input, (E, E)."""
-        return torch.diag_embed(self.signal_variance)
-
     @property
     def noise(self) -> Tensor:
-        """Noise variance of an observation, (E,).
-
-        Raises ValueError for a deterministic function, which has none.
-        """
+        """Noise variance of an observation, (E,); ValueError for a deterministic function."""
         if self.noise_variance is None:
             raise ValueError(
                 "noisy observations need a noise_variance, got None, a deterministic function"
             )
         return self.noise_variance
 
-    @cached_property
-    def observed_prior_cov(self) -> Tensor:
-        """Prior covariance of noisy observations of the outputs at one input (Eq. 5), (E, E)."""
-        return torch.diag_embed(self.signal_variance + self.noise)
+    def prior_variance(self, observation_noise: bool) -> Tensor:
+        """Prior variances of the outputs at one input, or of noisy observations (Eq. 5), (E,)."""
+        return self.signal_variance + self.noise if observation_noise else self.signal_variance
 
     def kernel(self, x: Tensor) -> Tensor:
-        """Kernel values k_a(x, x_i), (*batch, E, n), at points x (*batch, D).
-
-        Raises ValueError where points have another number of entries.
-        """
+        """Kernel values k_a(x, x_i), (*batch, E, n), at points x (*batch, D)."""
         if x.shape[-1:] != self.inputs.shape[-1:]:
             raise ValueError(
                 f"points must have the {self.num_inputs} inputs of the function, (*batch, "
                 f"{self.num_inputs}), got {tuple(x.shape)}"
             )
         squares = (self.inputs.mT - x[..., None]).square()  # (*batch, D, n)
-        return torch.exp(self._minus_half_precision @ squares + self.log_signal_variance[:, None])
+        return torch.exp(self.precision / -2 @ squares + self.log_signal_variance[:, None])
 
     def mean(self, x: Tensor) -> Tensor:
         """Posterior mean (Eq. 6), (*batch, E), at points x (*batch, D)."""
         return (self.kernel(x) * self.weights).sum(-1) + self.offset
 
     def predict(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Posterior mean (Eq. 6) and variance (Eq. 7) at points x (*batch, D), both (*batch, E).
-
-        The variance does not include observation noise.
-        """
+        """Posterior mean (Eq. 6) and noise-free variance (Eq. 7), both (*batch, E)."""
         k = self.kernel(x)
         mean = (k * self.weights).sum(-1) + self.offset
         if self.gram_inverse is None:
@@ -204,8 +183,8 @@ class KernelExpansion:
     def at_known(self, known: Tensor) -> KernelExpansion:
         r"""Functions of the first D - K inputs, one for each known value (N, K) of the others.
 
-        The known inputs have no variance and take no part in any integral: :math:`\beta_{ai}
-        \exp(-\tfrac12 \sum_k (\eta_k - x_{ik})^2 / \Lambda_{ak})` are weights.
+        Known inputs take no part in any integral: they only scale the weights, :math:`\beta_{ai}
+        \exp(-\tfrac12 \sum_k (\eta_k - x_{ik})^2 / \Lambda_{ak})`.
 
         Example:
             >>> one = torch.ones(1)
@@ -215,25 +194,20 @@ class KernelExpansion:
                     [0.]])
         """
         D = self.num_inputs - known.shape[-1]
-        of_known = KernelExpansion(
-            self.inputs[:, D:],
-            self.weights,
-            self.lengthscales[:, D:],
-            torch.ones_like(self.signal_variance),
+        (inputs, others), (lengthscales, widths) = (
+            t.tensor_split([D], -1) for t in (self.inputs, self.lengthscales)
         )
-        weights = self.weights * of_known.kernel(known)
-        return replace(
-            self, inputs=self.inputs[:, :D], weights=weights, lengthscales=self.lengthscales[:, :D]
-        )
+        one = torch.ones_like(self.signal_variance)
+        weights = self.weights * KernelExpansion(others, self.weights, widths, one).kernel(known)
+        return replace(self, inputs=inputs, weights=weights, lengthscales=lengthscales)
 
     @classmethod
     def from_exact_gp(cls, model: gpytorch.models.ExactGP) -> KernelExpansion:
         """Posterior of a GPyTorch model, differentiable in its hyper-parameters and data.
 
         Args:
-            model: an ``ExactGP`` with ``RBFKernel`` or ``ScaleKernel(RBFKernel)`` (ARD or not), a
-                zero or constant mean and a Gaussian likelihood; a batch shape of (E,) makes E
-                outputs, none makes one.
+            model: an ``ExactGP`` with ``RBFKernel`` or ``ScaleKernel(RBFKernel)``, a zero or
+                constant mean and a Gaussian likelihood. Its batch shape (E,) are the outputs.
 
         Raises:
             TypeError: another kernel, mean or likelihood.
@@ -249,11 +223,8 @@ class KernelExpansion:
         lengthscales = (kernel.base_kernel if scaled else kernel).lengthscale.squeeze(-2)  # (*E, D)
         noise = model.likelihood.noise.squeeze(-1)
         signal = kernel.outputscale if scaled else torch.ones_like(noise)
-        offset = (
-            model.mean_module.constant
-            if isinstance(model.mean_module, ConstantMean)
-            else torch.zeros_like(signal)
-        )
+        constant = isinstance(model.mean_module, ConstantMean)
+        offset = model.mean_module.constant if constant else torch.zeros_like(signal)
         outputs = targets.shape[:-1] or (1,)
         return cls.from_data(
             inputs,
@@ -272,20 +243,15 @@ class KernelExpansion:
         noise_variance: Tensor,
         offset: Tensor | float = 0.0,
     ) -> KernelExpansion:
-        r"""Posterior given data, from one Cholesky factor of each output's Gram matrix.
-
-        It has :math:`\beta_a = K_a^{-1} (y_a - c_a)` and :math:`K_a^{-1}`.
+        """Posterior given data, from one Cholesky factor of each output's Gram matrix.
 
         Args:
-            inputs: (n, D), or (E, n, D) where the outputs have inputs of their own: the expansion
-                then holds all E n of them.
+            inputs: (n, D), or (E, n, D) where the outputs have inputs of their own.
             targets: (E, n).
-            lengthscales, signal_variance, noise_variance, offset: as in the class, noise in squared
-                units of the targets.
+            lengthscales, signal_variance, noise_variance, offset: as in the class.
 
         Raises:
-            ValueError: shapes or dtypes do not fit, an entry is not finite, a lengthscale or a
-                signal variance is not positive, or a noise variance negative.
+            ValueError: shapes or dtypes do not fit, or an entry is not finite or out of range.
             NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
         """
         check_data(inputs, targets, lengthscales, signal_variance, noise_variance, offset)
@@ -298,36 +264,19 @@ class KernelExpansion:
         offsets = torch.as_tensor(offset, dtype=targets.dtype, device=targets.device)
         centred = targets - offsets.reshape(-1, 1)
         weights = torch.cholesky_solve(centred[..., None], factor)[..., 0]
-        inverse = torch.cholesky_inverse(factor)
-        return cls.joined(
-            inputs, weights, lengthscales, signal_variance, inverse, noise_variance, offset
-        )
+        inputs, weights, inverse = joined(inputs, weights, torch.cholesky_inverse(factor))
+        return cls(inputs, weights, lengthscales, signal_variance, inverse, noise_variance, offset)
 
-    @classmethod
-    def joined(
-        cls,
-        inputs: Tensor,
-        weights: Tensor,
-        lengthscales: Tensor,
-        signal_variance: Tensor,
-        gram_inverse: Tensor,
-        noise_variance: Tensor,
-        offset: Tensor | float = 0.0,
-    ) -> KernelExpansion:
-        """A posterior whose outputs may have inputs of their own, (E, n, D).
 
-        It then holds all E n of them, with weights of zero where they are another output's. All
-        other arguments are those of the class.
-        """
-        if inputs.ndim == 3:
-            own = torch.eye(len(inputs), dtype=inputs.dtype, device=inputs.device)
-            inputs = inputs.flatten(0, 1)
-            weights = torch.einsum("ea,an->ean", own, weights).flatten(1)
-            gram_inverse = torch.einsum("ea,eb,anm->eanbm", own, own, gram_inverse)
-            gram_inverse = gram_inverse.flatten(3).flatten(1, 2)
-        return cls(
-            inputs, weights, lengthscales, signal_variance, gram_inverse, noise_variance, offset
-        )
+def joined(inputs: Tensor, weights: Tensor, gram_inverse: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """All inputs where each output has its own, (E, n, D), with zeros for those of the others."""
+    if inputs.ndim == 3:
+        own = torch.eye(len(inputs), dtype=inputs.dtype, device=inputs.device)
+        inputs = inputs.flatten(0, 1)
+        weights = torch.einsum("ea,an->ean", own, weights).flatten(1)
+        gram_inverse = torch.einsum("ea,eb,anm->eanbm", own, own, gram_inverse)
+        gram_inverse = gram_inverse.flatten(3).flatten(1, 2)
+    return inputs, weights, gram_inverse
 
 
 def check_data(
@@ -338,41 +287,32 @@ def check_data(
     noise_variance: Tensor,
     offset: Tensor | float,
 ) -> None:
+    """Raise unless these are arguments of :meth:`KernelExpansion.from_data`."""
     check_real("inputs", inputs)
-    check_real("targets", targets)
-    E, n = targets.shape if targets.ndim == 2 else (1, 0)
-    D = inputs.shape[-1] if inputs.ndim else 0
-    expected = {
-        "inputs": (inputs, (E, n, D) if inputs.ndim == 3 else (n, D)),
+    check_tensor("targets", targets, ("E", "n"))
+    E, n = targets.shape
+    expected: dict[str, tuple[Tensor, Shape]] = {
+        "inputs": (inputs, (E, n, "D") if inputs.ndim == 3 else (n, "D")),
         "targets": (targets, (E, n)),
-        "lengthscales": (lengthscales, (E, D)),
+        "lengthscales": (lengthscales, (E, *inputs.shape[-1:])),
         "signal_variance": (signal_variance, (E,)),
         "noise_variance": (noise_variance, (E,)),
     }
     for name, (values, shape) in expected.items():
-        if values.shape != shape or values.numel() == 0:
-            raise ValueError(
-                f"{name} must have shape {shape} and not be empty, got {tuple(values.shape)}"
-            )
+        check_tensor(name, values, shape)
         if values.dtype != inputs.dtype or not values.is_floating_point():
             raise ValueError(
                 f"{name} must be a float like inputs ({inputs.dtype}), got {values.dtype}"
             )
-        check_finite_entries(name, values)
     offsets = torch.as_tensor(offset)
     if offsets.shape not in ((), (E,)) or not offsets.isfinite().all():
         raise ValueError(f"offset must be finite, and a number or {(E,)}, got {offset}")
-    _check_positive("lengthscales", lengthscales)
-    _check_positive("signal_variance", signal_variance)
+    check_positive_entries("lengthscales", lengthscales)
+    check_positive_entries("signal_variance", signal_variance)
     if not (noise_variance >= 0).all():
         raise ValueError(
             f"noise_variance must not be negative, got {noise_variance.min().item():.3g}"
         )
-
-
-def _check_positive(name: str, values: Tensor) -> None:
-    if not (values > 0).all():
-        raise ValueError(f"{name} must be positive, got {values.min().item():.3g}")
 
 
 def _check_model(model: gpytorch.models.ExactGP) -> None:

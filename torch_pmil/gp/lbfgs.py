@@ -21,8 +21,8 @@ class NotFiniteError(ValueError):
 class MinimiseResult:
     """Outcome of one run of an optimiser.
 
-    ``stop_reason`` is one of "iteration limit", "gradient is small", "no further progress",
-    "numerical failure".
+    ``stop_reason`` is "iteration limit", "gradient is small", "no further progress", or "numerical
+    failure".
     """
 
     initial_loss: float
@@ -44,25 +44,22 @@ def minimise(
 ) -> MinimiseResult:
     """Minimise with ``torch.optim.LBFGS`` and a strong Wolfe line search, or another optimiser.
 
-    The parameters end at the best point that was seen. A point where the objective raises one of
-    the errors in ``survives``, or is not finite in value or gradient, counts as a large loss
-    without gradient: the line search steps back from it.
+    The parameters end at the best point that was seen. Where the objective raises one of the errors
+    in ``survives``, or value or gradient are not finite, the line search steps back.
 
     Args:
         parameters: changed in place.
         objective: a scalar with a graph.
         max_iterations: largest number of iterations; one of L-BFGS takes one to a few evaluations.
         survives: errors by which the objective says that it has no value at a point.
-        tolerance_grad: the search ends when no gradient entry is larger than this.
-        tolerance_change: the search ends when the loss, or every parameter, changes by less than
-            this in an iteration.
+        tolerance_grad: the search ends when no gradient entry is larger.
+        tolerance_change: it ends when loss or all parameters change by less in an iteration.
         optimizer: a class of ``torch.optim``, or a function such as
             ``functools.partial(torch.optim.Adam, lr=0.02)``. Any but L-BFGS makes
-            ``max_iterations`` steps and knows no tolerance.
+            ``max_iterations`` steps and ignores the tolerances.
 
     Raises:
-        NotFiniteError: the objective is not finite at the starting point, where there is nothing
-            to step back to. An error of ``survives`` at the starting point is raised as well.
+        NotFiniteError, or an error of ``survives``: the objective has no value at the start.
 
     Example:
         >>> x = nn.Parameter(torch.tensor([3.0, -1.0], dtype=torch.float64))
@@ -110,19 +107,9 @@ def minimise_function(
         start: (D,), left as it is.
         function: value and gradient (D,) at a point (D,), which changes afterwards. It is called
             in inference mode.
-        max_iterations, survives, tolerance_grad, tolerance_change, optimizer: as in
-            :func:`minimise`.
 
     Returns:
         The best point that was seen, (D,), and the outcome.
-
-    Raises:
-        NotFiniteError: as :func:`minimise`, like the errors of ``survives``.
-
-    Example:
-        >>> start = torch.tensor([3.0, -1.0], dtype=torch.float64)
-        >>> minimise_function(start, lambda x: (x.dot(x).item(), 2 * x), max_iterations=20)[0]
-        tensor([0., 0.], dtype=torch.float64)
     """
     guard = _Guard(start, function, survives)
     with torch.inference_mode():  # its small calls take a sixth less time than without
@@ -177,7 +164,9 @@ class _Guard:
                 raise
             self.failures += 1
             self.last_failed = True
-            loss, self.point.grad = self._rejected_loss(), torch.zeros_like(self.point)
+            # worse than the best, but near enough for a fair step back; inf would freeze the search
+            loss = self.best_loss + 10 * (1 + abs(self.best_loss))
+            self.point.grad = torch.zeros_like(self.point)
         return loss
 
     def _evaluate(self) -> tuple[float, Tensor]:
@@ -194,13 +183,6 @@ class _Guard:
             self.best = self.point.clone()
         self.last_failed = False
         return loss, gradient
-
-    def _rejected_loss(self) -> float:
-        """A loss worse than the best by a margin, finite since inf would freeze the line search.
-
-        It is near enough to the best loss for a fair step back.
-        """
-        return self.best_loss + 10 * (1 + abs(self.best_loss))
 
     def stop_reason(self, iterations: int, max_iterations: int, tolerance_grad: float) -> str:
         if self.best_gradient <= tolerance_grad:

@@ -1,13 +1,4 @@
-"""Marginal likelihood of a Gaussian process with the kernel of Eq. 5, and its gradient.
-
-==================  ========================================================================
-paper symbol        name
-==================  ========================================================================
-Lambda              squared ``exp(log_parameters[:D])``, lengthscales in units of the inputs
-alpha^2             ``exp(log_parameters[D])``, signal variance in squared units of the target
-sigma_eps^2         ``exp(log_parameters[D + 1])``, noise variance in squared units of the target
-==================  ========================================================================
-"""
+"""Marginal likelihood of a Gaussian process with the kernel of Eq. 5, and its gradient."""
 
 from __future__ import annotations
 
@@ -34,8 +25,8 @@ def negative_log_likelihood(
     Args:
         inputs: (n, D).
         target: (n,).
-        log_parameters: logarithms of the D lengthscales, the signal variance and the noise
-            variance, (D + 2,).
+        log_parameters: logarithms of the D lengthscales (roots of Lambda), the signal variance
+            alpha^2 and the noise variance sigma_eps^2, (D + 2,), in units of the data.
 
     Returns:
         Nats, and the gradient in the log parameters, (D + 2,).
@@ -66,7 +57,7 @@ def negative_log_likelihood(
 
 
 def _signal_gram(z: Tensor, squares: Tensor, log_signal: Tensor) -> Tensor:
-    """Noise-free Gram matrix K_f at scaled inputs z (n, D), whose squares are given."""
+    """Noise-free Gram matrix K_f at scaled inputs z (n, D)."""
     half = (squares.sum(-1) - log_signal) / 2
     return torch.addmm(half[:, None] + half, z, z.mT, beta=-1).exp_()
 
@@ -79,8 +70,7 @@ def _gradient(
     Source: Rasmussen and Williams (2006), Eq. 5.9.
 
     With W = (K^-1 - beta beta') ∘ K_f and its row sums r, the entry of a lengthscale is
-    sum_ij W_ij (z_id - z_jd)^2 / 2 = r' z_d^2 - z_d' W z_d, without an array of shape (n, n, D).
-    Overwrites ``inverse``.
+    sum_ij W_ij (z_id - z_jd)^2 / 2 = r' z_d^2 - z_d' W z_d. ``inverse`` is overwritten.
     """
     W = inverse.addr_(beta, beta, alpha=-1)
     of_noise = noise * W.trace()

@@ -1,8 +1,8 @@
 r"""Rounding errors of the moments of GPs and RBF networks, and what they refuse.
 
 The variance (Eq. 16) is what remains of :math:`\alpha^2 - \operatorname{tr}(K^{-1} Q) + \beta^\top
-Q \beta - \mu^2`, a sum of terms :math:`W_{ij} Q_{ij}` whose weights grow with the condition number
-of K. It is lost in four ways, which the estimate adds:
+Q \beta - \mu^2`, terms :math:`W_{ij} Q_{ij}` whose weights grow with the condition number of K. It
+is lost in four ways, which the estimate adds:
 
 .. math::
     \Delta_{ab} = c \, \varepsilon \Big[
@@ -13,14 +13,14 @@ of K. It is lost in four ways, which the estimate adds:
 
 1. Each Q_ij is a rounded exponential. T_ij is one plus the size of the terms of its exponent, t_j
    the same for q_j (Eq. 15). The errors are independent, so that their squares add up.
-2. The Cholesky factor belongs to another matrix :math:`K + \delta K`, which moves :math:`\beta` by
-   :math:`-K^{-1} \delta K \beta`. With the largest T of K as h, :math:`\kappa = \alpha^2 h
-   \|\beta\|` bounds :math:`\delta K \beta`.
+2. The Cholesky factor is that of :math:`K + \delta K`, which moves :math:`\beta` by :math:`-K^{-1}
+   \delta K \beta`. With the largest T of K as h, :math:`\kappa = \alpha^2 h \|\beta\|` bounds
+   :math:`\delta K \beta`.
 3. The mean is rounded before it is squared.
-4. The sum is rounded, whose largest term is the prior variance where the data are far.
+4. The sum is rounded; far from the data its largest term is the prior variance.
 
-The mean and its gradient have the estimates of ways 2 and 3, with q and its gradient in the place
-of the brackets of way 2.
+Ways 2 and 3 estimate the errors of the mean and its gradient, with q and its gradient in place of
+the brackets of way 2.
 """
 
 from __future__ import annotations
@@ -28,22 +28,18 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian, Moments
 from torch_pmil.gp.gaussian_integrals import GaussianIntegrals
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.gp.moments import Moments
 
-# the factor c; no error of the random problems of the tests needed more than 2
+# the factor c; no random problem of the tests needed more than 2
 SAFETY = 5.0
-# numbers in the largest array of an estimate, whose beliefs are worked on together
+# numbers in the largest array of an estimate
 LARGEST_ARRAY = 2**22
 
 
 class InaccurateMomentsError(ValueError):
-    """A variance is smaller than the rounding error of the sum that gives it.
-
-    The indices of the belief and of the output are ``element``.
-    """
+    """A variance is below its rounding error; ``element`` has the indices of belief and output."""
 
     def __init__(self, message: str, element: tuple[int, int]) -> None:
         super().__init__(message)
@@ -54,8 +50,8 @@ class InaccurateMomentsError(ValueError):
 def rounding_errors(f: KernelExpansion, belief: Gaussian) -> Moments:
     """Estimates of the absolute rounding errors of the moments of ``f`` at a Gaussian input.
 
-    They are above the errors, some thirty times as a rule, and cost several calls of
-    :func:`moment_match`. How exact the data and the hyper-parameters are is no part of them.
+    They are some thirty times the errors, and cost several calls of :func:`moment_match`. Errors of
+    the data and of the hyper-parameters are not included.
 
     Args:
         f: a GP posterior or an RBF network.
@@ -120,9 +116,8 @@ class _Rounding:
         r"""Whether variances (N, E) of a GP surely exceed ``unit`` times their errors: O(n) work.
 
         Each :math:`Q_{ij} T_{ij}` is at most :math:`g_i h_j` with the roots g and h of Q_ii times
-        one plus the lengths of ``left`` and ``right``. What follows ``kappa`` is at most the
-        signal-to-noise ratio times the root of the variance, which is at most twice the one that
-        was found, if the error is less.
+        one plus the lengths of ``left`` and ``right``. The factor of ``kappa`` is at most the
+        signal-to-noise ratio times the root of twice the variance.
         """
         f, E = self.f, self.f.num_outputs
         left, right = self.left[:, :E], self.right[:, :E]
@@ -135,10 +130,7 @@ class _Rounding:
         return bool((variances > unit * errors).all())
 
     def second_moments(self, count: int) -> Tensor:
-        """Errors of the covariances of the first ``count`` pairs of outputs, (N, count).
-
-        The first E are the variances.
-        """
+        """Errors of the covariances of the first ``count`` pairs of outputs, (N, count)."""
         size = max(1, LARGEST_ARRAY // (count * self.q.shape[-1] ** 2))
         parts = [
             self._second_moments(slice(start, start + size), count)
@@ -166,20 +158,15 @@ class _Rounding:
 
 @torch.no_grad()
 def check_variances(f: KernelExpansion, integrals: GaussianIntegrals, variances: Tensor) -> None:
-    """Refuse variances (N, E) of a GP at N beliefs that are less than their rounding errors.
-
-    Raises:
-        InaccurateMomentsError: names the output, the error, and what to change.
-    """
+    """Raise InaccurateMomentsError where variances (N, E) are below their rounding errors."""
     sums, unit = _Rounding(f, integrals), SAFETY * torch.finfo(variances.dtype).eps
     if sums.suffice(variances, unit):
         return
     errors = unit * sums.second_moments(f.num_outputs)
-    lost = ~(variances > errors)
-    if lost.any():
-        element = int(lost.nonzero()[0, 0]), int(lost.nonzero()[0, 1])
-        where = f" at belief {element[0]} of {len(variances)}" if len(variances) > 1 else ""
-        output = element[1]
+    lost = (~(variances > errors)).nonzero()
+    if len(lost):
+        belief, output = element = int(lost[0, 0]), int(lost[0, 1])
+        where = f" at belief {belief} of {len(variances)}" if len(variances) > 1 else ""
         raise InaccurateMomentsError(
             f"variance of output {output}{where} must exceed its rounding error "
             f"{errors[element]:.2g}, got {variances[element]:.2g} with a condition number "
@@ -191,7 +178,7 @@ def check_variances(f: KernelExpansion, integrals: GaussianIntegrals, variances:
 
 
 def condition_number(f: KernelExpansion, output: int) -> float:
-    """Condition number of the Gram matrix of an output of a GP."""
+    """Condition number of the Gram matrix of one output of a GP."""
     assert f.gram_inverse is not None
     inverse = f.gram_inverse[output].detach()
     own = inverse.diagonal() > 0  # outputs with inputs of their own have rows of zeros
@@ -200,5 +187,5 @@ def condition_number(f: KernelExpansion, output: int) -> float:
 
 
 def signal_to_noise(f: KernelExpansion) -> Tensor:
-    """Signal-to-noise ratio alpha / sigma of each output of a GP, (E,); infinite if unknown."""
+    """Signal-to-noise ratios alpha / sigma of a GP, (E,); infinite if unknown."""
     return (f.signal_variance / (0.0 if f.noise_variance is None else f.noise_variance)).sqrt()

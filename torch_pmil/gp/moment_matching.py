@@ -18,14 +18,13 @@ import gpytorch
 import torch
 
 from torch_pmil.gp.exponential_sums import ExponentialSum
-from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError, check_belief
+from torch_pmil.gp.gaussian import Gaussian, Moments, NotPositiveDefiniteError, check_belief
 from torch_pmil.gp.gaussian_integrals import GaussianIntegrals
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_accuracy import check_variances
-from torch_pmil.gp.moments import Moments
 
-# squared lengthscales by which an eigenvalue of a belief may be negative: rounding, as of the
-# features of a state that is certain
+# squared lengthscales by which an eigenvalue of a belief may be negative: rounding, for example of
+# the features of a certain state
 NO_VARIANCE = 1e-8
 
 
@@ -40,30 +39,25 @@ def moment_match(
     two moments are these. Differentiable in the belief, the data and the hyper-parameters (once).
 
     Args:
-        model: a trained GPyTorch ``ExactGP`` (``RBFKernel`` or ``ScaleKernel(RBFKernel)``, zero or
-            constant mean, E outputs as its batch), or a :class:`KernelExpansion`, which keeps its
-            Cholesky factors' results between calls.
+        model: a :class:`KernelExpansion`, or a trained GPyTorch model, for
+            :meth:`KernelExpansion.from_exact_gp` at each call.
         belief: belief over the D inputs, any batch shape; its covariance may be singular or zero.
-        observation_noise: whether to add the likelihood's noise to the variances (Eq. 5), for the
-            distribution of an observation.
+        observation_noise: whether to add the likelihood's noise to the variances (Eq. 5).
 
     Returns:
         Moments in the units of the outputs.
 
     Raises:
         TypeError: the model or the belief is of another kind.
-        ValueError: the belief's entries are not the model's inputs, its mean is not finite, or its
-            dtype is not the model's; a parameter of the model is not finite or not positive; or
-            noise is asked of a function that has none.
+        ValueError: the belief does not fit the model, its mean is not finite, a parameter of the
+            model is not finite or not positive, or a deterministic function has no noise.
         NotPositiveDefiniteError: the covariance has a clearly negative eigenvalue, is not
             symmetric, or is not finite.
         InaccurateMomentsError: a variance of a GP is less than its rounding error.
 
-    Accuracy: the errors of all moments are below :func:`rounding_errors`, and those of a GP's
-    variances below the variances, or the moments are refused. Gradients by the belief's mean have
-    errors of that estimate over a lengthscale; a difference quotient of step h has that estimate
-    over h, and is the less accurate of the two. The variance of a network that hardly varies over
-    the belief may be a negative number within its estimate.
+    Accuracy: errors are below :func:`rounding_errors`. Gradients by the belief's mean have errors
+    of that estimate over a lengthscale, and difference quotients of step h of that estimate over h.
+    The variance of a network that hardly varies over the belief may be negative within it.
 
     Source: Deisenroth (2010), section 2.3.
 
@@ -92,11 +86,7 @@ def moment_match(
 
 
 def exact_moments(f: KernelExpansion, belief: Gaussian, observation_noise: bool = False) -> Moments:
-    """:func:`moment_match` at N beliefs without its checks, for the steps of a prediction.
-
-    Raises:
-        NotPositiveDefiniteError: a covariance has a clearly negative eigenvalue or is not finite.
-    """
+    """:func:`moment_match` at N beliefs, with no check but that of Cholesky factors."""
     return _combine(f, GaussianIntegrals.of(f, belief), observation_noise)
 
 
@@ -112,5 +102,5 @@ def _combine(f: KernelExpansion, integrals: GaussianIntegrals, observation_noise
     second = second.index_select(-1, f.pairs.position).view(-1, E, E)
     cov = torch.baddbmm(second, mean[:, :, None], mean[:, None], alpha=-1)
     if f.gram_inverse is not None:
-        cov = cov + (f.observed_prior_cov if observation_noise else f.prior_cov)
+        cov = cov + torch.diag_embed(f.prior_variance(observation_noise))
     return Moments(mean + f.offset, cov, slope.mT)

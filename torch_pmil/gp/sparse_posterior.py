@@ -1,7 +1,7 @@
 r"""Posteriors of Gaussian processes through m inducing inputs, where n data are too many.
 
-The fully independent training conditional (FITC; Snelson and Ghahramani 2006) says that the data
-are independent of each other given the values u of the function at the inducing inputs z. With
+In the fully independent training conditional (FITC; Snelson and Ghahramani 2006) data are
+independent of each other given the values of the function at the inducing inputs z. With
 :math:`q_i = k_i^\top K^{-1} k_i`, :math:`k_i = k(z, x_i)` and :math:`K = k(z, z)`,
 
 .. math::
@@ -11,8 +11,8 @@ are independent of each other given the values u of the function at the inducing
     \beta = B^{-1} \sum_i k_i (y_i - c) / \lambda_i, \\
     \operatorname{var} f(x) &= \alpha^2 - k(x, z) \left(K^{-1} - B^{-1}\right) k(z, x).
 
-This is the form of an exact posterior (Eqs. 6 and 7), so that the exact moments (Eqs. 14-18), whose
-cost depends on m alone, are those of the sparse posterior as well.
+This has the form of an exact posterior (Eqs. 6 and 7), so that the moments of Eqs. 14-18 are exact
+for it too, at a cost that depends on m alone.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_pmil.checks import check_real, check_tensor, check_whole
-from torch_pmil.gp.gaussian import cholesky
-from torch_pmil.gp.gram import gram
-from torch_pmil.gp.kernel_expansion import KernelExpansion, check_data
+from torch_pmil.checks import check_positive_entries, check_real, check_tensor, check_whole
+from torch_pmil.gp.gaussian import cholesky, symmetric
+from torch_pmil.gp.kernel_expansion import KernelExpansion, check_data, joined
+from torch_pmil.gp.kernel_pairs import gram
 
 
 def sparse_posterior(
@@ -44,13 +44,11 @@ def sparse_posterior(
         inducing: inducing inputs (m, D), or (E, m, D) where the outputs have inputs of their own.
         lengthscales, signal_variance, noise_variance, offset: as in :class:`KernelExpansion`.
         ridge: variance that is added to each value at the inducing inputs, (E,), in squared units
-            of the targets. Without any the Gram matrix of inducing inputs that are near each other
-            has no Cholesky factor; its part of the signal variance limits how exact the posterior
-            is.
+            of the targets. Inducing inputs that are near each other need some; its part of the
+            signal variance limits how exact the posterior is.
 
     Raises:
-        ValueError: shapes or dtypes do not fit, or an entry is out of range. A noise variance must
-            be positive here.
+        ValueError: shapes or dtypes do not fit, or an entry is out of range.
         NotPositiveDefiniteError: names the output whose Gram matrix has no Cholesky factor.
 
     Example:
@@ -67,29 +65,21 @@ def sparse_posterior(
     between = gram(inducing, inducing, *kernel)
     between = between + torch.diag_embed(ridge[:, None].expand(between.shape[:-1]))
     factor = cholesky(between, "Gram matrix of the inducing inputs (element: output)")
-    explained = torch.linalg.solve_triangular(
-        factor, gram(inducing, inputs, *kernel), upper=False
-    )  # (E, m, n)
+    known = gram(inducing, inputs, *kernel)
+    explained = torch.linalg.solve_triangular(factor, known, upper=False)  # (E, m, n)
     left_over = signal_variance[:, None] - explained.square().sum(1)
     roots = (left_over.clamp(min=0) + noise_variance[:, None]).sqrt()[:, None]  # (E, 1, n)
     scaled = explained / roots
     eye = torch.eye(between.shape[-1], dtype=inputs.dtype, device=inputs.device)
-    precision = cholesky(
-        eye + scaled @ scaled.mT, "precision of the inducing values (element: output)"
-    )
+    name = "precision of the inducing values (element: output)"
+    precision = cholesky(eye + scaled @ scaled.mT, name)
     offsets = torch.as_tensor(offset, dtype=targets.dtype, device=targets.device)
     centred = ((targets - offsets.reshape(-1, 1))[:, None] / roots).mT
     white = torch.cholesky_solve(scaled @ centred, precision)
     back = torch.linalg.solve_triangular(factor.mT, eye.expand_as(between), upper=True)
-    inverse = back @ (eye - torch.cholesky_inverse(precision)) @ back.mT
-    return KernelExpansion.joined(
-        inducing,
-        (back @ white)[..., 0],
-        *kernel,
-        (inverse + inverse.mT) / 2,
-        noise_variance,
-        offset,
-    )
+    inverse = symmetric(back @ (eye - torch.cholesky_inverse(precision)) @ back.mT)
+    inducing, weights, inverse = joined(inducing, (back @ white)[..., 0], inverse)
+    return KernelExpansion(inducing, weights, *kernel, inverse, noise_variance, offset)
 
 
 def inducing_data(
@@ -99,12 +89,11 @@ def inducing_data(
     noise_variance: Tensor,
     count: int,
 ) -> Tensor:
-    r"""Those of the data that tell most of all others, as indices (m,) in the order of the choice.
+    r"""Inducing inputs, chosen greedily from the data, as indices (m,) in their order.
 
-    Each lowers the trace of the conditional covariances of all data the most, in units of the noise
-    variances of the outputs, which share the choice. Half this trace is what the evidence lower
-    bound of a sparse posterior loses (Titsias 2009). Fewer than asked for come back where no
-    variance is left but rounding.
+    Each lowers the trace of the conditional covariances of all data the most, over the noise
+    variances, for all outputs together. Half this trace is what the evidence lower bound of a
+    sparse posterior loses (Titsias 2009). The search ends early when only rounding is left.
 
     Args:
         inputs: (n, D); the work grows with n².
@@ -126,10 +115,10 @@ def inducing_data(
     chosen: list[int] = []
     for _ in range(count):
         variances = left_over.diagonal(dim1=1, dim2=2)
-        told = torch.linalg.vector_norm(left_over, dim=1).square() / variances.maximum(negligible)
-        told = (told * (variances > negligible) / noise_variance[:, None]).sum(0)
-        newest = int(told.argmax())
-        if not told[newest] > 0:
+        gain = torch.linalg.vector_norm(left_over, dim=1).square() / variances.maximum(negligible)
+        gain = (gain * (variances > negligible) / noise_variance[:, None]).sum(0)
+        newest = int(gain.argmax())
+        if not gain[newest] > 0:
             break
         column = left_over[:, :, newest].clone()
         scaled = column / column[:, newest, None].maximum(negligible)
@@ -147,8 +136,4 @@ def _check_inducing(
     check_tensor("inducing", inducing, (*own, "m", inputs.shape[-1]))
     if not (ridge >= 0).all():
         raise ValueError(f"ridge must not be negative, got {ridge.min().item():.3g}")
-    if not (noise_variance > 0).all():
-        raise ValueError(
-            f"noise_variance of a sparse posterior must be positive, got "
-            f"{noise_variance.min().item():.3g}"
-        )
+    check_positive_entries("noise_variance of a sparse posterior", noise_variance)

@@ -32,9 +32,8 @@ def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, 
 
     Args:
         belief: belief over the D entries of x; those that A combines are in rad.
-        plain: the matrix P, (K_p, D), of the combinations that are kept as they are.
-        angles: the matrix A, (K, D), of the combinations that become sin and cos (a row with a
-            single 1 picks an entry).
+        plain: the matrix P, (K_p, D).
+        angles: the matrix A, (K, D); a row with a single 1 picks an entry.
 
     Returns:
         The belief of K_p + 2K entries, and :math:`\Sigma_x^{-1} \operatorname{cov}(x, \cdot)`,
@@ -52,19 +51,15 @@ def augment(belief: Gaussian, plain: Tensor, angles: Tensor) -> tuple[Gaussian, 
 
 @dataclass(frozen=True, eq=False)
 class Augmentation:
-    """:func:`augment` prepared for many beliefs.
-
-    One matrix gives all that is linear in x; its last entries then go through the cosine.
-    """
+    """:func:`augment` for many beliefs: one matrix, and a cosine of its last results."""
 
     rows: Tensor  # P, A and A again, (K_p + 2K, D)
-    # -pi/2 at the first copy of the angles, whose cosine is then their sine, else 0, (K_p + 2K,)
-    turns: Tensor
+    turns: Tensor  # -pi/2 at the first A, so that the cosine is a sine, else 0, (K_p + 2K,)
     kept: int  # K_p
 
     @classmethod
     def of(cls, plain: Tensor, angles: Tensor) -> Augmentation:
-        """Prepared from the matrices P and A of :func:`augment`."""
+        """From the matrices P and A of :func:`augment`."""
         turns = angles.new_zeros(len(plain) + 2 * len(angles))
         turns[len(plain) : len(plain) + len(angles)] = -QUARTER_TURN
         return cls(torch.cat([plain, angles, angles]), turns, len(plain))
@@ -107,10 +102,7 @@ def squash(belief: Gaussian, u_max: Tensor) -> tuple[Gaussian, Tensor]:
 
 
 class _Cosines(torch.autograd.Function):
-    r"""Mean (*batch, K) and covariance (*batch, K, K) of the cosines of Gaussian phases.
-
-    The third result is the mean slope -E sin (*batch, K).
-    """
+    """Mean (*batch, K), covariance (*batch, K, K) and mean slope -E sin of cosines of phases."""
 
     @staticmethod
     def forward(m: Tensor, V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -132,10 +124,7 @@ class _Cosines(torch.autograd.Function):
 def cosines_adjoint(
     m: Tensor, V: Tensor, d_mean: Tensor, d_cov: Tensor, d_slope: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Cotangents of phases' mean and covariance from those of their cosines' moments.
-
-    The latter are mean, covariance (symmetric) and mean slope.
-    """
+    """Cotangents of the phases from those of mean, covariance (symmetric) and slope of cosines."""
     decay, even, odd = _coefficients(V)
     cos, sin = m.cos(), m.sin()
     cos_cos, sin_sin, level = _square(cos), _square(sin), even + _square(decay)
@@ -149,10 +138,10 @@ def cosines_adjoint(
 
 
 def _coefficients(V: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    r"""The factor :math:`e^{-V_{ii}/2}`, and the factors of the products of cosines and of sines.
+    r"""The factors :math:`e^{-V_{ii}/2}`, and those of the products of cosines and of sines.
 
-    The latter are :math:`\cosh V_{ij} - 1` and :math:`\sinh V_{ij}`, each times :math:`e^{-(V_{ii}
-    + V_{jj})/2}`. No exponential overflows, however large the variance.
+    The latter are :math:`\cosh V_{ij} - 1` and :math:`\sinh V_{ij}`, times :math:`e^{-(V_{ii} +
+    V_{jj})/2}`. No exponential overflows, however large the variance.
     """
     exponent, size = V.diagonal(dim1=-2, dim2=-1)[..., None] / -2, V.abs()
     growth = torch.exp(size + exponent + exponent.mT) * torch.expm1(-2 * size)

@@ -1,7 +1,4 @@
-r"""Calibration of a model: how sure it is of its next state, against how right it is.
-
-One-step predictions are compared with transitions that were executed.
-"""
+"""Calibration of a model: how sure it is of executed transitions, against how right it is."""
 
 from __future__ import annotations
 
@@ -26,22 +23,18 @@ def standardised_residuals(
         z_{t+1} = \frac{x_{t+1} - A\,[x_t, u_t] - C \mu(x_t, u_t)}
             {\sqrt{C^2 (\sigma^2(x_t, u_t) + \sigma_\varepsilon^2)}}
 
-    If the model is as sure as it is right, they are standard normal (Eqs. 6 and 7, with the noise
-    of Eq. 2). A and C are those of its known part, C^2 the squares of C's entries. An entry of
-    which nothing is learned, as a past action, has the residual 0.
+    They are standard normal if the model is as sure as it is right (Eqs. 6 and 7, with the noise of
+    Eq. 2). A and C are those of its known part, C^2 the squares of C's entries. Entries of which
+    nothing is learned have the residual 0.
 
     Args:
         dynamics: the forward model.
         space: the robot's state space.
-        states: rollouts x_0..x_T, (*batch, T + 1, D), preferably ones from which the model has not
-            learned.
+        states: rollouts x_0..x_T, (*batch, T + 1, D), preferably new to the model.
         actions: u_0..u_{T-1}, (*batch, T, F).
 
     Returns:
         z_1..z_T, (*batch, T, D), without a unit.
-
-    Raises:
-        RuntimeError: the model has no data.
 
     Example:
         >>> from torch_pmil.control.state_space import joint_match
@@ -66,13 +59,10 @@ def observed_coverage(residuals: Tensor, probabilities: Tensor) -> Tensor:
 
     Args:
         residuals: (\*batch, D).
-        probabilities: the probability p of each of K intervals, from 0 to 1, (K,).
+        probabilities: p of each of K intervals, from 0 to 1, (K,).
 
     Returns:
         Fractions for each interval and entry, (K, D).
-
-    Raises:
-        ValueError: there is no residual, or a probability is not from 0 to 1.
 
     Example:
         >>> residuals = torch.tensor([[0.0], [1.0], [3.0]])
@@ -95,7 +85,6 @@ def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
         executed: rollouts x_0..x_T, (N, T + 1, D).
 
     Example:
-        >>> import torch
         >>> still = Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1))
         >>> two_sigma_coverage(still, torch.tensor([[[0.0], [1.0], [3.0]]]))
         0.5
@@ -104,26 +93,14 @@ def two_sigma_coverage(predicted: Gaussian, executed: Tensor) -> float:
 
 
 def two_sigma_coverage_by_entry(predicted: Gaussian, executed: Tensor) -> Tensor:
-    """Fraction of executed values within two predicted standard deviations, by entry, (D,).
-
-    Arguments as in :func:`two_sigma_coverage`.
-
-    Example:
-        >>> import torch
-        >>> still = Gaussian(torch.zeros(1, 2), torch.eye(2)[None])
-        >>> two_sigma_coverage_by_entry(still, torch.tensor([[[0.0, 0.0], [1.0, 3.0]]]))
-        tensor([1., 0.], dtype=torch.float64)
-    """
+    """:func:`two_sigma_coverage` of each entry, (D,)."""
     return within_two_sigma(predicted, executed).mean((0, 1))
 
 
 def within_two_sigma(predicted: Gaussian, executed: Tensor) -> Tensor:
     """Whether executed entries at t = 1..T are within two standard deviations, 1 or 0, (N, T, D).
 
-    Arguments as in :func:`two_sigma_coverage`.
-
-    Raises:
-        ValueError: the rollouts are of other steps or entries than the marginals.
+    Raises ValueError where the rollouts have other steps or entries than the marginals.
     """
     steps, entries = predicted.mean.shape
     check_tensor("executed", executed, ("N", steps + 1, entries), finite=False)

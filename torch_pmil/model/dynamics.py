@@ -6,15 +6,14 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import gpytorch
 import torch
 from gpytorch.constraints import Positive
 from torch import Tensor, nn
 
-from torch_pmil.checks import check_real, check_whole
+from torch_pmil.checks import check_finite_entries, check_real, check_whole
 from torch_pmil.control.known_part import KnownPart
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import NotPositiveDefiniteError
@@ -29,15 +28,13 @@ from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.lbfgs import NotFiniteError
 from torch_pmil.gp.sparse_posterior import inducing_data, sparse_posterior
 
-Named = Literal["difference", "successor"]
-Targets = Named | KnownPart
+Targets = KnownPart | Literal["difference", "successor"]
 
-# growth of the data after which hyper-parameters are searched from all starts again
-RESTART_GROWTH = 1.25
+RESTART_GROWTH = 1.25  # of the data, after which all starts are searched again
 MOST_EXACT = 1000  # data of an exact posterior
-INDUCING = 200  # inducing inputs where there are more
-SEARCHED_DATA = 500  # data of which hyper-parameters are searched then
-# variance at the inducing inputs, over that of the noise: far less than what a datum tells
+INDUCING = 200  # inducing inputs of a sparse one
+SEARCHED_DATA = 500  # data from which its hyper-parameters are searched
+# variance at the inducing inputs, over that of the noise: far less than the noise of a datum
 INDUCING_RIDGE = 1e-4
 
 
@@ -68,8 +65,8 @@ class FitResult:
     """Outcome of a fit of the hyper-parameters.
 
     Args:
-        negative_log_likelihood: nats of each output, (E,), without PILCO's penalties.
-        evaluations: number of evaluations of one output's likelihood, over all outputs and starts.
+        negative_log_likelihood: nats of each output, (E,), without penalties.
+        evaluations: of one output's likelihood, over all outputs and starts.
         seconds: wall time.
         stop_reason: why the best search of each output ended, as in ``MinimiseResult``.
     """
@@ -83,26 +80,23 @@ class FitResult:
 class GPDynamics(nn.Module):
     r"""GP model of :math:`x_{t+1}` given features of the state and the action (Eqs. 2-7).
 
-    Hyper-parameters are in physical units: lengthscales in those of the inputs, signal and noise
-    variance in the squared units of the targets. They are the ``lengthscale``, ``outputscale`` and
-    ``noise`` of the GPyTorch model ``gp``.
+    Hyper-parameters, in the units of inputs and squared targets, are the ``lengthscale``,
+    ``outputscale`` and ``noise`` of the GPyTorch model ``gp``.
 
     Args:
         num_inputs: number D' + F of features and actions.
-        num_outputs: number E of outputs, one for each of the D entries of the state unless a known
-            part says otherwise.
-        targets: "difference" to learn x_{t+1} - x_t (the prior mean is then that the state stays
-            where it is), "successor" to learn x_{t+1} (Eq. 2), or what is known of x_{t+1}, to
-            learn the rest.
-        most_signal_to_noise: ratio of standard deviations beyond which a fit is penalised. A model
-            of which moments are matched must not be surer: their rounding grows with the square.
+        num_outputs: number E of outputs: that of the known part.
+        targets: what is known of x_{t+1}, so that the rest is learned. "difference" is short for
+            :meth:`KnownPart.of_differences` (the prior mean is then that the state stays where it
+            is), "successor" for :meth:`KnownPart.of_successors` (Eq. 2).
+        most_signal_to_noise: ratio of standard deviations beyond which a fit is penalised, since
+            the rounding of moments grows with its square.
         most_exact: number of data up to which the posterior is exact. Beyond, it is sparse
-            (:mod:`torch_pmil.gp.sparse_posterior`), its inducing inputs are some of ``most_exact``
-            data, and the hyper-parameters are those of ``SEARCHED_DATA``, evenly chosen.
+            (:mod:`torch_pmil.gp.sparse_posterior`): inducing inputs come from ``most_exact`` data,
+            hyper-parameters from ``SEARCHED_DATA``, evenly chosen.
         num_inducing: number of inducing inputs of the sparse posterior.
-        tied_lengthscales: whether all outputs have the same lengthscales, and each a signal and a
-            noise of its own. The kernels then predict several times as fast, since one exponential
-            for each pair of data serves all pairs of outputs; fewer numbers explain the data.
+        tied_lengthscales: whether all outputs share their lengthscales. The kernels then predict
+            several times as fast: one exponential for each pair of data serves all outputs.
 
     Example:
         >>> X = torch.linspace(-2, 2, 20, dtype=torch.float64)[:, None]
@@ -129,17 +123,16 @@ class GPDynamics(nn.Module):
         tied_lengthscales: bool = False,
     ) -> None:
         super().__init__()
-        check_targets(targets)
         sizes = {"num_inputs": num_inputs, "num_outputs": num_outputs}
         for name, value in (sizes | {"num_inducing": num_inducing}).items():
             check_whole(name, value, 1)
         check_whole("most_exact", most_exact, num_inducing)
-        if isinstance(targets, KnownPart) and targets.num_outputs != num_outputs:
+        known = known_part(targets, num_outputs)
+        if known.num_outputs != num_outputs:
             raise ValueError(
-                f"num_outputs must be the {targets.num_outputs} of the known part, got "
-                f"{num_outputs}"
+                f"num_outputs must be the {known.num_outputs} of the known part, got {num_outputs}"
             )
-        self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, targets
+        self.num_inputs, self.num_outputs, self.targets = num_inputs, num_outputs, known
         self.most_signal_to_noise = most_signal_to_noise
         self.most_exact, self.num_inducing = most_exact, num_inducing
         self.tied_lengthscales = tied_lengthscales
@@ -148,8 +141,8 @@ class GPDynamics(nn.Module):
         ).double()
         self.register_buffer("train_inputs", torch.zeros(0, num_inputs, dtype=torch.float64))
         self.register_buffer("train_targets", torch.zeros(0, num_outputs, dtype=torch.float64))
-        if isinstance(targets, KnownPart) and targets.followed:
-            self.register_buffer("position_rule", targets.rule)
+        if known.followed:
+            self.register_buffer("position_rule", known.rule)
         # number of data at the last fit from all starts
         self.register_buffer("searched_size", torch.tensor(0))
         self._expansion: KernelExpansion | None = None
@@ -157,36 +150,23 @@ class GPDynamics(nn.Module):
     @property
     def dim(self) -> int:
         """Number of entries of the state D."""
-        return self.targets.dim if isinstance(self.targets, KnownPart) else self.num_outputs
+        return self.targets.dim
 
     def known_part(self, space: StateSpace) -> KnownPart:
         """What is known of the next state in a space of as many entries."""
-        num_actions = self.num_inputs - len(space.feature_names)
-        known = known_part(self.targets, self.num_outputs, num_actions)
-        if known.num_actions != num_actions:
-            raise ValueError(
-                f"the model's known part must be of its {num_actions} actions, got one of "
-                f"{known.num_actions}"
-            )
-        return known
+        return self.targets.for_actions(self.num_inputs - len(space.feature_names))
 
     @property
     def expansion(self) -> KernelExpansion:
-        """The posterior with its cached K^-1 and beta; constant, without a graph.
-
-        Raises RuntimeError before any data.
-        """
+        """The posterior with its cached K^-1 and beta, without graph; RuntimeError before data."""
         if self._expansion is None:
             if len(self.train_inputs) == 0:
                 raise RuntimeError(
                     "the dynamics model has no data yet: call fit(inputs, targets) first"
                 )
+            exact = KernelExpansion.from_exact_gp
             with torch.no_grad():
-                self._expansion = (
-                    self._sparse_expansion()
-                    if self.sparse
-                    else KernelExpansion.from_exact_gp(self.gp)
-                )
+                self._expansion = self._sparse_expansion() if self.sparse else exact(self.gp)
         return self._expansion
 
     @property
@@ -199,27 +179,16 @@ class GPDynamics(nn.Module):
         lengthscales, signal, noise = kernel[0], kernel[1][:, 0], noise[:, 0]
         few = self.train_inputs[self._even(self.most_exact)]
         chosen = inducing_data(few, lengthscales, signal, noise, self.num_inducing)
-        return sparse_posterior(
-            self.train_inputs,
-            self.train_targets.mT,
-            few[chosen],
-            lengthscales,
-            signal,
-            noise,
-            INDUCING_RIDGE * noise,
-        )
+        data = self.train_inputs, self.train_targets.mT, few[chosen]
+        return sparse_posterior(*data, lengthscales, signal, noise, INDUCING_RIDGE * noise)
 
     def _even(self, most: int) -> Tensor:
-        """Indices of as many data, evenly chosen, or of all if there are fewer."""
+        """Indices of at most so many data, evenly chosen."""
         n = len(self.train_inputs)
         return torch.linspace(0, n - 1, min(n, most), dtype=torch.float64).round().long()
 
     def set_data(self, inputs: Tensor, targets: Tensor) -> None:
-        """Take data (n, D' + F) and (n, E) and keep the hyper-parameters.
-
-        Raises:
-            ValueError: shapes do not fit, or an entry is not finite.
-        """
+        """Take finite data (n, D' + F) and (n, E), and keep the hyper-parameters."""
         self._check_data(inputs, targets)
         if not self._continued_by(inputs, targets):
             self.searched_size.zero_()
@@ -234,32 +203,23 @@ class GPDynamics(nn.Module):
         self._expansion = None
 
     def fit_known_part(self, states: Tensor, successors: Tensor) -> None:
-        """Learn how positions follow from velocities, of transitions (n, D), if any do.
-
-        What the model itself learns stays the same.
-        """
-        if isinstance(self.targets, KnownPart) and self.targets.followed:
+        """Learn from transitions (n, D) how positions follow from velocities, if any do."""
+        if self.targets.followed:
             self._take_rule(self.targets.fitted_rule(states, successors))
 
     def _take_rule(self, rule: Tensor) -> None:
-        assert isinstance(self.targets, KnownPart)
         self.targets = self.targets.with_rule(rule)
         self.position_rule = rule.to(self.position_rule)
 
     def fit(self, inputs: Tensor, targets: Tensor, max_iterations: int = 100) -> FitResult:
-        """Maximise the marginal likelihood of the data, each output by an L-BFGS of its own.
+        """Maximise the marginal likelihood of each output by L-BFGS; tied outputs go together.
 
-        Outputs with the same lengthscales are searched together.
+        The best of several starts is kept: of the last optimum and :func:`pilco_starts`, under the
+        penalties of :mod:`torch_pmil.gp.hyperparameters`.
 
-        The best of several starts is kept: the last optimum and PILCO's starts, which are
-        lengthscales std(input), signal std(target), noise a tenth or a hundredth of it, and for few
-        data the same with twice the lengthscales. PILCO's penalties keep the signal-to-noise ratio
-        below about ``most_signal_to_noise`` and the lengthscales within a factor 30 of std(input).
-
-        Few data have several optima, and one of them may explain all motion as noise. Later, when
-        many data have come rollout by rollout, the other starts hardly ever lead further than the
-        last optimum: it is the only start while the data begin with those of the last fit from all
-        starts, and are less than ``RESTART_GROWTH`` times as many.
+        Few data have several optima, and one of them may explain all motion as noise. With more
+        data the last optimum is the only start, while they begin with those of the last fit from
+        all starts, and are less than ``RESTART_GROWTH`` times as many.
 
         Args:
             inputs: features and actions (n, D' + F).
@@ -267,10 +227,8 @@ class GPDynamics(nn.Module):
             max_iterations: limit of L-BFGS for each start.
 
         Raises:
-            ValueError: shapes do not fit, an entry is not finite or not real, fewer than two data,
-                or no iteration.
-            NotPositiveDefiniteError, NotFiniteError: the likelihood of an output has no value at
-                any start.
+            ValueError: shapes do not fit, an entry is not finite, or fewer than two data.
+            NotPositiveDefiniteError, NotFiniteError: the likelihood has no value at any start.
         """
         check_whole("max_iterations", max_iterations, 1)
         start_time = time.perf_counter()
@@ -286,20 +244,16 @@ class GPDynamics(nn.Module):
         self._set_log_parameters(torch.cat(found))
         if restarted:
             self.searched_size.fill_(len(inputs))
+        nats = [optimum.negative_log_likelihood for optimum in optima]
         return FitResult(
-            negative_log_likelihood=torch.cat(
-                [optimum.negative_log_likelihood for optimum in optima]
-            ),
+            negative_log_likelihood=torch.cat(nats),
             evaluations=size * sum(optimum.evaluations for optimum in optima),
             seconds=time.perf_counter() - start_time,
             stop_reason=tuple(optimum.stop_reason for optimum in optima for _ in range(size)),
         )
 
     def _find(self, outputs: Tensor, fitted: bool, restarted: bool, max_iterations: int) -> Optimum:
-        """Hyper-parameters of outputs, searched from the last ones or from PILCO's starts too.
-
-        The last ones are the only start unless ``restarted``, or unless they fail at the new data.
-        """
+        """Hyper-parameters of outputs, from the last ones alone unless ``restarted`` or failed."""
         limits = max_iterations, self.most_signal_to_noise
         known = self._even(SEARCHED_DATA if self.sparse else self.most_exact)
         inputs, targets = self.train_inputs[known], self.train_targets[known][:, outputs]
@@ -319,19 +273,13 @@ class GPDynamics(nn.Module):
         return same_inputs and torch.equal(targets[:n], self.train_targets)
 
     def _raw_parameters(self) -> list[Tensor]:
-        """Logarithms of lengthscales (E, D), signal variances (E, 1) and noise variances (E, 1).
-
-        They share the model's memory.
-        """
+        """Logarithms of lengthscales (E, D), signal and noise variances (E, 1), as views."""
         kernel, noise = self.gp.covar_module, self.gp.likelihood.noise_covar
         raw = kernel.base_kernel.raw_lengthscale, kernel.raw_outputscale, noise.raw_noise
         return [parameter.detach().view(self.num_outputs, -1) for parameter in raw]
 
     def _log_parameters(self) -> Tensor:
-        """Log parameters of every output, (E, D + 2).
-
-        The order is that of :mod:`torch_pmil.gp.hyperparameters`.
-        """
+        """Log parameters of every output, (E, D + 2), as in torch_pmil.gp.hyperparameters."""
         return torch.cat(self._raw_parameters(), -1)
 
     def _set_log_parameters(self, values: Tensor) -> None:
@@ -348,13 +296,8 @@ class GPDynamics(nn.Module):
                 f"expected inputs (n, {self.num_inputs}) and targets (n, {self.num_outputs}) with "
                 f"n >= 2, got {tuple(inputs.shape)} and {tuple(targets.shape)}"
             )
-        for name, values in (("inputs", inputs), ("targets", targets)):
-            if not values.isfinite().all():
-                row, column = (~values.isfinite()).nonzero()[0].tolist()
-                raise ValueError(
-                    f"{name} must be finite, got {values[row, column]} in row {row}, column "
-                    f"{column}"
-                )
+        check_finite_entries("inputs", inputs)
+        check_finite_entries("targets", targets)
 
     def _apply(self, function: Callable[[Tensor], Tensor], recurse: bool = True) -> GPDynamics:
         self._expansion = None  # on the former device
@@ -371,22 +314,17 @@ class GPDynamics(nn.Module):
         self._expansion = None
 
 
-def check_targets(targets: object) -> None:
-    """Raise ValueError unless it is known what a model learns."""
-    if not isinstance(targets, KnownPart) and targets not in get_args(Named):
+def known_part(targets: Targets, dim: int) -> KnownPart:
+    """What is known of the next state of D entries by targets, which may be a word.
+
+    Raises ValueError at another word.
+    """
+    if isinstance(targets, KnownPart):
+        return targets
+    words = {"difference": KnownPart.of_differences, "successor": KnownPart.of_successors}
+    if targets not in tuple(words):
         raise ValueError(
-            f'targets must be "difference" or "successor", got {targets!r}, which is no KnownPart '
-            "either"
+            f'targets must be "difference" or "successor", got {targets!r}, which is not a '
+            "KnownPart either"
         )
-
-
-def known_part(targets: Targets, dim: int, num_actions: int) -> KnownPart:
-    """What is known of the next state of D entries, under F actions, besides the targets."""
-    check_targets(targets)
-    return targets if isinstance(targets, KnownPart) else _named(targets, dim, num_actions)
-
-
-@cache  # each prediction of a search asks for it
-def _named(targets: Named, dim: int, num_actions: int) -> KnownPart:
-    of = {"difference": KnownPart.of_differences, "successor": KnownPart.of_successors}
-    return of[targets](dim, num_actions)
+    return words[targets](dim)

@@ -1,4 +1,4 @@
-"""The robot's transitions in a TorchRL replay buffer, and the GP's training data made of them."""
+"""The robot's transitions in a TorchRL replay buffer, and the GP's training data from them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyMemmapStorage, TensorDictReplayBuffer
 
-from torch_pmil.checks import check_tensor, check_whole
+from torch_pmil.checks import check_finite_entries, check_tensor, check_whole
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.model.dynamics import GPDynamics, Targets, known_part
 
-FEWEST_TRANSITIONS = 2  # of which a model can be made
+FEWEST_TRANSITIONS = 2  # for a model
 KEYS = ("observation", "action", ("next", "observation"))
 
 
@@ -25,11 +25,8 @@ class Experience:
     """Transitions (x_t, u_t, x_{t+1}) of the robot, memory-mapped, in the order of their recording.
 
     Args:
-        capacity: largest number of transitions.
+        capacity: largest number of transitions, a whole number of at least 1.
         folder: folder of the memory-mapped files; a temporary one if None.
-
-    Raises:
-        ValueError: the capacity is no whole number of at least 1.
 
     Example:
         >>> experience = Experience(capacity=100)
@@ -47,14 +44,11 @@ class Experience:
         return len(self.buffer)
 
     def extend(self, transitions: TensorDictBase) -> None:
-        """Add transitions with the keys observation, action and (next, observation).
-
-        They may have any batch shape.
+        """Add transitions with the keys observation, action and (next, observation), of any batch.
 
         Raises:
             KeyError: one of the keys is missing.
-            ValueError: an entry is not finite, or of another shape than those before it, or the
-                buffer is full.
+            ValueError: an entry is not finite or of another shape, or the buffer is full.
         """
         present = transitions.keys(include_nested=True)
         for key in KEYS:
@@ -68,11 +62,7 @@ class Experience:
         flat = transitions.select(*KEYS).detach().reshape(-1)
         self._check_shapes(flat)
         for key in KEYS:
-            if not flat[key].isfinite().all():
-                raise ValueError(
-                    f"transitions must be finite, got {key} = "
-                    f"{flat[key][~flat[key].isfinite()][0].item()}"
-                )
+            check_finite_entries(f"transitions' {key}", flat[key])
         if len(self) + len(flat) > self.capacity:
             raise ValueError(
                 f"experience holds at most {self.capacity} transitions, got {len(self) + len(flat)}"
@@ -117,12 +107,11 @@ class Experience:
             space: the robot's state space.
             targets: what a model learns, as in :class:`GPDynamics`.
             limits: largest absolute value of each entry of the state (D,), infinite for no limit.
-                Transitions that start beyond are left out: how a robot tumbles on, far from the
-                task, says nothing about the task, and one stationary kernel cannot explain both.
+                Transitions that start beyond are left out: one stationary kernel cannot explain the
+                task and a robot that tumbles far from it.
 
         Raises:
-            ValueError: there is no transition, the space is of another number of entries, or limits
-                are not as many numbers that are not negative.
+            ValueError: there is no transition, or shapes or limits do not fit.
         """
         check_limits_of_state(limits, space.dim)
         return gp_data(*self.within(limits), space, targets)
@@ -130,33 +119,21 @@ class Experience:
     def data_for(
         self, dynamics: GPDynamics, space: StateSpace, limits: Tensor, explored: int
     ) -> tuple[Tensor, Tensor]:
-        """Inputs (n, D' + F) and targets (n, E) of a model of all transitions within limits.
+        """:meth:`training_data` of a model, whose known part first learns from the same data.
 
-        The model's known part learns from the same transitions first, since the targets are what it
-        leaves to learn.
-
-        Args:
-            dynamics: the model, which is not fitted yet.
-            space: the robot's state space.
-            limits: largest absolute values of the state (D,), as in :meth:`training_data`; they are
-                :func:`widened` where they would leave too few of the exploration's transitions.
-            explored: number of transitions, the first ones, that are of the exploration.
-
-        Raises ValueError where there is no transition at all.
+        Limits are :func:`widened` where they would leave too few of the ``explored`` transitions,
+        the first ones. Raises ValueError where there is no transition at all.
         """
         self._check_any()
         first = self.transitions["observation"][:explored]
-        # fewer transitions than inputs do not tell how the robot moves, not even if it is linear
+        # fewer transitions than inputs do not even determine a linear model
         limits = widened(limits, first, fewest=dynamics.num_inputs)
         states, actions, successors = self.within(limits)
         dynamics.fit_known_part(states, successors)
         return gp_data(states, actions, successors, space, dynamics.targets)
 
     def within(self, limits: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """States (n, D), actions (n, F) and successors (n, D) that start within limits (D,).
-
-        Raises ValueError where there is no transition at all.
-        """
+        """States (n, D), actions (n, F) and successors (n, D) that start within limits (D,)."""
         self._check_any()
         transitions = self.transitions
         states, successors = transitions["observation"], transitions["next", "observation"]
@@ -178,9 +155,8 @@ def check_limits_of_state(limits: Tensor, dim: int) -> None:
 def widened(limits: Tensor, explored: Tensor, fewest: int) -> Tensor:
     """Limits (D,) that leave data to a model, of a robot that explored the states (n, D).
 
-    Limits that leave ``fewest`` of the states stay as they are. What leaves less is no measure of
-    the speeds that a model can explain: the motion is slow, or a part of the robot is still. Such
-    limits grow to hold all of the states.
+    Limits that leave ``fewest`` of the states stay as they are; others, of slow or still parts of
+    a robot, grow to hold all of the states.
 
     Example:
         >>> explored = torch.tensor([[0.0, 0.1], [0.5, 0.2], [3.0, 0.3], [0.1, 9.0]])
@@ -199,25 +175,19 @@ def gp_data(
 ) -> tuple[Tensor, Tensor]:
     """Model inputs [features of x_t, u_t] (*batch, D' + F) and targets (*batch, E) of transitions.
 
-    Args:
-        states, successors: x_t and x_{t+1}, (*batch, D).
-        actions: u_t, (*batch, F).
-        space: the robot's state space.
-        targets: what a model learns, as in :class:`GPDynamics`.
+    States x_t and successors x_{t+1} are (*batch, D), actions u_t (*batch, F).
     """
     if not states.shape[:-1] == actions.shape[:-1] == successors.shape[:-1]:
-        raise ValueError(
-            "states, actions and successors must be as many, got shapes "
-            f"{tuple(states.shape)}, {tuple(actions.shape)} and {tuple(successors.shape)}"
-        )
+        shapes = f"{tuple(states.shape)}, {tuple(actions.shape)} and {tuple(successors.shape)}"
+        raise ValueError(f"states, actions and successors must be as many, got shapes {shapes}")
     inputs = torch.cat([space.features(states), actions], -1)
-    known = known_part(targets, states.shape[-1], actions.shape[-1])
+    known = known_part(targets, states.shape[-1])
     return inputs, known.targets(states, actions, successors)
 
 
 @contextmanager
 def torchrl_warnings_alone() -> Iterator[None]:
-    """TorchRL logs nothing below a warning within, unless ``RL_LOGGING_LEVEL`` asks for it."""
+    """Within, TorchRL logs only warnings, unless ``RL_LOGGING_LEVEL`` asks for more."""
     logger = logging.getLogger("torchrl")
     before = logger.level
     if "RL_LOGGING_LEVEL" not in os.environ:

@@ -1,7 +1,4 @@
-r"""Trajectory distribution p(x_1), ..., p(x_T) by Monte Carlo, from particles.
-
-:mod:`torch_pmil.model.rollout` computes it by moment matching.
-"""
+"""Trajectory distribution p(x_1), ..., p(x_T) by Monte Carlo, beside moment matching."""
 
 from __future__ import annotations
 
@@ -30,9 +27,7 @@ def sample_trajectories(
     generator: torch.Generator,
     observation_noise: bool = True,
 ) -> Tensor:
-    r"""Sampled trajectories of particles, each step drawn from the model's posterior.
-
-    This is the Monte Carlo counterpart of :func:`predict_trajectory`.
+    r"""Sampled trajectories, the Monte Carlo counterpart of :func:`predict_trajectory`.
 
     .. math::
         x_{t+1} = \mu(x_t, \pi(x_t)) + \sigma(x_t, \pi(x_t)) \, \epsilon_t,
@@ -42,19 +37,16 @@ def sample_trajectories(
     draws of a shorter one.
 
     Args:
-        initial: p(x_0), any batch shape.
-        policy, dynamics, space: policy, forward model and state space of one robot.
-        horizon: T, number of steps.
+        initial, policy, dynamics, space, horizon, observation_noise: as in
+            :func:`predict_trajectory`.
         count: number of particles.
         generator: seeded source of the draws.
-        observation_noise: as in :func:`predict_step`.
 
     Returns:
         States at t = 1..T, (count, *batch, T, D).
 
     Raises:
-        ValueError: there is no step or no particle, or as of :func:`check_start_belief`.
-        NotPositiveDefiniteError: the covariance of ``initial`` is none.
+        ValueError, NotPositiveDefiniteError: as :func:`check_start_belief`.
     """
     return sample_rollouts(
         initial, policy, dynamics, space, horizon, count, generator, observation_noise
@@ -71,10 +63,7 @@ def sample_rollouts(
     generator: torch.Generator,
     observation_noise: bool = True,
 ) -> Tensor:
-    """The same with the starts: states at t = 0..T, (count, *batch, T + 1, D).
-
-    Arguments and errors are those of :func:`sample_trajectories`.
-    """
+    """:func:`sample_trajectories` from t = 0 on: (count, *batch, T + 1, D)."""
     check_start_belief(initial, "initial", dynamics, space)
     check_whole("horizon", horizon, 1)
     check_whole("count", count, 1)
@@ -97,21 +86,14 @@ def sample_rollouts(
 class ParticlePrediction:
     r"""Prediction like :func:`predict_trajectory`, by Gaussians fitted to particles at each step.
 
-    Moment matching takes every marginal as Gaussian before the next step; particles keep their
-    shape until the end, at the price of a Monte Carlo error in proportion to :math:`1 /
-    \sqrt{\text{count}}`. All predictions use the same random numbers, as PEGASUS does: the loss of
-    a search is then a smooth function of the policy, and the losses of different searches and
-    policies can be compared. There is no state: a resumed run predicts as one that was not stopped.
+    Moment matching takes every marginal as Gaussian; particles keep their shape, with a Monte Carlo
+    error in proportion to :math:`1 / \sqrt{\text{count}}`. All predictions use the same random
+    numbers, as in PEGASUS (Ng and Jordan 2000, UAI): the loss of a search is a smooth function of
+    the policy, and a resumed run predicts as one that was not stopped.
 
     Args:
-        count: number of particles; the cost of an evaluation with gradient is in proportion.
+        count: number of particles, at least two.
         seed: seed of the random numbers.
-
-    Raises:
-        ValueError: fewer than two particles, or a seed that is no whole number from 0 on.
-
-    Source: A. Y. Ng and M. Jordan (2000), PEGASUS: A policy search method for large MDPs and
-    POMDPs, UAI.
 
     Example:
         >>> from torch_pmil import RBFPolicy, joint_match
@@ -144,11 +126,8 @@ class ParticlePrediction:
         Raises:
             PredictionError: names the time step and the state that is not finite.
         """
-        generator = torch.Generator().manual_seed(self.seed)
-        samples = sample_trajectories(
-            initial, policy, dynamics, space, horizon, self.count, generator
-        )
-        trajectory = _fitted(samples)
+        draws = self.count, torch.Generator().manual_seed(self.seed)
+        trajectory = _fitted(sample_trajectories(initial, policy, dynamics, space, horizon, *draws))
         check_finite(trajectory, space)
         return trajectory
 

@@ -13,20 +13,20 @@ from torch_pmil.control.rbf_policy import Controller, Policy
 from torch_pmil.control.state_space import StateSpace
 from torch_pmil.gp.gaussian import (
     Gaussian,
+    Moments,
     NotPositiveDefiniteError,
     check_belief,
     joint,
     symmetric,
 )
 from torch_pmil.gp.moment_matching import exact_moments, moment_match
-from torch_pmil.gp.moments import Moments
 from torch_pmil.model.compiled import kernels, serves
 from torch_pmil.model.compiled.plans import Plan
 from torch_pmil.model.dynamics import GPDynamics
 
 
 class PredictionError(RuntimeError):
-    """A prediction broke down; the message names what failed, and ``step`` the time step 1..T."""
+    """A prediction failed; ``step`` is the time step 1..T."""
 
     def __init__(self, message: str, step: int) -> None:
         super().__init__(message)
@@ -53,11 +53,8 @@ def predict_step(
         dynamics, space: forward model and state space of the robot.
         observation_noise: whether the next state's variance holds the model's noise (Eqs. 2 and 5).
 
-    Returns:
-        Belief over the next state.
-
     Raises:
-        ValueError, NotPositiveDefiniteError: as of :func:`check_start_belief`.
+        ValueError, NotPositiveDefiniteError: as :func:`check_start_belief`.
     """
     check_start_belief(state, "state", dynamics, space)
     return _propagate(
@@ -76,7 +73,7 @@ def _propagate(
     known: KnownPart,
     space: StateSpace,
 ) -> Gaussian:
-    """:func:`predict_step` for a policy and a model that are given as functions of beliefs."""
+    """:func:`predict_step` with policy and model as functions of beliefs."""
     features, slope = space.feature_moments(state)
     action, policy_slope = act(features)
     inputs = joint(features, action, features.cov @ policy_slope)
@@ -132,8 +129,7 @@ def predict_trajectory(
         A Gaussian of mean (*batch, T, D); differentiable in the policy.
 
     Raises:
-        ValueError: ``initial`` has another dtype or number of entries than the state, or a mean
-            that is not finite, or there is no step.
+        ValueError: ``initial`` does not fit the state, its mean is not finite, or there is no step.
         PredictionError: names the time step and the matrix that has no Cholesky factor, or the
             state that is not finite.
     """
@@ -188,13 +184,7 @@ def _trajectory(
 def check_start_belief(
     belief: Gaussian, name: str, dynamics: GPDynamics, space: StateSpace
 ) -> None:
-    """Refuse a belief from which nothing can be predicted.
-
-    Raises:
-        ValueError: it is not over the state of the space or of the model, has another dtype, or a
-            mean that is not finite.
-        NotPositiveDefiniteError: its covariance is none.
-    """
+    """Raise ValueError or NotPositiveDefiniteError unless this is a valid belief over the state."""
     check_belief(belief, name, dynamics.train_inputs)
     if not belief.dim == space.dim == dynamics.dim:
         raise ValueError(
@@ -206,8 +196,7 @@ def check_start_belief(
 def check_finite(trajectory: Gaussian, space: StateSpace) -> None:
     """Raise PredictionError for the first step at which marginals (*batch, T, D) are not finite.
 
-    The message names the entry of the state; one that overflowed before others, since it makes them
-    NaN.
+    The message names an entry that overflowed, if any, since it makes others NaN.
     """
     finite = trajectory.mean.isfinite() & trajectory.cov.isfinite().all(-1)
     if not finite.all():
@@ -229,16 +218,7 @@ def predict_mean_trajectory(
 ) -> Tensor:
     """Trajectory of the model's mean alone, as if nothing were uncertain: O(n) a step.
 
-    Args:
-        initial: x_0, (*batch, D).
-        policy, dynamics, space: policy, forward model and state space of one robot.
-        horizon: T, number of steps.
-
-    Returns:
-        States at t = 1..T, (*batch, T, D).
-
-    Raises:
-        ValueError: the state has another number of entries, or there is no step.
+    Returns states at t = 1..T, (*batch, T, D), from ``initial`` x_0, (*batch, D).
     """
     check_tensor("initial", initial, ("*batch", space.dim))
     check_whole("horizon", horizon, 1)
@@ -267,7 +247,7 @@ def _mean_trajectory(
 def _compiled(
     mean: Tensor, cov: Tensor, controller: Controller, dynamics: GPDynamics, space: StateSpace
 ) -> bool:
-    """Whether the kernels predict these trajectories: they check no shapes themselves."""
+    """Whether the kernels, which check no shapes themselves, predict these trajectories."""
     f, network, F = dynamics.expansion, controller.network, len(controller.u_max)
     features, offset = len(space.feature_names), torch.as_tensor(network.offset, dtype=mean.dtype)
     fit = (

@@ -194,7 +194,7 @@ def plot_gp_slices(
     figure = Figure(figsize=(WIDTH, 0.8 + 1.5 * dynamics.num_outputs), layout="constrained")
     shape = dynamics.num_outputs, len(over)
     panels = figure.subplots(*shape, sharex="col", sharey="row", squeeze=False)
-    what = "next" if dynamics.targets == "successor" else "change of"
+    what = "change of" if dynamics.targets.matrix.any() else "next"
     for column, entry in zip(panels.T, over, strict=True):
         column[-1].set_xlabel(input_names[entry])
         for output, panel in enumerate(column):

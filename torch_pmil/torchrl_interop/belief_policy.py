@@ -7,26 +7,16 @@ from tensordict.nn import TensorDictModuleBase
 
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.torchrl_interop.keys import (
-    ACTION,
-    ACTION_BELIEF,
-    FEATURE_CROSS_COVARIANCE,
-    OBSERVATION,
-    STATE_BELIEF,
-    lookup,
-    lookup_belief,
-    raw_space,
-)
+from torch_pmil.torchrl_interop import keys
 
 
 class BeliefPolicy(TensorDictModuleBase):
     r"""An :class:`RBFPolicy` on beliefs, with exact moments (Eqs. 25-27), or on plain observations.
 
-    From ``("observation", "mean")`` (*batch, D) and ``("observation", "var")`` (*batch, D, D) it
-    writes ``("action", "mean")`` (*batch, F), ``("action", "var")`` (*batch, F, F) and ``("action",
-    "cross_covariance")``, which is :math:`\Sigma_x^{-1} \operatorname{cov}(x, u)` (*batch, D, F).
-    From a plain ``"observation"`` it writes a plain ``"action"``. So the same module acts in an
-    imagined and in the real environment.
+    From ``("observation", "mean")`` (*batch, D) and ``"var"`` (*batch, D, D) it writes ``("action",
+    "mean")`` (*batch, F), ``"var"`` (*batch, F, F) and ``"cross_covariance"``, :math:`\Sigma_x^{-1}
+    \operatorname{cov}(x, u)` (*batch, D, F). From a plain ``"observation"``, as in the real
+    environment, it writes a plain ``"action"``.
 
     Args:
         policy: a policy whose inputs are the features of the state.
@@ -52,34 +42,28 @@ class BeliefPolicy(TensorDictModuleBase):
     def __init__(self, policy: RBFPolicy, space: StateSpace | None = None) -> None:
         super().__init__()
         inputs = policy.centres.shape[-1]
-        self.policy, self.space = policy, raw_space(inputs) if space is None else space
+        self.policy, self.space = policy, keys.raw_space(inputs) if space is None else space
         if len(self.space.feature_names) != inputs:
             raise ValueError(
                 f"the policy must have the inputs {self.space.feature_names}, got {inputs} inputs"
             )
-        self.in_keys = list(STATE_BELIEF)
-        self.out_keys = [*ACTION_BELIEF, *([FEATURE_CROSS_COVARIANCE] if self.space.angles else [])]
+        self.in_keys = list(keys.STATE_BELIEF)
+        of_features = [keys.FEATURE_CROSS_COVARIANCE] if self.space.angles else []
+        self.out_keys = [*keys.ACTION_BELIEF, *of_features]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action, or its belief, into ``tensordict`` and return it.
 
-        Raises:
-            KeyError: there is neither a belief nor an observation.
-            ValueError: an entry has another shape.
+        Raises KeyError where there is neither a belief nor an observation, and ValueError at an
+        entry of another shape.
         """
-        state = lookup_belief(tensordict, STATE_BELIEF, self.space.dim)
+        state = keys.lookup_belief(tensordict, keys.STATE_BELIEF, self.space.dim)
         if state is None:
-            return self._act_on_observation(tensordict)
+            observation = keys.required(tensordict, keys.OBSERVATION, self.space.dim)
+            return tensordict.set(keys.ACTION, self.policy(self.space.features(observation)))
         features, feature_slope = self.space.feature_moments(state)
         action, policy_slope = self.policy.controller.on_belief(features)
         written = action.mean, action.cov, feature_slope @ policy_slope, policy_slope
         for key, value in zip(self.out_keys, written, strict=False):
             tensordict.set(key, value)
         return tensordict
-
-    def _act_on_observation(self, tensordict: TensorDictBase) -> TensorDictBase:
-        observation = lookup(tensordict, OBSERVATION, (self.space.dim,))
-        if observation is None:
-            keys = list(tensordict.keys(include_nested=True, leaves_only=True))
-            raise KeyError(f"expected {STATE_BELIEF} or {OBSERVATION!r}, got the keys {keys}")
-        return tensordict.set(ACTION, self.policy(self.space.features(observation)))

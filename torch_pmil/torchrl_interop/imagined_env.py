@@ -14,43 +14,30 @@ from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.model_based import ModelBasedEnvBase
 
-from torch_pmil.torchrl_interop.keys import (
-    ACTION,
-    ACTION_BELIEF,
-    NEXT_OBSERVATION,
-    OBSERVATION,
-    STATE_BELIEF,
-    lookup,
-    lookup_belief,
-)
+from torch_pmil.torchrl_interop import keys
 
 
 class ImaginedEnv(ModelBasedEnvBase):
     r"""Rollouts of beliefs under a world model, in float64, with gradients.
 
-    They take any number of actions and any batch.
-
     A step reads ``("observation", "mean" | "var")`` and ``("action", "mean" | "var" |
-    "cross_covariance")``, and gives the next belief. An action with a ``mean`` only, such as that
-    of a random policy, is certain. The reward is zero (the cost is a loss of the rollout), and an
-    episode never ends by itself.
+    "cross_covariance")``, and gives the next belief. An action with a ``mean`` only is certain. The
+    reward is zero (the cost is a loss of the rollout), and an episode never ends by itself.
 
-    ``reset`` starts at the belief (or the certain ``"observation"``) that it is given; where there
-    is none, at a certain observation drawn from the base environment's specification.
+    ``reset`` starts at the belief or the certain ``"observation"`` that it is given, or else at an
+    observation drawn from the base environment's specification.
 
     Args:
-        world_model_module: a module that reads the keys above and writes the ``mean`` and the
-            ``var`` of the next observation.
-        base_env: the real environment; its ``"observation"`` (*batch, D) and action (*batch, F)
+        world_model_module: writes the ``mean`` and the ``var`` of the next observation.
+        base_env: the real environment, whose ``"observation"`` (*batch, D) and action (*batch, F)
             give the dimensions.
-        batch_size: batch size of the rollouts; that of the base environment if None, but at least
-            (1,). With () any batch is taken.
+        batch_size: of the rollouts; that of the base environment, but at least (1,), if None. With
+            () any batch is taken.
         next_observation_key: the key under which the world model writes ``"mean"`` and ``"var"``.
 
     Raises:
-        TypeError: the base environment is none.
-        ValueError: the base environment has no single action of real numbers, or no vector
-            ``"observation"``.
+        TypeError: ``base_env`` is not an environment.
+        ValueError: it has no single action of real numbers, or no vector ``"observation"``.
 
     Example:
         >>> from torch_pmil.envs import DoublePendulumEnv
@@ -67,7 +54,7 @@ class ImaginedEnv(ModelBasedEnvBase):
         world_model_module: TensorDictModuleBase,
         base_env: EnvBase,
         batch_size: Sequence[int] | None = None,
-        next_observation_key: NestedKey = NEXT_OBSERVATION,
+        next_observation_key: NestedKey = keys.NEXT_OBSERVATION,
     ) -> None:
         if not isinstance(base_env, EnvBase):
             raise TypeError(f"base_env must be an EnvBase, got {type(base_env).__name__}")
@@ -101,39 +88,35 @@ class ImaginedEnv(ModelBasedEnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         given = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
-        belief = lookup_belief(given, STATE_BELIEF, self.dim)
+        belief = keys.lookup_belief(given, keys.STATE_BELIEF, self.dim)
         if belief is not None:
             return self._start(given.batch_size, belief.mean, belief.cov)
-        certain = lookup(given, OBSERVATION, (self.dim,))
+        certain = keys.lookup(given, keys.OBSERVATION, (self.dim,))
         certain = self._start_spec.rand().double() if certain is None else certain
         return self._start(given.batch_size, certain, certain.new_zeros(*certain.shape, self.dim))
 
     def _start(self, batch: torch.Size, mean: Tensor, var: Tensor) -> TensorDictBase:
-        observation = {
-            "mean": mean.expand(*batch, self.dim),
-            "var": var.expand(*batch, self.dim, self.dim),
-        }
+        D = self.dim
+        observation = {"mean": mean.expand(*batch, D), "var": var.expand(*batch, D, D)}
         return TensorDict({"observation": observation}, batch_size=batch, device=self.device)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         batch = tensordict.batch_size
         written = self.world_model(_with_whole_action(tensordict, self.dim))
         following = written.get(self.next_observation_key)
-        result = {
-            "observation": following.select("mean", "var"),
-            "reward": torch.zeros(*batch, 1, dtype=torch.float64, device=self.device),
-            "done": torch.zeros(*batch, 1, dtype=torch.bool, device=self.device),
-        }
+        zero = torch.zeros(*batch, 1, dtype=torch.float64, device=self.device)
+        outcome = {"reward": zero, "done": zero.bool()}
+        result = {"observation": following.select("mean", "var")} | outcome
         return TensorDict(result, batch_size=batch, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
-        """Nothing to do: the environment draws nothing of its own."""
+        """Nothing to do: the environment draws nothing."""
 
 
 def _with_whole_action(tensordict: TensorDictBase, dim: int) -> TensorDictBase:
     """A copy whose action has ``var`` and ``cross_covariance``, zero where they are missing."""
     whole = tensordict.clone(recurse=False)
-    mean, action = whole.get(ACTION_BELIEF[0]), whole.get(ACTION)
+    mean, action = whole.get(keys.ACTION_BELIEF[0]), whole.get(keys.ACTION)
     for key, rows in (("var", mean.shape[-1]), ("cross_covariance", dim)):
         if action.get(key, None) is None:
             action.set(key, mean.new_zeros(*mean.shape[:-1], rows, mean.shape[-1]))
@@ -142,23 +125,18 @@ def _with_whole_action(tensordict: TensorDictBase, dim: int) -> TensorDictBase:
 
 def _observation_spec(base_env: EnvBase) -> TensorSpec:
     """Specification of one robot's observation (D,)."""
-    spec = base_env.observation_spec_unbatched.get(OBSERVATION, None)
+    specs = base_env.observation_spec_unbatched
+    spec = specs.get(keys.OBSERVATION, None)
     if spec is None or len(spec.shape) != 1:
-        raise ValueError(
-            f'base_env must have a vector "observation", got {base_env.observation_spec_unbatched}'
-        )
+        raise ValueError(f'base_env must have a vector "observation", got {specs}')
     return spec
 
 
 def _action_spec(base_env: EnvBase) -> TensorSpec:
     """Specification of one robot's action (F,), in float64."""
     spec = base_env.action_spec_unbatched
-    if (
-        not isinstance(spec, (Bounded, Unbounded))
-        or not spec.dtype.is_floating_point
-        or len(spec.shape) != 1
-    ):
-        raise ValueError(
-            f"base_env must have one action that is a vector of real numbers, got {spec}"
-        )
+    real = isinstance(spec, (Bounded, Unbounded)) and spec.dtype.is_floating_point
+    if not real or len(spec.shape) != 1:
+        message = f"base_env must have one action that is a vector of real numbers, got {spec}"
+        raise ValueError(message)
     return spec.to(torch.float64)

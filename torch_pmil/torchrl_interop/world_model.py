@@ -1,7 +1,4 @@
-"""The counterpart of TorchRL's ``GPWorldModel``, built on :class:`GPDynamics`.
-
-Constructor, keys and ``fit`` are those of TorchRL's class.
-"""
+"""The counterpart of TorchRL's ``GPWorldModel``, with its constructor, keys and ``fit``."""
 
 from __future__ import annotations
 
@@ -20,46 +17,31 @@ from torch_pmil.gp.moment_matching import moment_match
 from torch_pmil.model.dynamics import FitResult, GPDynamics, Targets, known_part
 from torch_pmil.model.experience import gp_data
 from torch_pmil.model.rollout import successor_belief
-from torch_pmil.torchrl_interop.keys import (
-    ACTION,
-    ACTION_BELIEF,
-    FEATURE_CROSS_COVARIANCE,
-    NEXT_BELIEF,
-    NEXT_OBSERVATION,
-    OBSERVATION,
-    STATE_BELIEF,
-    lookup,
-    lookup_belief,
-    raw_space,
-)
+from torch_pmil.torchrl_interop import keys
 
 
 class GPWorldModel(TensorDictModuleBase):
     r"""GP model of x_{t+1} - x_t given state and action (Eqs. 2-7), as a TensorDict module.
 
-    Beliefs are propagated by exact moment matching (Eqs. 13-18).
-
     :meth:`forward` reads a belief over state and action and writes the belief over the next state,
-    the model's noise included (Eq. 5). What has no ``var`` or no ``cross_covariance`` is certain.
-    Where there is no belief but a plain ``"observation"`` (*batch, D) and ``"action"`` (*batch, F),
-    it writes the mean of ``("next", "observation")``. Both are differentiable in what they read,
-    and all is computed in float64.
+    by exact moment matching (Eqs. 13-18) and with the model's noise (Eq. 5). Beliefs without
+    ``var`` are certain. For a plain ``"observation"`` (*batch, D) and ``"action"`` (*batch, F) it
+    writes the mean of ``("next", "observation")``. Both are differentiable, in float64.
 
     Args:
         obs_dim: number D of entries of the state.
         action_dim: number F of entries of the action.
         in_keys: keys of the action's mean (*batch, F), its covariance (*batch, F, F),
             :math:`\Sigma_x^{-1} \operatorname{cov}(x, u)` (*batch, D, F), the state's mean (*batch,
-            D) and its covariance (*batch, D, D), in this order; a sixth, :math:`\Sigma_f^{-1}
-            \operatorname{cov}(f, u)` (*batch, D', F) for features f of the state, may be missing in
-            the data: cov(f, u) then is that of x and u jointly Gaussian.
+            D) and its covariance (*batch, D, D), in this order; optionally :math:`\Sigma_f^{-1}
+            \operatorname{cov}(f, u)` (*batch, D', F) for features f, without which x and u are
+            taken as jointly Gaussian.
         out_keys: keys of the next state's mean (*batch, D) and covariance (*batch, D, D).
         space: the state space that gives the features; the state itself if None.
         targets: what is learned, as in :class:`GPDynamics`.
 
     Raises:
-        ValueError: the space or the known part is of another dimension, or the number of keys is
-            wrong.
+        ValueError: the space, the known part or the number of keys does not fit.
 
     Example:
         >>> from tensordict import TensorDict
@@ -89,55 +71,40 @@ class GPWorldModel(TensorDictModuleBase):
         super().__init__()
         check_whole("obs_dim", obs_dim, 1)
         check_whole("action_dim", action_dim, 1)
-        self.space = raw_space(obs_dim) if space is None else space
+        self.space = keys.raw_space(obs_dim) if space is None else space
         if self.space.dim != obs_dim:
-            raise ValueError(
-                f"space must have obs_dim = {obs_dim} entries, got the {self.space.dim} of "
-                f"{self.space.names}"
-            )
+            found = f"the {self.space.dim} of {self.space.names}"
+            raise ValueError(f"space must have obs_dim = {obs_dim} entries, got {found}")
         self.obs_dim, self.action_dim = obs_dim, action_dim
         self.num_features = len(self.space.feature_names)
-        default = [*ACTION_BELIEF, *STATE_BELIEF]
-        if self.space.angles:
-            default.append(FEATURE_CROSS_COVARIANCE)
+        of_features = [keys.FEATURE_CROSS_COVARIANCE] if self.space.angles else []
+        default = [*keys.ACTION_BELIEF, *keys.STATE_BELIEF, *of_features]
         self.in_keys = list(default if in_keys is None else in_keys)
-        self.out_keys = list(NEXT_BELIEF if out_keys is None else out_keys)
+        self.out_keys = list(keys.NEXT_BELIEF if out_keys is None else out_keys)
         if len(self.in_keys) not in (5, 6) or len(self.out_keys) != 2:
-            raise ValueError(
-                f"expected five or six in_keys and two out_keys, got {len(self.in_keys)} and "
-                f"{len(self.out_keys)}"
-            )
-        known = known_part(targets, obs_dim, action_dim)
-        if (known.dim, known.num_actions) != (obs_dim, action_dim):
-            raise ValueError(
-                f"targets must be of {obs_dim} entries and {action_dim} actions, got a known part "
-                f"of {known.dim} and {known.num_actions}"
-            )
-        self.dynamics = GPDynamics(self.num_features + action_dim, known.num_outputs, targets)
+            found = f"{len(self.in_keys)} and {len(self.out_keys)}"
+            raise ValueError(f"expected five or six in_keys and two out_keys, got {found}")
+        known = known_part(targets, obs_dim).for_actions(action_dim)
+        if known.dim != obs_dim:
+            raise ValueError(f"targets must be of {obs_dim} entries, got those of {known.dim}")
+        self.dynamics = GPDynamics(self.num_features + action_dim, known.num_outputs, known)
 
     def fit(self, dataset: TensorDictBase) -> FitResult:
-        """Learn from transitions by maximum marginal likelihood.
-
-        Args:
-            dataset: transitions with ``"observation"`` (*batch, D), ``"action"`` (*batch, F) and
-                ``("next", "observation")`` (*batch, D).
+        """Learn from transitions, with keys observation, action and (next, observation).
 
         Raises:
             KeyError: a key is missing.
-            ValueError: shapes do not fit, or an entry is not finite, or fewer than two transitions.
+            ValueError: shapes do not fit, an entry is not finite, or fewer than two transitions.
         """
-        entries = (
-            (OBSERVATION, self.obs_dim),
-            (ACTION, self.action_dim),
-            (NEXT_OBSERVATION, self.obs_dim),
-        )
+        entries = keys.OBSERVATION, keys.ACTION, keys.NEXT_OBSERVATION
+        sizes = self.obs_dim, self.action_dim, self.obs_dim
         states, actions, successors = (
-            _required(dataset, *entry).detach().flatten(0, -2) for entry in entries
+            keys.required(dataset, key, size).detach().flatten(0, -2)
+            for key, size in zip(entries, sizes, strict=True)
         )
         self.dynamics.fit_known_part(states, successors)
-        return self.dynamics.fit(
-            *gp_data(states, actions, successors, self.space, self.dynamics.targets)
-        )
+        known = self.dynamics.targets
+        return self.dynamics.fit(*gp_data(states, actions, successors, self.space, known))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the next state, or its belief, into ``tensordict`` and return it.
@@ -145,30 +112,26 @@ class GPWorldModel(TensorDictModuleBase):
         Raises:
             RuntimeError: the model has no data.
             KeyError: the action or the observation is missing.
-            ValueError: an entry has another shape.
-            NotPositiveDefiniteError: a covariance has a clearly negative eigenvalue, or is not
-                finite.
+            ValueError, NotPositiveDefiniteError: an entry has another shape, or is no covariance.
         """
-        state = lookup_belief(tensordict, self.in_keys[3:5], self.obs_dim)
+        state = keys.lookup_belief(tensordict, self.in_keys[3:5], self.obs_dim)
         if state is None:
-            return tensordict.set(NEXT_OBSERVATION, self._successor(tensordict))
+            return tensordict.set(keys.NEXT_OBSERVATION, self._successor(tensordict))
         successor = self._successor_belief(state, tensordict)
         return tensordict.set(self.out_keys[0], successor.mean).set(self.out_keys[1], successor.cov)
 
     def _successor(self, tensordict: TensorDictBase) -> Tensor:
-        state = _required(tensordict, OBSERVATION, self.obs_dim)
-        action = _required(tensordict, ACTION, self.action_dim)
+        state = keys.required(tensordict, keys.OBSERVATION, self.obs_dim)
+        action = keys.required(tensordict, keys.ACTION, self.action_dim)
         inputs = torch.cat([self.space.features(state), action], -1)
         known = self.dynamics.known_part(self.space)
         return known.successors(state, action, self.dynamics.expansion.mean(inputs))
 
     def _successor_belief(self, state: Gaussian, tensordict: TensorDictBase) -> Gaussian:
-        action = lookup_belief(tensordict, self.in_keys[:2], self.action_dim)
+        action = keys.lookup_belief(tensordict, self.in_keys[:2], self.action_dim)
         if action is None:
-            raise KeyError(
-                f"expected the action under {self.in_keys[0]}, got the keys {_keys(tensordict)}"
-            )
-        slope = lookup(tensordict, self.in_keys[2], (self.obs_dim, self.action_dim))
+            raise KeyError(f"expected {self.in_keys[0]}, got the keys {keys.keys_of(tensordict)}")
+        slope = keys.lookup(tensordict, self.in_keys[2], (self.obs_dim, self.action_dim))
         slope = state.cov.new_zeros(*state.mean.shape, self.action_dim) if slope is None else slope
         features, feature_slope = self.space.feature_moments(state)
         cross_cov = self._feature_cross_cov(features, tensordict)
@@ -181,19 +144,8 @@ class GPWorldModel(TensorDictModuleBase):
         return successor_belief(state, inputs, input_slope, moments, known)
 
     def _feature_cross_cov(self, features: Gaussian, tensordict: TensorDictBase) -> Tensor | None:
-        """Covariance cov(f, u), (*batch, D', F), or None where the policy does not give it."""
+        """Covariance cov(f, u), (*batch, D', F), or None if it is not given."""
         if len(self.in_keys) < 6:
             return None
-        slope = lookup(tensordict, self.in_keys[5], (self.num_features, self.action_dim))
+        slope = keys.lookup(tensordict, self.in_keys[5], (self.num_features, self.action_dim))
         return None if slope is None else features.cov @ slope
-
-
-def _required(tensordict: TensorDictBase, key: NestedKey, dim: int) -> Tensor:
-    value = lookup(tensordict, key, (dim,))
-    if value is None:
-        raise KeyError(f"expected {key} (*batch, {dim}), got the keys {_keys(tensordict)}")
-    return value
-
-
-def _keys(tensordict: TensorDictBase) -> list[NestedKey]:
-    return list(tensordict.keys(include_nested=True, leaves_only=True))

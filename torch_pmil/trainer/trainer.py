@@ -17,7 +17,7 @@ from torchrl.trainers import Trainer
 from tqdm import tqdm
 
 from torch_pmil.checks import check_whole
-from torch_pmil.control.cautious_motion import CautiousMotion
+from torch_pmil.control.exploration import CautiousMotion
 from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.model.experience import FEWEST_TRANSITIONS, Experience
 from torch_pmil.search.admission import Admission, admit

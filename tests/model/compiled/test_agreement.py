@@ -74,14 +74,10 @@ def rounding(problem: Problem, reference: tuple[Results, Results]) -> dict[str, 
     return largest
 
 
+@pytest.mark.parametrize("tied", [False, True], ids=["own lengthscales", "tied"])
 @pytest.mark.parametrize("seed", range(40))
-def test_results_are_those_of_the_formulas(seed: int) -> None:
-    assert Agreement(ProblemDraws(seed).problem(most_data=60)).excess < SAFETY
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_results_of_tied_outputs_are_those_of_the_formulas(seed: int) -> None:
-    assert Agreement(ProblemDraws(seed).problem(most_data=60, tied=True)).excess < SAFETY
+def test_results_are_those_of_the_formulas(seed: int, tied: bool) -> None:
+    assert Agreement(ProblemDraws(seed).problem(most_data=60, tied=tied)).excess < SAFETY
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from tests.helpers.run_script import ROOT
 from tests.helpers.two_ways import formulas_alone
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.gp.kernel_expansion import KernelExpansion
-from torch_pmil.model.compiled import SLOWER, available, kernels
+from torch_pmil.model.compiled import SLOWER, kernels
 from torch_pmil.model.rollout import predict_mean_trajectory, predict_trajectory
 
 STEPS = 3
@@ -100,23 +100,19 @@ def test_formulas_compute_gradients_in_the_posterior(
     assert answers == ["predict_beliefs"]
 
 
-@pytest.mark.parametrize("name", ["demonstrated_mean", "demonstrated_cov", "noise_std"])
-def test_formulas_compute_gradients_in_demonstrations(
-    answers: list[str], start: Gaussian, name: str
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        *((make_kl, name) for name in ("demonstrated_mean", "demonstrated_cov", "noise_std")),
+        *((make_cost, name) for name in ("target", "to_widths")),
+    ],
+)
+def test_formulas_compute_gradients_in_demonstrations_and_targets(
+    answers: list[str], start: Gaussian, make: Callable[..., Any], name: str
 ) -> None:
-    loss = make_kl(seed=1)
-    loss.noise_std = torch.full((2,), 0.1, dtype=torch.float64)
-    check_gradient(answers, start, loss, name)
-
-
-@pytest.mark.parametrize("name", ["target", "to_widths"])
-def test_formulas_compute_gradients_in_targets(
-    answers: list[str], start: Gaussian, name: str
-) -> None:
-    check_gradient(answers, start, make_cost(seed=1), name)
-
-
-def check_gradient(answers: list[str], start: Gaussian, loss: Any, name: str) -> None:
+    loss = make(seed=1)
+    if make is make_kl:
+        loss.noise_std = torch.full((2,), 0.1, dtype=torch.float64)
     leaf = getattr(loss, name).requires_grad_()
     gradient = torch.autograd.grad(loss.per_step(start).sum(), leaf)[0]
     assert (gradient != 0).any() and answers == ["predict_beliefs"]
@@ -179,14 +175,3 @@ def test_formulas_compute_where_there_are_no_kernels_and_say_so_once(
     with formulas_alone():
         reference = predict_trajectory(start, *make_parts(Draws(0)), SPACE, STEPS).mean
     torch.testing.assert_close(torch.tensor(json.loads(values), dtype=torch.float64), reference)
-
-
-def test_reason_is_told_once_in_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TORCH_PMIL_COMPILED", "0")
-    available.cache_clear()
-    try:
-        with pytest.warns(RuntimeWarning, match="TORCH_PMIL_COMPILED is 0"):
-            assert not available()
-        assert not available()
-    finally:
-        available.cache_clear()

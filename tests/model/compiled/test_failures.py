@@ -72,10 +72,8 @@ def test_failure_at_one_belief_of_a_batch_is_named(parts: tuple[RBFPolicy, GPDyn
     policy, dynamics = parts
     start = belief(1.0, 3)
     start = Gaussian(start.mean, torch.cat([start.cov[:1], belief(0.01, 1).cov, start.cov[:1]]))
-    model = overconfident(dynamics, 0.03)
-    assert_told_alike(
-        lambda: predict_trajectory(start, policy, model, SPACE, STEPS), "at batch element (1, "
-    )
+    task = start, policy, overconfident(dynamics, 0.03), SPACE, STEPS
+    assert_told_alike(lambda: predict_trajectory(*task), "at batch element (1, ")
 
 
 @pytest.mark.parametrize("objective", [make_kl, make_cost])
@@ -120,23 +118,14 @@ def test_number_of_a_model_that_is_not_finite_is_named(
 
 @NOT_FINITE
 @pytest.mark.parametrize("name", ["centres", "weights", "log_widths"])
-def test_number_of_a_policy_that_is_not_finite_is_named(
+def test_number_of_a_policy_that_is_not_finite_is_named_or_makes_the_mean_alike(
     parts: tuple[RBFPolicy, GPDynamics], name: str, entry: float
 ) -> None:
     policy, dynamics = parts
     getattr(policy, name).data[-1, -1] = entry
     task = policy, dynamics, SPACE, 3
     assert_told_alike(lambda: predict_trajectory(belief(0.1), *task), " of 3 failed: ")
-
-
-@NOT_FINITE
-@pytest.mark.parametrize("name", ["centres", "weights", "log_widths"])
-def test_trajectory_of_the_mean_is_not_finite_where_that_of_the_formulas_is_not(
-    parts: tuple[RBFPolicy, GPDynamics], name: str, entry: float
-) -> None:
-    policy, dynamics = parts
-    getattr(policy, name).data[-1, -1] = entry
-    task = belief(0.1).mean, policy, dynamics, SPACE, 3
+    task = belief(0.1).mean, *task
     with formulas_alone():
         expected = predict_mean_trajectory(*task)
     torch.testing.assert_close(predict_mean_trajectory(*task), expected, equal_nan=True)
@@ -171,9 +160,7 @@ def test_policy_of_other_inputs_is_refused_by_both_ways_alike(
     """The kernels, which check no shapes, would read beyond their arrays."""
     _, dynamics = parts
     policy = RBFPolicy(torch.zeros(5, inputs), torch.ones(1), torch.ones(inputs))
-    start = belief(0.1)
-    assert_told_alike(lambda: predict_trajectory(start, policy, dynamics, SPACE, STEPS), "inputs")
-    told = assert_told_alike(
-        lambda: predict_mean_trajectory(start.mean, policy, dynamics, SPACE, STEPS), "inputs"
-    )
+    start, task = belief(0.1), (policy, dynamics, SPACE, STEPS)
+    assert_told_alike(lambda: predict_trajectory(start, *task), "inputs")
+    told = assert_told_alike(lambda: predict_mean_trajectory(start.mean, *task), "inputs")
     assert told is None

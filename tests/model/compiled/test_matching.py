@@ -13,11 +13,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.gp.test_moment_accuracy import errors_over_estimates
 from tests.helpers.exact_moments import ExactMoments, exact, hard_problem
-from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.gp.gaussian import Gaussian, Moments
 from torch_pmil.gp.kernel_expansion import KernelExpansion
 from torch_pmil.gp.moment_accuracy import rounding_errors
-from torch_pmil.gp.moments import Moments
 from torch_pmil.model.compiled.arrays import Functions, Record, Workspace
 from torch_pmil.model.compiled.matching import match
 from torch_pmil.model.compiled.matching_adjoints import adjoint_of_gp
@@ -62,27 +62,17 @@ def problem(
     return (inputs, targets, lengthscales, *variances), belief
 
 
-def errors_over_estimates(seed: int, most_data: int, tied: bool = False) -> list[float]:
+def errors_of(seed: int, most_data: int, tied: bool = False) -> list[float]:
     """Largest errors of mean, covariance and its slope, over their estimates."""
     data, belief = problem(seed, most_data, tied)
     f = KernelExpansion.from_data(*data)
     assert functions_of(f).tied == (tied and f.num_outputs > 1)
-    moments, estimates = Match(f, belief).moments, rounding_errors(f, belief)
-    pairs = zip(
-        (moments.mean, moments.cov, moments.inv_cov_cross_cov),
-        (estimates.mean, estimates.cov, estimates.inv_cov_cross_cov),
-        ExactMoments(*data).at_belief(belief),
-        strict=True,
-    )
-    return [
-        float(max((abs(exact(ours) - truth) / exact(estimate)).flat))
-        for ours, estimate, truth in pairs
-    ]
+    return errors_over_estimates(Match(f, belief).moments, f, ExactMoments(*data), belief)
 
 
 @pytest.mark.parametrize("seed", range(16))
 def test_errors_are_below_their_estimates(seed: int) -> None:
-    assert max(errors_over_estimates(seed, most_data=40)) < 1
+    assert max(errors_of(seed, most_data=40)) < 1
 
 
 def test_outputs_of_a_signal_that_is_not_finite_are_not_tied() -> None:
@@ -94,12 +84,12 @@ def test_outputs_of_a_signal_that_is_not_finite_are_not_tied() -> None:
 
 @pytest.mark.parametrize("seed", (2, 3, 6, 7, 10, 11, 14))  # of two outputs
 def test_errors_of_tied_outputs_are_below_their_estimates(seed: int) -> None:
-    assert max(errors_over_estimates(seed, most_data=40, tied=True)) < 1
+    assert max(errors_of(seed, most_data=40, tied=True)) < 1
 
 
 @pytest.mark.slow
 def test_errors_of_two_hundred_problems_are_below_their_estimates() -> None:
-    ratios = np.array([errors_over_estimates(seed, most_data=100) for seed in range(200)])
+    ratios = np.array([errors_of(seed, most_data=100) for seed in range(200)])
     print("mean, covariance and slope: errors over their estimates, the largest ", ratios.max(0))
     assert ratios.max() < 1
 

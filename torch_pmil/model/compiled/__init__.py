@@ -1,13 +1,12 @@
 """The prediction and its gradient as compiled kernels: the same formulas, some ten times as fast.
 
-**When they are used** is decided here, in :func:`serves`, and nowhere else: for float64 on the CPU,
-where gradients are asked for in start beliefs and policies only. All else is computed by the
-formulas in PyTorch, which remain the reference: on a GPU, in float32, with gradients in data and
-hyper-parameters. What the kernels cannot compute, since a matrix has no Cholesky factor or a number
-is not finite, goes to the formulas too, which name it.
+:func:`serves` decides when they are used: for float64 on the CPU, with gradients in start beliefs
+and policies only. The formulas in PyTorch remain the reference, and compute all else: on a GPU, in
+float32, with gradients in data and hyper-parameters. They also name what the kernels cannot
+compute, where a matrix has no Cholesky factor or a number is not finite.
 
-``TORCH_PMIL_COMPILED=0`` turns the kernels off. Where Numba is missing there are none. The first
-prediction compiles them, which takes some 20 s once; ``pmil compile`` does so beforehand.
+``TORCH_PMIL_COMPILED=0`` turns the kernels off; they need Numba. The first prediction compiles
+them, which takes some 20 s once; ``pmil compile`` does so beforehand.
 """
 
 from __future__ import annotations

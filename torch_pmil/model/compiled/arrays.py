@@ -22,109 +22,67 @@ def zeros(*shape: int) -> Any:
 class Functions(NamedTuple):
     """The E functions of a :class:`KernelExpansion` of D inputs, as kernels read them.
 
-    Their n data are filled up to a multiple of eight by some of weight zero.
-
-    Args:
-        inputs: (D, n).
-        weights: beta, (E, n).
-        squares: squared lengthscales, the diagonals of Lambda_a, (E, D).
-        log_signal: log alpha_a^2, (E,).
-        offset: c_a, (E,).
-        variance: what a GP's variance is subtracted from, noise included, (E,); 0 for a network.
-        own_weights: beta_a beta_a' - K_a^-1 with half its diagonal and zeros below, (E, n, n);
-            (0, 0, 0) for a network.
-        tied: whether it is a GP whose outputs have the same lengthscales. Its weights then hold
-            the signal variances too, and log_signal is 0.
+    Data are filled up with weights of zero, so that n is a multiple of eight.
     """
 
-    inputs: Array2
-    weights: Array2
-    squares: Array2
-    log_signal: Array1
-    offset: Array1
-    variance: Array1
+    inputs: Array2  # (D, n)
+    weights: Array2  # beta, (E, n)
+    squares: Array2  # diagonals of Lambda_a, (E, D)
+    log_signal: Array1  # log alpha_a^2, (E,)
+    offset: Array1  # c_a, (E,)
+    variance: Array1  # prior of a GP, with noise if asked for, (E,); 0 for a network
+    # beta_a beta_a' - K_a^-1 with half its diagonal and zeros below, (E, n, n), or (0, 0, 0)
     own_weights: Array3
+    # a GP whose outputs share lengthscales: weights hold the signal variances, and log_signal is 0
     tied: bool
 
 
 class Record(NamedTuple):
-    """What the moments at T beliefs leave for their adjoints.
+    """What the moments at T beliefs leave for their adjoints."""
 
-    Args:
-        q: integrals of the kernels, (T, E, n).
-        precision: B of the kernels, (T, E, D, D).
-        total, slope: means without offsets (T, E), and Sigma^-1 cov(x, f), (T, D, E).
-        pair_precision: B of the products of the kernels, (T, E, E, D, D).
-        gradient, hessian: of a GP, the derivatives of E[f_a f_b] by the mean and by the covariance,
-            (T, E, E, D) and (T, E, E, D, D); not where its outputs are tied.
-        products: of a network, sum_i w_i [nu_i, 1] Q_ij, (T, E, E, D + 1, n).
-        half_log_det: where outputs are tied, log|I + Sigma P| / 2 of any product of two, (T,).
-    """
-
-    q: Array3
-    precision: Array4
-    total: Array2
-    slope: Array3
-    pair_precision: Array5
-    gradient: Array4
-    hessian: Array5
-    products: Array5
-    half_log_det: Array1
+    q: Array3  # integrals of the kernels, (T, E, n)
+    precision: Array4  # B of the kernels, (T, E, D, D)
+    total: Array2  # means without offsets, (T, E)
+    slope: Array3  # Sigma^-1 cov(x, f), (T, D, E)
+    pair_precision: Array5  # B of the products of the kernels, (T, E, E, D, D)
+    # of a GP whose outputs are not tied: derivatives of E[f_a f_b] by mean and covariance
+    gradient: Array4  # (T, E, E, D)
+    hessian: Array5  # (T, E, E, D, D)
+    products: Array5  # of a network, sum_i w_i [nu_i, 1] Q_ij, (T, E, E, D + 1, n)
+    half_log_det: Array1  # of tied outputs, log|I + Sigma P| / 2 of a product of two, (T,)
 
     @classmethod
     def of(cls, f: Functions, times: int) -> Record:
-        """Room for the moments at so many beliefs."""
+        """Room for so many beliefs."""
         (D, n), E, gp = f.inputs.shape, len(f.weights), len(f.own_weights) > 0
         pairs_of_gp, pairs_of_network = (0 if f.tied else E, 0) if gp else (0, E)
-        shapes = (
-            (E, n),
-            (E, D, D),
-            (E,),
-            (D, E),
-            (E, E, D, D),
-            (pairs_of_gp, E, D),
-            (pairs_of_gp, E, D, D),
-            (pairs_of_network, E, D + 1, n),
-            (),
-        )
+        of_gp = (pairs_of_gp, E, D), (pairs_of_gp, E, D, D)
+        of_network = (pairs_of_network, E, D + 1, n)
+        shapes = (E, n), (E, D, D), (E,), (D, E), (E, E, D, D), *of_gp, of_network, ()
         return cls(*(zeros(times, *shape) for shape in shapes))
 
 
 class Workspace(NamedTuple):
-    """Arrays for the moments at one belief, which the next one overwrites.
+    """Arrays for the moments at one belief, which the next one overwrites."""
 
-    Args:
-        nu: inputs less the mean of the belief, (D, n).
-        points: [nu_i, 1], (n, D + 1).
-        right, f, g: exponents of a pair of outputs, as in :func:`sum_pairs`.
-        left, rows: results of :func:`sum_pairs`.
-        moved, weighted: scratch, (D, n).
-        single: scratch, (n,).
-        shares: of the first and the second output in a pair, and (Lambda_a + Lambda_b)^-1, (3, D).
-        small: scratch, (6, D, D).
-        vectors: scratch, (4, D).
-        columns, sums: of tied outputs, their weights (n, E) and scratch, (E, 8).
-        by_output: of tied outputs, sums of Q and factors of the weights, (E, n).
-        pairs: of tied outputs, weights of pairs of data, (n, n).
-    """
-
-    nu: Array2
-    points: Array2
-    right: Array2
+    nu: Array2  # inputs less the mean of the belief, (D, n)
+    points: Array2  # [nu_i, 1], (n, D + 1)
+    right: Array2  # this and f, g: exponents of a pair of outputs, as in `sum_pairs`
     f: Array1
     g: Array1
-    left: Array2
+    left: Array2  # this and rows: results of `sum_pairs`
     rows: Array1
-    moved: Array2
-    weighted: Array2
-    single: Array1
-    shares: Array2
-    small: Array3
-    vectors: Array2
-    columns: Array2
-    sums: Array2
-    by_output: Array2
-    pairs: Array2
+    moved: Array2  # scratch, (D, n)
+    weighted: Array2  # scratch, (D, n)
+    single: Array1  # scratch, (n,)
+    shares: Array2  # of both outputs in a pair, and (Lambda_a + Lambda_b)^-1, (3, D)
+    small: Array3  # scratch, (6, D, D)
+    vectors: Array2  # scratch, (4, D)
+    # of tied outputs
+    columns: Array2  # weights, (n, E)
+    sums: Array2  # scratch, (E, 8)
+    by_output: Array2  # sums of Q, and factors of the weights, (E, n)
+    pairs: Array2  # weights of pairs of data, (n, n)
 
     @classmethod
     def of(cls, f: Functions) -> Workspace:
@@ -139,13 +97,7 @@ class Workspace(NamedTuple):
 
 
 class NetworkGradient(NamedTuple):
-    """Gradients in a network, in the layout of its :class:`Functions`.
-
-    Args:
-        inputs: (D, n).
-        weights: (E, n).
-        squares: (E, D).
-    """
+    """Gradients in a network, in the layout of its :class:`Functions`."""
 
     inputs: Array2
     weights: Array2

@@ -2,13 +2,12 @@
 
 Three kinds of functions make up the kernels:
 
-* a :class:`Kernel` is compiled by itself and cached; Python calls it, or another kernel does, by
-  its address (:func:`call`), so that it is compiled once however often it is called;
+* a :class:`Kernel` is compiled once and cached; Python calls it, or a kernel by its address
+  (:func:`call`);
 * a function that is ``compiled`` becomes part of each kernel that calls it;
 * a ``part`` is written where it is called: one long function with names for its parts.
 
-Compilation takes no time for what is not needed: arrays come from outside (nothing is allocated,
-and no reference counted), and loops are vectorised by hand or not at all.
+To compile fast, kernels allocate nothing and count no references, and loops are vectorised by hand.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ Array4 = Annotated[Array, 4]
 Array5 = Annotated[Array, 5]
 Address = int  # of a kernel, for :func:`call`
 
-# products may be fused with sums; all else is as it is written, NaN and infinity too. Sums that may
-# be reordered would undo the rounding in the exponential where a processor fuses nothing
+# products may be fused with sums, but sums not be reordered, which would undo the rounding in the
+# exponential where a processor fuses nothing
 OPTIONS = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz"},
@@ -48,7 +47,7 @@ OPTIONS = {
     "_nrt": False,
     "no_cfunc_wrapper": True,
 }
-# of the compiler: what more would save at run time is lost many times over before
+# of the compiler: more of it costs many times what it saves at run time
 EFFORT = {"OPT": 1, "LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
 
 # Numba's own annotations know neither all of its options nor how an intrinsic is called
@@ -71,11 +70,9 @@ def part(function: Function) -> Function:
 
 
 class Kernel:
-    """A function that is compiled for the types that its annotations say, when it is first needed.
+    """A function that is compiled for its annotated types when it is first needed.
 
-    Args:
-        function: returns a bool or an int; its arguments are annotated by arrays of this module, by
-            int, bool, or named tuples of these.
+    It returns a bool or an int; arguments are arrays of this module, int, bool, or named tuples.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -122,10 +119,9 @@ def call(typing: Any, address: Any, arguments: Any) -> tuple[Any, Callable[..., 
 
 
 def compile_all() -> Path | None:
-    """Compile the kernels, or take them from the cache; a line on stderr tells what takes its time.
+    """Compile the kernels, or take them from the cache, whose folder is returned if there is one.
 
-    Returns:
-        The folder of the cache, or None if there is none.
+    A line on stderr says what takes its time.
     """
     progress = _Progress()
     with event.install_listener("numba:compile", progress):
@@ -136,28 +132,28 @@ def compile_all() -> Path | None:
 
 
 class _Progress(event.Listener):
-    """Tells of each kernel that is compiled, on a terminal; of the first one elsewhere."""
+    """Reports each kernel that is compiled on a terminal, and elsewhere the first one."""
 
     def __init__(self) -> None:
-        self.told = 0
+        self.reported = 0
 
     def on_start(self, event: Any) -> None:
         functions = [kernel.function for kernel in KERNELS]
         function = event.data["dispatcher"].py_func
         terminal = sys.stderr.isatty()
-        if function in functions and (terminal or not self.told):
+        if function in functions and (terminal or not self.reported):
             line = "compiling the prediction for this processor, once: kernel "
             line += f"{functions.index(function) + 1} of {len(functions)}"
             print(line, end="\r" if terminal else "\n", file=sys.stderr, flush=True)
-            self.told = len(line)
+            self.reported = len(line)
 
     def on_end(self, event: Any) -> None:
-        """Nothing to tell."""
+        """Nothing to report."""
 
     def clear(self) -> None:
         """Wipe the line from a terminal."""
-        if self.told and sys.stderr.isatty():
-            print(" " * self.told, end="\r", file=sys.stderr, flush=True)
+        if self.reported and sys.stderr.isatty():
+            print(" " * self.reported, end="\r", file=sys.stderr, flush=True)
 
 
 def _signature(function: Callable[..., Any]) -> Any:
@@ -203,20 +199,14 @@ def _cached(dispatcher: Any) -> Iterator[None]:
 
 @functools.cache
 def _cache_folder() -> Path | None:
-    """A folder for these kernels alone: one that changes with any of their files.
+    """A folder that changes with any file of the kernels; None, with a warning, if there is none.
 
-    Numba notices a change in a function's own file only. None where no folder can be written, with
-    a warning.
+    Numba itself notices a change in a function's own file only.
     """
-    bases = (
-        [Path(config.CACHE_DIR)]
-        if config.CACHE_DIR
-        else [
-            Path(__file__).parent / "__pycache__",
-            Path(AppDirs("torch_pmil", appauthor=False).user_cache_dir),
-        ]
-    )
-    sources = sorted(Path(__file__).parent.glob("*.py"))
+    beside, of_user = Path(__file__).parent, AppDirs("torch_pmil", appauthor=False).user_cache_dir
+    asked = [Path(config.CACHE_DIR)] if config.CACHE_DIR else []
+    bases = asked or [beside / "__pycache__", Path(of_user)]
+    sources = sorted(beside.glob("*.py"))
     version = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
     for base in bases:
         folder = base / f"kernels-{version}"

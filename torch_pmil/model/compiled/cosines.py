@@ -1,7 +1,4 @@
-"""Combinations of a state of which some go through a cosine: values, moments, and their adjoints.
-
-The formulas are those of :mod:`torch_pmil.gp.trigonometry`.
-"""
+"""Cosines of combinations of a state, by the formulas of :mod:`torch_pmil.gp.trigonometry`."""
 
 from __future__ import annotations
 
@@ -21,14 +18,7 @@ from torch_pmil.model.compiled.small_matrices import (
 def write_waves(
     rows: Array2, turns: Array1, kept: int, state: Array1, out: Array1, gain: Array1
 ) -> None:
-    """Write the combinations of a state (D,), some through a cosine, and their derivatives.
-
-    Args:
-        rows, turns: combinations, (R, D) and (R,).
-        kept: number of entries that do not go through a cosine.
-        state: (D,).
-        out, gain: out, (R,), the latter by the combination itself.
-    """
+    """Write combinations (R,) of a state (D,), all but ``kept`` through a cosine, and slopes."""
     times_vector(rows, state, out)
     for r in range(len(rows)):
         phase = out[r] + turns[r]
@@ -72,13 +62,9 @@ def write_cotangents(
 def write_cosines(
     phase: Array1, cov: Array2, kept: int, out_mean: Array1, out_cov: Array2, gain: Array1
 ) -> bool:
-    """Moments of [x_1, ..., x_kept, cos x_kept+1, ...].
+    """Moments of [x_1, ..., x_kept, cos x_kept+1, ...] when x has mean ``phase`` and ``cov``.
 
-    Args:
-        phase, cov: mean (R,) and covariance (R, R) of x.
-        kept: number of entries that stay as they are.
-        out_mean, out_cov: out, the moments (R,) and (R, R).
-        gain: out, mean slope of each result in its entry, (R,).
+    ``gain`` is the mean slope of each result in its entry, (R,).
     """
     size = len(phase)
     for i in range(kept):
@@ -120,11 +106,8 @@ def adjoint_of_cosines(
 ) -> bool:
     """Cotangents of mean and covariance of x from those of the results of :func:`write_cosines`.
 
-    Args:
-        phase, cov, kept, gain: arguments of :func:`write_cosines`, and its last result.
-        d_mean, d_cov, d_gain: cotangents of the results; ``d_gain`` is overwritten, ``d_cov``
-            symmetric.
-        d_phase, d_linear: out, cotangents of ``phase`` and of ``cov``.
+    ``d_cov`` must be symmetric, and ``d_gain`` is overwritten; ``d_phase`` and ``d_linear`` are the
+    cotangents of ``phase`` and ``cov``.
     """
     size = len(phase)
     for i in range(size):

@@ -1,8 +1,8 @@
 r"""Costs of predicted states in the match space, with their gradients (Eqs. 19, 23, 24 and 28).
 
-All compare :math:`r = A\,[x, \sin(\cdot), \cos(\cdot)] + a` with a target: by the KL of a
-demonstrated marginal to it, by the expected saturating cost, or, where the state has no variance,
-by :math:`\tfrac12 \|r\|^2` or :math:`1 - e^{-\|r\|^2 / 2}`.
+They are those of :math:`r = A\,[x, \sin(\cdot), \cos(\cdot)] + a`: the KL of a demonstrated
+marginal, the expected saturating cost, or, without variance, :math:`\tfrac12 \|r\|^2` and
+:math:`1 - e^{-\|r\|^2 / 2}`.
 """
 
 from __future__ import annotations
@@ -38,61 +38,37 @@ from torch_pmil.model.compiled.small_matrices import (
     times_vector,
 )
 
-# how far below zero an eigenvalue of a covariance may be, of its largest variance or of one: less
-# than the formulas allow, which are asked beyond
+# how far below zero an eigenvalue of a covariance may be, of its largest variance or of one; the
+# formulas, which allow more, decide beyond
 NEGLIGIBLE = 1e-6
 
 
 class Observation(NamedTuple):
-    """The map from a state to what is compared, at each of T steps.
+    """The map from a state to what is compared, at each of T steps."""
 
-    Args:
-        rows, turns: linear combinations of the state, (R, D) and (R,), as in :class:`Augmentation`.
-        kept: number of combinations that do not go through a cosine.
-        matrix: A, (M, R).
-        offset: a, (T, M).
-        noise: covariance that is added to that of r, (M, M).
-    """
-
-    rows: Array2
-    turns: Array1
-    kept: int
-    matrix: Array2
-    offset: Array2
-    noise: Array2
+    rows: Array2  # linear combinations of the state, (R, D), as in `Augmentation`
+    turns: Array1  # (R,)
+    kept: int  # number of combinations that do not go through a cosine
+    matrix: Array2  # A, (M, R)
+    offset: Array2  # a, (T, M)
+    noise: Array2  # covariance that is added to that of r, (M, M)
 
 
 Shapes = tuple[tuple[int, ...], ...]
 
 
 class CostWork(NamedTuple):
-    """Arrays for the cost of one step, which the next one overwrites.
+    """Arrays for the cost of one step; a name ``d_x`` is the cotangent of x."""
 
-    A name that begins with ``d_`` is the cotangent of what the rest names.
-
-    Args:
-        phase, phase_cov: the R combinations of the state, (R,) and (R, R).
-        waves, waves_cov: these, with cosines taken, (R,) and (R, R).
-        gain: mean slope of each of them in its combination, (R,).
-        residual, cov: r and its covariance, (M,) and (M, M).
-        inverse: of the covariance, with the identity added for the saturating cost, (M, M).
-        moved: the inverse times r, (M,).
-        d_residual, d_cov: (M,) and (M, M).
-        d_waves, d_waves_cov, d_gain: (R,), (R, R) and (R,).
-        d_phase, d_phase_cov: (R,) and (R, R).
-        linear, scratch: scratch, (R, D) and (M, R).
-        write_cosines, adjoint_of_cosines: kernels.
-    """
-
-    phase: Array1
+    phase: Array1  # the R combinations of the state, (R,)
     phase_cov: Array2
-    waves: Array1
+    waves: Array1  # these, with cosines taken, (R,)
     waves_cov: Array2
-    gain: Array1
-    residual: Array1
+    gain: Array1  # mean slope of each of them in its combination, (R,)
+    residual: Array1  # r, (M,)
     cov: Array2
-    inverse: Array2
-    moved: Array1
+    inverse: Array2  # of cov, plus the identity for the saturating cost, (M, M)
+    moved: Array1  # the inverse times r, (M,)
     d_residual: Array1
     d_cov: Array2
     d_waves: Array1
@@ -100,8 +76,8 @@ class CostWork(NamedTuple):
     d_gain: Array1
     d_phase: Array1
     d_phase_cov: Array2
-    linear: Array2
-    scratch: Array2
+    linear: Array2  # scratch, (R, D)
+    scratch: Array2  # (M, R)
     write_cosines: Address
     adjoint_of_cosines: Address
 
@@ -132,15 +108,13 @@ def write_costs(
 
     Args:
         observation: of the states; its offset holds what they are compared with.
-        demonstrated: covariances of the demonstrated marginals, (T, M, M), for the KL; (0, 0, 0)
-            for the expected saturating cost.
+        demonstrated: covariances (T, M, M), for the KL; (0, 0, 0) for the saturating cost.
         half_log_det: half the logarithms of their determinants, (T,) or (0,).
         mean, cov: states, (T, D) and (T, D, D).
-        work: scratch.
         costs, d_mean, d_cov: out, (T,), (T, D) and (T, D, D).
 
     Returns:
-        The step 1..T whose covariance has no Cholesky factor, or is none, or 0.
+        The step 1..T whose covariance is not valid, or 0.
     """
     saturating = len(demonstrated) == 0
     residual, cov_of_residual, inverse = work.residual, work.cov, work.inverse
@@ -235,12 +209,8 @@ def _adjoint_of_observation(
     observation: Observation, work: CostWork, d_mean: Array1, d_cov: Array2
 ) -> None:
     """Gradients in the state from those in r."""
-    matrix, rows, d_residual, d_phase = (
-        observation.matrix,
-        observation.rows,
-        work.d_residual,
-        work.d_phase,
-    )
+    matrix, rows = observation.matrix, observation.rows
+    d_residual, d_phase = work.d_residual, work.d_phase
     d_waves, d_gain, d_phase_cov = work.d_waves, work.d_gain, work.d_phase_cov
     for r in range(len(rows)):
         d_waves[r] = d_gain[r] = 0.0
@@ -266,13 +236,8 @@ def write_costs_of_means(
 ) -> bool:
     """Costs of T states without variance, and their gradients.
 
-    Args:
-        observation: as in :func:`write_costs`; the noise is not used.
-        roots: matrices G, (T, M, M), of which r is G (A waves + a).
-        mean: states, (T, D).
-        saturating: whether the cost is 1 - exp(-r'r / 2), not r'r / 2.
-        work: scratch.
-        costs, d_mean: out, (T,) and (T, D).
+    Arguments are as in :func:`write_costs`, but r = G (A waves + a) with ``roots`` G (T, M, M), and
+    the cost is r'r / 2, or 1 - exp(-r'r / 2) if ``saturating``.
     """
     rows, turns, kept = observation.rows, observation.turns, observation.kept
     matrix, offset, waves, gain = observation.matrix, observation.offset, work.waves, work.gain

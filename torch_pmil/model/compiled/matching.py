@@ -1,8 +1,7 @@
 r"""Exact moments of GPs and RBF networks at one Gaussian input (Eqs. 14-18).
 
-The symbols are those of :mod:`torch_pmil.gp.gaussian_integrals`: each integral of a kernel, or of a
-product of two, has a matrix :math:`B = (\Sigma + P^{-1})^{-1}`, and its derivatives by the mean of
-the belief are moments of :math:`B \nu` (:mod:`torch_pmil.model.compiled.matching_adjoints`).
+The symbols are those of :mod:`torch_pmil.gp.gaussian_integrals`; derivatives are in
+:mod:`torch_pmil.model.compiled.matching_adjoints`.
 """
 
 from __future__ import annotations
@@ -36,18 +35,10 @@ def match(
     work: Workspace,
     cov_of_f: Array2,
 ) -> bool:
-    """Moments of E functions at a belief over D inputs.
+    """Moments of E functions at a belief over D inputs, ``mean`` and ``cov``.
 
-    Args:
-        f: functions.
-        mean, cov: belief, (D,) and (D, D).
-        record: out at ``t``, the mean without offsets, the slope, and what the adjoint needs.
-        t: time step.
-        work: scratch.
-        cov_of_f: out, covariance of the functions, (E, E).
-
-    Returns:
-        Whether all I + Sigma P have Cholesky factors, as they have for a covariance Sigma.
+    Mean without offsets, slope, and what the adjoint needs go to the record at ``t``; the
+    covariance goes to ``cov_of_f``. Returns whether all I + Sigma P have Cholesky factors.
     """
     totals = record.total[t]
     centre(f.inputs, mean, work.nu)
@@ -86,7 +77,7 @@ def write_points(nu: Array2, points: Array2) -> None:
 
 @part
 def _match_one(f: Functions, a: int, cov: Array2, record: Record, t: int, work: Workspace) -> bool:
-    """Mean and slope of output a; False where the covariance of the belief is none."""
+    """Mean and slope of output a; False where the covariance of the belief is not valid."""
     B, q, slopes, beta = record.precision[t, a], record.q[t, a], record.slope[t], f.weights[a]
     nu, exponents, weighted, vectors = work.nu, work.f, work.single, work.vectors
     half_log_det = regularised_precision(cov, f.squares[a], B)
@@ -107,9 +98,9 @@ def _match_one(f: Functions, a: int, cov: Array2, record: Record, t: int, work: 
 
 @compiled
 def regularised_precision(cov: Array2, squares: Array1, B: Array2) -> float:
-    """Write (Sigma + P^-1)^-1, with diagonal P^-1, into ``B``; return log|I + Sigma P| / 2.
+    """Write (Sigma + P^-1)^-1, exact at Sigma = 0, into ``B``; return log|I + Sigma P| / 2.
 
-    Both are exact at Sigma = 0, and the logarithm is NaN where I + Sigma P has no Cholesky factor.
+    It is NaN where I + Sigma P has no Cholesky factor.
     """
     D = len(squares)
     for d in range(D):
@@ -127,7 +118,7 @@ def regularised_precision(cov: Array2, squares: Array1, B: Array2) -> float:
 def _match_pairs(
     f: Functions, cov: Array2, record: Record, t: int, work: Workspace, seconds: Array2
 ) -> bool:
-    """E[f_a f_b] of all pairs of outputs; False where the covariance of the belief is none."""
+    """E[f_a f_b] of all pairs of outputs; False where the covariance is not valid."""
     gp = len(f.own_weights) > 0
     for a in range(len(seconds)):
         for b in range(a if gp else 0, len(seconds)):
@@ -263,10 +254,10 @@ def _match_pair_of_gp(
 
 @part
 def sum_own_pair(weights: Array2, work: Workspace) -> None:
-    """Row sums of W into ``work.rows``, sum W nu_ij and sum W nu_ij nu_ij' into ``work``.
+    """Sums of W, Q times the weights of an output with itself, with nu_ij the centre of a pair.
 
-    W is Q times the weights of an output with itself, nu_ij the datum of a pair less the mean; the
-    sums go to ``work.vectors[1]`` and ``work.small[3]``.
+    Row sums go to ``work.rows``, W nu_ij to ``work.vectors[1]``, W nu_ij nu_ij' to
+    ``work.small[3]``.
     """
     nu, left, rows, small = work.nu, work.left, work.rows, work.small
     own, mixed, second = small[0], small[1], small[3]
@@ -299,10 +290,7 @@ def _sum_pair(w: Array1, z: Array1, work: Workspace) -> None:
 def write_squares(
     nu: Array2, weights: Array1, weighted: Array2, squares: Array2, first: Array1
 ) -> None:
-    """Write sum_i w_i nu_i nu_i' into ``squares``, sum_i w_i nu_i into ``first``.
-
-    ``weighted`` receives w_i nu_i, (D, n).
-    """
+    """Write sums of w_i nu_i nu_i' and of w_i nu_i, and w_i nu_i itself into ``weighted``."""
     scale_columns(nu, weights, weighted)
     outer_sums(weighted, nu, squares)
     for d in range(len(nu)):
@@ -311,10 +299,7 @@ def write_squares(
 
 @compiled
 def combine_pair(shares: Array2, of_i: Array2, of_j: Array2, mixed: Array2, second: Array2) -> None:
-    """Write sum W nu_ij nu_ij' into ``second``, from the sums of squares and mixed products.
-
-    Those are of nu_i nu_i', of nu_j nu_j' and of nu_i nu_j'.
-    """
+    """Write sum W nu_ij nu_ij' from the sums of nu_i nu_i', nu_j nu_j' and nu_i nu_j'."""
     of_a, of_b = shares[0], shares[1]
     for d in range(len(second)):
         for e in range(len(second)):

@@ -1,10 +1,9 @@
 r"""Adjoints of :mod:`torch_pmil.model.compiled.matching`: gradients in the belief and in a network.
 
-For a Gaussian a derivative by the covariance is half a second derivative by the mean (Price's
-theorem). A sum :math:`\sum_i u_i e^{-\nu_i^\top B \nu_i / 2}` has the gradient :math:`B \sum_i u_i
-\nu_i` by the mean, and :math:`\tfrac12 (B M B - s B)` by the covariance, with :math:`M = \sum_i u_i
-\nu_i \nu_i^\top`. B depends on the sum of covariance and squared lengthscales, so that the latter
-have the same derivative, beside those by what they normalise.
+A derivative by the covariance is half a second derivative by the mean (Price's theorem). A sum s
+of :math:`u_i e^{-\nu_i^\top B \nu_i / 2}` has the gradients :math:`B \sum_i u_i \nu_i` and
+:math:`\tfrac12 (B M B - s B)` by mean and covariance, with :math:`M = \sum_i u_i \nu_i \nu_i^\top`.
+Squared lengthscales, which B adds to the covariance, have the latter too.
 """
 
 from __future__ import annotations
@@ -49,13 +48,11 @@ def adjoint_of_gp(
     d_mean: Array1,
     d_belief: Array2,
 ) -> bool:
-    """Cotangents of a belief from those of a GP's moments.
+    """Cotangents of a belief from those of a GP's moments, of which :func:`match` left a record.
 
     Args:
-        f, record, t, work: as in :func:`match`, which has filled the record.
         mean: of the belief, (D,).
-        d_total, d_cov, d_slope: cotangents of the moments: of the mean (E,), of the covariance
-            (E, E), symmetric, and of the slope (D, E).
+        d_total, d_cov, d_slope: cotangents of mean (E,), covariance (E, E), symmetric, and slope.
         d_mean, d_belief: out, cotangents of mean (D,) and covariance (D, D) of the belief.
     """
     gradient, hessian = record.gradient[t], record.hessian[t]
@@ -95,10 +92,9 @@ def _adjoint_of_tied_pairs(
 
 @compiled
 def _write_weights_of_pairs(f: Functions, d_cov: Array2, factors: Array2, out: Array2) -> None:
-    """Write what the factors Q have as weights in sum_ab d_ab E[f_a f_b] into ``out`` (n, n).
+    """Write the weights of Q in sum_ab d_ab E[f_a f_b] into ``out`` (n, n), for `sum_own_pairs`.
 
-    As in :func:`sum_own_pairs`, the diagonal is halved and nothing stands below; what that does not
-    read is left as it is. ``factors`` receives sum_b d_ab beta_b over the other outputs b, (E, n).
+    ``factors`` receives sum_b d_ab beta_b over the other outputs b, (E, n).
     """
     E, n = f.weights.shape
     fill(factors, 0.0)
@@ -133,13 +129,7 @@ def adjoint_of_network(
     d_belief: Array2,
     out: NetworkGradient,
 ) -> bool:
-    """Cotangents of a belief, and the gradient in a network, from cotangents of its moments.
-
-    Args:
-        f, record, t, mean, d_total, d_cov, d_slope, work, d_mean, d_belief: as in
-            :func:`adjoint_of_gp`.
-        out: gradient in the network, to which is added.
-    """
+    """:func:`adjoint_of_gp` for a network, to whose gradient ``out`` is added."""
     centre(f.inputs, mean, work.nu)
     clear_cotangents(d_mean, d_belief)
     for a in range(len(f.weights)):
@@ -187,9 +177,9 @@ def _adjoint_of_one(
 ) -> float:
     """Adjoint of the mean of output a, its slope, and its square that the covariance lacks.
 
-    It returns the sum of w_i q_i h_i, with h_i = d_total + d_slope' B nu_i, which stay in
-    ``work.f``; B d_slope is left in ``work.vectors[0]``, w_i q_i h_i nu_i in ``work.weighted``, and
-    the covariance's cotangent in ``work.small[2]``.
+    Returns the sum of w_i q_i h_i with h_i = d_total + d_slope' B nu_i. It leaves h_i in
+    ``work.f``, B d_slope in ``work.vectors[0]``, w_i q_i h_i nu_i in ``work.weighted``, and the
+    cotangent of the covariance in ``work.small[2]``.
     """
     D, B, q, beta = len(d_mean), record.precision[t, a], record.q[t, a], f.weights[a]
     totals, slopes, nu, h, u = record.total[t], record.slope[t], work.nu, work.f, work.g
@@ -256,7 +246,7 @@ def _adjoint_of_pair(
     d_belief: Array2,
     out: NetworkGradient,
 ) -> None:
-    """Adjoint of E[f_a f_b], of which both outputs, the inputs and the lengthscales have a part."""
+    """Adjoint of E[f_a f_b] in both outputs, the inputs and the lengthscales."""
     D, nu, B = len(d_mean), work.nu, record.pair_precision[t, a, b]
     by_b, by_a = record.products[t, a, b], record.products[t, b, a]
     shares, form, first, other = work.shares, work.small[4], work.vectors[0], work.vectors[1]
@@ -303,8 +293,8 @@ def _adjoint_of_squares(
 ) -> None:
     """Gradients in the squared lengthscales, from the sums :func:`_adjoint_of_pair` left.
 
-    A lengthscale has a part in the harmonic mean of both outputs, through which it acts as a
-    covariance does, in the distance of two data, and in the centre between them.
+    They act through the harmonic mean of both outputs (as a covariance does), the distance of two
+    data, and their centre.
     """
     shares, form = work.shares, work.small[4]
     of_i, of_j, mixed = work.small[0], work.small[1], work.small[2]

@@ -21,19 +21,12 @@ from torch_pmil.model.compiled.trajectory import Robot
 
 
 class MeanTape(NamedTuple):
-    """What the mean's trajectory leaves for its adjoint.
+    """What the mean's trajectory leaves for its adjoint."""
 
-    Args:
-        states: at t = 0..T, (T + 1, D).
-        inputs: features and action, (T, D' + F).
-        gain: derivatives of the features by their phases, (T, D').
-        raw: actions before squashing, (T, F).
-    """
-
-    states: Array2
-    inputs: Array2
-    gain: Array2
-    raw: Array2
+    states: Array2  # at t = 0..T, (T + 1, D)
+    inputs: Array2  # features and action, (T, D' + F)
+    gain: Array2  # derivatives of the features by their phases, (T, D')
+    raw: Array2  # actions before squashing, (T, F)
 
     @classmethod
     def of(cls, robot: Robot, horizon: int) -> MeanTape:
@@ -44,16 +37,11 @@ class MeanTape(NamedTuple):
 
 
 class MeanWork(NamedTuple):
-    """Room for the values of functions at one point.
+    """Room for the values of functions at one point."""
 
-    Args:
-        nu: data less the point, (D, n).
-        exponents, kernel: (n,).
-    """
-
-    nu: Array2
-    exponents: Array1
-    kernel: Array1
+    nu: Array2  # data less the point, (D, n)
+    exponents: Array1  # (n,)
+    kernel: Array1  # (n,)
 
     @classmethod
     def of(cls, f: Functions) -> MeanWork:
@@ -64,13 +52,7 @@ class MeanWork(NamedTuple):
 
 @Kernel
 def predict_mean(robot: Robot, tape: MeanTape, of_model: MeanWork, of_network: MeanWork) -> bool:
-    """Fill a tape from ``states[0]`` on.
-
-    Args:
-        robot: what the prediction is made of.
-        tape: in its first state and out.
-        of_model, of_network: scratch.
-    """
+    """Fill a tape from ``states[0]`` on; the rest is scratch."""
     rows, turns, kept, u_max = robot.rows, robot.turns, robot.kept, robot.u_max
     states, gain, raw, known = tape.states, tape.gain, tape.raw, robot.known
     D = rows.shape[1]
@@ -121,7 +103,7 @@ def adjoint_of_mean(
     """Gradients in start and network from cotangents of the states at t = 1..T.
 
     Args:
-        robot, tape, of_model, of_network: as in :func:`predict_mean`, which has filled the tape.
+        tape: filled by :func:`predict_mean`.
         d_states: cotangents, (T, D).
         d_inputs, d_next: scratch, (D' + F,) and (D,).
         d_state: out, gradient in the start, (D,).

@@ -25,14 +25,13 @@ DEMONSTRATED = "demonstrated covariance"
 
 
 def robots_of(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
-    """What the kernels predict with, one for each belief."""
+    """What the kernels predict with, for each belief."""
     centres, weights, widths = (parameter.detach() for parameter in parameters)
     f, controller = plan.model, plan.controller
-    variance = f.observed_prior_cov if plan.observation_noise else f.prior_cov
     model = functions_of(f)
     model = model._replace(
         inputs=_from_middle(model.inputs, array(controller.u_middle)),
-        variance=array(variance.diagonal()),
+        variance=array(f.prior_variance(plan.observation_noise)),
     )
     rows, turns, kept = _combinations(plan.space.augmentation)
     packed = [
@@ -49,14 +48,11 @@ def robots_of(plan: Plan, parameters: Parameters, beliefs: int) -> list[Robot]:
 
 
 def _from_middle(inputs: Array2, middle: Array1) -> Array2:
-    """A model's inputs (D' + F, n), the actions told from the middle of their range (F,).
-
-    The kernels' actions are around zero, and the model is stationary.
-    """
-    told = zeros(*inputs.shape)
-    told[:] = inputs
-    told[-len(middle) :] -= middle[:, None]
-    return told
+    """Inputs (D' + F, n) with actions less the middle of their range: the model is stationary."""
+    moved = zeros(*inputs.shape)
+    moved[:] = inputs
+    moved[-len(middle) :] -= middle[:, None]
+    return moved
 
 
 def observation_of(comparison: Comparison, batch: tuple[int, ...]) -> Observation:
@@ -67,10 +63,7 @@ def observation_of(comparison: Comparison, batch: tuple[int, ...]) -> Observatio
 
 
 def determinants_of(comparison: Comparison, batch: tuple[int, ...]) -> tuple[Array3, Array1]:
-    """Demonstrated covariances, and half the logarithms of their determinants; empty if none.
-
-    Raises NotPositiveDefiniteError where one has no Cholesky factor.
-    """
+    """Demonstrated covariances, and half the logarithms of their determinants; empty if none."""
     if comparison.demonstrated is None:
         return np.empty((0, 0, 0)), np.empty(0)
     factor = cholesky(comparison.demonstrated, DEMONSTRATED)
@@ -80,10 +73,7 @@ def determinants_of(comparison: Comparison, batch: tuple[int, ...]) -> tuple[Arr
 
 
 def roots_of(comparison: Comparison, batch: tuple[int, ...]) -> Array3:
-    """Matrices G with G' G the inverse of the demonstrated covariances; else the identity.
-
-    Raises NotPositiveDefiniteError where such a covariance has no Cholesky factor.
-    """
+    """Matrices G with G' G the inverse of the demonstrated covariances; else the identity."""
     root = torch.eye(comparison.offset.shape[-1], dtype=torch.float64)
     if comparison.demonstrated is not None:
         factor = cholesky(comparison.demonstrated, DEMONSTRATED)
@@ -102,7 +92,7 @@ def functions_of(f: KernelExpansion) -> Functions:
 
 
 def _packed(f: KernelExpansion) -> Functions:
-    """Functions with data of weight zero, up to a multiple of a vector's width."""
+    """Functions, filled up with data of weight zero."""
     (n, D), E = f.inputs.shape, f.num_outputs
     padded = n + -n % WIDTH
     inputs, weights = zeros(D, padded), zeros(E, padded)
@@ -111,9 +101,8 @@ def _packed(f: KernelExpansion) -> Functions:
     offsets = np.array(np.broadcast_to(np.asarray(f.offset, dtype=float), E))
     own = _own_weights(f.weights, f.gram_inverse, padded)
     signal = np.exp(log_signal)
-    tied = (
-        E > 1 and len(own) > 0 and bool((squares == squares[0]).all() & np.isfinite(signal).all())
-    )
+    alike = bool((squares == squares[0]).all() & np.isfinite(signal).all())
+    tied = E > 1 and len(own) > 0 and alike
     if tied:
         weights, log_signal = weights * signal[:, None], np.zeros(E)
         own *= np.square(signal)[:, None, None]

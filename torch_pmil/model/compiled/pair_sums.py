@@ -1,7 +1,7 @@
 r"""Sums of the exponentials Q_ij of all pairs of data (Eq. 17): the O(n^2) work of a prediction.
 
-The exponents are :math:`\log Q_{ij} = f_i + g_j + \nu_i^\top r_j`. Four rows and eight columns at a
-time stay in registers: Q itself is never written.
+With :math:`\log Q_{ij} = f_i + g_j + \nu_i^\top r_j`, four rows and eight columns of Q at a time
+stay in registers.
 """
 
 from __future__ import annotations
@@ -76,8 +76,7 @@ def sum_pairs(
     """Sums over a whole Q.
 
     Args:
-        points: [nu_i, 1], (n, D + 1), with n a multiple of eight.
-        right: r_j, (D, n).
+        points, right: [nu_i, 1], (n, D + 1), and r_j, (D, n), with n a multiple of eight.
         f, g: terms of i and of j in the exponents, (n,).
         w, z: factors of the rows and of the columns, (n,).
         left: out, sum_i w_i [nu_i, 1] Q_ij, (D + 1, n).
@@ -112,11 +111,10 @@ def sum_tied_pairs(
     """Sums over the one Q of all pairs of outputs with the same lengthscales.
 
     Args:
-        points, right, f: as in :func:`sum_own_pairs`.
         columns: weights of the outputs, (n, E).
         own_weights: of each output with itself, as in :func:`sum_own_pairs`, (E, n, n).
         left: out, sum_i w_i Q_ij, (E, n).
-        sums: scratch, (E, 8): sums over four rows, which are added at their end to lose few digits.
+        sums: scratch, (E, 8): sums over four rows, added at their end to lose few digits.
         seconds: out, on its diagonal, the sums of U + U' for the own weights times Q, (E, E).
     """
     n, size = right.shape[1], right.shape[1] * right.shape[1]
@@ -149,7 +147,6 @@ def sum_own_pairs(
     There Q is symmetric, and with half its diagonal in U all sums are those of U + U'.
 
     Args:
-        points, right: as in :func:`sum_pairs`.
         f: the terms of i, and of j, in the exponents, (n,).
         weights: factors of Q, (n, n): halved on the diagonal, zero below.
         left: out, sum_i [nu_i, 1] U_ij, (D + 1, n).

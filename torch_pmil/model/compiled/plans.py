@@ -15,42 +15,26 @@ from torch_pmil.gp.trigonometry import Augmentation
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What a trajectory is predicted with.
+    """What a trajectory is predicted with."""
 
-    Args:
-        model: the forward model's posterior.
-        known: what is known of the next state besides.
-        space: the robot's state space.
-        controller: the policy's controller.
-        horizon: T.
-        observation_noise: whether the states' variances hold the model's noise.
-    """
-
-    model: KernelExpansion
+    model: KernelExpansion  # posterior of the forward model
     known: KnownPart
     space: StateSpace
     controller: Controller
-    horizon: int
-    observation_noise: bool = True
+    horizon: int  # T
+    observation_noise: bool = True  # whether the states' variances hold the model's noise
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    r"""What predicted states are compared with: :math:`r = A\,[x, \sin(\cdot), \cos(\cdot)] + a`.
+    r"""What states are compared with: :math:`r = A\,[x, \sin(\cdot), \cos(\cdot)] + a`."""
 
-    Args:
-        augmentation: sines and cosines of the state.
-        matrix: A, (M, R).
-        offset: a, (\*batch, T, M).
-        noise: covariance added to that of r, (M, M).
-        demonstrated: covariances of the demonstrated marginals, (\*batch, T, M, M), for their KL to
-            N(r, cov); None for the saturating cost of r.
-    """
-
-    augmentation: Augmentation
-    matrix: Tensor
-    offset: Tensor
-    noise: Tensor
+    augmentation: Augmentation  # sines and cosines of the state
+    matrix: Tensor  # A, (M, R)
+    offset: Tensor  # a, (*batch, T, M)
+    noise: Tensor  # covariance added to that of r, (M, M)
+    # covariances of the demonstrated marginals, (*batch, T, M, M), for their KL to N(r, cov); None
+    # for the saturating cost of r
     demonstrated: Tensor | None
 
     @property

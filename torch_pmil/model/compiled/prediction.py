@@ -1,7 +1,4 @@
-"""The kernels as functions of PyTorch, with gradients in start beliefs and policies.
-
-Those that may find no answer return None then: the formulas in PyTorch say why.
-"""
+"""The kernels as functions of PyTorch; None is no answer, and the formulas say why."""
 
 from __future__ import annotations
 
@@ -43,15 +40,7 @@ class _NoAnswer(ArithmeticError):
 
 
 def predict_beliefs(start: Gaussian, plan: Plan) -> Gaussian | None:
-    """Predicted marginals from N start beliefs.
-
-    Args:
-        start: mean (N, D) and covariance (N, D, D).
-        plan: what is predicted, and with which policy.
-
-    Returns:
-        Mean (N, T, D) and covariance (N, T, D, D), or None where a belief has no answer.
-    """
+    """Predicted marginals, mean (N, T, D), from N beliefs, or None where one has no answer."""
     try:
         parameters = plan.controller.parameters
         return Gaussian(*_Beliefs.apply(plan, start.mean, symmetric(start.cov), *parameters))
@@ -138,7 +127,7 @@ class _States(torch.autograd.Function):
 
 
 def costs_of_beliefs(states: Gaussian, comparison: Comparison) -> Tensor | None:
-    r"""Costs of predicted marginals, (\*batch, T); None where a covariance is none."""
+    r"""Costs of predicted marginals, (\*batch, T); None where a covariance is not valid."""
     try:
         return _Costs.apply(comparison, states.mean, states.cov)
     except (_NoAnswer, NotPositiveDefiniteError):
@@ -148,8 +137,8 @@ def costs_of_beliefs(states: Gaussian, comparison: Comparison) -> Tensor | None:
 def costs_of_states(states: Tensor, comparison: Comparison) -> Tensor | None:
     r"""Costs of states without variance, (\*batch, T).
 
-    They are :math:`\tfrac12 r^\top \hat\Sigma^{-1} r` with the demonstrated covariance, or the
-    saturating cost; None where that covariance has no Cholesky factor.
+    They are :math:`\tfrac12 r^\top \hat\Sigma^{-1} r` with the demonstrated covariance (None if it
+    has no Cholesky factor), or the saturating cost.
     """
     try:
         return _CostsOfMeans.apply(comparison, states)
@@ -193,10 +182,8 @@ class _CostsOfMeans(torch.autograd.Function):
         means = array(mean.reshape(-1, D))
         costs, d_mean = np.empty(len(means)), np.empty_like(means)
         saturating = comparison.demonstrated is None
-        work = CostWork.of(observation)
-        write_costs_of_means(
-            observation, roots_of(comparison, batch), means, saturating, work, costs, d_mean
-        )
+        roots, work = roots_of(comparison, batch), CostWork.of(observation)
+        write_costs_of_means(observation, roots, means, saturating, work, costs, d_mean)
         ctx.save_for_backward(torch.from_numpy(d_mean).reshape_as(mean))
         return torch.from_numpy(costs).reshape(batch)
 

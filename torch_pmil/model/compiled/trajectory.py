@@ -1,7 +1,6 @@
 """The prediction of T steps (Eq. 13), for one start belief and one policy.
 
-A state has D entries, D' features and F actions, and the model E outputs. The beliefs within a
-step, and what the moments need, are kept in arrays that the next step overwrites.
+A state has D entries, D' features and F actions, and the model E outputs.
 """
 
 from __future__ import annotations
@@ -45,51 +44,34 @@ class Steps(NamedTuple):
 
     @classmethod
     def compile(cls) -> Steps:
-        """The addresses, of kernels that are compiled now if they were not before."""
+        """The addresses; kernels are compiled now if they were not before."""
         kernels = match, adjoint_of_gp, adjoint_of_network, write_cosines, adjoint_of_cosines
         return cls(*(kernel.address for kernel in kernels))
 
 
 class Robot(NamedTuple):
-    """What a prediction is made of.
-
-    Args:
-        model: the forward model.
-        network: the policy before squashing.
-        u_max: limits of the F actions, (F,).
-        rows, turns, kept: features of the state, (D', D) and (D',), as in :class:`Augmentation`.
-        known, gain: what is known of the next state, (D, D + F) and (D, E), as in
-            :class:`KnownPart`.
-        drift: known effect of the middles of the actions' ranges, (D,): actions are around zero.
-        steps: kernels.
-    """
+    """What a prediction is made of."""
 
     model: Functions
-    network: Functions
-    u_max: Array1
-    rows: Array2
-    turns: Array1
+    network: Functions  # the policy before squashing
+    u_max: Array1  # limits of the F actions, (F,)
+    rows: Array2  # features of the state, (D', D), as in `Augmentation`
+    turns: Array1  # (D',)
     kept: int
-    known: Array2
+    known: Array2  # this and gain: A (D, D + F) and C (D, E) of `KnownPart`
     gain: Array2
-    drift: Array1
+    drift: Array1  # known effect of the middles of the actions, which are around zero here, (D,)
     steps: Steps
 
 
 class Tape(NamedTuple):
-    """What the prediction of T steps leaves for its adjoint.
+    """What the prediction of T steps leaves for its adjoint."""
 
-    Args:
-        mean, cov: of the states at t = 0..T, (T + 1, D) and (T + 1, D, D).
-        of_model, of_network: the moments at every step.
-        raw_cov: covariance of the actions before squashing, (T, F, F).
-    """
-
-    mean: Array2
-    cov: Array3
+    mean: Array2  # of the states at t = 0..T, (T + 1, D)
+    cov: Array3  # (T + 1, D, D)
     of_model: Record
     of_network: Record
-    raw_cov: Array3
+    raw_cov: Array3  # covariance of the actions before squashing, (T, F, F)
 
     @classmethod
     def of(cls, robot: Robot, horizon: int) -> Tape:
@@ -105,16 +87,11 @@ class Tape(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """Mean and covariance of a Gaussian, and its slope in another variable, or their cotangents.
+    """Mean and covariance of a Gaussian, and its slope in another variable, or their cotangents."""
 
-    Args:
-        mean, cov: (K,) and (K, K).
-        slope: Sigma_x^-1 cov(x, .) for another variable x, (inputs, K).
-    """
-
-    mean: Array1
+    mean: Array1  # (K,)
     cov: Array2
-    slope: Array2
+    slope: Array2  # Sigma_x^-1 cov(x, .) for another variable x, (inputs, K)
 
     @classmethod
     def of(cls, size: int, inputs: int) -> Belief:
@@ -126,33 +103,21 @@ Beliefs = tuple[Belief, Belief, Belief, Belief, Belief, Belief, Belief]
 
 
 class StepWork(NamedTuple):
-    """Beliefs within a step.
+    """Beliefs within a step."""
 
-    Args:
-        phases: of the features before sines and cosines, and as slope the gain in one row.
-        features: slope in the state, (D, D').
-        raw: of the action before squashing less a quarter turn; as slope the gain in one row.
-        action: slope in the features, (D', F).
-        inputs: features and action; slope in the state, (D, D' + F).
-        change: what the model predicts; slope in the state, (D, E).
-        joint: state and action; as slope their covariance with the change, (D + F, E).
-        of_model, of_network: for the moments.
-        linear, left, lifted, spread: scratch, (D', D), (D, D + F), (D, E) and (D, D).
-    """
-
-    phases: Belief
-    features: Belief
-    raw: Belief
-    action: Belief
-    inputs: Belief
-    change: Belief
-    joint: Belief
+    phases: Belief  # of the features before sines and cosines; as slope the gain in one row
+    features: Belief  # slope in the state, (D, D')
+    raw: Belief  # action before squashing less a quarter turn; as slope the gain in one row
+    action: Belief  # slope in the features, (D', F)
+    inputs: Belief  # features and action; slope in the state, (D, D' + F)
+    change: Belief  # what the model predicts; slope in the state, (D, E)
+    joint: Belief  # state and action; as slope their covariance with the change, (D + F, E)
     of_model: Workspace
     of_network: Workspace
-    linear: Array2
-    left: Array2
-    lifted: Array2
-    spread: Array2
+    linear: Array2  # scratch, (D', D)
+    left: Array2  # scratch, (D, D + F)
+    lifted: Array2  # scratch, (D, E)
+    spread: Array2  # scratch, (D, D)
 
     @classmethod
     def of(cls, robot: Robot) -> StepWork:
@@ -177,13 +142,7 @@ def beliefs_of(robot: Robot) -> Beliefs:
 def predict(robot: Robot, tape: Tape, work: StepWork) -> int:
     """Fill a tape from ``mean[0]`` and ``cov[0]`` on.
 
-    Args:
-        robot: what the prediction is made of.
-        tape: in its first state and out.
-        work: scratch.
-
-    Returns:
-        The step 1..T at which a belief's covariance is none, or 0.
+    Returns the step 1..T at which a covariance is not valid, or 0.
     """
     means, covs, of_network, of_model = tape.mean, tape.cov, tape.of_network, tape.of_model
     features, inputs, change = work.features, work.inputs, work.change.cov
@@ -234,15 +193,12 @@ def write_inputs(robot: Robot, tape: Tape, t: int, work: StepWork) -> None:
 def _write_joint_moments(
     u_max: Array1, slope: Array2, gain: Array1, action: Belief, features: Belief, out: Belief
 ) -> None:
-    """Belief over features and action; scale the gain, and write the slope of the action.
+    """Belief ``out`` over features and action; the gain is scaled, the action's slope written.
 
     Args:
-        u_max: limits of the actions, (F,).
         slope: of the network, (D', F).
         gain: mean slope of the sines, (F,).
         action: over the sines.
-        features: as in :class:`StepWork`.
-        out: over features and action.
     """
     cov, D, R, F = features.cov, len(out.slope), len(features.mean), len(u_max)
     for k in range(F):
@@ -301,12 +257,9 @@ def _write_successor(robot: Robot, tape: Tape, t: int, work: StepWork) -> None:
 
 @compiled
 def write_joint(mean: Array1, cov: Array2, slope: Array2, work: StepWork) -> None:
-    """Belief over state and action, with their covariance with the change.
+    """Belief ``work.joint`` over state (mean and cov) and action, with cov(., change) as slope.
 
-    Args:
-        mean, cov: of the state.
-        slope: of the model, (D' + F, E).
-        work: with inputs and the slope of the change; the joint belief is written.
+    ``slope`` is that of the model, (D' + F, E).
     """
     joint, inputs, change = work.joint, work.inputs, work.change
     D, R, F = len(mean), len(inputs.mean) - len(joint.mean) + len(mean), len(joint.mean) - len(mean)

@@ -1,7 +1,4 @@
-"""The adjoint of the prediction: from cotangents of all states to those of start and network.
-
-One sweep from the last step to the first, over what the prediction left on its tape (Eq. 22).
-"""
+"""The adjoint of the prediction: one sweep back over its tape, to start and network (Eq. 22)."""
 
 from __future__ import annotations
 
@@ -30,14 +27,7 @@ from torch_pmil.model.compiled.trajectory import (
 
 
 class Cotangents(NamedTuple):
-    """Cotangents of the beliefs within a step, as in :class:`StepWork`.
-
-    Args:
-        phases, features, raw, action, inputs, change, joint: cotangents of these; some arrays serve
-            as scratch.
-        of_output: of the slope of the model's moments, (D' + F, E).
-        through: of the state, scratch.
-    """
+    """Cotangents of the beliefs within a step, as in :class:`StepWork`, some of them scratch."""
 
     phases: Belief
     features: Belief
@@ -46,8 +36,8 @@ class Cotangents(NamedTuple):
     inputs: Belief
     change: Belief
     joint: Belief
-    of_output: Array2
-    through: Belief
+    of_output: Array2  # of the slope of the model's moments, (D' + F, E)
+    through: Belief  # of the state, scratch
 
     @classmethod
     def of(cls, robot: Robot) -> Cotangents:
@@ -73,7 +63,6 @@ def adjoint(
     Args:
         robot, tape, work: as in :func:`predict`, which has filled the tape.
         d_means, d_covs: cotangents, (T, D) and (T, D, D), the latter symmetric.
-        back: room for cotangents.
         d_mean, d_cov: out, gradients in mean (D,) and covariance (D, D) of the start.
         out: gradient in the network, to which is added.
     """
@@ -121,10 +110,7 @@ def _adjoint_of_successor(
     lifted: Array2,
     back: Cotangents,
 ) -> None:
-    """Cotangents of the joint belief and of the change, from those of the next state.
-
-    The one of their covariance (D + F, E) is half of it: it is in the state's on both sides.
-    """
+    """Cotangents of the joint belief (of its slope the half) and the change, from the state's."""
     for i in range(known.shape[1]):
         back.joint.mean[i] = 0.0
         for d in range(len(d_mean)):
@@ -144,11 +130,7 @@ def _adjoint_of_successor(
 def _adjoint_of_cross(cov: Array2, slope: Array2, work: StepWork, back: Cotangents) -> None:
     """Cotangents of the slopes of inputs and model, through the covariances with state and action.
 
-    Args:
-        cov: of the state.
-        slope: of the model, (D' + F, E).
-        work: as the prediction has it.
-        back: with the joint cotangents.
+    ``cov`` is that of the state, ``slope`` that of the model, (D' + F, E).
     """
     d_joint, direct, d_slope, inputs = back.joint, back.change.slope, back.inputs.slope, work.inputs
     D, E = direct.shape
@@ -174,10 +156,7 @@ def _adjoint_of_cross(cov: Array2, slope: Array2, work: StepWork, back: Cotangen
 def _add_known_cotangents(slope: Array2, d_joint: Belief, d_inputs: Belief) -> None:
     """Add to the cotangents of the inputs what reaches the actions without the model.
 
-    Args:
-        slope: of the model, (D' + F, E).
-        d_joint: of state and action, and half of that of their covariance with the change.
-        d_inputs: of features and action.
+    ``slope`` is that of the model; that of ``d_joint`` is half the cotangent.
     """
     D = len(d_inputs.slope)
     R, F = len(slope) - len(d_joint.mean) + D, len(d_joint.mean) - D
@@ -275,11 +254,7 @@ def _adjoint_of_joint_moments(
 def _add_joint_cotangents(slope: Array2, d_inputs: Belief, d_features: Belief) -> None:
     """Add to the cotangents of the features what reaches them without the network.
 
-    Args:
-        slope: of the action in the features, (D', F).
-        d_inputs: cotangents of features and action jointly.
-        d_features: of the features; those of mean and covariance are added to, that of the slope is
-            written.
+    ``slope`` is that of the action, (D', F). The cotangent of the features' slope is written.
     """
     R, F = slope.shape
     for d in range(R):

@@ -1,11 +1,10 @@
 """Vectors of eight float64 for Numba, which LLVM lowers to AVX2, AVX-512 or NEON alike.
 
-A loop of scalars that ends in an exponential is not vectorised by Numba, which calls the C
-library's exponential for each. Here the exponential is a polynomial of whole vectors, and a loop
-says itself which numbers it keeps in registers.
+Numba does not vectorise a loop of scalars that ends in an exponential of the C library. Here it is
+a polynomial of whole vectors, and a loop determines which numbers it keeps in registers.
 
-All indices count the entries of a C-contiguous array from its first, whatever its shape. The first
-argument of each function, ``typing``, is Numba's: a call leaves it out.
+Indices count the entries of a C-contiguous array from its first. The first argument of each
+function, ``typing``, is Numba's: a call leaves it out.
 """
 
 from __future__ import annotations
@@ -142,10 +141,7 @@ def total(typing: Any, values: Any) -> Emitter:
 
 @intrinsic
 def exponential(typing: Any, exponents: Any) -> Emitter:
-    """e^x of eight numbers, within 2 ulp; 0 below -708, where it is less than 4e-308.
-
-    NaN remains NaN, and what exceeds the largest double is infinite.
-    """
+    """e^x of eight numbers, within 2 ulp; 0 below -708, infinite beyond the largest double."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         (x,) = arguments

@@ -29,8 +29,12 @@ from tests.helpers.short_run import (
     stopped_run,
 )
 from torch_pmil.runs.training import make_trainer
-from torch_pmil.trainer.archive import read_archive
-from torch_pmil.trainer.checkpoints import newest_undamaged, rotation_in, saved_checkpoints
+from torch_pmil.trainer.checkpoints import (
+    newest_undamaged,
+    read_checkpoint,
+    rotation_in,
+    saved_checkpoints,
+)
 from torch_pmil.trainer.trainer import PMILTrainer
 
 Members = dict[str, bytes]
@@ -72,7 +76,7 @@ def new_trainer(folder: Path) -> PMILTrainer:
 def problem_of(path: Path) -> str:
     """The one line with which an archive is refused."""
     with pytest.raises(CheckpointError) as error:
-        read_archive(path)
+        read_checkpoint(path)
     assert "\n" not in str(error.value)
     return str(error.value)
 
@@ -92,7 +96,7 @@ def misfit_of(path: Path) -> str:
 
     The trainer takes the one before; where there is none, the line is an error.
     """
-    trainer, saved = new_trainer(path.parents[1]), read_archive(path)
+    trainer, saved = new_trainer(path.parents[1]), read_checkpoint(path)
     older = saved_checkpoints(trainer.rotation)[1]
     with pytest.warns(RuntimeWarning, match="the one before it is taken") as told:
         assert trainer.resume(saved) == older
@@ -186,7 +190,8 @@ def test_type_of_a_folder_must_be_that_of_tensors_alone(path: Path) -> None:
 
 def test_state_of_torch_is_not_looked_at(path: Path) -> None:
     changed(path, lambda members: add(members, RNG, "state.pt", b"pickle"))
-    assert "must hold state.json, state/meta.json and tensors, got 'state.pt'" in problem_of(path)
+    wanted = f"members must be those of the components, got '{RNG}/state.pt'"
+    assert problem_of(path) == wanted
 
 
 @pytest.mark.parametrize("adapter", ["torchrl.dump_load", "torchrl.json", None])
@@ -197,7 +202,7 @@ def test_other_ways_to_load_are_refused(path: Path, adapter: str | None) -> None
             members, "manifest.json", lambda m: m["components"]["rng"].update(adapter=adapter)
         ),
     )
-    assert "adapter of component 'rng' must be torchrl.state_dict, got" in problem_of(path)
+    assert "component 'rng', adapter must be torchrl.state_dict, got" in problem_of(path)
 
 
 @pytest.mark.parametrize("kind", ["numpy", "path", "bytes", "range", "class", ["dict"], None])
@@ -317,7 +322,7 @@ def test_pipe_beside_the_checkpoints_does_not_stop_a_run(folder: Path) -> None:
 def test_link_to_a_checkpoint_is_one(path: Path, tmp_path: Path) -> None:
     shutil.move(path, tmp_path / "elsewhere")
     path.symlink_to(tmp_path / "elsewhere")
-    assert read_archive(path).metadata["seed"] == SEED
+    assert read_checkpoint(path).metadata["seed"] == SEED
 
 
 @pytest.mark.parametrize(

@@ -54,8 +54,12 @@ from torch_pmil.runs.run_folder import (
     write_settings,
 )
 from torch_pmil.tasks.task import Experiment, Outcome
-from torch_pmil.trainer.archive import SavedRun
-from torch_pmil.trainer.checkpoints import discard_newest, newest_undamaged, rotation_in
+from torch_pmil.trainer.checkpoints import (
+    SavedRun,
+    discard_newest,
+    newest_undamaged,
+    rotation_in,
+)
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Candidate, Trial, success_rate
 

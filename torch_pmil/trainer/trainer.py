@@ -39,12 +39,16 @@ from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess, Promise
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.admission import Admission, admit
-from torch_pmil.trainer.archive import SavedRun
-from torch_pmil.trainer.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
+from torch_pmil.trainer.checkpoints import (
+    GeneratorState,
+    SavedRun,
+    new_checkpoint,
+    newest_undamaged,
+    restore,
+)
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
 from torch_pmil.trainer.ending import why_ended
 from torch_pmil.trainer.plan_tracking import PlanTracking
-from torch_pmil.trainer.resumption import restore
 from torch_pmil.trainer.search_stepper import PolicySearchStepper
 from torch_pmil.trainer.trials import Candidate, Trial, own_error, success_rate
 

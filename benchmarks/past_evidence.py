@@ -1,7 +1,7 @@
 """What the past tells of robots that act at once and of robots that act late.
 
 Each robot learns, and the evidence of its own rollouts is that of the diagnosis of a run
-(:mod:`torch_pmil.runs.diagnosis.hidden_past`). The seeds are none by which results are
+(:mod:`torch_pmil.runs.diagnosis.past_evidence`). The seeds are none by which results are
 reported: the threshold of the diagnosis was chosen by them.
 
 Example:
@@ -18,7 +18,7 @@ import torch
 from benchmarks.command_line import add_json, source_of
 from reproduction.delay_calibration import with_delay
 from torch_pmil.files import write_json
-from torch_pmil.runs.diagnosis.hidden_past import evidence_of_the_past
+from torch_pmil.runs.diagnosis.past_evidence import evidence_of_the_past
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.tasks.registry import load_experiment
 

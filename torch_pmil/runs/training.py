@@ -30,12 +30,8 @@ from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.experience import torchrl_warnings_alone
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.runs.diagnosis.after_a_run import likely_reasons
-from torch_pmil.runs.diagnosis.causes import (
-    LEARNED,
-    check_cut_short,
-    saturated_fraction,
-    unpredictable,
-)
+from torch_pmil.runs.diagnosis.causes import check_cut_short, unpredictable
+from torch_pmil.runs.diagnosis.measures import LEARNED, saturated_fraction
 from torch_pmil.runs.lock import alone_in
 from torch_pmil.runs.run_folder import (
     MOST_TRIALS,

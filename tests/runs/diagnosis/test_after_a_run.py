@@ -26,8 +26,9 @@ from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.diagnosis.after_a_run import likely_reasons
 from torch_pmil.runs.diagnosis.before_a_run import needed_torques
-from torch_pmil.runs.diagnosis.causes import LEARNED, check_past
-from torch_pmil.runs.diagnosis.hidden_past import evidence_of_the_past
+from torch_pmil.runs.diagnosis.causes import check_past
+from torch_pmil.runs.diagnosis.measures import LEARNED
+from torch_pmil.runs.diagnosis.past_evidence import evidence_of_the_past
 from torch_pmil.runs.training import train
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess, Promise
@@ -170,7 +171,7 @@ def test_model_of_the_first_steps_alone_knows_little_of_the_others(policy: RBFPo
     first_steps = model_of(swing_up(), policy, steps=3)
     found = diagnose(swing_up(), policy, first_steps)
     share, when, data = re.match(
-        r"in (\d+) % of the executed steps, first at (\d\.\d+) s, the robot is where the (\d+)",
+        r"in (\d+) % of the executed steps, first at (\d\.\d+) s, the model has few of its (\d+)",
         found["too little experience"],
     ).groups()
     assert int(share) > 20 and float(when) >= 0.3 and int(data) == 3 * LEARNED_FROM
@@ -274,7 +275,7 @@ def test_two_ways_up_come_first(policy: RBFPolicy, dynamics: GPDynamics) -> None
     )
     cause, message = next(iter(found.items()))
     assert cause == "contradictory demonstrations" and message.startswith(
-        "demonstrations 0, 1, 2, 3, 4 and 5, 6, 7, 8, 9 are two different ways"
+        "demonstrations 0, 1, 2, 3, 4 and 5, 6, 7, 8, 9 show two different ways"
     )
 
 
@@ -282,7 +283,7 @@ def test_two_demonstrations_are_said_last(policy: RBFPolicy, dynamics: GPDynamic
     found = diagnose(shown(swing_up().demonstrations.positions[:2]), policy, dynamics)
     assert list(found)[-1] == "too few demonstrations" and next(iter(found)) == "search stuck"
     assert found["too few demonstrations"].startswith(
-        "2 demonstrations tell the spread in one direction alone"
+        "2 demonstrations show the spread in one direction only"
     )
 
 
@@ -291,7 +292,7 @@ def test_biorob_that_its_torques_only_hold_did_not_move() -> None:
     experiment = load_experiment("biorob")
     still = new_policy(experiment)
     found = diagnose(experiment, still, model_of(experiment, still, steps=6), starts=3)
-    assert int(re.match(r"the robot went (\d+) % as far", found["robot did not move"])[1]) < 10
+    assert int(re.match(r"the robot moved (\d+) % as far", found["robot did not move"])[1]) < 10
 
 
 def test_worst_of_several_targets_is_named() -> None:

@@ -77,7 +77,7 @@ def test_motion_of_more_steps_than_a_model_can_take_is_named(steps: int, fatal: 
 def test_two_ways_up_are_named() -> None:
     both = torch.cat([swing_ups()[:3], swing_ups() * MIRROR])
     (found,) = messages(both)
-    assert found.startswith("demonstrations 0, 1, 2 and 3, 4, 5, 6, 7 are two different ways (")
+    assert found.startswith("demonstrations 0, 1, 2 and 3, 4, 5, 6, 7 show two different ways (")
     assert found.endswith("their mean is neither: train on one of them alone")
 
 
@@ -152,7 +152,7 @@ def test_links_of_another_length_leave_the_workspace() -> None:
     )
     fatal = [finding.message for finding in findings if finding.fatal]
     assert len(fatal) == 1 and fatal[0].startswith("demonstration 3 leaves the workspace: at ")
-    assert "the robot is no nearer than 0.3 in y2" in fatal[0]
+    assert "the robot stays 0.3 away in y2" in fatal[0]
 
 
 def test_joint_beyond_its_stop_leaves_the_workspace() -> None:
@@ -220,7 +220,7 @@ def test_copies_are_named() -> None:
 
 def test_two_demonstrations_are_few() -> None:
     (found,) = messages(swing_ups()[:2])
-    assert found.startswith("2 demonstrations tell the spread in one direction alone")
+    assert found.startswith("2 demonstrations show the spread in one direction only")
     assert messages(swing_ups()[:3]) == []
 
 
@@ -352,7 +352,7 @@ def test_demonstration_outside_the_limits_of_the_motion_is_told() -> None:
     (finding,) = check(replace(experiment, box={"dq2": (-limit, limit)}))
     assert finding.cause == "demonstrations out of reach"
     assert not finding.fatal
-    said = f"demonstration {speeds.argmax()} shows what the robot may not do: dq2 = "
+    said = f"demonstration {speeds.argmax()} goes where the robot must not go: dq2 = "
     assert finding.message.startswith(said)
     assert "left its limits" in finding.message
     assert check(replace(experiment, box={"dq2": (-1.1 * high, 1.1 * high)})) == []

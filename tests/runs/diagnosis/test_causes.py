@@ -13,20 +13,22 @@ from tests.helpers.draws import Draws
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.runs.diagnosis.causes import (
-    FEWEST_STEPS,
-    SATURATED,
     check_experience,
     check_model,
     check_motion,
     check_saturation,
     check_search,
-    first_departure,
-    first_mismatch,
     group,
     unexplained,
     unpredictable,
 )
 from torch_pmil.runs.diagnosis.demonstration_checks import Finding
+from torch_pmil.runs.diagnosis.measures import (
+    FEWEST_STEPS,
+    SATURATED,
+    first_departure,
+    first_mismatch,
+)
 from torch_pmil.runs.setting_words import OF_EXPERIMENT
 from torch_pmil.tasks.registry import load_experiment
 

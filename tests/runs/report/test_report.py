@@ -15,7 +15,7 @@ import torch_pmil
 from torch_pmil.plotting import save_figure
 from torch_pmil.plotting.video import write_video
 from torch_pmil.runs.report import write_report
-from torch_pmil.runs.report.units import unit_of
+from torch_pmil.runs.report.tables import unit_of
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
 

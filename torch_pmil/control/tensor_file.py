@@ -75,8 +75,9 @@ def load_tensors(path: Path | str) -> Any:
     try:
         return torch.load(copy, weights_only=True, map_location="cpu")
     except Exception as error:  # other files can make the reader fail with any type
-        found = _line(error)
-        raise FileError(f"must be tensors, got what torch.load cannot read ({found})") from error
+        raise FileError(
+            f"must be tensors, got what torch.load cannot read: {short(error)}"
+        ) from error
 
 
 def load_archive(path: Path | str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -121,26 +122,20 @@ def _check_pickle(name: str, content: bytes) -> None:
     """
     if len(content) > PICKLE_BYTES:
         raise FileError(f"{name} must have at most {PICKLE_BYTES} bytes, got {len(content)}")
+    try:
+        operations = list(pickletools.genops(content))
+    except Exception as error:  # pickletools fails at other bytes with any type
+        raise FileError(f"{name} must be a pickle, got {short(error)}") from error
     tuples: set[object] = set()
     last = ""
-    try:
-        for opcode, argument, _ in pickletools.genops(content):
-            if opcode.name in CALLS or (opcode.name == "GLOBAL" and argument not in GLOBALS):
-                raise FileError(f"{name} must name tensors alone, got {argument or opcode.name}")
-            if opcode.name in PUTS and last.startswith("TUPLE"):
-                tuples.add(argument)
-            if opcode.name in GETS and argument in tuples:
-                raise FileError(f"{name} must hold each tuple once, got one twice")
-            last = opcode.name
-    except FileError:
-        raise
-    except Exception as error:  # pickletools fails at other bytes with any type
-        raise FileError(f"{name} must be a pickle, got {_line(error)}") from error
-
-
-def _line(error: Exception) -> str:
-    """An error's type and what it says, in one short line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    for opcode, argument, _ in operations:
+        if opcode.name in CALLS or (opcode.name == "GLOBAL" and argument not in GLOBALS):
+            raise FileError(f"{name} must name tensors alone, got {argument or opcode.name}")
+        if opcode.name in PUTS and last.startswith("TUPLE"):
+            tuples.add(argument)
+        if opcode.name in GETS and argument in tuples:
+            raise FileError(f"{name} must hold each tuple once, got one twice")
+        last = opcode.name
 
 
 def _json(

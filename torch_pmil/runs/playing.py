@@ -19,11 +19,7 @@ from torch_pmil.demonstrations import load_demonstrations
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.rollouts import pictures_of, states_of
 from torch_pmil.files import read_json, short
-from torch_pmil.plotting.video import (
-    check_film_name,
-    render_rollout,
-    write_film,
-)
+from torch_pmil.plotting.video import check_film_name, render_rollout, write_film
 from torch_pmil.runs.figures import SKETCHED
 from torch_pmil.runs.pictures import sketched
 from torch_pmil.runs.settings import read_settings
@@ -44,8 +40,8 @@ class Player:
     """A learned policy on its task.
 
     Args:
-        experiment: what was learned, with its robot.
-        policy: what was learned for it.
+        experiment: the task, with its robot.
+        policy: the learned policy.
 
     Example:
         >>> player = load_player(SHIPPED)
@@ -86,15 +82,12 @@ class Player:
         show(env, replays)
 
     def film(self, path: Path, starts: int, seed: int) -> int:
-        """Film motions one after the other.
+        """Film motions one after the other, and return how many of them succeeded.
 
         Args:
-            path: the file to write, ending in .gif or .mp4; an existing file is replaced.
+            path: the file to write or replace, ending in .gif or .mp4.
             starts: number of motions.
             seed: of the starts.
-
-        Returns:
-            Number of motions that succeeded.
 
         Raises:
             ValueError: the name has another ending.
@@ -137,10 +130,10 @@ def load_player(folder: Path) -> Player:
         folder: of the run, with ``policy.pt`` and ``summary.json``.
 
     Raises:
-        RunError: it is no finished run, or one of a robot that is not known by name.
+        RunError: the run is not finished, or its robot is not known by name.
         PolicyFileError: the policy is damaged, or of another robot.
         OSError: a file cannot be read.
-        ValueError: its settings are damaged, or its demonstrations are no longer what they were.
+        ValueError: its settings are damaged, or its demonstrations have changed.
         ImportError: the task needs another library.
 
     Example:
@@ -172,7 +165,7 @@ def _experiment_of(folder: Path) -> Experiment:
 
 
 def _name_in(folder: Path) -> str:
-    """The experiment's name, as the summary of a run has it."""
+    """The experiment's name in the summary of a run."""
     try:
         name = read_json(folder / "summary.json")["experiment"]
     except (ValueError, KeyError, TypeError) as error:
@@ -183,7 +176,7 @@ def _name_in(folder: Path) -> str:
 
 
 def _check_policy(path: Path, policy: StatePolicy, experiment: Experiment) -> None:
-    """Raise PolicyFileError unless a policy reads what the robot shows and moves its motors."""
+    """Raise PolicyFileError unless a policy fits the robot's observation and motors."""
     wanted = (*experiment.space.names, *experiment.demonstrations.target_names)
     found = (*policy.space.names, *policy.target_names)
     actions = experiment.actions, policy.actions
@@ -195,7 +188,7 @@ def _check_policy(path: Path, policy: StatePolicy, experiment: Experiment) -> No
 
 
 def _then_at_rest(pictures: Iterator[np.ndarray], rest: int) -> Iterator[np.ndarray]:
-    """Pictures, the last one ``rest`` times more."""
+    """Pictures, with the last one repeated ``rest`` times."""
     for picture in pictures:
         yield picture
     yield from itertools.repeat(picture, rest)

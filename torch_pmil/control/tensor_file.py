@@ -211,7 +211,7 @@ def _decoded(node: Any, tensors: dict[str, Tensor]) -> Any:
         for key, _ in items:
             if not isinstance(key, str):  # a mapping compares all numbers of one hash
                 raise FileError(f"keys must be text, got {short(key)}")
-        mapping = MAPPINGS[kind](items)
+        mapping: Any = MAPPINGS[kind](items)
         if "metadata" in node:
             mapping._metadata = _decoded(node["metadata"], tensors)
         return mapping

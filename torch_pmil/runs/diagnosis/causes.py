@@ -1,7 +1,8 @@
 """Why a run did not learn: likely reasons in words, from predictions and executed rollouts.
 
 This module knows no particular robot. ``settings`` are those of the run by name, and ``time_step``
-is in s.
+is in s. ``actions`` of rollouts are (N, T, F); ``executed`` rollouts are x_0..x_T, (N, T + 1, D),
+and ``predicted`` their marginals at t = 1..T, mean (T, D); ``step_loss`` is that of these, (T,).
 """
 
 from __future__ import annotations
@@ -97,10 +98,7 @@ def unpredictable(error: str) -> Reason:
 
 
 def check_cut_short(ends: Sequence[str]) -> Reason | None:
-    """A reason if the robot cut rollouts short.
-
-    Args:
-        ends: why the own rollout of each trial was cut short, "" where it was not.
+    """A reason if the robot cut rollouts short, from why it cut each own rollout, or "".
 
     Example:
         >>> check_cut_short(["", "dq1 = 12.3 rad/s is beyond 10 rad/s"]).message.partition(";")[0]
@@ -119,11 +117,8 @@ def check_cut_short(ends: Sequence[str]) -> Reason | None:
 def check_saturation(actions: Tensor, space: ActionSpace, needed: Tensor | None) -> Reason | None:
     """A reason if an action is at the end of its range most of the time.
 
-    Args:
-        actions: of rollouts, (N, T, F).
-        space: of the robot's actions.
-        needed: largest torques along the demonstrations, (F,), N·m; None if unknown. Only actions
-            that are torques are compared with them.
+    The largest torques that the demonstrations need, (F,), N·m, or None if unknown, are compared
+    with actions that are torques.
 
     Example:
         >>> import torch
@@ -193,12 +188,8 @@ def check_model(
 ) -> Reason | None:
     """A reason if the model is too sure of itself, in a step or over the trajectory.
 
-    Args:
-        residuals: one-step errors of rollouts that the model was not fitted to, in predicted
-            standard deviations, (S, D).
-        predicted: marginals at t = 1..T, mean (T, D).
-        executed: the rollouts x_0..x_T, (N, T + 1, D).
-        names: of the D entries.
+    The residuals (S, D) are one-step errors of rollouts that the model was not fitted to, in
+    predicted standard deviations.
 
     Example:
         >>> import torch
@@ -265,7 +256,7 @@ def check_experience(
     """A reason if the experience is far from where the policy goes.
 
     Args:
-        unknown: at which steps t = 0..T-1 of the rollouts the model knows little, bool, (N, T).
+        unknown: whether the model knows little at steps t = 0..T-1 of rollouts, bool, (N, T).
         data: number of transitions that the model was fitted to.
 
     Example:
@@ -300,8 +291,7 @@ def check_search(
     """A reason why a search is stuck at a step.
 
     Args:
-        step_loss: losses of the steps t = 1..T, (T,).
-        step: first step that the search does not trust, see :func:`first_mismatch`.
+        step: first step that the search does not trust.
         name, unit: of the loss.
         mismatch: what does not match there, in words.
         horizons: step up to which the search of each trial went.
@@ -334,9 +324,8 @@ def check_search(
 def check_chance(failed: int, count: int, promised: float | None) -> Reason | None:
     """A reason if a policy whose success is predicted may well have so many failures by chance.
 
-    Args:
-        failed, count: number of failed rollouts, and of all.
-        promised: success rate that the model predicts at least; None if it predicts none.
+    ``failed`` of ``count`` rollouts failed; the model predicts at least the success rate
+    ``promised``, or None.
 
     Example:
         >>> check_chance(2, 20, 0.976).message.partition(";")[0]
@@ -361,10 +350,8 @@ def unexplained(
 ) -> Reason:
     """The reason for a run in which only the success rate is wrong.
 
-    Args:
-        failed, count: number of failed rollouts, and of all.
-        tolerance: error up to which a rollout is a success.
-        largest: what is left of the objective, and where.
+    ``failed`` of ``count`` rollouts have an error above the tolerance; ``largest`` is what is left
+    of the objective, in words.
     """
     return Reason(
         "success criterion",

@@ -1,7 +1,8 @@
 """Numbers by which a run that learned differs from one that did not, and their thresholds.
 
 A threshold lies beyond what was measured of any run that learned; the comments give the nearest
-value in ``results/benchmarks/diagnosis/summary.json`` (``benchmarks/diagnosis.py``).
+value in ``results/benchmarks/diagnosis/summary.json`` (``benchmarks/diagnosis.py``). ``executed``
+rollouts are x_0..x_T, (N, T + 1, D), and ``predicted`` their marginals at t = 1..T, mean (T, D).
 """
 
 from __future__ import annotations
@@ -30,14 +31,7 @@ EVIDENCE = 150.0
 
 
 def saturated_fraction(actions: Tensor, space: ActionSpace) -> Tensor:
-    """Fraction of steps at which each action is within 5 % of the end of its range.
-
-    Args:
-        actions: of rollouts, (N, T, F).
-        space: of the robot's actions.
-
-    Returns:
-        (F,), from 0 to 1.
+    """Fraction (F,) of steps at which each action (N, T, F) is within 5 % of an end of its range.
 
     Example:
         >>> import torch
@@ -58,12 +52,7 @@ def covered_fraction(residuals: Tensor) -> Tensor:
 def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | None:
     """First step t, and entry, where most rollouts are beyond two predicted standard deviations.
 
-    Args:
-        predicted: marginals at t = 1..T, mean (T, D).
-        executed: rollouts x_0..x_T, (N, T + 1, D).
-
-    Returns:
-        (t, entry), or None where they never leave.
+    None if they never are.
 
     Example:
         >>> import torch
@@ -81,9 +70,7 @@ def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | 
 def first_mismatch(step_loss: Tensor, trust_threshold: float) -> int | None:
     """First step t whose loss is above the search's trust threshold, if some step is far above.
 
-    Args:
-        step_loss: losses of the steps t = 1..T, (T,).
-        trust_threshold: loss of a step up to which the search trusts it, in the same unit.
+    Losses of the steps t = 1..T are (T,), in the unit of the threshold.
 
     Example:
         >>> import torch
@@ -99,10 +86,8 @@ def first_mismatch(step_loss: Tensor, trust_threshold: float) -> int | None:
 def moved_fraction(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> float:
     """Distance of the robot from its start over that of the demonstrations.
 
-    Args:
-        executed: rollouts in the match space, z_0..z_T, (N, T + 1, M).
-        demonstrated: demonstrations in the match space, of any number.
-        noise_std: observation noise, () or (M,), the unit of distances.
+    Both are trajectories in the match space, (N, T + 1, M); distances are in standard deviations of
+    the observation noise, () or (M,).
     """
     return (_farthest(executed, noise_std) / _farthest(demonstrated, noise_std)).item()
 

@@ -144,7 +144,7 @@ def _found(outcome: Outcome, *reasons: Reason | None) -> list[Reason]:
     return [replace(reason, message=where + reason.message) for reason in found]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Search:
     """Losses of the steps t = 1..T under the newest model, (T,), and what they come from."""
 

@@ -80,13 +80,7 @@ def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:
 
 
 def read_checkpoint(path: Path) -> SavedRun:
-    """A checkpoint from its archive.
-
-    Raises:
-        CheckpointError: the archive is damaged, or holds what no trainer writes; the message names
-            the member.
-        OSError: it cannot be opened.
-    """
+    """A checkpoint from its archive; raise CheckpointError or OSError if it cannot be read."""
     try:
         return SavedRun(path, *load_archive(path))
     except FileError as error:
@@ -110,11 +104,8 @@ def newest_undamaged(rotation: CheckpointRotation, before: Path | None = None) -
         saved, problem = _read(path)
         if saved is not None:
             return saved
-        warnings.warn(
-            f"checkpoint {path} is damaged ({problem}): the one before it is taken",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+        message = f"checkpoint {path} is damaged ({problem}): the one before it is taken"
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
     if paths:
         raise CheckpointError(f"all checkpoints in {rotation.directory} are damaged")
     return None
@@ -123,9 +114,8 @@ def newest_undamaged(rotation: CheckpointRotation, before: Path | None = None) -
 def discard_newest(rotation: CheckpointRotation) -> SavedRun | None:
     """Remove the newest checkpoint, and so its rollout, and return the one before it.
 
-    Returns:
-        None if that was the first rollout, or there was none. If the checkpoint before it is no
-        longer there, the newest one, which is kept with a warning.
+    Returns None if there was no earlier rollout. If the earlier checkpoint is missing, the newest
+    is kept and returned, with a warning.
 
     Raises:
         CheckpointError: the ones before are damaged.
@@ -136,11 +126,8 @@ def discard_newest(rotation: CheckpointRotation) -> SavedRun | None:
     before = newest_undamaged(rotation, before=paths[0])
     rollouts_before = int(paths[0].stem.rpartition("-")[2])
     if before is None and rollouts_before > 0:
-        warnings.warn(
-            "the rollout stays: of those before it, no checkpoint is left to go back to",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+        message = "the rollout stays: of those before it, no checkpoint is left to go back to"
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
         return newest_undamaged(rotation)
     paths[0].unlink()
     return before

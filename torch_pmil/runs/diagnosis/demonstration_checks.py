@@ -174,7 +174,7 @@ def check_start(
 def check_jumps(
     sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
 ) -> list[Finding]:
-    """Find jumps from sample to sample, as of a tracker that lost its point.
+    """Find jumps from sample to sample, as from a tracker that lost its point.
 
     A jump is a second difference that no other demonstration has near that time.
     """

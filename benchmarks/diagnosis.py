@@ -25,7 +25,7 @@ from torch_pmil.files import write_json
 from torch_pmil.model.calibration import standardised_residuals, two_sigma_coverage
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.diagnosis.after_a_run import known_steps, likely_reasons
-from torch_pmil.runs.diagnosis.causes import (
+from torch_pmil.runs.diagnosis.measures import (
     FEWEST_STEPS,
     LEARNED,
     covered_fraction,

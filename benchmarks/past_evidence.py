@@ -1,8 +1,8 @@
 """What past states reveal about robots that act at once and robots that act late.
 
 Each robot learns; the evidence in its own rollouts is computed as in the diagnosis of a run
-(:mod:`torch_pmil.runs.diagnosis.hidden_past`). The threshold of the diagnosis was chosen with these
-seeds, so no reported result uses them.
+(:mod:`torch_pmil.runs.diagnosis.past_evidence`). The threshold of the diagnosis was chosen with
+these seeds, so no reported result uses them.
 
 Example:
     python -m benchmarks.past_evidence
@@ -18,7 +18,7 @@ import torch
 from benchmarks.command_line import add_json, source_of
 from reproduction.delay_calibration import with_delay
 from torch_pmil.files import write_json
-from torch_pmil.runs.diagnosis.hidden_past import evidence_of_the_past
+from torch_pmil.runs.diagnosis.past_evidence import evidence_of_the_past
 from torch_pmil.runs.training import make_trainer
 from torch_pmil.tasks.registry import load_experiment
 

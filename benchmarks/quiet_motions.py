@@ -29,7 +29,7 @@ from benchmarks.command_line import add_json
 from torch_pmil.demonstrations import Demonstrations, shipped_demonstrations
 from torch_pmil.envs.rollouts import of_states
 from torch_pmil.files import write_json
-from torch_pmil.runs.diagnosis.causes import LEARNED
+from torch_pmil.runs.diagnosis.measures import LEARNED
 from torch_pmil.runs.run_folder import provenance
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.registry import load_experiment

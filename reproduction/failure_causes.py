@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 from scipy.stats import fisher_exact
 
-from torch_pmil.runs.diagnosis.causes import COVERED, FOLLOWED, LEARNED, MOVED, UNKNOWN
+from torch_pmil.runs.diagnosis.measures import COVERED, FOLLOWED, LEARNED, MOVED, UNKNOWN
 from torch_pmil.trainer.ending import LIMIT
 
 SIGNIFICANCE = 0.05  # of Fisher's exact test of two success rates

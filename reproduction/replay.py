@@ -29,7 +29,7 @@ from torch_pmil.model.experience import Experience
 from torch_pmil.model.particles import sample_rollouts
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.runs.diagnosis.after_a_run import known_steps
-from torch_pmil.runs.diagnosis.causes import covered_fraction, first_mismatch, moved_fraction
+from torch_pmil.runs.diagnosis.measures import covered_fraction, first_mismatch, moved_fraction
 from torch_pmil.runs.summaries import RunError, read_summary
 from torch_pmil.search.kl import gaussian_kl_terms
 from torch_pmil.tasks.task import Task

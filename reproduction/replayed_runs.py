@@ -21,7 +21,7 @@ from reproduction.failure_causes import (
     end_of,
     trials_not_needed,
 )
-from torch_pmil.runs.diagnosis.causes import COVERED
+from torch_pmil.runs.diagnosis.measures import COVERED
 
 ALL = "all"
 # success rates between which predictions are pooled

@@ -35,7 +35,7 @@ from reproduction.reproduction import PaperExperiment, Results, Run, learning_ru
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.plotting import Figure, plot_distributions, plot_photo_series
 from torch_pmil.runs.pictures import steps_of
-from torch_pmil.runs.telling import tell
+from torch_pmil.runs.printing import tell
 from torch_pmil.runs.training import train
 from torch_pmil.tasks.task import MEASURED_STARTS, Task
 from torch_pmil.trainer.trials import success_rate

@@ -19,7 +19,7 @@ from reproduction.replayed_runs import Forecast, ReplayedRun, reliability, table
 from reproduction.soak.processes import Attempt, End, attempts_in, has_ended, size_of
 from reproduction.soak.tasks import SoakRun
 from torch_pmil.files import read_json, write_json
-from torch_pmil.runs.diagnosis.causes import LEARNED
+from torch_pmil.runs.diagnosis.measures import LEARNED
 from torch_pmil.runs.summaries import CONFIDENCE, read_summary
 from torch_pmil.trainer.ending import LIMIT
 

@@ -1,6 +1,4 @@
-"""The folder of a run that somebody made: its text executes nothing, takes no long and ends in a
-line.
-"""
+"""A run's folder that a stranger made executes nothing, takes no long, and is refused in a line."""
 
 from __future__ import annotations
 
@@ -12,23 +10,10 @@ import pytest
 
 from tests.helpers.bounded import measured
 from tests.helpers.run_script import run_command
+from tests.helpers.summaries import SUMMARY, TRIAL
 from torch_pmil.cli.resume import overrides
 from torch_pmil.runs.report import write_report
 from torch_pmil.runs.summaries import RunError, count_trials, read_summary
-
-TRIAL = {"trial": 1, "experience_s": 2.5, "success_rate": 0.5, "own_success": False}
-SUMMARY = {
-    "experiment": "double_pendulum",
-    "seed": 3,
-    "command": "pmil train seed=3",
-    "wall_seconds": 12.3,
-    "stop_reason": "limit of trials",
-    "experience_s": 5.0,
-    "saved_trial": 1,
-    "saved_success_rate": 0.5,
-    "saved_n_eval": 20,
-    "trials": [TRIAL],
-}
 
 
 def run_of(folder: Path, **changes: object) -> Path:

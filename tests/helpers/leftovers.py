@@ -9,7 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torch_pmil.trainer.archive import read_archive
+from torch_pmil.trainer.checkpoints import read_checkpoint
 
 TIMES = {"date", "commit", "wall_seconds", "seconds", "gp_seconds", "search_seconds"}
 
@@ -33,7 +33,7 @@ def differences(ours: dict[str, Any], expected: dict[str, Any]) -> list[str]:
 
 def _content(path: Path) -> Any:
     if path.suffix == ".torchrl":
-        saved = read_archive(path)
+        saved = read_checkpoint(path)
         return _timeless([saved.metadata, saved.states])
     if path.suffix == ".json":
         return _timeless(json.loads(path.read_text()))

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 FILE = "tests/runs/test_killed_anywhere.py"
 TESTS = (
     "test_run_that_is_killed_goes_on_to_the_same_files",

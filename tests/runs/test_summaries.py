@@ -1,6 +1,4 @@
-"""Several runs together: which folders are runs, what is damaged, and the interval of their mean
-success rate.
-"""
+"""Several runs together: their folders, their damage and their mean success rate."""
 
 from __future__ import annotations
 
@@ -25,28 +23,25 @@ from torch_pmil.runs.summaries import (
 
 def make_run(experience_s: object, *rates: float, saved: object = 1.0) -> dict:
     """A summary with a trial each 2.5 s."""
-    trials = [
-        {"experience_s": 2.5 * number, "success_rate": rate}
-        for number, rate in enumerate(rates, start=1)
-    ]
+    trials = [{"experience_s": 2.5 * k, "success_rate": rate} for k, rate in enumerate(rates, 1)]
     numbers = {"seed": 0, "wall_seconds": 10.0, "two_sigma_coverage": 0.9, "saved_trial": 1}
-    return {
-        "experiment": "e",
-        "stop_reason": "limit",
-        "experience_s": experience_s,
-        "saved_success_rate": saved,
-        "trials": trials,
-        **numbers,
-    }
+    texts = {"experiment": "e", "stop_reason": "limit"}
+    measured = {"experience_s": experience_s, "saved_success_rate": saved, "trials": trials}
+    return {**texts, **measured, **numbers}
+
+
+def without(entry: str) -> dict:
+    summary = make_run(5.0, 0.5)
+    del summary[entry]
+    return summary
 
 
 def write_run(folder: Path, summary: object | None) -> Path:
     folder.mkdir(parents=True)
     (folder / "metrics.csv").write_text("trial,kl\n1,3.0\n2,2.0\n")
     if summary is not None:
-        (folder / "summary.json").write_text(
-            summary if isinstance(summary, str) else json.dumps(summary)
-        )
+        text = summary if isinstance(summary, str) else json.dumps(summary)
+        (folder / "summary.json").write_text(text)
     return folder
 
 
@@ -74,76 +69,46 @@ def test_folder_without_runs_is_named(tmp_path: Path) -> None:
         find_runs([tmp_path / "nowhere"])
 
 
-def test_run_without_summary_has_not_ended_and_its_trials_count(tmp_path: Path) -> None:
+def test_trials_of_a_run_without_summary_count_unless_they_are_damaged(tmp_path: Path) -> None:
     run = write_run(tmp_path / "seed_0", None)
     assert not is_finished(run)
     assert count_trials(run) == 2
-
-
-def test_damaged_metrics_are_named(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "seed_0", None)
     (run / "metrics.csv").write_bytes(b"trial,kl\n\xff\xfe\n")
     with pytest.raises(RunError, match=f"{run}: metrics.csv is damaged"):
         count_trials(run)
 
 
-@pytest.mark.parametrize(
-    ("summary", "complaint"),
-    [
-        ("{", "summary.json is damaged: must be JSON, got Expecting"),
-        ("[1]", "summary.json is damaged"),
-        ({"seed": 0}, "summary.json has no 'trials'"),
-        (make_run(5.0), "summary.json is damaged: it has no trial"),
-        (
-            make_run(5.0, 0.5, saved=None),
-            "summary.json is damaged: success_rate must be a number from 0 to 1, got None",
-        ),
-        (
-            make_run(5.0, 1.5),
-            "summary.json is damaged: success_rate must be a number from 0 to 1, got 1.5",
-        ),
-        (
-            make_run("5", 0.5),
-            "summary.json is damaged: experience_s must be a number from 0 to 1e+09, got '5'",
-        ),
-        (
-            make_run(float("nan"), 0.5),
-            "summary.json is damaged: must be JSON, got NaN, which is not finite",
-        ),
-        (
-            make_run(5.0, 0.5) | {"experiment": None},
-            "summary.json is damaged: experiment must be text, got None",
-        ),
-        (
-            {key: value for key, value in make_run(5.0, 0.5).items() if key != "seed"},
-            "summary.json has no 'seed'",
-        ),
-        (
-            make_run(5.0, 0.5) | {"trials": [{"experience_s": 2.5}]},
-            "summary.json has no 'success_rate'",
-        ),
-        (
-            {key: value for key, value in make_run(5.0, 0.5).items() if key != "stop_reason"},
-            "summary.json has no 'stop_reason'",
-        ),
-    ],
-)
+RATE = "success_rate must be a number from 0 to 1, got "
+DAMAGED = [
+    ("{", "is damaged: must be JSON, got Expecting"),
+    ("[1]", "is damaged"),
+    ({"seed": 0}, "has no 'trials'"),
+    (make_run(5.0), "is damaged: it has no trial"),
+    (make_run(5.0, 0.5, saved=None), f"is damaged: {RATE}None"),
+    (make_run(5.0, 1.5), f"is damaged: {RATE}1.5"),
+    (make_run("5", 0.5), "is damaged: experience_s must be a number from 0 to 1e+09, got '5'"),
+    (make_run(float("nan"), 0.5), "is damaged: must be JSON, got NaN, which is not finite"),
+    (make_run(5.0, 0.5) | {"experiment": None}, "is damaged: experiment must be text, got None"),
+    (make_run(5.0, 0.5) | {"trials": [{"experience_s": 2.5}]}, "has no 'success_rate'"),
+    *((without(entry), f"has no '{entry}'") for entry in ("seed", "stop_reason")),
+]
+
+
+@pytest.mark.parametrize(("summary", "complaint"), DAMAGED)
 def test_damaged_summary_is_named_with_its_folder_in_one_line(
     tmp_path: Path, summary: object, complaint: str
 ) -> None:
     run = write_run(tmp_path / "seed_0", summary)
     with pytest.raises(RunError) as error:
         read_summary(run)
-    assert str(error.value).startswith(f"{run}: {complaint}")
+    assert str(error.value).startswith(f"{run}: summary.json {complaint}")
     assert "\n" not in str(error.value)
 
 
 def test_summary_that_is_a_folder_is_named(tmp_path: Path) -> None:
     run = write_run(tmp_path / "seed_0", None)
     (run / "summary.json").mkdir()
-    with pytest.raises(
-        RunError, match=r"summary\.json is damaged: must be a regular file .* a folder"
-    ):
+    with pytest.raises(RunError, match=r"is damaged: must be a regular file .* a folder"):
         read_summary(run)
 
 
@@ -169,30 +134,22 @@ def test_between_two_measurements_a_run_counts_with_its_last_one() -> None:
 def test_curve_begins_where_every_run_was_measured_once() -> None:
     late = make_run(10.0, 0.5, 1.0)
     late["trials"] = late["trials"][1:]
-    assert success_over_experience([make_run(10.0, 0.0, 0.5), late]).experience_s.tolist() == [
-        5.0,
-        10.0,
-    ]
+    curve = success_over_experience([make_run(10.0, 0.0, 0.5), late])
+    assert curve.experience_s.tolist() == [5.0, 10.0]
 
 
 def test_rounding_of_experience_does_not_split_a_measurement() -> None:
     run = make_run(10.0, 0.0, 0.5)
     run["trials"][1]["experience_s"] = 0.1 * 50 + 1e-12
-    assert success_over_experience([run, make_run(10.0, 0.0, 0.5)]).experience_s.tolist() == [
-        2.5,
-        5.0,
-        10.0,
-    ]
+    curve = success_over_experience([run, make_run(10.0, 0.0, 0.5)])
+    assert curve.experience_s.tolist() == [2.5, 5.0, 10.0]
 
 
 def test_end_of_the_curve_is_the_mean_rate_of_the_saved_policies() -> None:
-    curve = success_over_experience(
-        [make_run(5.0, 0.1, saved=0.5), make_run(7.5, 0.1, 0.2, saved=1.0)]
-    )
+    runs = [make_run(5.0, 0.1, saved=0.5), make_run(7.5, 0.1, 0.2, saved=1.0)]
+    curve, interval = success_over_experience(runs), wilson_interval(np.array(0.75), 2)
     assert curve.mean[-1] == 0.75
-    np.testing.assert_allclose(
-        (curve.lower[-1], curve.upper[-1]), wilson_interval(np.array(0.75), 2)
-    )
+    np.testing.assert_allclose((curve.lower[-1], curve.upper[-1]), interval)
 
 
 @pytest.mark.parametrize("count", [1, 4, 10, 50])

@@ -35,7 +35,7 @@ from torch_pmil.files import bounded_line, in_words
 from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.runs.lock import alone_in
 from torch_pmil.runs.pictures import tell_all
-from torch_pmil.runs.printing import print_trial, warn_of
+from torch_pmil.runs.printing import making_the_rest, print_trial, warn_incomplete, warn_of
 from torch_pmil.runs.run_folder import FinishedRunError
 from torch_pmil.runs.settings import (
     RunSettings,
@@ -48,7 +48,6 @@ from torch_pmil.runs.settings import (
 )
 from torch_pmil.runs.summaries import is_finished
 from torch_pmil.runs.sweep import register_launchers
-from torch_pmil.runs.telling import making_the_rest, warn_incomplete
 from torch_pmil.runs.training import RunResult, train
 from torch_pmil.tasks.registry import demonstrations_from, load_experiment
 from torch_pmil.tasks.task import Task

@@ -13,7 +13,7 @@ try:
 except ImportError:  # not a POSIX system: no locks
     fcntl = None  # type: ignore[assignment]
 
-_held: dict[Path, int] = {}  # folders of this process's runs, and the threads that they are in
+_held: dict[Path, int] = {}  # folders of this process's runs, and the threads of these
 
 
 class RunGoingOnError(ValueError):
@@ -22,13 +22,13 @@ class RunGoingOnError(ValueError):
 
 @contextmanager
 def alone_in(folder: Path | str) -> Iterator[None]:
-    """Keep other runs out of a folder, which is made if it is not there.
+    """Keep other runs out of a folder, which is made if it is missing.
 
-    The file ``.lock`` is locked meanwhile. The lock ends with the process, however that ends; a
-    file that is left behind keeps nobody out. Where a file system knows no locks there is none.
+    The file ``.lock`` in it is locked meanwhile. The lock ends with the process in any case, so a
+    file that is left behind locks nothing. A file system without locks allows several runs.
 
     Args:
-        folder: of a run. The thread that is alone in it may come in again.
+        folder: of a run. The thread that holds the lock may enter again.
 
     Raises:
         RunGoingOnError: another run is there.
@@ -62,12 +62,12 @@ def alone_in(folder: Path | str) -> Iterator[None]:
 
 
 def _locked(path: Path) -> int:
-    """The open and locked file of that name, with the number of this process in it."""
+    """The open and locked file of that name, which holds the number of this process."""
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
         try:
             _lock(file, path)
-            if _is_that(path, file):  # and not one that its owner has just removed
+            if _is_that(path, file):  # its owner may just have removed it
                 os.ftruncate(file, 0)
                 os.write(file, str(os.getpid()).encode())
                 return file
@@ -93,7 +93,7 @@ def _lock(file: int, path: Path) -> None:
 
 
 def _is_that(path: Path, file: int) -> bool:
-    """Whether a path is that of an open file."""
+    """Whether a path leads to an open file."""
     try:
         return os.path.samestat(os.stat(path), os.fstat(file))
     except FileNotFoundError:

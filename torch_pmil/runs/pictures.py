@@ -21,9 +21,8 @@ from torch_pmil.plotting.video import (
     write_video,
 )
 from torch_pmil.runs.figures import figures_of
-from torch_pmil.runs.printing import print_left, print_result
+from torch_pmil.runs.printing import Step, print_left, print_result, tell
 from torch_pmil.runs.report import write_report
-from torch_pmil.runs.telling import Step, tell
 from torch_pmil.runs.training import RunResult
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.task import Task

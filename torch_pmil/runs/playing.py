@@ -18,11 +18,7 @@ from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.envs.rollouts import pictures_of, states_of
 from torch_pmil.files import read_json, short
-from torch_pmil.plotting.video import (
-    check_film_name,
-    render_rollout,
-    write_film,
-)
+from torch_pmil.plotting.video import check_film_name, render_rollout, write_film
 from torch_pmil.runs.pictures import sketched
 from torch_pmil.runs.settings import read_settings
 from torch_pmil.runs.summaries import RunError
@@ -42,8 +38,8 @@ class Player:
     """A learned policy on its task.
 
     Args:
-        experiment: what was learned, with its robot.
-        policy: what was learned for it.
+        experiment: the task, with its robot.
+        policy: the learned policy.
 
     Example:
         >>> player = load_player(SHIPPED)
@@ -84,15 +80,12 @@ class Player:
         show(env, replays)
 
     def film(self, path: Path, starts: int, seed: int) -> int:
-        """Film motions one after the other.
+        """Film motions one after the other, and return how many of them succeeded.
 
         Args:
-            path: the file to write, ending in .gif or .mp4; an existing file is replaced.
+            path: the file to write or replace, ending in .gif or .mp4.
             starts: number of motions.
             seed: of the starts.
-
-        Returns:
-            Number of motions that succeeded.
 
         Raises:
             ValueError: the name has another ending.
@@ -135,10 +128,10 @@ def load_player(folder: Path) -> Player:
         folder: of the run, with ``policy.pt`` and ``summary.json``.
 
     Raises:
-        RunError: it is no finished run, or one of a robot that is not known by name.
+        RunError: the run is not finished, or its robot is not known by name.
         PolicyFileError: the policy is damaged, or of another robot.
         OSError: a file cannot be read.
-        ValueError: its settings are damaged, or its demonstrations are no longer what they were.
+        ValueError: its settings are damaged, or its demonstrations have changed.
         ImportError: the task needs another library.
 
     Example:
@@ -168,7 +161,7 @@ def _experiment_of(folder: Path) -> Task:
 
 
 def _name_in(folder: Path) -> str:
-    """The experiment's name, as the summary of a run has it."""
+    """The experiment's name in the summary of a run."""
     try:
         name = read_json(folder / "summary.json")["experiment"]
     except (ValueError, KeyError, TypeError) as error:
@@ -179,7 +172,7 @@ def _name_in(folder: Path) -> str:
 
 
 def _check_policy(path: Path, policy: StatePolicy, experiment: Task) -> None:
-    """Raise PolicyFileError unless a policy reads what the robot shows and moves its motors."""
+    """Raise PolicyFileError unless a policy fits the robot's observation and motors."""
     wanted = (*experiment.space.names, *experiment.demonstrations.target_names)
     found = (*policy.space.names, *policy.target_names)
     actions = experiment.actions, policy.actions
@@ -191,7 +184,7 @@ def _check_policy(path: Path, policy: StatePolicy, experiment: Task) -> None:
 
 
 def _then_at_rest(pictures: Iterator[np.ndarray], rest: int) -> Iterator[np.ndarray]:
-    """Pictures, the last one ``rest`` times more."""
+    """Pictures, with the last one repeated ``rest`` times."""
     for picture in pictures:
         yield picture
     yield from itertools.repeat(picture, rest)

@@ -12,9 +12,8 @@ from torch_pmil.control.policy_file import save_policy
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.runs.diagnosis.before_a_run import check
 from torch_pmil.runs.pictures import tell_all
-from torch_pmil.runs.printing import print_trial, warn_of
+from torch_pmil.runs.printing import print_trial, warn_incomplete, warn_of
 from torch_pmil.runs.report import write_report
-from torch_pmil.runs.telling import warn_incomplete
 from torch_pmil.runs.training import RunResult, train
 from torch_pmil.seeds import Stream
 from torch_pmil.tasks.own_robot import Recorded, own_robot

@@ -1,36 +1,37 @@
-"""What a run prints: warnings, a line for each trial, what it came to, and where there is more."""
+"""What a run prints: warnings, a line for each trial, the result, and what could not be made."""
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections import Counter
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from tqdm import tqdm
 
 from torch_pmil.demonstrations import DemonstrationError
+from torch_pmil.files import bounded_line
 from torch_pmil.runs.diagnosis.demonstration_checks import Finding
 from torch_pmil.runs.summaries import judged_alone
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
 from torch_pmil.trainer.trials import Trial
 
-LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what a run may leave for the eye
+LEFT = ("report.html", "figures", "video.mp4", "summary.json")  # what there may be to see of a run
 MOST_WARNINGS = 10  # of one cause
+Step = tuple[str, Callable[[], object]]  # what it makes, and how
 
 
 def say(label: str, text: str) -> None:
-    """Print lines above the progress bar, each with the label.
-
-    The runs of a sweep print to one terminal.
-    """
+    """Print lines above the progress bar, each with the label of its run."""
     tqdm.write("\n".join(label + line for line in text.splitlines()))
     sys.stdout.flush()
 
 
 def warn_of(label: str, findings: list[Finding]) -> None:
-    """Print what may go wrong with the demonstrations; raise DemonstrationError at what must.
+    """Print the first ``MOST_WARNINGS`` findings of each cause; raise the first fatal one.
 
-    Of each cause the first ``MOST_WARNINGS`` are printed.
+    Raises DemonstrationError.
     """
     for finding in findings:
         if finding.fatal:
@@ -59,32 +60,26 @@ def print_trial(label: str, objective: type[TrajectoryLoss], trial: Trial) -> No
 
 
 def own_end(trial: Trial) -> str:
-    """What became of a trial's own rollout."""
+    """How a trial's own rollout ended."""
     if trial.cut_short:
         return f"was cut short after {trial.steps} steps ({trial.cut_short})"
     return "succeeded" if trial.own_success else "failed"
 
 
-def by_entry(summary: dict) -> str:
-    """The coverage of each entry of the state."""
-    return ", ".join(
-        f"{name} {coverage:.0%}"
-        for name, coverage in summary["two_sigma_coverage_by_entry"].items()
-    )
-
-
 def of_predictions(summary: dict) -> str:
-    """How far the executed states were predicted, or why they were not."""
+    """How many executed states were predicted, or why none was."""
     if "prediction_error" in summary:
         return f"the model cannot predict this policy: {summary['prediction_error']}"
+    entries = summary["two_sigma_coverage_by_entry"].items()
+    by_entry = ", ".join(f"{name} {coverage:.0%}" for name, coverage in entries)
     return (
         f"{summary['two_sigma_coverage']:.0%} of the executed states lie within two predicted "
-        f"standard deviations: {by_entry(summary)}"
+        f"standard deviations: {by_entry}"
     )
 
 
 def of_success(summary: dict) -> str:
-    """How well the saved policy does, and what says so.
+    """How well the saved policy does, and how it was judged.
 
     Example:
         >>> of_success({"saved_success_rate": 1.0, "saved_n_eval": 0})
@@ -97,13 +92,8 @@ def of_success(summary: dict) -> str:
     return f"success rate {rate:.0%} of {count} fresh starts"
 
 
-def holds_something(path: Path) -> bool:
-    """Whether there is a file, or a folder with one."""
-    return any(path.glob("*")) if path.is_dir() else path.exists()
-
-
 def print_result(label: str, summary: dict) -> None:
-    """Print what the run came to."""
+    """Print the result of a run."""
     reasons = [f"{reason['cause']}: {reason['message']}" for reason in summary["diagnosis"]]
     lines = [
         f"policy of trial {summary['saved_trial']}: {of_success(summary)} after "
@@ -116,6 +106,56 @@ def print_result(label: str, summary: dict) -> None:
 
 
 def print_left(label: str, out: Path) -> None:
-    """Print where there is something to see."""
-    left = [str(out / name) for name in LEFT if holds_something(out / name)]
-    say(label, f"see {', '.join(left)}")
+    """Print which files, and folders that are not empty, there are to see."""
+    paths = [out / name for name in LEFT]
+    left = [path for path in paths if (any(path.glob("*")) if path.is_dir() else path.exists())]
+    say(label, f"see {', '.join(map(str, left))}")
+
+
+def tell(steps: Iterable[Step]) -> list[str]:
+    """Take each step after a run's end, even if those before it failed.
+
+    Args:
+        steps: names of what is made, each with a function that makes it.
+
+    Returns:
+        A line for each step that failed. Ctrl-C stops a step and all those after it.
+
+    Example:
+        >>> tell([("figures", lambda: 1 / 0), ("report", lambda: None)])
+        ['figures: division by zero']
+    """
+    failures, stopped = [], False
+    for name, step in steps:
+        try:
+            if not stopped:
+                step()
+        except KeyboardInterrupt:
+            stopped = True
+        except Exception as error:  # whatever it is: what was learned is saved
+            failures.append(f"{name}: {bounded_line(error)}")
+        if stopped:
+            failures.append(f"{name}: stopped")
+    return failures
+
+
+def making_the_rest(out: Path) -> str:
+    """The command that makes the missing files of a run.
+
+    Example:
+        >>> making_the_rest(Path("my runs/a"))
+        "pmil resume 'my runs/a'"
+    """
+    folder = f"./{out}" if str(out).startswith("-") else str(out)
+    return shlex.join(["pmil", "resume", folder])
+
+
+def warn_incomplete(label: str, failures: list[str], remedy: str) -> None:
+    """Print on standard error, in one line, what is missing, if anything is, and the remedy."""
+    if failures:
+        print(
+            f"{label}the report is incomplete: {'; '.join(failures)}; {remedy} makes the rest "
+            "later, pmil report the page alone",
+            file=sys.stderr,
+            flush=True,
+        )

@@ -17,12 +17,8 @@ from torch_pmil.gp.gaussian import Gaussian, NotPositiveDefiniteError
 from torch_pmil.model.calibration import two_sigma_coverage, two_sigma_coverage_by_entry
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.runs.diagnosis.after_a_run import likely_reasons
-from torch_pmil.runs.diagnosis.causes import (
-    LEARNED,
-    check_cut_short,
-    saturated_fraction,
-    unpredictable,
-)
+from torch_pmil.runs.diagnosis.causes import check_cut_short, unpredictable
+from torch_pmil.runs.diagnosis.measures import LEARNED, saturated_fraction
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trainer import PMILTrainer

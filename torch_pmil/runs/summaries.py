@@ -45,11 +45,11 @@ class SuccessCurve:
     upper: np.ndarray
 
     def at(self, experience_s: float) -> float:
-        """Mean success rate with that much experience."""
+        """Mean success rate after that much experience."""
         return self.mean[self.column(experience_s)].item()
 
     def column(self, experience_s: float) -> int:
-        """Index of the last measurement with at most that much experience, or of the first one."""
+        """Index of the last measurement up to that much experience, or of the first one."""
         measured = int(np.searchsorted(self.experience_s, experience_s, side="right"))
         return max(measured - 1, 0)
 
@@ -60,17 +60,12 @@ class SuccessCurve:
 
 
 def judged_alone(summary: Mapping) -> bool:
-    """Whether the robot's own rollouts alone say what a run came to, without fresh starts."""
+    """Whether a run was judged by the robot's own rollouts alone, without fresh starts."""
     return not summary["saved_n_eval"]
 
 
 def rate_of(trial: Mapping) -> float:
-    """Success rate of a trial's policy from fresh starts, or of its own rollout without them.
-
-    Example:
-        >>> rate_of({"success_rate": None, "own_success": True})
-        1.0
-    """
+    """Success rate of a trial's policy from fresh starts, or of its own rollout without them."""
     rate, own = trial["success_rate"], trial.get("own_success")
     return float(own) if rate is None and own is not None else rate
 
@@ -81,7 +76,7 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
     A run has ``metrics.csv`` from its first second on.
 
     Raises:
-        RunError: a folder is missing, or neither is a run nor holds one.
+        RunError: a folder is missing, or is not a run and holds none.
     """
     found: list[Path] = []
     for folder in folders:
@@ -99,7 +94,7 @@ def words_of(command: object) -> list[str]:
     """The words of a command line of a run.
 
     Raises:
-        ValueError: it is none that a shell would take, or too long to be split: the time grows with
+        ValueError: a shell would not take it, or it is too long: the time to split it grows with
             the square of its length.
 
     Example:
@@ -112,7 +107,7 @@ def words_of(command: object) -> list[str]:
 
 
 def is_finished(folder: Path) -> bool:
-    """Whether the run came to its end, that is, wrote its summary."""
+    """Whether the run ended, and so wrote its summary."""
     return (folder / "summary.json").is_file()
 
 
@@ -120,7 +115,7 @@ def read_summary(folder: Path) -> dict:
     """``summary.json`` of a finished run.
 
     Raises:
-        RunError: it cannot be read, or lacks something, or has it wrong.
+        RunError: it cannot be read, or an entry is missing or wrong.
     """
     try:
         summary = read_json(folder / "summary.json", finite=True)
@@ -155,11 +150,7 @@ def _check_numbers(name: str, values: list, largest: float = LARGEST) -> None:
 
 
 def count_trials(folder: Path) -> int:
-    """Trials in ``metrics.csv``, of a run that may still go on.
-
-    Raises:
-        RunError: it cannot be read.
-    """
+    """Number of trials in ``metrics.csv``, of any run; raise RunError if that is damaged."""
     try:
         rows = csv.reader(io.StringIO(read_text(folder / "metrics.csv")))
         return max(0, sum(1 for row in rows if row) - 1)
@@ -168,14 +159,11 @@ def count_trials(folder: Path) -> int:
 
 
 def success_over_experience(runs: Sequence[dict]) -> SuccessCurve:
-    """Mean success rate of several runs over seconds of experience.
+    """Mean success rate over seconds of experience, wherever one of the runs was measured.
 
-    It is told at each time at which one of the runs was measured.
-
-    Between two measurements a run counts with its last one. A run that ended early is carried
-    forward with its saved policy's rate, which was measured anew from starts that no trial saw; so
-    is every run at the end of its experience. Where there were no fresh starts, the own rollouts
-    count, as 0 or 1.
+    Between two measurements a run counts with its last one. From the end of its experience on, it
+    counts with the rate of its saved policy, measured from new starts. Without fresh starts, the
+    own rollouts count as 0 or 1.
 
     Args:
         runs: summaries, see :func:`read_summary`.
@@ -204,10 +192,7 @@ def success_over_experience(runs: Sequence[dict]) -> SuccessCurve:
 
 
 def _measurements(run: dict) -> tuple[np.ndarray, np.ndarray]:
-    """Times at which a run was measured, in seconds of experience, and its success rates.
-
-    The saved policy's rate is the last one.
-    """
+    """Seconds of experience at which a run was measured, and its success rates, the saved last."""
     measured = {round(trial["experience_s"], 6): rate_of(trial) for trial in run["trials"]}
     measured[round(run["experience_s"], 6)] = run["saved_success_rate"]
     times = sorted(measured)
@@ -220,11 +205,10 @@ def wilson_interval(mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
     .. math:: \frac{\hat p + z^2/2n}{1 + z^2/n} \pm \frac{z}{1 + z^2/n}
         \sqrt{\frac{\hat p (1 - \hat p)}{n} + \frac{z^2}{4 n^2}}
 
-    The draws are the success rates of the runs. Rollouts of one run share its policy, so to pool
-    them as if they were independent would give too narrow an interval. No draw from [0, 1] with
-    mean p has a variance above p (1 - p), that of draws of 0 and 1, for which the interval was
-    made. Unlike a bootstrap over the runs it does not shrink to nothing where all runs agree, and
-    needs no seed.
+    The draws are the success rates of runs, as the rollouts of one run share its policy and are not
+    independent. No draw from [0, 1] with mean p has a variance above p (1 - p), that of draws of 0
+    and 1, for which the interval was made. Unlike a bootstrap over the runs, it does not shrink to
+    nothing where all runs agree.
 
     Args:
         mean: of the draws, from 0 to 1, any shape.

@@ -39,8 +39,12 @@ from torch_pmil.runs.run_folder import (
 from torch_pmil.seeds import SEEDS
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.task import Task
-from torch_pmil.trainer.archive import SavedRun
-from torch_pmil.trainer.checkpoints import discard_newest, newest_undamaged, rotation_in
+from torch_pmil.trainer.checkpoints import (
+    SavedRun,
+    discard_newest,
+    newest_undamaged,
+    rotation_in,
+)
 from torch_pmil.trainer.ending import Ending
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Trial

@@ -1,4 +1,4 @@
-"""MuJoCo's viewer: a window in which motions follow each other in real time."""
+"""MuJoCo's viewer: a window that shows motions one after the other in real time."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ PERIOD = 1 / 60  # s, between two pictures
 
 
 def has_screen() -> bool:
-    """Whether a window with OpenGL can be opened: without one MuJoCo's viewer waits for ever.
+    """Whether a window with OpenGL can be opened; without one, MuJoCo's viewer waits for ever.
 
-    On macOS the viewer needs an interpreter of its own, ``mjpython``: there the answer is no.
+    False on macOS, where the viewer needs an interpreter of its own, ``mjpython``.
     """
     if sys.platform == "darwin":
         return False
@@ -48,8 +48,7 @@ def show(env: MujocoRobotEnv, replays: Iterator[Tensor]) -> None:
 
     Args:
         env: the robot.
-        replays: full simulation states (K, P) at all time steps of each motion, as
-            ``env.replay`` gives them.
+        replays: full simulation states (K, P) of each motion, see ``env.replay``.
     """
     data = mujoco.MjData(env.model)
     launch = import_module("mujoco.viewer").launch_passive
@@ -64,7 +63,7 @@ def show(env: MujocoRobotEnv, replays: Iterator[Tensor]) -> None:
 
 
 def _played(env: MujocoRobotEnv, viewer: Any, data: mujoco.MjData, replay: Tensor) -> bool:
-    """Show a motion, then its last pose for a while; whether the window is still open."""
+    """Show a motion and rest on its last pose; return whether the window is still open."""
     begin, timestep = time.monotonic(), env.model.opt.timestep
     duration = timestep * (len(replay) - 1)
     while viewer.is_running() and (elapsed := time.monotonic() - begin) < duration + REST:

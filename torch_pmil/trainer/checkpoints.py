@@ -1,21 +1,40 @@
-"""Checkpoints of a learning run: one archive after every rollout, checked before it is read.
+"""Checkpoints of a learning run: one archive after every rollout, either whole or not there.
 
-An archive is either whole or not there.
+An archive is checked before it is loaded, and none of it is executed.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 from torchrl.checkpoint import Checkpoint, CheckpointError, CheckpointRotation, GlobalRNGState
 
-from torch_pmil.trainer.archive import SavedRun, read_archive
+from torch_pmil.control.tensor_file import load_archive
+from torch_pmil.files import FileError, bounded_line
+from torch_pmil.trainer.state_checks import check_run
 
 KEPT = 2  # number of checkpoints of a run that are kept
+
+
+@dataclass(frozen=True, eq=False)
+class SavedRun:
+    """The content of an undamaged checkpoint.
+
+    Args:
+        path: of its archive.
+        metadata: entries about the run.
+        states: state dictionary of each component.
+    """
+
+    path: Path
+    metadata: dict[str, Any]
+    states: dict[str, Any]
 
 
 class GeneratorState:
@@ -72,18 +91,26 @@ def rotation_in(folder: Path | str, metadata: Mapping[str, object] | None = None
 
 
 def saved_checkpoints(rotation: CheckpointRotation) -> list[Path]:
-    """All archives of a rotation, the newest first, undamaged or not."""
+    """All archives of a rotation, the newest first, damaged ones too."""
     return sorted(rotation.directory.glob(f"{rotation.prefix}-*.torchrl"), reverse=True)
 
 
-def newest_undamaged(rotation: CheckpointRotation, before: Path | None = None) -> SavedRun | None:
-    """The newest checkpoint that holds what a trainer writes, or None if there is no checkpoint.
+def read_checkpoint(path: Path) -> SavedRun:
+    """A checkpoint from its archive; raise CheckpointError or OSError if it cannot be read."""
+    try:
+        return SavedRun(path, *load_archive(path))
+    except FileError as error:
+        raise CheckpointError(str(error)) from error
 
-    There is a warning for each newer, damaged one.
+
+def newest_undamaged(rotation: CheckpointRotation, before: Path | None = None) -> SavedRun | None:
+    """The newest undamaged checkpoint, or None if there is no checkpoint.
+
+    Each newer, damaged one gives a warning.
 
     Args:
         rotation: of the checkpoints.
-        before: one of them, than which it is older; None for none.
+        before: a checkpoint; only older ones are considered. None for all.
 
     Raises:
         CheckpointError: there are such checkpoints, and all are damaged.
@@ -93,21 +120,18 @@ def newest_undamaged(rotation: CheckpointRotation, before: Path | None = None) -
         saved, problem = _read(path)
         if saved is not None:
             return saved
-        warnings.warn(
-            f"checkpoint {path} is damaged ({problem}): the one before it is taken",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+        message = f"checkpoint {path} is damaged ({problem}): the one before it is taken"
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
     if paths:
         raise CheckpointError(f"all checkpoints in {rotation.directory} are damaged")
     return None
 
 
 def discard_newest(rotation: CheckpointRotation) -> SavedRun | None:
-    """Remove the newest checkpoint, as if its rollout had never been; return the one before it.
+    """Remove the newest checkpoint, and so its rollout, and return the one before it.
 
-    None is returned where that was the first rollout, or there was none. Where the one before is
-    no longer there, nothing is removed, with a warning, and the newest is returned.
+    Returns None if there was no earlier rollout. If the earlier checkpoint is missing, the newest
+    is kept and returned, with a warning.
 
     Raises:
         CheckpointError: the ones before are damaged.
@@ -116,25 +140,80 @@ def discard_newest(rotation: CheckpointRotation) -> SavedRun | None:
     if not paths:
         return None
     before = newest_undamaged(rotation, before=paths[0])
-    if before is None and _rollouts_before(paths[0]) > 0:
-        warnings.warn(
-            "the rollout stays: of those before it, no checkpoint is left to go back to",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+    rollouts_before = int(paths[0].stem.rpartition("-")[2])
+    if before is None and rollouts_before > 0:
+        message = "the rollout stays: of those before it, no checkpoint is left to go back to"
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
         return newest_undamaged(rotation)
     paths[0].unlink()
     return before
 
 
-def _rollouts_before(path: Path) -> int:
-    """Number of rollouts before the one that a checkpoint holds."""
-    return int(path.stem.rpartition("-")[2])
+def restore(
+    components: Mapping[str, Any],
+    saved: SavedRun,
+    rotation: CheckpointRotation | None,
+    widths: tuple[int, int],
+) -> SavedRun:
+    """Load a checkpoint into a trainer's components: all of it is checked, then all is loaded.
+
+    If it does not fit, the one before it is taken with a warning, provided it is of the same run.
+
+    Args:
+        components: by name, with state methods.
+        saved: the checkpoint.
+        rotation: of the older ones; None if there are none.
+        widths: numbers of entries of the robot's observation and of its action.
+
+    Returns:
+        The checkpoint that was loaded.
+
+    Raises:
+        CheckpointError: no checkpoint fits; the message is that of the given one.
+    """
+    fresh = {name: part.state_dict() for name, part in components.items()}
+    first = None
+    while problem := _misfit(fresh, saved, widths):
+        first, older = first or problem, _one_before(saved, rotation)
+        if older is None:
+            raise first
+        warnings.warn(f"{problem}: the one before it is taken", RuntimeWarning, stacklevel=2)
+        saved = older
+    for name in sorted(components.keys() & saved.states.keys()):
+        try:
+            components[name].load_state_dict(saved.states[name])
+        except Exception as error:  # parts of TorchRL fail at other states with any type
+            raise CheckpointError(
+                f"checkpoint {saved.path}: component {name} does not fit: {bounded_line(error)}"
+            ) from error
+    return saved
+
+
+def _misfit(
+    fresh: Mapping[str, Any], saved: SavedRun, widths: tuple[int, int]
+) -> CheckpointError | None:
+    """What does not fit in a checkpoint, if anything does not."""
+    try:
+        check_run(fresh, saved.states, widths)
+    except (ValueError, TypeError, LookupError, RuntimeError) as error:
+        return CheckpointError(f"checkpoint {saved.path}: {bounded_line(error)}")
+    return None
+
+
+def _one_before(saved: SavedRun, rotation: CheckpointRotation | None) -> SavedRun | None:
+    """The undamaged checkpoint of the same run before one, or None."""
+    if rotation is None:
+        return None
+    with suppress(CheckpointError):  # all of those are damaged
+        older = newest_undamaged(rotation, before=saved.path)
+        if older is not None and older.metadata == saved.metadata:
+            return older
+    return None
 
 
 def _read(path: Path) -> tuple[SavedRun | None, str]:
-    """What a checkpoint holds, or None and what is wrong with it."""
+    """The content of a checkpoint, or None and what is wrong with it."""
     try:
-        return read_archive(path), ""
+        return read_checkpoint(path), ""
     except (CheckpointError, OSError) as error:
         return None, str(error)

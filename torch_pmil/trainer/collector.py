@@ -22,9 +22,9 @@ class RobotActor(torch.nn.Module):
     """Actor on the robot: the exploration until the first search, then the policy.
 
     Args:
-        policy: the policy, a function of the features of the state.
+        policy: function of the features of the state.
         space: the robot's state space, which gives the features.
-        motion: the motion of the exploration.
+        motion: of the exploration.
     """
 
     def __init__(self, policy: RBFPolicy, space: StateSpace, motion: Motion) -> None:
@@ -34,7 +34,7 @@ class RobotActor(torch.nn.Module):
 
     @torch.no_grad()
     def forward(self, observation: Tensor, target: Tensor | None = None) -> Tensor:
-        """Torques (*batch, F), N·m, at states (*batch, D) and, if any, for targets (*batch, K)."""
+        """Torques (*batch, F), N·m, at states (*batch, D) and, if given, targets (*batch, K)."""
         if self.exploring:
             return self.motion(observation)
         features = self.space.features(observation)
@@ -42,34 +42,25 @@ class RobotActor(torch.nn.Module):
 
 
 class RolloutCollector(Collector):
-    """TorchRL's collector of one rollout of each robot a batch, without end.
+    """TorchRL's collector of endless batches, each one rollout of each robot.
 
-    A rollout that the robot ends early is as long as it came, and may be empty.
-
-    The collector's state holds the batch that it handed out last, and why that rollout ended early:
-    with a loaded state it begins with that one. A checkpoint that is written as soon as the robot
-    has moved thus holds the motion, and a resumed loop learns from it as the first one did.
+    A rollout that the robot ends early is shorter, and may be empty; ``cut_short`` then says why,
+    and is "" for a complete one. The state of the collector holds the latest batch, with which it
+    begins again once the state is loaded: a resumed run learns from the motion before a checkpoint.
 
     Args:
         env: the robot.
         policy: the module that the robot executes.
         actor: the actor inside the policy.
-        steps: of the next rollouts of each robot, until it is set anew.
+        steps: of the next rollouts of each robot; may be changed between them.
         tries: whether the robot may be reset when the collector is made, to try out the policy.
-
-    ``cut_short`` says why the latest rollout ended early, "" if it did not.
     """
 
     _latest: TensorDictBase | None = None
     _repeated = False
 
     def __init__(
-        self,
-        env: EnvBase,
-        policy: TensorDictModule,
-        actor: RobotActor,
-        steps: int,
-        tries: bool,
+        self, env: EnvBase, policy: TensorDictModule, actor: RobotActor, steps: int, tries: bool
     ) -> None:
         self.steps, self.cut_short = steps, ""
         self._tries, self._physical = tries, env.physical
@@ -99,7 +90,7 @@ class RolloutCollector(Collector):
         super().shutdown(timeout, close_env and not self._physical, raise_on_error)
 
     def _make_carrier(self) -> None:
-        """Make the state on which TorchRL tries out the policy, without a motion if so told."""
+        """Make the state on which TorchRL tries out the policy, with or without a motion."""
         if self._tries:
             super()._make_carrier()
         else:
@@ -114,10 +105,7 @@ class RolloutCollector(Collector):
             yield self._latest
 
     def state_dict(self) -> dict[str, object]:
-        """State of TorchRL's collector, with the environment's state and the latest batch.
-
-        TorchRL leaves out what a plain environment remembers.
-        """
+        """State of TorchRL's collector, with the latest batch and the environment's state."""
         latest = None
         if self._latest is not None:
             latest = {
@@ -128,7 +116,7 @@ class RolloutCollector(Collector):
         return {**super().state_dict(), "env_state_dict": self.env.state_dict(), "latest": latest}
 
     def load_state_dict(self, state_dict: Mapping[str, Any], **kwargs: Any) -> None:
-        """Restore what :meth:`state_dict` gave."""
+        """Load a saved state."""
         state = dict(state_dict)
         latest = state.pop("latest")
         super().load_state_dict(state, **kwargs)

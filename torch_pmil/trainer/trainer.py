@@ -25,13 +25,17 @@ from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.search.promise import PredictedSuccess
 from torch_pmil.search.trial_search import TrialSearch
 from torch_pmil.seeds import SEEDS, Stream, generator_of
-from torch_pmil.trainer.archive import SavedRun
-from torch_pmil.trainer.checkpoints import GeneratorState, new_checkpoint, newest_undamaged
+from torch_pmil.trainer.checkpoints import (
+    GeneratorState,
+    SavedRun,
+    new_checkpoint,
+    newest_undamaged,
+    restore,
+)
 from torch_pmil.trainer.choice import best_candidate
 from torch_pmil.trainer.collector import RobotActor, RolloutCollector
 from torch_pmil.trainer.ending import Ending
 from torch_pmil.trainer.problem import Problem
-from torch_pmil.trainer.resumption import restore
 from torch_pmil.trainer.run_state import RunState
 from torch_pmil.trainer.search_stepper import SearchStepper
 from torch_pmil.trainer.trials import Candidate, Trial, own_error, success_rate

@@ -8,26 +8,28 @@ from collections.abc import Iterator, Mapping
 
 import pytest
 import torch
-from torch_pmil.runs.setting_words import OF_EXPERIMENT
 
 from tests.helpers.draws import Draws
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.runs.diagnosis.causes import (
-    FEWEST_STEPS,
-    SATURATED,
     check_experience,
     check_model,
     check_motion,
     check_saturation,
     check_search,
-    first_departure,
-    first_mismatch,
     group,
     unexplained,
     unpredictable,
 )
 from torch_pmil.runs.diagnosis.demonstration_checks import Finding
+from torch_pmil.runs.diagnosis.measures import (
+    FEWEST_STEPS,
+    SATURATED,
+    first_departure,
+    first_mismatch,
+)
+from torch_pmil.runs.settings import OF_TASK
 from torch_pmil.tasks.registry import load_experiment
 
 NAMES = ("q", "dq")
@@ -44,57 +46,37 @@ def standing(steps: int) -> Gaussian:
     return Gaussian(torch.zeros(steps, 2).double(), torch.eye(2).double().expand(steps, 2, 2))
 
 
-def test_standard_normal_errors_are_those_of_a_right_model(draws: Draws) -> None:
+def of_model(errors: torch.Tensor, executed: torch.Tensor) -> str:
+    """What is wrong with a model that predicts standing still, "" if nothing is."""
+    reason = check_model(errors, standing(10), executed, NAMES, 0.1, SETTINGS)
+    return reason.message if reason else ""
+
+
+def test_errors_are_named_with_their_entry_unless_they_are_standard_normal(draws: Draws) -> None:
     executed = draws.normal(50, 11, 2)
-    assert (
-        check_model(executed[:, 1:].flatten(0, 1), standing(10), executed, NAMES, 0.1, SETTINGS)
-        is None
-    )
+    errors = executed[:, 1:].flatten(0, 1)
+    assert of_model(errors, executed) == ""
+    message = of_model(errors * torch.tensor([1.0, 2.0]), executed)
+    assert "of the one-step errors in dq, and 95 % of the executed states" in message
+    assert "leave" not in message
 
 
-def test_errors_of_twice_the_promised_size_are_named_with_their_entry(draws: Draws) -> None:
-    executed = draws.normal(50, 11, 2)
-    errors = executed[:, 1:].flatten(0, 1) * torch.tensor([1.0, 2.0])
-    found = check_model(errors, standing(10), executed, NAMES, 0.1, SETTINGS)
-    assert (
-        "of the one-step errors in dq, and 95 % of the executed states" in found.message
-        and "leave" not in found.message
-    )
-
-
-def test_trajectory_that_leaves_the_prediction_is_told_though_no_step_is_known(
+def test_trajectory_that_leaves_the_prediction_is_named_though_no_step_is_known(
     draws: Draws,
 ) -> None:
     executed = draws.normal(50, 11, 2)
     executed[:, 4:, 1] += 6
-    found = check_model(torch.zeros(0, 2), standing(10), executed, NAMES, 0.1, SETTINGS)
-    assert (
-        "one-step" not in found.message
-        and "the rollouts leave the prediction at 0.40 s, first in dq;" in found.message
-    )
+    message = of_model(torch.zeros(0, 2), executed)
+    assert "one-step" not in message
+    assert "the rollouts leave the prediction at 0.40 s, first in dq;" in message
     assert first_departure(standing(10), executed) == (4, 1)
-    assert (
-        first_departure(standing(10), torch.cat([executed[:20], draws.normal(30, 11, 2)])) is None
-    )
+    most_stay = torch.cat([executed[:20], draws.normal(30, 11, 2)])
+    assert first_departure(standing(10), most_stay) is None
 
 
-def test_a_few_steps_tell_nothing_of_a_model() -> None:
-    still = torch.zeros(5, 11, 2).double()
-    assert (
-        check_model(
-            torch.full((FEWEST_STEPS - 1, 2), 9.0),
-            standing(10),
-            still,
-            NAMES,
-            0.1,
-            SETTINGS,
-        )
-        is None
-    )
-    assert (
-        check_model(torch.full((FEWEST_STEPS, 2), 9.0), standing(10), still, NAMES, 0.1, SETTINGS)
-        is not None
-    )
+def test_a_few_steps_say_nothing_of_a_model() -> None:
+    still, errors = torch.zeros(5, 11, 2).double(), torch.full((FEWEST_STEPS, 2), 9.0)
+    assert of_model(errors[1:], still) == "" and of_model(errors, still) != ""
 
 
 def test_task_of_standing_still_says_nothing_of_a_robot_that_does() -> None:
@@ -107,10 +89,8 @@ def test_motor_that_is_strong_enough_swings_from_limit_to_limit() -> None:
     torques = ActionSpace.around(*limits, ("a", "b"), ("N·m", "N·m"))
     angles = ActionSpace.around(*limits, ("a", "b"), ("rad", "rad"))
     needed = torch.tensor([0.4, 0.9])
-    assert (
-        "though the demonstrations need no more than 0.4 N·m"
-        in check_saturation(full, torques, needed).message
-    )
+    message = check_saturation(full, torques, needed).message
+    assert "though the demonstrations need no more than 0.4 N·m" in message
     for space, known in ((torques, None), (angles, needed)):
         assert "; a wider range, or " in check_saturation(full, space, known).message
     half = torch.cat([torch.ones(1, 10, 2), torch.zeros(1, 10, 2)])
@@ -126,23 +106,15 @@ def test_single_rollout_that_strays_is_no_lack_of_experience() -> None:
 def test_search_that_is_stuck_from_the_first_step_on() -> None:
     step_loss = torch.tensor([14.0, 30.0])
     assert first_mismatch(step_loss, 3.0) == 1
-    assert check_search(
-        step_loss, 1, "KL", "nats", "most in q", [2], 0.1, SETTINGS
-    ).message.startswith("the KL of a step is 14 nats at 0.10 s (step 1 of 2)")
+    found = check_search(step_loss, 1, "KL", "nats", "most in q", [2], 0.1, SETTINGS)
+    assert found.message.startswith("the KL of a step is 14 nats at 0.10 s (step 1 of 2)")
 
 
 def test_findings_of_one_cause_are_one_reason_in_the_order_in_which_they_came() -> None:
-    found = group(
-        [
-            Finding("b", "first"),
-            Finding("a", "second"),
-            Finding("b", "third"),
-            Finding("b", "fourth"),
-        ]
-    )
+    found = group([Finding(*each) for each in (("b", "1st"), ("a", "2nd"), ("b", "3rd"))])
     assert [(reason.cause, reason.message) for reason in found] == [
-        ("b", "first (and 2 more of this kind)"),
-        ("a", "second"),
+        ("b", "1st (and 1 more of this kind)"),
+        ("a", "2nd"),
     ]
 
 
@@ -165,12 +137,11 @@ def advices(settings: Mapping[str, object]) -> Iterator[str]:
 @pytest.mark.parametrize("name", ["double_pendulum", "biorob"])
 def test_settings_that_an_advice_names_can_be_given_so(name: str) -> None:
     experiment = load_experiment(name)
-    given = re.findall(
-        r"([a-z_.]+)=(\[[\d.,e-]*\]|[\d.]*\d)", " ".join(advices(experiment.adjustable))
-    )
+    said = " ".join(advices(experiment.adjustable))
+    given = re.findall(r"([a-z_.]+)=(\[[\d.,e-]*\]|[\d.]*\d)", said)
     assert len({name for name, _ in given}) == 5
     for setting, value in given:
         changed = experiment.with_settings(**{setting: json.loads(value)})
         assert changed.adjustable[setting] != experiment.adjustable[setting]
     named = re.findall(r"random_action|exploration\.\w+|search\.\w+", unpredictable("").message)
-    assert {*named} <= OF_EXPERIMENT.keys()
+    assert {*named} <= OF_TASK.keys()

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -67,27 +68,22 @@ def test_probability_of_uniform_samples_is_uniform(count: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "separation", "found"), [(5, 16.0, 0.9), (7, 12.0, 0.95), (10, 8.0, 0.95)]
+    ("kind", "count", "separation", "found"),
+    [
+        *((two_ways, *case) for case in ((5, 16.0, 0.9), (7, 12.0, 0.95), (10, 8.0, 0.95))),
+        *((one_apart, *case) for case in ((4, 50.0, 0.95), (5, 20.0, 0.95), (7, 12.0, 0.9))),
+        (one_apart, 10, 10.0, 0.95),
+    ],
 )
-def test_two_ways_are_told_apart_with_their_members(
-    count: int, separation: float, found: float
+def test_two_modes_are_found_with_their_members(
+    kind: Callable[..., Tensor], count: int, separation: float, found: float
 ) -> None:
-    splits = [split_in_two(each) for each in two_ways(count, 200, separation, seed=1)]
-    told = [split.p_value < 0.01 and split.explained > 0.75 for split in splits]
-    assert sum(told) >= found * len(told)
-    members = (tuple(range(0, count, 2)), tuple(range(1, count, 2)))
-    assert all(split.parts == members for split, clear in zip(splits, told, strict=True) if clear)
-
-
-@pytest.mark.parametrize(
-    ("count", "separation", "found"),
-    [(4, 50.0, 0.95), (5, 20.0, 0.95), (7, 12.0, 0.9), (10, 10.0, 0.95)],
-)
-def test_one_unlike_the_others_is_found_alone(count: int, separation: float, found: float) -> None:
-    splits = [split_in_two(each) for each in one_apart(count, 200, separation, seed=1)]
-    told = [split.p_value < 0.01 and split.explained > 0.75 for split in splits]
-    assert sum(told) >= found * len(told)
-    assert all((1,) in split.parts for split, clear in zip(splits, told, strict=True) if clear)
+    splits = [split_in_two(each) for each in kind(count, 200, separation, seed=1)]
+    clear = [split for split in splits if split.p_value < 0.01 and split.explained > 0.75]
+    assert len(clear) >= found * len(splits)
+    second = tuple(range(1, count, 2)) if kind is two_ways else (1,)
+    first = tuple(number for number in range(count) if number not in second)
+    assert all(split.parts == (first, second) for split in clear)
 
 
 def test_split_of_points_on_a_line_is_the_best_of_all() -> None:
@@ -121,6 +117,6 @@ def test_turning_shifting_and_scaling_all_changes_nothing() -> None:
     )
 
 
-def test_nothing_is_told_of_two_or_of_copies() -> None:
+def test_two_trajectories_or_copies_have_no_split() -> None:
     assert split_in_two(torch.randn(2, 5)) is None
     assert split_in_two(torch.ones(5, 5)) is None

@@ -12,33 +12,18 @@ import pytest
 from matplotlib.figure import Figure
 
 import torch_pmil
+from tests.helpers.summaries import SUMMARY, TRIAL
 from torch_pmil.plotting import save_figure
 from torch_pmil.plotting.video import write_video
 from torch_pmil.runs.report import write_report
-from torch_pmil.runs.report.units import unit_of
+from torch_pmil.runs.report.tables import _flat, unit_of
 from torch_pmil.runs.summaries import RunError
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
 
-MEASURED = {
-    "trial": 1,
-    "experience_s": 2.5,
-    "success_rate": 0.5,
-    "own_success": False,
-    "own_error": 0.3,
-}
-TRIAL = MEASURED | {"loss": None, "stop_reason": "iterations"}
-OLD = {  # what every summary has
-    "experiment": "double_pendulum",
-    "seed": 3,
-    "command": "pmil train experiment=double_pendulum seed=3 out=runs/a",
-    "wall_seconds": 12.3,
-    "stop_reason": "limit of trials",
-    "experience_s": 5.0,
-    "saved_trial": 1,
-    "saved_success_rate": 0.5,
-    "saved_n_eval": 20,
-    "trials": [TRIAL],
-}
+MEASURED = TRIAL | {"own_error": 0.3}
+LEARNED = MEASURED | {"loss": None, "stop_reason": "iterations"}
+COMMAND = "pmil train experiment=double_pendulum"
+OLD = SUMMARY | {"command": f"{COMMAND} seed=3 out=runs/a", "trials": [LEARNED]}
 HOSTILE = "<script>alert('&')</script>\"><img src=x onerror=alert(1)>"
 
 
@@ -74,13 +59,8 @@ def test_page_asks_for_nothing_from_elsewhere(tmp_path: Path) -> None:
     write_video(folder / "video.mp4", [np.zeros((16, 16, 3), dtype=np.uint8)] * 5, fps=5)
     page = page_of(folder)
     loaded = re.sub(r"<a [^>]*>", "", page)  # a link is followed only when it is chosen
-    sources = re.findall(r"(?:src|href|action|poster)=\"(.{5})", loaded)
-    assert (
-        sources == 3 * ["data:"]
-        and "<script" not in page
-        and "url(" not in page
-        and "@import" not in page
-    )
+    assert re.findall(r"(?:src|href|action|poster)=\"(.{5})", loaded) == 3 * ["data:"]
+    assert not re.search(r"<script|url\(|@import", page)
 
 
 def test_all_that_comes_from_data_is_escaped(tmp_path: Path) -> None:
@@ -89,7 +69,7 @@ def test_all_that_comes_from_data_is_escaped(tmp_path: Path) -> None:
         "seed": 1,
         "command": HOSTILE,
         "stop_reason": HOSTILE,
-        "trials": [TRIAL | {"stop_reason": HOSTILE}],
+        "trials": [LEARNED | {"stop_reason": HOSTILE}],
         "settings": {HOSTILE: {"a": HOSTILE}},
         "versions": {HOSTILE: HOSTILE},
         "diagnosis": [{"cause": HOSTILE, "message": HOSTILE}],
@@ -104,12 +84,9 @@ def test_pictures_come_in_reading_order_and_say_of_which_target_they_are(tmp_pat
     names = ("my_own", "model", "trajectories_target_1", "trajectories_target_0", "learning_curve")
     rates = {"y = 0": 0.4, "y = 1": 0.6}
     page = page_of(run_of(tmp_path / "run", OLD | {"saved_success_rate_by_target": rates}, *names))
-    titles = [
-        "Demonstrated, predicted and executed, y = 0",
-        "Demonstrated, predicted and executed, y = 1",
-        "Learning curve",
-    ]
-    assert headings(page)[:5] == [*titles, "Slices through the model", "my own"]
+    titles = [f"Demonstrated, predicted and executed, y = {y}" for y in (0, 1)]
+    titles += ["Learning curve", "Slices through the model", "my own"]
+    assert headings(page)[:5] == titles
     assert re.findall(r'width="(\d+)" height="(\d+)"', page) == 5 * [("200", "100")]
 
 
@@ -147,31 +124,22 @@ def test_page_says_where_own_rollouts_alone_judge(tmp_path: Path, rate: float, s
 def test_diagnosis_is_said_if_there_is_one(tmp_path: Path) -> None:
     reason = {"cause": "search stuck", "message": "at step 7"}
     page = page_of(run_of(tmp_path / "a", OLD | {"diagnosis": [reason]}))
-    assert (
-        "<li><strong>search stuck</strong>: at step 7</li>" in page
-        and headings(page)[0] == "The likely reason"
-    )
-    assert (
-        headings(page_of(run_of(tmp_path / "two", OLD | {"diagnosis": 2 * [reason]})))[0]
-        == "Likely reasons, the most likely first"
-    )
+    assert "<li><strong>search stuck</strong>: at step 7</li>" in page
+    assert headings(page)[0] == "The likely reason"
+    page = page_of(run_of(tmp_path / "two", OLD | {"diagnosis": 2 * [reason]}))
+    assert headings(page)[0] == "Likely reasons, the most likely first"
     for name, summary in (("none", OLD | {"diagnosis": []}), ("old", OLD)):
         assert "ikely reason" not in page_of(run_of(tmp_path / name, summary))
 
 
 def test_run_at_its_limit_can_go_on_and_any_can_be_repeated_or_begin_anew(tmp_path: Path) -> None:
-    command = "pmil train experiment=double_pendulum"
     page = page_of(run_of(tmp_path / "limit", OLD))
-    assert f"{command} seed=3 out=runs/a trials=2 resume=true</pre>" in page
-    assert f"{command} seed=4</pre>" in page
-    assert f"{command} seed=3 out=runs/a overwrite=true</pre>" in page
-    done = page_of(
-        run_of(
-            tmp_path / "done",
-            OLD | {"stop_reason": "succeeded", "command": f"{command} resume=true"},
-        )
-    )
-    assert "trials=2" not in done and f"{command} overwrite=true</pre>" in done
+    same = "seed=3 out=runs/a"
+    for changed in (f"{same} trials=2 resume=true", "seed=4", f"{same} overwrite=true"):
+        assert f"{COMMAND} {changed}</pre>" in page
+    ended = {"stop_reason": "succeeded", "command": f"{COMMAND} resume=true"}
+    done = page_of(run_of(tmp_path / "done", OLD | ended))
+    assert "trials=2" not in done and f"{COMMAND} overwrite=true</pre>" in done
 
 
 def rows_of(page: str) -> list[list[str]]:
@@ -187,7 +155,7 @@ def test_numbers_of_trials_and_settings_are_in_tables_with_their_units(tmp_path:
         "units": {"objective": "nats", "demonstrations": {"x": "m"}},
     }
     settings = {"horizon": 25, "noise_std": 0.05, "search": {"trust_threshold": 3.0}}
-    trial = TRIAL | {"loss": 2.0, "stop_reason": "iteration limit"}
+    trial = LEARNED | {"loss": 2.0, "stop_reason": "iteration limit"}
     summary = OLD | {"settings": settings, "trials": [trial]} | shares
     rows = rows_of(page_of(run_of(tmp_path / "run", summary)))
     for row in (
@@ -202,10 +170,9 @@ def test_numbers_of_trials_and_settings_are_in_tables_with_their_units(tmp_path:
     assert "objective (nats)" in rows[0]
 
 
-def test_own_error_is_told_beside_the_tolerance_and_without_one_as_it_is(tmp_path: Path) -> None:
-    with_tolerance = rows_of(
-        page_of(run_of(tmp_path / "a", OLD | {"settings": {"tolerance": 0.2}}))
-    )
+def test_own_error_is_shown_in_tolerances_and_without_one_as_it_is(tmp_path: Path) -> None:
+    given = OLD | {"settings": {"tolerance": 0.2}}
+    with_tolerance = rows_of(page_of(run_of(tmp_path / "a", given)))
     assert "own error, of the tolerance" in with_tolerance[0] and "150 %" in with_tolerance[1]
     without = rows_of(page_of(run_of(tmp_path / "b", OLD)))
     assert "own error (unit of the task)" in without[0] and "0.3" in without[1]
@@ -218,18 +185,9 @@ def test_every_setting_that_is_a_number_has_a_unit() -> None:
         match_space = experiment.space.match_space
         known = dict(zip(match_space.names, match_space.units, strict=True))
         units = {"objective": experiment.objective.unit, "demonstrations": known}
-        for setting, value in flat(experiment.settings).items():
-            if value is not None and not isinstance(value, bool):
+        for setting, value in _flat(experiment.settings):
+            if value not in ("–", "yes", "no"):
                 assert unit_of(setting, {"units": units}), (name, setting)
-
-
-def flat(settings: dict, prefix: str = "") -> dict[str, object]:
-    inner: dict[str, object] = {}
-    for name, value in settings.items():
-        inner |= (
-            flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
-        )
-    return inner
 
 
 def test_pages_of_the_documentation_are_links_where_they_are_there(
@@ -237,10 +195,8 @@ def test_pages_of_the_documentation_are_links_where_they_are_there(
 ) -> None:
     folder = run_of(tmp_path / "run", OLD | {"diagnosis": [{"cause": "a", "message": "b"}]})
     links = re.findall(r"<a href=\"file://([^\"]*)\">([^<]*)</a>", page_of(folder))
-    assert [path for _, path in links] == [
-        f"docs/how_to/{name}.md"
-        for name in ("diagnosis", "reading_the_plots", "diagnosis", "deploy")
-    ]
+    names = ("diagnosis", "reading_the_plots", "diagnosis", "deploy")
+    assert [path for _, path in links] == [f"docs/how_to/{name}.md" for name in names]
     assert all(Path(unquote(address)).exists() for address, _ in links)
     monkeypatch.setattr(torch_pmil, "__file__", str(tmp_path / "site-packages" / "__init__.py"))
     page = page_of(folder)
@@ -256,9 +212,7 @@ def test_what_is_damaged_is_said_in_one_line_and_the_old_page_stays(tmp_path: Pa
     folder = run_of(tmp_path / "run", OLD)
     page = page_of(folder)
     (folder / "figures" / "poses.png").write_text("no picture")
-    with pytest.raises(
-        RunError, match=r"poses\.png must be a PNG file, got one that begins with b'no pict"
-    ):
+    with pytest.raises(RunError, match=r"poses\.png must be a PNG file, got .* with b'no pict"):
         write_report(folder)
     (folder / "summary.json").unlink()
     with pytest.raises(RunError, match=r"holds no finished run: there is no file"):

@@ -23,7 +23,7 @@ from torch_pmil.runs.diagnosis.demonstration_checks import (
 )
 from torch_pmil.tasks.task import Task
 
-TORQUE_STEPS = 400  # of which torques are computed
+TORQUE_STEPS = 400  # number of steps whose torques are computed
 STRETCH = 20  # steps in a row, where the demonstrations have more in all
 MARGIN = 3  # steps before and after a stretch, which its spline goes through
 
@@ -31,10 +31,9 @@ MARGIN = 3  # steps before and after a stretch, which its spline goes through
 def check(experiment: Task) -> list[Finding]:
     """Check the demonstrations of an experiment; those shipped have no finding.
 
-    Modes, jumps and the number are those of each target. Reach and torques are told where the
+    Modes, jumps and the number are checked for each target. Reach and torques are checked if the
     experiment's states were recovered sample by sample, and as far as the robot knows its stops and
-    its inverse dynamics. It takes seconds for 1,000 demonstrations or 20,000 samples, most of which
-    have no torques computed (:func:`needed_torques`).
+    its inverse dynamics. It takes seconds for 1,000 demonstrations or 20,000 samples.
 
     Example:
         >>> from torch_pmil.tasks.registry import load_experiment
@@ -66,37 +65,34 @@ def check(experiment: Task) -> list[Finding]:
 
 def _check_robot(experiment: Task, noise_std: torch.Tensor) -> list[Finding]:
     """Findings on motions that the robot itself cannot do."""
-    demonstrations = experiment.demonstrations
+    demonstrations, time_step = experiment.demonstrations, experiment.demonstrations.time_step
     N, samples, _ = demonstrations.positions.shape
     if len(experiment.demonstrated_states) != N * samples:
         return []
     states = experiment.demonstrated_states.reshape(N, samples, -1)
-    env = experiment.first_robot(seed=0)
-    shown = experiment.space.observe(states)
+    env, shown = experiment.first_robot(seed=0), experiment.space.observe(states)
     findings = check_reach(demonstrations, shown, noise_std)
     findings = findings or check_body(demonstrations, shown, noise_std)
     if experiment.state_box is not None:
         findings += check_box(experiment.state_box, states)
     if (excess := env.beyond_range(states)) is not None:
-        findings += check_stops(excess, demonstrations.time_step)
+        findings += check_stops(excess, time_step)
     torques = None if findings else needed_torques(experiment)
     if torques is not None and env.torque_limits is not None:
-        findings += check_torques(
-            torques, env.torque_limits, env.action_names, demonstrations.time_step
-        )
+        findings += check_torques(torques, env.torque_limits, env.action_names, time_step)
     return findings
 
 
 def needed_torques(experiment: Task) -> torch.Tensor | None:
     """Torques along the demonstrations, (N, T, F), N·m.
 
-    Of more than 400 steps in all, two sets of stretches of 20 steps have their torques computed,
-    200 steps each: those with the largest second differences of what was shown, and others evenly
-    spaced over all demonstrations. The torques of other steps are 0.
+    Beyond 400 steps in all, the torques of 400 steps are computed, in stretches of 20: half of them
+    with the largest second differences of what was shown, the others evenly spaced over all
+    demonstrations. The torques of other steps are 0.
 
     Returns:
-        None where the experiment's states were not recovered sample by sample, or the robot does
-        not know its inverse dynamics.
+        None if the experiment's states were not recovered sample by sample, or the robot does not
+        know its inverse dynamics.
 
     Example:
         >>> from torch_pmil.tasks.registry import load_experiment

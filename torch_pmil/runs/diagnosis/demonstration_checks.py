@@ -1,6 +1,8 @@
 """Checks for demonstrations that break what the method assumes, made before a robot learns.
 
-This module knows no particular robot.
+This module knows no particular robot. ``sets`` are the demonstrations of each target, and
+``numbers`` what messages call them. ``noise_std`` is the observation noise, () or (M,), the unit in
+which entries are compared.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ STOP_MARGIN = 0.05  # rad or m, that a joint may be beyond its stop
 TORQUE_MARGIN = 1.3  # of the limit: so uncertain are torques of a motion known at the control rate
 LONG = 500  # steps, whose trials may take an hour: the work grows with the cube of all experience
 ENDLESS = 5000  # steps, of which the model of the exploration alone would take hours
-UNREACHABLE = "demonstrations out of reach"  # a cause that several checks tell
+UNREACHABLE = "demonstrations out of reach"  # a cause that several checks find
 FEW = "too few demonstrations"  # another one
 
 
@@ -54,18 +56,13 @@ def check_modes(
 ) -> list[Finding]:
     """Find two modes in the demonstrations of one target, or one demonstration unlike the others.
 
-    Args:
-        sets: demonstrations of each target.
-        numbers: what a message calls them.
-        noise_std: observation noise, () or (M,), in whose units the entries are compared.
-
     Example:
         >>> way = torch.linspace(0, torch.pi, 20).sin()
         >>> ways = torch.stack([sign * way + 0.01 * k for sign in (-1, 1) for k in range(4)])
         >>> shown = Demonstrations(ways[..., None], 0.1, ("x",))
         >>> found = check_modes([shown], [range(8)], torch.tensor(0.1))
         >>> found[0].message.partition(" (")[0]
-        'demonstrations 0, 1, 2, 3 and 4, 5, 6, 7 are two different ways'
+        'demonstrations 0, 1, 2, 3 and 4, 5, 6, 7 show two different ways'
     """
     findings = []
     for demonstrations, known in zip(sets, numbers, strict=True):
@@ -84,7 +81,7 @@ def _two_ways(split: Split, known: Sequence[int]) -> Finding:
     first, second = (", ".join(str(known[member]) for member in part) for part in split.parts)
     return Finding(
         "contradictory demonstrations",
-        f"demonstrations {first} and {second} are two different ways "
+        f"demonstrations {first} and {second} show two different ways "
         f"({100 * split.explained:.0f} % of the spread is between them, p = {split.p_value:.4f}); "
         "their mean is neither: train on one of them alone",
     )
@@ -95,8 +92,7 @@ def _unlike(demonstrations: Demonstrations, lone: int, number: int, noise_std: T
     positions = demonstrations.positions
     others = torch.cat([positions[:lone], positions[lone + 1 :]])
     mean, std = others.mean(0), others.std(0)
-    apart = ((positions[lone] - mean) / noise_std).abs()
-    step, entry = divmod(int(apart.argmax()), apart.shape[1])
+    step, entry = _place(((positions[lone] - mean) / noise_std).abs())
     return Finding(
         "one demonstration unlike the others",
         f"demonstration {number} is unlike the others: at {step * demonstrations.time_step:.2f} s "
@@ -111,41 +107,30 @@ def check_count(sets: Sequence[Demonstrations]) -> list[Finding]:
     count = sum(len(each.positions) for each in sets)
     if count - len(sets) >= 2:
         return []
-    return [
-        Finding(
-            FEW,
-            f"{count} demonstrations tell the spread in one direction alone, the observation "
-            "noise stands for the others; three to five are better",
-        )
-    ]
+    message = (
+        f"{count} demonstrations show the spread in one direction only, and the observation noise "
+        "stands for the others; three to five are better"
+    )
+    return [Finding(FEW, message)]
 
 
 def check_length(demonstrations: Demonstrations) -> list[Finding]:
-    """Find motions of so many steps that their model would not be fitted in a day.
-
-    Example:
-        >>> long = Demonstrations(torch.zeros(2, 10_001, 1), 0.1, ("x",))
-        >>> check_length(long)[0].fatal
-        True
-    """
+    """Find motions of so many steps that their model would not be fitted in a day."""
     steps, period = demonstrations.positions.shape[1] - 1, demonstrations.time_step
     if steps <= LONG:
         return []
-    return [
-        Finding(
-            "long demonstrations",
-            f"demonstrations have {steps} steps ({steps * period:g} s), each of which is a datum "
-            f"of the model in every rollout; up to {LONG} are learned in reasonable time: show "
-            "less, or control at a longer period",
-            fatal=steps > ENDLESS,
-        )
-    ]
+    message = (
+        f"demonstrations have {steps} steps ({steps * period:g} s), and in every rollout the model "
+        f"learns from each step; up to {LONG} are learned in reasonable time: show less, or use a "
+        "longer control period"
+    )
+    return [Finding("long demonstrations", message, fatal=steps > ENDLESS)]
 
 
 def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[Finding]:
     """Find demonstrations that are copies of one another: they show less spread than there is.
 
-    Only those that begin alike are compared as a whole. A copy is told with the first that it is
+    Only those that begin alike are compared as a whole. A copy is named with the first that it is
     like.
     """
     scaled = demonstrations.positions / noise_std
@@ -164,14 +149,9 @@ def check_duplicates(demonstrations: Demonstrations, noise_std: Tensor) -> list[
 def check_start(
     demonstrations: Demonstrations, start: Gaussian, noise_std: Tensor
 ) -> list[Finding]:
-    r"""Find demonstrations that begin where the robot does not start.
+    r"""Find demonstrations that begin where the robot does not start, p(x_0) in the match space.
 
-    That is beyond the :math:`\chi^2` quantile of the observed p(x_0).
-
-    Args:
-        demonstrations: N of them.
-        start: p(x_0) in the match space, (M,).
-        noise_std: observation noise, () or (M,).
+    The bound is the :math:`\chi^2` quantile of the observed start.
     """
     belief = start.add_noise(noise_std**2)
     deviation = demonstrations.positions[:, 0] - belief.mean
@@ -182,27 +162,21 @@ def check_start(
     for number in (white.square().sum(0) > bound).nonzero().flatten().tolist():
         entry = int((deviation[number] / belief.std).abs().argmax())
         off, std = deviation[number, entry].item(), belief.std[entry].item()
-        findings.append(
-            Finding(
-                "demonstrations start elsewhere",
-                f"demonstration {number} starts at {demonstrations.names[entry]} = "
-                f"{demonstrations.positions[number, 0, entry]:.3g}, {off:+.3g} from where the "
-                f"robot starts (standard deviation {std:.3g}); cut it, shift it, or start the "
-                "robot there",
-            )
+        message = (
+            f"demonstration {number} starts at {demonstrations.names[entry]} = "
+            f"{demonstrations.positions[number, 0, entry]:.3g}, {off:+.3g} from where the robot "
+            f"starts (standard deviation {std:.3g}); cut it, shift it, or start the robot there"
         )
+        findings.append(Finding("demonstrations start elsewhere", message))
     return findings
 
 
 def check_jumps(
     sets: Sequence[Demonstrations], numbers: Sequence[Sequence[int]], noise_std: Tensor
 ) -> list[Finding]:
-    """Find jumps from sample to sample, as of a tracker that lost its point.
+    """Find jumps from sample to sample, as from a tracker that lost its point.
 
     A jump is a second difference that no other demonstration has near that time.
-
-    Args:
-        sets, numbers, noise_std: as for :func:`check_modes`.
     """
     findings = []
     for demonstrations, known in zip(sets, numbers, strict=True):
@@ -217,14 +191,12 @@ def check_jumps(
         for number, at in enumerate(excess.argmax(1).tolist()):
             if excess[number, at] > LEAST_JUMP:
                 entry = demonstrations.names[int(differences[number, at].abs().argmax())]
-                findings.append(
-                    Finding(
-                        "jumps in demonstrations",
-                        f"demonstration {known[number]} jumps in {entry} at "
-                        f"{(at + 1) * demonstrations.time_step:.2f} s; pmil align --fastest SPEED "
-                        "leaves jumps out of a recording",
-                    )
+                message = (
+                    f"demonstration {known[number]} jumps in {entry} at "
+                    f"{(at + 1) * demonstrations.time_step:.2f} s; pmil align --fastest SPEED "
+                    "leaves jumps out of a recording"
                 )
+                findings.append(Finding("jumps in demonstrations", message))
     return findings
 
 
@@ -234,15 +206,15 @@ def check_reach(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor
     Args:
         demonstrations: N of them.
         shown: what the robot shows in the states that were recovered from them, (N, T + 1, M).
-        noise_std: observation noise, () or (M,).
+        noise_std: observation noise.
     """
     apart = (demonstrations.positions - shown).abs()
     return [
         Finding(
             UNREACHABLE,
             f"demonstration {number} leaves the workspace: at "
-            f"{step * demonstrations.time_step:.2f} s the robot is no nearer than "
-            f"{apart[number, step, entry]:.3g} in {demonstrations.names[entry]}; scale it or "
+            f"{step * demonstrations.time_step:.2f} s the robot stays "
+            f"{apart[number, step, entry]:.3g} away in {demonstrations.names[entry]}; scale it or "
             "place it elsewhere",
             fatal=True,
         )
@@ -254,12 +226,9 @@ def check_body(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor)
     r"""Find places where the robot cannot be, a little off in all demonstrations alike.
 
     The observation noise of N demonstrations leaves their mean with a standard deviation of
-    :math:`\sigma_{\mathrm{obs}} / \sqrt N`. A mean that is farther from all that the robot can show
-    (by :math:`\chi^2` over all entries and times), and more than the noise somewhere, is that of
-    another body or another base.
-
-    Args:
-        demonstrations, shown, noise_std: as for :func:`check_reach`.
+    :math:`\sigma_{\mathrm{obs}} / \sqrt N`. Another body or another base has shown a mean that is
+    farther from all that the robot can show (by :math:`\chi^2` over all entries and times), and
+    more than the noise somewhere. Arguments as for :func:`check_reach`.
 
     Example:
         >>> at = torch.zeros(5, 10, 1)
@@ -272,16 +241,14 @@ def check_body(demonstrations: Demonstrations, shown: Tensor, noise_std: Tensor)
     bound = chdtri(size.numel(), SIGNIFICANCE)
     if len(positions) * size.square().sum() <= bound or size.amax() <= 1:
         return []
-    step, entry = divmod(int(size.argmax()), size.shape[1])
-    return [
-        Finding(
-            UNREACHABLE,
-            "the demonstrations show positions that this robot cannot reach: their mean is up to "
-            f"{off[step, entry].abs():.2g} off, in {demonstrations.names[entry]} at "
-            f"{step * demonstrations.time_step:.2f} s; measure the links and the base of the body "
-            "that showed them, or match only what both bodies can show",
-        )
-    ]
+    step, entry = _place(size)
+    message = (
+        "the demonstrations show positions that this robot cannot reach: their mean is up to "
+        f"{off[step, entry].abs():.2g} off, in {demonstrations.names[entry]} at "
+        f"{step * demonstrations.time_step:.2f} s; measure the links and the base of the body "
+        "that showed them, or match only what both bodies can show"
+    )
+    return [Finding(UNREACHABLE, message)]
 
 
 def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
@@ -300,14 +267,13 @@ def check_stops(excess: Tensor, time_step: float) -> list[Finding]:
 
 def check_box(box: StateBox, states: Tensor) -> list[Finding]:
     """Find demonstrated states (N, T + 1, D) outside the limits of the learning robot's motion."""
-    lines = [box.guard(motion) for motion in states]
     return [
         Finding(
             UNREACHABLE,
-            f"demonstration {number} shows what the robot may not do: {line}; widen the box, or "
+            f"demonstration {number} goes where the robot must not go: {line}; widen the box, or "
             "show a slower or smaller motion",
         )
-        for number, line in enumerate(lines)
+        for number, line in enumerate(map(box.guard, states))
         if line
     ]
 
@@ -315,14 +281,7 @@ def check_box(box: StateBox, states: Tensor) -> list[Finding]:
 def check_torques(
     torques: Tensor, limits: Tensor, names: Sequence[str], time_step: float
 ) -> list[Finding]:
-    """Find motions that need more torque than there is.
-
-    Args:
-        torques: of each control period, (N, T, F), N·m.
-        limits: (F,), N·m.
-        names: of the F motors.
-        time_step: the control period, s.
-    """
+    """Find torques (N, T, F) of the control periods beyond the limits (F,) of the motors, N·m."""
     return [
         Finding(
             UNREACHABLE,
@@ -335,11 +294,13 @@ def check_torques(
 
 
 def _worst(sizes: Tensor, bound: float) -> Iterator[tuple[int, int, int]]:
-    """Demonstration, step and entry of the largest size in each demonstration, if above a bound.
-
-    Sizes are (N, T, K).
-    """
+    """Demonstration, step and entry of the largest of its sizes (N, T, K), if above a bound."""
     for number, size in enumerate(sizes):
-        step, entry = divmod(int(size.argmax()), size.shape[1])
+        step, entry = _place(size)
         if size[step, entry] > bound:
             yield number, step, entry
+
+
+def _place(sizes: Tensor) -> tuple[int, int]:
+    """Step and entry of the largest of sizes (T, K)."""
+    return divmod(int(sizes.argmax()), sizes.shape[1])

@@ -1,12 +1,11 @@
 r"""Two ways of doing a task in one set of demonstrations, whose mean (Eq. 10) nobody showed.
 
-Whole trajectories are split in two along their direction of largest spread. What is significant is
+Whole trajectories are split in two along their direction of largest spread. The test statistic is
 the ratio R of the squared scatter within the two parts to that of all, along that direction. For
 Gaussian trajectories of any covariance the scores along it, scaled to unit norm, are those of a
-one-dimensional sample (the rows' distribution does not change under rotations, Langsrud 2005), so
-that R has one known distribution for each N. Compared with is that of a uniform sample, the
-flattest of unimodal ones (Hartigan and Hartigan 1985), by simulation: it lies lower at every N, and
-warns the more rarely.
+one-dimensional sample (the rows' distribution does not change under rotations, Langsrud 2005), so R
+has one distribution for each N. R is compared with that of a uniform sample, the flattest unimodal
+one (Hartigan and Hartigan 1985), by simulation. It lies lower at every N, so warnings are rarer.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-SIMULATIONS = 50_000  # samples of the null distribution, of few trajectories
-FEWEST_SIMULATIONS = 1000  # of many
+SIMULATIONS = 50_000  # samples of the null distribution, for few trajectories
+FEWEST_SIMULATIONS = 1000  # for many
 DRAWS = 2_000_000  # numbers in all the samples, unless they are the fewest
 
 
@@ -47,7 +46,7 @@ def split_in_two(trajectories: Tensor) -> Split | None:
         trajectories: aligned, (N, ...), all entries in comparable units.
 
     Returns:
-        None for fewer than three or where all are the same: then nothing can be told.
+        None for fewer than three trajectories, or if all are the same.
 
     Example:
         >>> left, right = -torch.ones(4, 10), torch.ones(4, 10)
@@ -74,8 +73,6 @@ def _scatter_within(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least scatter within two parts of sorted scores (S, N) over the total, and where to cut.
 
     Both are (S,); the cut is the index of the last score of the first part.
-
-    The cut is the index of the last score of the first part.
     """
     centred = scores - scores.mean(1, keepdims=True)
     count = np.arange(1, scores.shape[1])

@@ -2,13 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from torch_pmil.checks import check_tensor
 from torch_pmil.control.state_space import StateSpace
+from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.dynamics import GPDynamics, Targets
 from torch_pmil.model.experience import gp_data
+from torch_pmil.tasks.task import Task
+
+RECORDED = 200  # latest transitions that are evidence; one rollout at least
+FEWEST_STEPS = 5  # of a rollout, beyond those that the state remembers
+FARTHEST = 2  # control periods
+
+
+@dataclass(frozen=True)
+class PastEvidence:
+    """Nats by which the past explains a motion better than state and action alone.
+
+    Args:
+        of_actions: those of the action so many control periods before.
+        of_state: those of how the state changed over the last period.
+        transitions: number of transitions that are the evidence.
+        time_step: s.
+    """
+
+    of_actions: Mapping[int, float]
+    of_state: float
+    transitions: int
+    time_step: float
+
+    @property
+    def periods(self) -> int:
+        """How many periods before the action was that explains most."""
+        return max(self.of_actions, key=lambda number: self.of_actions[number])
+
+
+def evidence_of_the_past(
+    experiment: Task, targets: Targets, recorded: Sequence[TensorDictBase]
+) -> PastEvidence | None:
+    """The evidence of the latest rollouts, or None if they are too few or too short.
+
+    Args:
+        experiment: of the robot. Actions that its state holds already are left out.
+        targets: what its model learns.
+        recorded: whole rollouts, (robots, T) each, in their order.
+    """
+    remembered = 0 if experiment.history is None else experiment.history.past_actions
+    steps = min(experiment.horizon, RECORDED)
+    if not recorded or steps < remembered + FEWEST_STEPS:
+        return None
+    latest = recorded[-max(1, RECORDED // (steps * len(recorded[-1]))) :]
+    states = torch.cat([states_of(each)[:, : steps + 1] for each in latest])
+    actions = torch.cat([each["action"][:, :steps] for each in latest])
+    motion = states, actions, experiment.space
+    return PastEvidence(
+        {
+            periods: evidence_of_past_action(*motion, periods, targets).sum().item()
+            for periods in range(remembered + 1, remembered + FARTHEST + 1)
+        },
+        evidence_of_past_state(*motion, targets=targets).sum().item(),
+        actions[..., 0].numel(),
+        experiment.demonstrations.time_step,
+    )
 
 
 def evidence_of_past_action(
@@ -22,11 +83,10 @@ def evidence_of_past_action(
 
     .. math:: \log p(x_{t+1} \mid x_t, u_t, u_{t-k}) - \log p(x_{t+1} \mid x_t, u_t)
 
-    Both are the marginal likelihoods, at their largest, of all transitions whose action of the past
-    is known. A robot that acts when it is told gains nothing by it; one that acts late, or has a
-    part that the state does not show, gains the more, the more it was recorded. Such a robot learns
-    by a state that holds past actions
-    (:func:`~torch_pmil.tasks.with_history.with_history`).
+    Both are marginal likelihoods at their maximum, of all transitions whose past action is known.
+    A robot whose commands act at once gains nothing. One that acts late, or has a part that the
+    state does not show, gains more with every recorded motion. Such a robot learns by a state that
+    holds past actions (:func:`~torch_pmil.tasks.with_history.with_history`).
 
     Args:
         states: x_0..x_T of rollouts, (N, T + 1, D).
@@ -65,9 +125,8 @@ def evidence_of_past_state(
 
     .. math:: \log p(x_{t+1} \mid x_t, u_t, x_t - x_{t-k}) - \log p(x_{t+1} \mid x_t, u_t)
 
-    Where the state says all of the robot's motion, the past tells nothing more. It does where
-    velocities are missing, a part is hidden, or sensors are noisy. Arguments, result and errors are
-    those of :func:`evidence_of_past_action`.
+    The past helps where velocities are missing, a part is hidden, or sensors are noisy. Arguments,
+    result and errors are those of :func:`evidence_of_past_action`.
 
     Example:
         >>> from torch_pmil.control.state_space import joint_match

@@ -8,18 +8,20 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
+import torch_pmil
 from torch_pmil.files import MIB, FileError, read_bytes, replacing
+from torch_pmil.runs.printing import making_the_rest
 from torch_pmil.runs.report.captions import Caption, caption_of, place_of
-from torch_pmil.runs.report.documentation import page_of
 from torch_pmil.runs.report.tables import tables
 from torch_pmil.runs.report.words import headline, next_steps, percent, say
 from torch_pmil.runs.summaries import RunError, judged_alone, read_summary
-from torch_pmil.runs.telling import making_the_rest
 
 MEDIA_BYTES = 64 * MIB  # of a figure or video, some 100 kB
 PNG = b"\x89PNG\r\n\x1a\n"
 DENSITY = 1.5  # pixels of a picture to one of the page, as it is shown
 DENSEST = 2.8  # the most of them with which its text can still be read
+GUIDES = "docs/how_to"  # of the repository
+BUILT_GUIDES = "docs/_build/html/how_to"
 
 
 @dataclass(frozen=True)
@@ -51,13 +53,11 @@ class Picture:
 def write_report(folder: Path | str, drawn: bool = True) -> Path:
     """Write ``report.html`` from what a finished run left in its folder: summary, figures, video.
 
-    The page holds all of it and asks for nothing from elsewhere. What a run did not leave, it does
-    without.
+    The page loads nothing from elsewhere. What a run did not leave is left out.
 
     Args:
         folder: of the run.
-        drawn: whether figures and video are those of this run; False before they are drawn, and the
-            page says that they follow.
+        drawn: False before figures and video are drawn: then the page says that they follow.
 
     Returns:
         The path of the page.
@@ -77,13 +77,26 @@ def write_report(folder: Path | str, drawn: bool = True) -> Path:
         text = _page(folder, summary, drawn)
     except (RunError, OSError):
         raise
-    except Exception as error:  # entries of other types fail in what says them, with any type
-        raise RunError(
-            f"{folder}: summary.json is damaged: {type(error).__name__}: {error}"
-        ) from error
+    except Exception as error:  # entries of other types fail where they are written, with any type
+        reason = f"{type(error).__name__}: {error}"
+        raise RunError(f"{folder}: summary.json is damaged: {reason}") from error
     with replacing(page) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return page
+
+
+def page_of(name: str) -> tuple[str, str | None]:
+    """Path of a page of the documentation in the repository, and its address on this machine.
+
+    The address is that of the built page or of its source, or None if there is neither.
+
+    Example:
+        >>> page_of("diagnosis")[0]
+        'docs/how_to/diagnosis.md'
+    """
+    clone, path = Path(torch_pmil.__file__).parents[1], f"{GUIDES}/{name}.md"
+    places = (clone / BUILT_GUIDES / f"{name}.html", clone / path)
+    return path, next((place.as_uri() for place in places if place.exists()), None)
 
 
 def _page(folder: Path, summary: dict, drawn: bool) -> str:
@@ -130,10 +143,9 @@ def _video(folder: Path) -> str | None:
 def _pixels_and_text(path: Path) -> tuple[tuple[int, int], str]:
     """Width and height of a PNG file, and its bytes as text."""
     content = _content(path)
-    head = content[:24]
-    if len(head) < 24 or not head.startswith(PNG):
-        raise RunError(f"{path} must be a PNG file, got one that begins with {head[:8]!r}")
-    size = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    if len(content) < 24 or not content.startswith(PNG):
+        raise RunError(f"{path} must be a PNG file, got one that begins with {content[:8]!r}")
+    size = int.from_bytes(content[16:20], "big"), int.from_bytes(content[20:24], "big")
     return size, _encoded(content)
 
 

@@ -1,4 +1,4 @@
-"""The tables of a run's page."""
+"""The tables of a run's page: its numbers with their units."""
 
 from __future__ import annotations
 
@@ -7,16 +7,21 @@ from dataclasses import dataclass
 from typing import Any
 
 from torch_pmil.control.state_space import with_unit
-from torch_pmil.runs.report.units import unit_of
 from torch_pmil.runs.report.words import percent, say
+from torch_pmil.runs.settings import SETTINGS
 from torch_pmil.runs.summaries import judged_alone
 
-# why the last run of L-BFGS ended, in words that do not sound like a failure where there is none
-ENDS = {
+ENDS = {  # of the last run of L-BFGS: reaching the limit of iterations is not a failure
     "iteration limit": "all its iterations done",
     "gradient is small": "an optimum",
     "no further progress": "no further progress",
     "numerical failure": "a numerical failure",
+}
+DERIVED = {  # units of what a summary's settings hold besides the settings of a run
+    "horizon": "control steps",
+    "exploration.random_action": SETTINGS["random_action"].unit,
+    "exploration.around": "the units of the actions",
+    "targets": "the unit of the entry",
 }
 
 
@@ -41,10 +46,8 @@ def tables(summary: Mapping) -> Iterator[Table]:
     """The tables for which a summary has numbers."""
     yield _trials(summary)
     if "saved_success_rate_by_target" in summary:
-        rates = summary["saved_success_rate_by_target"].items()
-        yield Table(
-            "Targets", ["target", "success rate"], [[name, percent(rate)] for name, rate in rates]
-        )
+        rows = _percents(summary["saved_success_rate_by_target"])
+        yield Table("Targets", ["target", "success rate"], rows)
     if "rms_error" in summary and "demonstration_spread" in summary:
         spread = summary["demonstration_spread"]
         units = summary.get("units", {}).get("demonstrations", {})
@@ -53,32 +56,43 @@ def tables(summary: Mapping) -> Iterator[Table]:
             for name, error in summary["rms_error"].items()
         ]
         text = (
-            "Root mean square distance of the rollouts from the demonstrated mean, beside the "
-            "demonstrations' own standard deviation."
+            "Root mean square distance of the rollouts from the demonstrated mean, and the "
+            "standard deviation of the demonstrations for comparison."
         )
         yield Table("Accuracy", ["entry", "rms error", "spread of the demonstrations"], rows, text)
     if "two_sigma_coverage_by_entry" in summary:
-        rows = [
-            [name, percent(share)] for name, share in summary["two_sigma_coverage_by_entry"].items()
-        ]
+        rows = _percents(summary["two_sigma_coverage_by_entry"])
         text = (
             "Executed states within two predicted standard deviations of the trajectory; 95 % if "
             "the prediction were right and Gaussian."
         )
         yield Table("Coverage", ["entry of the state", "within"], rows, text)
     if "saturated" in summary:
-        rows = [[name, percent(share)] for name, share in summary["saturated"].items()]
+        rows = _percents(summary["saturated"])
         yield Table("Motors", ["motor", "steps within 5 % of its limit"], rows)
-    settings = [
-        [name, value, unit_of(name, summary)] for name, value in _flat(summary.get("settings", {}))
-    ]
-    yield Table("Settings", ["setting", "value", "unit"], settings)
+    settings = _flat(summary.get("settings", {}))
+    rows = [[name, value, unit_of(name, summary)] for name, value in settings]
+    yield Table("Settings", ["setting", "value", "unit"], rows)
     origin = {name: summary[name] for name in ("command", "date", "commit") if name in summary}
-    yield Table(
-        "Where it comes from",
-        ["what", "value"],
-        list(_flat({**origin, **summary.get("versions", {})})),
-    )
+    rows = list(_flat({**origin, **summary.get("versions", {})}))
+    yield Table("Where it comes from", ["what", "value"], rows)
+
+
+def unit_of(setting: str, summary: Mapping) -> str:
+    """Unit of a setting of a run, "" if it has none or it is unknown.
+
+    Example:
+        >>> units = {"objective": "nats", "demonstrations": {"x": "m", "y": "m"}}
+        >>> names = ("search.first_horizon", "search.trust_threshold", "noise_std")
+        >>> [unit_of(name, {"units": units}) for name in names]
+        ['control steps', 'nats a step', 'm']
+    """
+    units = summary.get("units", {})
+    if setting == "search.trust_threshold":
+        return f"{units.get('objective') or 'objective'} a step"
+    if setting == "noise_std":
+        return ", ".join(dict.fromkeys(units.get("demonstrations", {}).values()))
+    return SETTINGS[setting].unit if setting in SETTINGS else DERIVED.get(setting, "")
 
 
 def _trials(summary: Mapping) -> Table:
@@ -90,23 +104,17 @@ def _trials(summary: Mapping) -> Table:
         ["–" if trial.get(field) is None else columns[field][1](trial[field]) for field in fields]
         for trial in trials
     ]
-    measured = "The success rate is from fresh starts, which are no experience."
+    text = "The success rate is measured from fresh starts, from which nothing is learned."
     if judged_alone(summary):
-        measured = "Success is judged by the robot's own rollouts alone."
+        text = "Success is judged by the robot's own rollouts alone."
     if "predicted_success_rate" in fields:
-        measured += " The predicted one is of trajectories that are drawn from the trial's model."
-    text = (
-        f"{measured} A search has a number of iterations; that it does them all is usual, and no "
-        "failure."
-    )
+        text += " The predicted rate is that of trajectories drawn from the trial's model."
+    text += " A search usually does all its iterations; that is not a failure."
     return Table("Trials", [columns[field][0] for field in fields], rows, text)
 
 
 def _columns(summary: Mapping) -> dict[str, tuple[str, Callable[[Any], str]]]:
-    """Columns that can be read at a glance (metrics.csv has all).
-
-    Of each field what its column is called, and how its value is said.
-    """
+    """Head of the column of each field, and how its values are written; metrics.csv has more."""
     tolerance = summary.get("settings", {}).get("tolerance")
     own_error: tuple[str, Callable[[Any], str]] = ("own error (unit of the task)", say)
     if tolerance:
@@ -128,8 +136,12 @@ def _columns(summary: Mapping) -> dict[str, tuple[str, Callable[[Any], str]]]:
     }
 
 
+def _percents(shares: Mapping[str, float]) -> list[list[str]]:
+    return [[name, percent(share)] for name, share in shares.items()]
+
+
 def _flat(settings: Mapping, prefix: str = "") -> Iterator[list[str]]:
-    """Name and value of each setting, one within another with both names."""
+    """Name and value of each setting; a nested one has both names."""
     for name, value in settings.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{name}.")

@@ -6,13 +6,13 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from torch_pmil.runs.diagnosis.causes import LEARNED
+from torch_pmil.runs.diagnosis.measures import LEARNED
 from torch_pmil.runs.summaries import judged_alone, words_of
 from torch_pmil.trainer.ending import LIMIT
 
 
 def headline(summary: dict) -> tuple[str, str]:
-    """A class, "good", "part" or "bad", and a sentence on what the run came to.
+    """A class, "good", "part" or "bad", and the result of the run in words.
 
     Example:
         >>> headline({"saved_success_rate": 1.0, "saved_n_eval": 20, "experience_s": 17.5})
@@ -37,7 +37,7 @@ def headline(summary: dict) -> tuple[str, str]:
 
 
 def say(value: object) -> str:
-    """A value as a table says it.
+    """A value as tables show it.
 
     Example:
         >>> values = (None, True, 0.123456, [1.0, 2.5], "text", {"a": 1, "b": None})
@@ -70,19 +70,19 @@ def percent(fraction: float) -> str:
 
 
 def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
-    """Next steps with a run: a sentence each, with the command or the lines of Python for it."""
+    """Next steps with a run, each with its command or lines of Python."""
     words = _words(summary["command"])
     if words[:2] == ["pmil", "train"]:
         if summary["stop_reason"] == LIMIT:
             changed = [f"trials={2 * len(summary['trials'])}", "resume=true"]
             further = [*_without(words, "trials=", "resume=", "overwrite="), *changed]
-            yield "Go on where it stopped, with twice as many trials:", shlex.join(further)
+            yield "Continue where it stopped, with twice as many trials:", shlex.join(further)
         same = _without(words, "resume=", "overwrite=")
         anew = [*_without(same, "seed=", "out="), f"seed={summary['seed'] + 1}"]
-        yield "Learn it anew, from another random motion:", shlex.join(anew)
-        yield "Repeat it, in place of this run:", shlex.join([*same, "overwrite=true"])
+        yield "Learn again, from another random motion:", shlex.join(anew)
+        yield "Repeat this run in its place:", shlex.join([*same, "overwrite=true"])
     else:
-        yield "Repeat it:", shlex.join(words)
+        yield "Repeat this run:", shlex.join(words)
     if (folder / "policy.pt").exists():
         lines = (
             "from torch_pmil import load_policy",
@@ -93,7 +93,7 @@ def next_steps(summary: dict, folder: Path) -> Iterator[tuple[str, str]]:
 
 
 def _words(command: str) -> list[str]:
-    """The words of a command line; one that no shell would take is one word."""
+    """The words of a command line; a single word if no shell would take it."""
     try:
         return words_of(command)
     except ValueError:

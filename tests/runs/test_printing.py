@@ -1,4 +1,4 @@
-"""Telling what was learned never ends a run."""
+"""What is made after a run never fails the run."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from torch_pmil.runs.telling import making_the_rest, tell, warn_incomplete
+from torch_pmil.runs.printing import making_the_rest, tell, warn_incomplete
 
 
 def failing(error: BaseException):

@@ -1,0 +1,97 @@
+"""Numbers by which a run that learned differs from one that did not, and their thresholds.
+
+A threshold lies beyond what was measured of any run that learned; the comments give the nearest
+value in ``results/benchmarks/diagnosis/summary.json`` (``benchmarks/diagnosis.py``). ``executed``
+rollouts are x_0..x_T, (N, T + 1, D), and ``predicted`` their marginals at t = 1..T, mean (T, D).
+"""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from torch_pmil.control.action_space import ActionSpace
+from torch_pmil.gp.gaussian import Gaussian
+from torch_pmil.model.calibration import within_two_sigma
+
+LEARNED = 0.95  # success rate of a run that has nothing to explain: the paper's
+COVERED = 0.75  # share of one-step errors within two standard deviations; learned: 0.81 and more
+# share of executed entries within two predicted standard deviations; learned: 0.75 and more
+FOLLOWED = 0.7
+UNKNOWN = 0.2  # share of the executed steps at which the model knows little; learned: up to 0.04
+LITTLE = 0.5  # posterior over prior standard deviation, from which on it knows little
+MISMATCH = 1.5  # largest loss of a step over the search's trust threshold; learned: up to 1.31
+NEAR_LIMIT = 0.95  # of half the range of an action, from its middle
+SATURATED = 0.5  # share of the steps near the limit; learned: up to 0.38
+MOVED = 0.25  # farthest from the start, over the demonstrated; learned: 0.77 and more
+FEWEST_STEPS = 20  # for which a share is computed
+RARE = 0.05  # probability below which failures are not due to chance
+# nats by which the past explains a motion better; learned: up to 94, by hidden motors
+# (benchmarks/past_evidence.py)
+EVIDENCE = 150.0
+
+
+def saturated_fraction(actions: Tensor, space: ActionSpace) -> Tensor:
+    """Fraction (F,) of steps at which each action (N, T, F) is within 5 % of an end of its range.
+
+    Example:
+        >>> import torch
+        >>> limits = torch.zeros(2), torch.tensor([3.5, 3.5])
+        >>> space = ActionSpace.around(*limits, ("tau1", "tau2"), ("N·m", "N·m"))
+        >>> saturated_fraction(torch.tensor([[[3.5, 0.0], [-3.4, 1.0]]]), space)
+        tensor([1., 0.], dtype=torch.float64)
+    """
+    away = (actions - space.middle).abs()
+    return (away >= NEAR_LIMIT * space.half_range).double().mean((0, 1))
+
+
+def covered_fraction(residuals: Tensor) -> Tensor:
+    """Share of standardised one-step errors (S, D) within two standard deviations, (D,)."""
+    return (residuals.abs() <= 2).double().mean(0)
+
+
+def first_departure(predicted: Gaussian, executed: Tensor) -> tuple[int, int] | None:
+    """First step t, and entry, where most rollouts are beyond two predicted standard deviations.
+
+    None if they never are.
+
+    Example:
+        >>> import torch
+        >>> predicted = Gaussian(torch.zeros(2, 1), torch.ones(2, 1, 1))
+        >>> first_departure(predicted, torch.tensor([[[0.0], [1.0], [3.0]]]))
+        (2, 0)
+    """
+    inside = within_two_sigma(predicted, executed).mean(0)
+    left = (inside < 0.5).any(-1).nonzero().flatten()
+    if not len(left):
+        return None
+    return int(left[0]) + 1, int(inside[left[0]].argmin())
+
+
+def first_mismatch(step_loss: Tensor, trust_threshold: float) -> int | None:
+    """First step t whose loss is above the search's trust threshold, if some step is far above.
+
+    Losses of the steps t = 1..T are (T,), in the unit of the threshold.
+
+    Example:
+        >>> import torch
+        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 30.0]), trust_threshold=3.0)
+        3
+        >>> first_mismatch(torch.tensor([0.1, 0.5, 4.0, 0.5]), trust_threshold=3.0)
+    """
+    if step_loss.amax() <= MISMATCH * trust_threshold:
+        return None
+    return int((step_loss > trust_threshold).nonzero()[0]) + 1
+
+
+def moved_fraction(executed: Tensor, demonstrated: Tensor, noise_std: Tensor) -> float:
+    """Distance of the robot from its start over that of the demonstrations.
+
+    Both are trajectories in the match space, (N, T + 1, M); distances are in standard deviations of
+    the observation noise, () or (M,).
+    """
+    return (_farthest(executed, noise_std) / _farthest(demonstrated, noise_std)).item()
+
+
+def _farthest(positions: Tensor, noise_std: Tensor) -> Tensor:
+    """Largest distance from the start, the median over trajectories (N, T + 1, M)."""
+    return ((positions - positions[:, :1]) / noise_std).norm(dim=-1).amax(-1).median()

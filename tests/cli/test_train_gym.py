@@ -5,9 +5,6 @@ and without gymnasium.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import replace
-from functools import partialmethod
 from pathlib import Path
 
 import gymnasium
@@ -16,11 +13,10 @@ import pytest
 import torch
 
 from tests.helpers.run_script import run_command
+from tests.helpers.short_run import quick_fits as shorten_fits, replace_task, short_experiment
 from torch_pmil.envs import gym_tasks
-from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.training import make_trainer
-from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
+from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trainer import PMILTrainer
 
@@ -30,28 +26,20 @@ NAMES = ("gym_pendulum", "inverted_pendulum")
 
 
 @pytest.fixture(autouse=True)
-def quick_fits(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+def quick_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    shorten_fits(monkeypatch)
 
 
 def short(name: str) -> Task:
     """The experiment's first steps, with short searches; every rollout is a failure."""
-    whole = load_experiment(name)
-    beginning = replace(
-        whole.demonstrations, positions=whole.demonstrations.positions[:, : HORIZON + 1]
-    )
-    search = SearchSettings(1, 1, 1, first_horizon=HORIZON)
     failure = lambda rollout: torch.ones(rollout.shape[:-1])  # noqa: E731
-    return replace(
-        whole, demonstrations=beginning, num_centres=5, search=search, error=failure, tolerance=0.5
-    )
+    return short_experiment(HORIZON, name, error=failure, tolerance=0.5)
 
 
 def run(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """One trial of the shortened experiment into ``run``."""
     monkeypatch.chdir(tmp_path)
-    experiment = short(name)
-    monkeypatch.setitem(EXPERIMENTS, name, lambda demonstrations: experiment)
+    replace_task(monkeypatch, short(name), name)
     run_command(monkeypatch, COMMAND, f"experiment={name}", "trials=1", "out=run")
 
 

@@ -81,19 +81,10 @@ def test_a_single_run_is_where_it_was() -> None:
 
 
 def test_runs_of_handwriting_are_apart_by_shape_and_robot() -> None:
-    config = compose("train", ["experiment=handwriting", "shape=Sine", "robot=biorob", "seed=3"])
-    assert config.out == "runs/handwriting_Sine_biorob/seed_3"
-    assert (
-        shared_folder(
-            sweep_over(
-                "experiment=handwriting",
-                "shape=Sine,Angle",
-                "robot=biorob,double_pendulum",
-                "seed=range(2)",
-            )
-        )
-        is None
-    )
+    writing = ("experiment=handwriting,handwriting_biorob", "demonstrations=lasa:Sine,lasa:Angle")
+    config = compose("train", ["experiment=handwriting", "demonstrations=lasa:Sine", "seed=3"])
+    assert config.out == "runs/handwriting_Sine/seed_3"
+    assert shared_folder(sweep_over(*writing, "seed=range(2)")) is None
 
 
 def test_runs_are_the_product_of_what_is_swept() -> None:

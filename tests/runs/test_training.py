@@ -38,9 +38,9 @@ from torch_pmil.runs.run_folder import (
     save_tensors,
 )
 from torch_pmil.runs.summaries import RunError, read_summary
-from torch_pmil.runs.training import EVALUATION_STARTS, RunResult, train
+from torch_pmil.runs.training import RunResult, train
 from torch_pmil.search.trajectory_loss import TrajectoryLoss
-from torch_pmil.tasks.task import Task
+from torch_pmil.tasks.task import MEASURED_STARTS, Task
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Candidate, Trial
 
@@ -128,7 +128,7 @@ def test_summary_says_what_was_run(summary: dict, experiment: Task) -> None:
         HORIZON,
         5,
     )
-    assert settings["search"] == asdict(experiment.search)
+    assert settings["search"] == asdict(experiment.method.search)
     assert {
         "random_action",
         "initial_weight_std",
@@ -144,14 +144,14 @@ def test_summary_says_what_was_run(summary: dict, experiment: Task) -> None:
     assert settings["exploration"] == {
         "rollouts": 1,
         "steps": HORIZON,
-        "random_action": experiment.random_action,
+        "random_action": 0.4,
     }
 
 
 def test_summary_says_what_came_of_it(summary: dict, result: RunResult, experiment: Task) -> None:
     successes = experiment.error(rollout_of(result.outcomes[0].executed)) <= experiment.tolerance
     assert summary["saved_success_rate"] == successes.double().mean().item()
-    assert summary["saved_n_eval"] == len(result.outcomes[0].executed) == EVALUATION_STARTS
+    assert summary["saved_n_eval"] == len(result.outcomes[0].executed) == MEASURED_STARTS
     assert summary["two_sigma_coverage"] == two_sigma_coverage(
         result.outcomes[0].predicted, result.outcomes[0].executed
     )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
-from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +11,10 @@ import torch
 from tensordict import TensorDict
 
 from reproduction.teachers.kinesthetic_teaching import Strike, Variation, record_strike
+from tests.helpers.short_run import quick_fits as shorten_fits, shortened
 from torch_pmil.control.state_policy import StatePolicy
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations
 from torch_pmil.envs.biorob import START, biorob_model, holding_torques
-from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.training import make_trainer, train
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.biorob import biorob_space, distance_from_ball
@@ -24,6 +22,7 @@ from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
 STEPS = 4
+SEARCH = SearchSettings(0, 1, 1, first_horizon=STEPS)
 
 
 def record() -> Demonstrations:
@@ -46,17 +45,12 @@ def experiment() -> Task:
 @pytest.fixture(scope="module", autouse=True)
 def quick_fits() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+        shorten_fits(patch)
         yield
 
 
 def short(experiment: Task) -> Task:
-    beginning = replace(
-        experiment.demonstrations, positions=experiment.demonstrations.positions[:, : STEPS + 1]
-    )
-    return replace(
-        experiment, demonstrations=beginning, search=SearchSettings(0, 1, 1, first_horizon=STEPS)
-    )
+    return shortened(experiment, STEPS, num_centres=80, search=SEARCH)
 
 
 def test_policy_has_the_papers_738_parameters_and_the_model_sees_state_and_torques(

@@ -89,7 +89,7 @@ def test_error_is_one_where_a_rollout_is_a_standard_deviation_away_at_all_times(
 def test_what_is_said_is_kept() -> None:
     made = task(noise_std=0.03, tolerance=1.0, num_centres=7, name="mine", angles=("q",))
     assert made.noise_std.item() == 0.03 and made.tolerance == 1.0
-    assert made.num_centres == 7 and made.name == "mine"
+    assert made.method.policy.num_centres == 7 and made.name == "mine"
     assert made.space.feature_names == ("dq", "sin q", "cos q")
 
 

@@ -18,10 +18,11 @@ from torch_pmil.envs import BioRobEnv
 from torch_pmil.envs.biorob import START, holding_torques
 from torch_pmil.envs.rollouts import states_of
 from torch_pmil.model.calibration import two_sigma_coverage
-from torch_pmil.runs.training import EVALUATION_STARTS, RunResult, make_trainer, train
+from torch_pmil.runs.training import RunResult, make_trainer, train
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.targets import TargetTask
+from torch_pmil.tasks.task import MEASURED_STARTS
 
 STEPS, TRIALS, S = 4, 2, 3
 NAMES = ("biorob_targets", "double_pendulum_targets")
@@ -121,7 +122,7 @@ def test_robot_that_learns_moves_once_for_each_target() -> None:
         trainer.train()
     assert trainer.trials[0].experience_s == pytest.approx(6.0)
     assert len(trainer.experience) == 60 + S * STEPS
-    assert trainer.trials[0].n_eval == S * EVALUATION_STARTS
+    assert trainer.trials[0].n_eval == S * MEASURED_STARTS
 
 
 def test_trial_is_a_success_if_every_target_is(result: RunResult) -> None:
@@ -140,7 +141,7 @@ def test_outcomes_are_those_of_each_target(result: RunResult) -> None:
         "x = 0.3, y = -0.4",
     ]
     for i, outcome in enumerate(result.outcomes):
-        assert outcome.executed.shape == (EVALUATION_STARTS, STEPS + 1, 4)
+        assert outcome.executed.shape == (MEASURED_STARTS, STEPS + 1, 4)
         assert (outcome.rollouts["target"] == experiment.targets[i]).all()
         assert torch.equal(outcome.demonstrated.mean, experiment.demonstrated.mean[i])
 
@@ -148,7 +149,7 @@ def test_outcomes_are_those_of_each_target(result: RunResult) -> None:
 def test_summary_is_the_mean_over_the_targets_and_names_each(result: RunResult) -> None:
     summary, outcomes, match_space = result.summary, result.outcomes, short().space.match_space
     assert summary["settings"]["targets"] == short().targets.tolist()
-    assert summary["saved_n_eval"] == S * EVALUATION_STARTS
+    assert summary["saved_n_eval"] == S * MEASURED_STARTS
     assert list(summary["saved_success_rate_by_target"]) == [outcome.label for outcome in outcomes]
     coverage = [two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in outcomes]
     assert summary["two_sigma_coverage"] == pytest.approx(sum(coverage) / S)

@@ -45,9 +45,9 @@ def load_experiment(name: str, demonstrations: Demonstrations | Recordings | Non
         demonstrations: one's own; None for those that come with the task.
 
     Raises:
-        TypeError: the demonstrations are of another kind, or the function returns no task.
-        ValueError: there is no such task; the message lists those there are. Or the demonstrations
-            are not of that robot.
+        TypeError: the demonstrations are of another kind.
+        ValueError: there is no such task; the message lists those there are. Or the function
+            returns something else, or the demonstrations are not of that robot.
         OSError: the file cannot be read.
         ImportError: it needs another library.
 
@@ -62,7 +62,7 @@ def load_experiment(name: str, demonstrations: Demonstrations | Recordings | Non
     make = _maker(name)
     task = make() if demonstrations is None else make(demonstrations)
     if not isinstance(task, Task):
-        raise TypeError(f"{name} must return a Task, got {type(task).__name__}")
+        raise ValueError(f"{name} must return a Task, got {type(task).__name__}")
     return task
 
 

@@ -23,7 +23,7 @@ from torch_pmil.runs.sweep import (
     shared_folder,
 )
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 CONFIG = Path(cli.__file__).parent / "config"
 
 

@@ -157,7 +157,7 @@ def documentation_rows() -> list[str]:
 
 
 def _indented(text: str) -> str:
-    return textwrap.fill(text, WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 6)
+    return textwrap.fill(text, WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 8)
 
 
 def settings_of(config: DictConfig) -> RunSettings:

@@ -84,15 +84,15 @@ def demonstrations_from(source: str) -> Demonstrations | Recordings:
     return load_demonstrations(source)
 
 
-def run_name(experiment: str, demonstrations: str | None) -> str:
-    """Name of the folder of an experiment's runs.
+def run_name(experiment: object, demonstrations: object) -> str:
+    """Name of the folder of an experiment's runs, whatever the settings hold.
 
     Example:
         >>> run_name("handwriting", "lasa:Angle"), run_name("robots/mine.py:arm", None)
         ('handwriting_Angle', 'arm')
     """
-    name = experiment.rpartition(":")[2]
-    shape = (demonstrations or "").partition(LASA)[2]
+    name = str(experiment).rpartition(":")[2]
+    shape = str(demonstrations).partition(LASA)[2]
     return f"{name}_{shape}" if shape else name
 
 

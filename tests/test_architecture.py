@@ -67,7 +67,10 @@ def name_of(path: Path) -> str:
 
 
 FILES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py")) if path.parent != PACKAGE}
-FILES |= {name: PACKAGE / name for name in ("files.py", "checks.py", "seeds.py", "settings.py", "__main__.py")}
+FILES |= {
+    name: PACKAGE / name
+    for name in ("files.py", "checks.py", "seeds.py", "settings.py", "__main__.py")
+}
 
 
 def room_of(module: str) -> tuple[str, ...]:

@@ -125,11 +125,6 @@ def test_noise_of_each_entry_is_added_to_the_prediction_as_to_the_expert(draws: 
     )
 
 
-def test_noise_of_other_entries_is_an_error(draws: Draws) -> None:
-    with pytest.raises(ValueError, match=r"noise_std must be a number or one for each of x, y"):
-        TrajectoryKLLoss(*make_parts(draws), SPACE, draws.belief(HORIZON, 2), torch.ones(3))
-
-
 def test_expert_of_another_dimension_is_an_error(loss: TrajectoryKLLoss, draws: Draws) -> None:
     with pytest.raises(
         ValueError, match=r"demonstrated must have the 2 entries \('x', 'y'\), got 3"

@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from reproduction.teachers.kinesthetic_teaching import Strike, Variation, record_strike
 from tests.helpers.short_run import quick_fits as shorten_fits, shortened
 from torch_pmil.control.state_policy import StatePolicy
-from torch_pmil.demonstrations import DemonstrationError, Demonstrations
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.biorob import START, biorob_model, holding_torques
 from torch_pmil.runs.training import make_trainer, train
 from torch_pmil.search.policy_search import SearchSettings
@@ -122,12 +122,3 @@ def test_run_is_judged_by_what_the_environment_says_of_the_ball(
     for measure in ("two_sigma_coverage_by_entry", "rms_error", "demonstration_spread"):
         assert tuple(result.summary[measure]) == names
     assert result.summary["settings"]["noise_std"] == [0.03] * 3 + [0.3] * 3
-
-
-def test_demonstrations_of_something_else_are_refused() -> None:
-    other = Demonstrations(torch.zeros(2, 19, 3), 0.1, ("q_yaw", "q_shoulder", "q_elbow"))
-    with pytest.raises(
-        DemonstrationError,
-        match="must be of q_yaw, q_shoulder, q_elbow, dq_yaw, dq_shoulder, dq_elbow, got q_yaw",
-    ):
-        load_experiment("biorob", other)

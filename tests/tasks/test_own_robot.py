@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
@@ -40,15 +41,11 @@ class Arm(EnvBase):
         return torch.stack([q.cos(), q.sin(), dq]) if self.circle else self.state
 
     def _reset(self, tensordict: object) -> object:
-        from tensordict import TensorDict
-
         q = START * (2 * torch.rand((), generator=self.generator) - 1) + math.pi * self.circle
         self.state = torch.stack([q, torch.zeros(())])
         return TensorDict({"joint": self._shown()})
 
     def _step(self, tensordict: object) -> object:
-        from tensordict import TensorDict
-
         q, _ = self.state
         dq = tensordict["action"][0]
         self.state = torch.stack([q + 0.1 * dq, dq])

@@ -41,19 +41,10 @@ UNKNOWN = (
     f"experiment must be one of {', '.join(EXPERIMENTS)}, or FILE.py:FUNCTION or MODULE:FUNCTION "
     "of your own"
 )
-FILES = {
-    *("run.json", "metrics.csv", "settings.yaml", "summary.json", "policy.pt", "dynamics.pt"),
-    *("video.mp4", "video.gif", "report.html"),
-}
-FIGURES = {
-    "trajectories",
-    "learning_curve",
-    "kl_per_step",
-    "calibration",
-    "model",
-    "policy",
-    "poses",
-}
+FILES = {"run.json", "metrics.csv", "settings.yaml", "summary.json", "policy.pt", "dynamics.pt"}
+FILES |= {"video.mp4", "video.gif", "report.html"}
+FIGURES = {"trajectories", "learning_curve", "kl_per_step", "calibration", "model", "policy"}
+FIGURES |= {"poses"}
 SUMMARY = OLD | {
     "saved_n_eval": 20,
     "two_sigma_coverage": 0.9,

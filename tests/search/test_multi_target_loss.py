@@ -189,7 +189,7 @@ def test_failed_prediction_of_one_target_is_an_error_that_names_its_step(initial
             (2, HORIZON, 2),
             TARGETS,
             5,
-            "got targets (3, 2) and demonstrated marginals of batch shape",
+            "got targets (3, 2) and demonstrated marginals of batch",
         ),
         ((S, HORIZON, 2), TARGETS, 3, "must see dq, sin q, cos q and a target of 2, got one of 3"),
     ],

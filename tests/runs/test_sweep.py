@@ -129,12 +129,5 @@ def test_extras_hold_what_the_message_asks_for() -> None:
         assert packages.strip().startswith(module.replace("_", "-"))
 
 
-def test_refused_sweep_ends_in_one_line_before_anything_runs() -> None:
-    with pytest.raises(SystemExit) as stop:
-        SweepCheck().on_multirun_start(sweep_over("trials=4,8"))
-    assert isinstance(stop.value.code, str)
-    assert stop.value.code.startswith("error: two runs would write to ")
-
-
 def test_overrides_that_make_no_configuration_are_left_to_hydra() -> None:
     SweepCheck().on_multirun_start(sweep_over("sead=1,2"))

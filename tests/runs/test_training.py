@@ -324,16 +324,6 @@ def test_run_is_alone_in_its_folder_from_its_start_to_its_end(
     assert not (tmp_path / ".lock").exists()
 
 
-@pytest.mark.parametrize("below", ["", "run"], ids=["a file", "below a file"])
-def test_folder_that_cannot_be_made_is_an_oserror_before_anything_is_learned(
-    experiment: Task, tmp_path: Path, below: str
-) -> None:
-    (tmp_path / "file").write_text("old")
-    with pytest.raises(OSError, match="file"):
-        train(experiment, SEED, TRIALS, tmp_path / "file" / below, COMMAND, progress_bar=False)
-    assert (tmp_path / "file").read_text() == "old"
-
-
 def test_saved_tensors_come_back_and_leave_no_temporary_file(tmp_path: Path, draws: Draws) -> None:
     tensors = {"a": draws.normal(3), "b": draws.normal(2, 2)}
     save_tensors(tmp_path / "tensors.pt", tensors)

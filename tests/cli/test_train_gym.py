@@ -11,6 +11,7 @@ import gymnasium
 import imageio_ffmpeg
 import pytest
 import torch
+from torch.nn.utils import parameters_to_vector
 
 from tests.helpers.run_script import run_command
 from tests.helpers.short_run import quick_fits as shorten_fits, replace_task, short_experiment
@@ -36,6 +37,12 @@ def short(name: str) -> Task:
     return short_experiment(HORIZON, name, error=failure, tolerance=0.5)
 
 
+def trained(name: str, seed: int, trials: int) -> PMILTrainer:
+    trainer = make_trainer(short(name), seed, trials, False, lambda trial: None)
+    trainer.train()
+    return trainer
+
+
 def run(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """One trial of the shortened experiment into ``run``."""
     monkeypatch.chdir(tmp_path)
@@ -45,10 +52,7 @@ def run(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_robot_of_gymnasium_lives_through_whole_rollouts(name: str) -> None:
-    trainer = make_trainer(
-        short(name), seed=0, trials=2, progress_bar=False, on_trial=lambda trial: None
-    )
-    trainer.train()
+    trainer = trained(name, seed=0, trials=2)
     assert len(trainer.experience) == 3 * HORIZON
     rollouts = trainer.experience.transitions.split(HORIZON)
     assert all(
@@ -59,24 +63,12 @@ def test_robot_of_gymnasium_lives_through_whole_rollouts(name: str) -> None:
     assert all(trial.n_eval == 20 for trial in trainer.trials)
 
 
-def learned(trainer: PMILTrainer) -> torch.Tensor:
-    return torch.cat(
-        [
-            parameter.detach().flatten()
-            for parameter in trainer.loss_module.actor_network.parameters()
-        ]
-    )
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_same_seed_learns_the_same_policy_bit_for_bit(name: str) -> None:
     results = []
     for seed in (3, 3, 4):
-        trainer = make_trainer(
-            short(name), seed=seed, trials=1, progress_bar=False, on_trial=lambda trial: None
-        )
-        trainer.train()
-        results.append(learned(trainer))
+        policy = trained(name, seed, trials=1).loss_module.actor_network
+        results.append(parameters_to_vector(policy.parameters()))
     assert torch.equal(results[0], results[1]) and not torch.equal(results[0], results[2])
 
 

@@ -155,10 +155,8 @@ def test_summary_says_the_units_of_the_objective_and_of_what_was_demonstrated(
 def test_metrics_hold_a_row_for_each_trial(result: RunResult, folder: Path) -> None:
     rows = read_metrics(folder)
     assert list(rows[0]) == [field.name for field in fields(Trial)]
-    assert rows == [
-        {name: "" if value is None else str(value) for name, value in asdict(trial).items()}
-        for trial in result.trials
-    ]
+    trials = [asdict(trial).items() for trial in result.trials]
+    assert rows == [{k: "" if v is None else str(v) for k, v in items} for items in trials]
 
 
 def test_metrics_are_written_after_every_trial(

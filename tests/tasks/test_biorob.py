@@ -59,19 +59,14 @@ def test_policy_has_the_papers_738_parameters_and_the_model_sees_state_and_torqu
     policy = experiment.make_policy(torch.Generator().manual_seed(0))
     assert sum(parameter.numel() for parameter in policy.parameters()) == 738
     assert experiment.horizon == 18
-    assert (
-        experiment.space.feature_names
-        == experiment.space.names
-        == experiment.space.match_space.names
-    )
+    space = experiment.space
+    assert space.feature_names == space.names == space.match_space.names
 
 
 def test_new_policy_holds_the_start_pose(experiment: Task) -> None:
     """Within the friction of the motors, 0.8 N·m at least: the arm stays where it is."""
-    policy, start = (
-        experiment.make_policy(torch.Generator().manual_seed(0)),
-        torch.tensor(START, dtype=torch.float64),
-    )
+    policy = experiment.make_policy(torch.Generator().manual_seed(0))
+    start = torch.tensor(START, dtype=torch.float64)
     assert (policy(start) - holding_torques(start[:3])).abs().max() < 0.2
     env = experiment.make_env(initial_std=torch.zeros(6), seed=0)
     rollout = env.rollout(

@@ -197,7 +197,7 @@ def test_recordings_of_other_lengths_and_another_rate_are_aligned(tmp_path: Path
         ({"angles": ("p",)}, ValueError, "angles must be entries of the state q, dq, got p"),
         ({"demonstrations": 3}, TypeError, "must be a path, Recordings or Demonstrations, got int"),
         ({"tolerance": -1.0}, ValueError, "tolerance must"),
-        ({"nose_std": 0.1}, TypeError, "nose_std"),
+        ({"nose_std": 0.1}, ValueError, "a setting of Arm must be one of .*, got nose_std$"),
         ({"control_period": 0.0}, ValueError, "control_period must be positive"),
     ],
 )

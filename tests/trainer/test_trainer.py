@@ -12,6 +12,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -24,11 +25,14 @@ from tests.helpers.short_run import PD_MOVEMENTS, quick_fits as shorten_fits, sh
 from torch_pmil.control.exploration import RandomActions
 from torch_pmil.control.rbf_policy import RBFPolicy
 from torch_pmil.envs.rollouts import rollout_of, states_of, without_sensor_noise
+from torch_pmil.gp.lbfgs import minimise
 from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.model.rollout import PredictionError
 from torch_pmil.runs.training import make_trainer
+from torch_pmil.search import policy_search
 from torch_pmil.search.promise import SAMPLES, PredictedSuccess
 from torch_pmil.seeds import Stream, generator_of
+from torch_pmil.tasks.method import Method
 from torch_pmil.trainer.collector import RobotActor
 from torch_pmil.trainer.trainer import PMILTrainer
 from torch_pmil.trainer.trials import Candidate, Trial
@@ -220,6 +224,19 @@ def test_training_ends_when_the_model_that_learned_from_a_success_predicts_the_p
         "least"
     )
     assert promise.fitted == [HORIZON, 2 * HORIZON, 2 * HORIZON, 3 * HORIZON, 4 * HORIZON]
+
+
+def test_optimiser_of_the_method_does_every_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    adam, given = partial(torch.optim.Adam, lr=0.02), []
+
+    def recorded(*arguments: object, optimizer: object, **options: object) -> object:
+        given.append(optimizer)
+        return minimise(*arguments, optimizer=optimizer, **options)
+
+    monkeypatch.setattr(policy_search, "minimise", recorded)
+    trainer, _ = make(trials=1, method=Method(optimizer=adam))
+    trainer.train()
+    assert given == [adam] * len(given) and len(given) > 1
 
 
 def test_model_is_fitted_once_to_the_same_experience(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,10 +86,8 @@ def test_summary_tells_the_limits_and_each_trial_its_probability(tmp_path: Path)
     experiment = short_experiment(box=WIDE, leaving_threshold=0.1)
     train(experiment, SEED, 1, tmp_path / "run", COMMAND, progress_bar=False)
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert summary["settings"]["state_box"] == {
-        "limits": {"dq1": [-1e6, 1e6]},
-        "threshold": 0.1,
-    }
+    box = {"limits": {"dq1": [-1e6, 1e6]}, "threshold": 0.1}
+    assert summary["settings"]["state_box"] == box
     assert [(t["leaving_probability"], t["refused"]) for t in summary["trials"]] == [(0.0, 0)]
 
 

@@ -46,10 +46,8 @@ def test_cost_is_that_of_equation_28_at_the_upright_link_ends(
     hanging.
     """
     loss = make_loss(pilco, draws)
-    upright, hanging = (
-        torch.zeros(4, dtype=torch.float64),
-        torch.tensor([math.pi, 0.0, 0.0, 0.0], dtype=torch.float64),
-    )
+    upright = torch.zeros(4, dtype=torch.float64)
+    hanging = torch.tensor([math.pi, 0.0, 0.0, 0.0], dtype=torch.float64)
     assert torch.equal(loss.target, link_positions(upright))
     assert cost_of(loss, upright) == pytest.approx(0, abs=1e-15)
     assert cost_of(loss, hanging) == pytest.approx(1 - math.exp(-5 / 8), rel=1e-12)
@@ -63,9 +61,8 @@ def test_robot_model_and_policy_class_are_those_of_imitation(pilco: PilcoTask) -
     ours, theirs = pilco.method.adjustable, imitation.method.adjustable
     others = [name for name in theirs if ours[name] != theirs[name]]
     assert others and all(name.startswith("search.") for name in others)
-    assert torch.equal(pilco.actions.high, imitation.actions.high) and torch.equal(
-        pilco.initial.cov, imitation.initial.cov
-    )
+    assert torch.equal(pilco.actions.high, imitation.actions.high)
+    assert torch.equal(pilco.initial.cov, imitation.initial.cov)
     assert sum(p.numel() for p in pilco.make_policy(generator()).parameters()) == 812
 
 

@@ -16,6 +16,8 @@ PACKAGE = Path(torch_pmil.__file__).parent
 ROOMS = (  # bottom first
     ("files",),
     ("checks",),
+    ("seeds",),
+    ("settings",),
     ("envs",),  # knows no mathematics
     ("gp",),
     ("control",),
@@ -48,14 +50,15 @@ PURE = {  # of rooms at the edge of TorchRL, the files that compute
     "search/reparameterisation.py",
     "search/policy_search.py",
 }
-MOST_FILES, MOST_FOLDERS = 5, 12  # of the package's top level
-# a robot, and the task on it
+MOST_FILES, MOST_FOLDERS = 7, 12  # of the package's top level
+# a robot, and the task on it; what a setting is, and those of a run
 SAME_NAME = {
     "__init__.py",
     "biorob.py",
     "cart_pole.py",
     "double_pendulum.py",
     "double_pendulum_servo.py",
+    "settings.py",
 }
 
 
@@ -64,7 +67,10 @@ def name_of(path: Path) -> str:
 
 
 FILES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py")) if path.parent != PACKAGE}
-FILES |= {name: PACKAGE / name for name in ("files.py", "checks.py", "__main__.py")}
+FILES |= {
+    name: PACKAGE / name
+    for name in ("files.py", "checks.py", "seeds.py", "settings.py", "__main__.py")
+}
 
 
 def room_of(module: str) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -16,12 +17,10 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from hydra.core.config_store import ConfigStore
 from matplotlib.figure import Figure
-from omegaconf import OmegaConf
 
 from tests.helpers.run_script import ROOT, run_command
-from tests.helpers.short_run import quick_fits, short_experiment
+from tests.helpers.short_run import quick_fits, replace_task, short_experiment
 from tests.runs.report.test_report import OLD
 from torch_pmil.cli import train
 from torch_pmil.cli.resume import overrides
@@ -32,34 +31,20 @@ from torch_pmil.runs import pictures, settings
 from torch_pmil.runs.diagnosis.demonstration_checks import Finding
 from torch_pmil.runs.settings import word_of
 from torch_pmil.runs.training import RunResult, train as learn
-from torch_pmil.search import policy_search
+from torch_pmil.search import policy_search, trial_search
 from torch_pmil.tasks.outcome import Outcome
 from torch_pmil.tasks.registry import EXPERIMENTS
 from torch_pmil.tasks.task import Task
-from torch_pmil.trainer import search_stepper
 
 COMMAND = "train"
-UNKNOWN = f"experiment must be one of {', '.join(sorted(EXPERIMENTS))}"
-FILES = {
-    "run.json",
-    "metrics.csv",
-    "settings.yaml",
-    "summary.json",
-    "policy.pt",
-    "dynamics.pt",
-    "video.mp4",
-    "video.gif",
-    "report.html",
-}
-FIGURES = {
-    "trajectories",
-    "learning_curve",
-    "kl_per_step",
-    "calibration",
-    "model",
-    "policy",
-    "poses",
-}
+UNKNOWN = (
+    f"experiment must be one of {', '.join(EXPERIMENTS)}, or FILE.py:FUNCTION or MODULE:FUNCTION "
+    "of your own"
+)
+FILES = {"run.json", "metrics.csv", "settings.yaml", "summary.json", "policy.pt", "dynamics.pt"}
+FILES |= {"video.mp4", "video.gif", "report.html"}
+FIGURES = {"trajectories", "learning_curve", "kl_per_step", "calibration", "model", "policy"}
+FIGURES |= {"poses"}
 SUMMARY = OLD | {
     "saved_n_eval": 20,
     "two_sigma_coverage": 0.9,
@@ -73,17 +58,13 @@ Script = Callable[..., None]
 def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Script:
     """The script, run with command-line overrides in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delitem(
-        ConfigStore.instance().repo, "logger", raising=False
-    )  # other tests may have imported TorchRL's configurations
     return partial(run_command, monkeypatch, COMMAND)
 
 
 @pytest.fixture
 def short_double_pendulum(monkeypatch: pytest.MonkeyPatch) -> None:
     """The double pendulum is its first six steps, and a search a few evaluations."""
-    short = short_experiment(6)
-    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
+    replace_task(monkeypatch, short_experiment(6))
 
 
 @pytest.mark.slow
@@ -94,16 +75,10 @@ def test_run_leaves_numbers_policy_figures_and_a_video(
     script("trials=1", "seed=2", "out=run")
     files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     figures = {f"run/figures/{name}.png" for name in FIGURES}
-    logged = {
-        name
-        for name in files
-        if name.startswith(("run/checkpoints/", "run/logs/double_pendulum_seed_2/scalars/"))
-    }
+    scalars = "run/logs/double_pendulum_seed_2/scalars/"
+    logged = {name for name in files if name.startswith(("run/checkpoints/", scalars))}
     assert len([name for name in logged if name.endswith(".torchrl")]) == 2
-    assert {
-        "run/logs/double_pendulum_seed_2/scalars/loss.csv",
-        "run/logs/double_pendulum_seed_2/scalars/own_error.csv",
-    } <= logged
+    assert {f"{scalars}loss.csv", f"{scalars}own_error.csv"} <= logged
     assert files - logged == {f"run/{name}" for name in FILES} | figures
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["command"], summary["seed"]) == ("pmil train trials=1 seed=2 out=run", 2)
@@ -121,7 +96,7 @@ def test_run_of_the_baseline_tells_of_its_cost_and_draws_the_same(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     short = short_experiment(6, name="double_pendulum_pilco")
-    monkeypatch.setitem(EXPERIMENTS, "double_pendulum_pilco", lambda demonstrations: short)
+    replace_task(monkeypatch, short, "double_pendulum_pilco")
     script("experiment=double_pendulum_pilco", "trials=1", "seed=2", "logger=null")
     assert re.search(
         r"trial  1:   0.6 s of experience, cost +\d\.\d, own rollout", capsys.readouterr().out
@@ -143,8 +118,7 @@ def test_robot_that_has_no_sketch_has_no_video_without_opengl_and_the_script_say
     def broken(self: object) -> None:
         raise RuntimeError("pictures need OpenGL")
 
-    short = replace(short_experiment(4), name="other")
-    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
+    replace_task(monkeypatch, replace(short_experiment(4), sketch=None))
     monkeypatch.setattr(MujocoRobotEnv, "_open_renderer", broken)
     quick_fits(monkeypatch)
     script("trials=1", "seed=2", "out=run")
@@ -202,14 +176,6 @@ def test_all_that_fails_after_the_policy_is_saved_is_one_line_at_the_end(
 
 
 @pytest.mark.usefixtures("finished", "nothing_to_draw")
-def test_whole_report_leaves_no_complaint(
-    script: Script, capsys: pytest.CaptureFixture[str]
-) -> None:
-    script("out=run")
-    assert capsys.readouterr().err == ""
-
-
-@pytest.mark.usefixtures("finished", "nothing_to_draw")
 def test_interruption_while_drawing_leaves_what_was_learned_and_says_what_is_missing(
     script: Script,
     monkeypatch: pytest.MonkeyPatch,
@@ -246,7 +212,8 @@ def test_report_and_results_are_there_before_anything_is_drawn(
     assert "It learned in part" in page and "<h2>Figures and video</h2>" in page
     page = (tmp_path / "run" / "report.html").read_text()
     assert "<h2>Figures and video</h2>" not in page and "Poses of one rollout" in page
-    assert capsys.readouterr().out.startswith("see run/report.html, run/figures, ")
+    printed, complained = capsys.readouterr()
+    assert printed.startswith("see run/report.html, run/figures, ") and complained == ""
 
 
 @pytest.mark.usefixtures("finished", "nothing_to_draw")
@@ -284,31 +251,16 @@ def test_output_that_is_ascii_or_broken_ends_nothing(
 
 
 @pytest.mark.usefixtures("short_double_pendulum")
-def test_interrupted_run_ends_with_how_to_go_on(
-    script: Script, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupted(*args: object, **kwargs: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(policy_search, "minimise", interrupted)
-    with pytest.raises(SystemExit) as stop:
-        script("trials=1", "seed=2", "out=run")
-    assert stop.value.code == 130
-    assert capsys.readouterr().err.endswith(
-        "stopped; go on with: pmil train trials=1 seed=2 out=run resume=true\n"
-    )
-
-
-@pytest.mark.usefixtures("short_double_pendulum")
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
+        (KeyboardInterrupt(), 130, "\nstopped; go on with: "),
         (RunStopped("q"), 130, "\nstopped; go on with: "),
         (RobotError("no answer"), "error: no answer; go on with: ", ""),
     ],
 )
-def test_run_that_operator_or_robot_ended_says_how_to_go_on(
-    error: Exception,
+def test_run_that_was_ended_says_how_to_go_on(
+    error: BaseException,
     code: int | str,
     said: str,
     script: Script,
@@ -331,9 +283,7 @@ def test_stopped_run_is_not_overwritten_by_the_same_command(
     script: Script, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch, pytest.raises(SystemExit):
-        patch.setattr(
-            search_stepper, "search_policy", lambda *args, **options: sys.exit("power cut")
-        )
+        patch.setattr(trial_search, "search_policy", lambda *args, **options: sys.exit("power cut"))
         script("trials=1", "seed=2", "out=run")
     assert error_of(script, "trials=1", "seed=2", "out=run") == (
         "run holds a run that was stopped: go on with resume=true, or remove run/checkpoints"
@@ -353,7 +303,7 @@ def test_finished_run_is_replaced_only_if_told_and_the_message_says_how(
     assert json.loads((tmp_path / "run" / "summary.json").read_text()) == SUMMARY
 
 
-NAMES = ", ".join(settings.NAMES)
+NAMES = ", ".join(settings.SETTINGS)
 
 
 @pytest.mark.parametrize(
@@ -377,12 +327,38 @@ NAMES = ", ".join(settings.NAMES)
         ("out=${nothing}", "out cannot be read: "),
         ("demonstrations=3", "demonstrations must be text that is not empty or null, got 3"),
         ("demonstrations=[a]", "demonstrations must be text that is not empty or null, got ['a']"),
+        ("demonstrations=own.csv", "there is no file own.csv"),
         ("experiment=null", "experiment must be text that is not empty, got None"),
         ("experiment=[a]", "experiment must be text that is not empty, got ['a']"),
+        ("experiment=triple", f"{UNKNOWN}, got 'triple'"),
         ("seed=12345678901234567890", "seed must be a whole number from 0 to 2147483647, got 1"),
         ("seed=true", "seed must be a whole number from 0 to 2147483647, got True"),
+        ("seed=abc", "seed must be a whole number from 0 to 2147483647, got 'abc'"),
         ("trials=1000000000000", "trials must be a whole number from 1 to 1000, got 10"),
         ("trials=1e12", "trials must be a whole number from 1 to 1000, got 10"),
+        ("trials=0", "trials must be a whole number from 1 to 1000, got 0"),
+        ("trials=two", "trials must be a whole number from 1 to 1000, got 'two'"),
+        (
+            "logger=stone",
+            "logger must be one of csv, tensorboard, wandb, mlflow or null, got",
+        ),
+        (
+            "hydra.callbacks.a._target_=os.mkdir",
+            "there is no setting hydra.callbacks.",
+        ),
+        ("hydra.launcher._target_=os.mkdir", "there is no setting hydra.launcher._target_ in "),
+        (
+            "hydra.launcher.ray._target_=os.mkdir",
+            "there is no setting hydra.launcher.ray.",
+        ),
+        (
+            "+hydra.launcher.a=1",
+            "a setting must be hydra.launcher.a=VALUE, got +",
+        ),
+        ("hydra.run.dir=here", "there is no setting hydra.run.dir in hydra.run.dir=here: "),
+        ("hydra.sweep.dir=here", "there is no setting hydra.sweep.dir in hydra.sweep.dir=here: "),
+        ("hydra/job_logging=default", "there is no setting hydra/job_logging in "),
+        ("seed=range(3)", "seed must be one value, unless -m is given, got seed=range(3)"),
     ],
 )
 def test_setting_that_is_not_as_it_must_be_is_one_line_before_anything_is_written(
@@ -392,11 +368,49 @@ def test_setting_that_is_not_as_it_must_be_is_one_line_before_anything_is_writte
     assert os.listdir(tmp_path) == []
 
 
-def test_settings_are_those_of_the_configuration() -> None:
-    config = OmegaConf.load(train.CONFIG / "train.yaml")
-    grouped = {f"{group}.{name}" for group in ("exploration", "search") for name in config[group]}
-    plain = set(config) - {"defaults", "hydra", "exploration", "search"}
-    assert set(settings.NAMES) == plain | grouped
+@pytest.mark.parametrize("flag", ["--experimental-rerun=a", "--config-dir=a", "--info", "-p"])
+def test_flags_of_hydra_are_refused_in_one_line(
+    script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str], flag: str
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        script("out=run", flag)
+    complaint = f"error: unrecognized arguments: {flag} (pmil train --help tells what it takes)\n"
+    assert capsys.readouterr() == ("", complaint)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("experiment=biorob", "-m", "seed=0,1"),
+        ("-m", "experiment=biorob", "seed=0,1"),
+        ("experiment=biorob", "seed=0,1", "--multirun"),
+    ],
+)
+def test_flag_of_a_sweep_stands_anywhere(
+    script: Script, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    given: list[list[str]] = []
+    monkeypatch.setattr(train, "learn", lambda: given.append(sys.argv[1:]))
+    script(*words)
+    assert given == [["--multirun", "experiment=biorob", "seed=0,1"]]
+
+
+@pytest.mark.parametrize(
+    ("swept", "got"),
+    [
+        (("seed=range(1000000)",), "more"),
+        (("seed=range(2000000000)", "trials=range(1,1000)"), "more"),
+        (("seed=range(0)",), "none"),
+    ],
+)
+def test_sweep_of_no_run_or_of_too_many_is_refused_at_once(
+    script: Script, tmp_path: Path, swept: tuple[str, ...], got: str
+) -> None:
+    begun = time.process_time()
+    message = error_of(script, "-m", *swept)
+    assert message == f"a sweep must have from 1 to 10000 runs, got {got}"
+    assert time.process_time() - begun < 2 and os.listdir(tmp_path) == []
 
 
 def test_help_says_every_setting_with_its_value_and_what_it_means(
@@ -407,7 +421,7 @@ def test_help_says_every_setting_with_its_value_and_what_it_means(
     own, others = "\n".join(lines).split("Other experiments")
     words = set(re.findall(r"^  ([a-z_.]+)=", own, re.MULTILINE))
     words |= set(re.findall(r"^      ([a-z_.]+): ", others, re.MULTILINE))
-    assert words == {*settings.NAMES}
+    assert words == {*settings.SETTINGS}
     assert {"  noise_std=0.1", "  num_centres=80", "  out=runs/biorob/seed_0"} < {*lines}
 
 
@@ -431,16 +445,16 @@ def test_settings_of_a_file_and_of_the_command_line_reach_the_run(
         script("settings=mine.yaml", "input_scale=3", "search.trust_threshold=2", "out=run")
     ((experiment, named),) = learned
     assert experiment.noise_std.tolist() == [0.1, 0.2, 0.3, 0.4]
-    assert (experiment.search.restarts, experiment.search.trust_threshold) == (2, 2)
-    assert (experiment.input_scale, named["seed"]) == (3, 3)
+    search = experiment.method.search
+    assert (search.restarts, search.trust_threshold) == (2, 2)
+    assert (experiment.method.policy.input_scale, named["seed"]) == (3, 3)
 
 
 @pytest.mark.usefixtures("nothing_to_draw")
 def test_run_leaves_the_settings_that_make_it_again(
     script: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    short = short_experiment(4)
-    monkeypatch.setitem(EXPERIMENTS, "double_pendulum", lambda demonstrations: short)
+    replace_task(monkeypatch, short_experiment(4))
     quick_fits(monkeypatch)
     script("trials=1", "seed=2", "out=run", "noise_std=0.2", "search.horizon_step=1")
     script("settings=run/settings.yaml", "out=again")
@@ -461,11 +475,6 @@ def test_run_leaves_the_settings_that_make_it_again(
     assert message.endswith("has noise_std = 0.2, got 0.3: it cannot go on so")
 
 
-def test_settings_that_make_passes_on_are_all_there_are() -> None:
-    (line,) = re.findall(r"^SETTINGS := (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    assert line.split() == list(settings.NAMES)
-
-
 def test_make_passes_on_the_settings_of_its_command_line(tmp_path: Path) -> None:
     """GNU make alone runs here, and says what it would do."""
     made = shutil.which("make")
@@ -477,13 +486,6 @@ def test_make_passes_on_the_settings_of_its_command_line(tmp_path: Path) -> None
     assert told.stdout == ".venv/bin/pmil train seed='1' out='a b' trials=2\n"
 
 
-def test_unknown_logger_is_refused_with_those_there_are(script: Script) -> None:
-    assert (
-        error_of(script, "logger=stone")
-        == "logger must be one of csv, tensorboard, wandb, mlflow or null, got stone"
-    )
-
-
 def error_of(script: Script, *overrides: str) -> str:
     """The one line that the script fails with, after "error: "."""
     with pytest.raises(SystemExit) as stop:
@@ -493,62 +495,38 @@ def error_of(script: Script, *overrides: str) -> str:
     return message.removeprefix("error: ")
 
 
-def test_unknown_experiment_is_refused_with_those_there_are(script: Script, tmp_path: Path) -> None:
-    assert error_of(script, "experiment=triple", "out=run") == f"{UNKNOWN}, got 'triple'"
-    robot = error_of(script, "experiment=handwriting", "shape=Sine", "robot=pr2", "out=run")
-    assert robot == "robot must be one of biorob, double_pendulum, got 'pr2'"
-    assert os.listdir(tmp_path) == []
-
-
 @pytest.mark.parametrize(
-    ("override", "got"),
-    [("trials=0", "0"), ("trials=two", "'two'"), ("trials=1.5", "1.5"), ("seed=abc", "'abc'")],
-)
-@pytest.mark.usefixtures("short_double_pendulum")
-def test_number_out_of_range_is_refused_before_there_is_a_folder(
-    script: Script, tmp_path: Path, override: str, got: str
-) -> None:
-    message = error_of(script, override, "out=run")
-    assert message.startswith(f"{override.split('=')[0]} must be ") and message.endswith(
-        f", got {got}"
-    )
-    assert os.listdir(tmp_path) == []
-
-
-@pytest.mark.parametrize(
-    ("names", "time_step", "complaint"),
+    ("names", "time_step", "scale", "complaint"),
     [
         (
             ("x1", "y1", "x2", "z2"),
             0.1,
+            1.0,
             "demonstrations must be of x1, y1, x2, y2, got x1, y1, x2, z2; pmil align RECORDED "
             "OUT.npz --names x1 y1 x2 y2 renames them",
         ),
         (
             ("x1", "y1", "x2", "y2"),
             0.05,
+            1.0,
             "demonstrations must have a time step of 0.1 s, the robot's control period, got 0.05 "
             "s; pmil align --time-step 0.1 resamples a recording",
         ),
+        (("x1", "y1", "x2", "y2"), 0.1, 1.3, "demonstration 3 leaves the workspace: at "),
     ],
 )
-def test_demonstrations_of_something_else_are_refused(
-    script: Script, tmp_path: Path, names: tuple[str, ...], time_step: float, complaint: str
-) -> None:
-    Demonstrations(shipped_demonstrations().positions, time_step, names).save(tmp_path / "own.npz")
-    assert error_of(script, "demonstrations=own.npz", "out=run") == complaint
-    assert os.listdir(tmp_path) == ["own.npz"]
-
-
 def test_demonstrations_that_the_robot_cannot_follow_are_refused(
-    script: Script, tmp_path: Path
+    script: Script,
+    tmp_path: Path,
+    names: tuple[str, ...],
+    time_step: float,
+    scale: float,
+    complaint: str,
 ) -> None:
     positions = shipped_demonstrations().positions.clone()
-    positions[3] *= 1.3
-    Demonstrations(positions, 0.1, ("x1", "y1", "x2", "y2")).save(tmp_path / "own.npz")
-    assert error_of(script, "demonstrations=own.npz", "out=run").startswith(
-        "demonstration 3 leaves the workspace: at "
-    )
+    positions[3] *= scale
+    Demonstrations(positions, time_step, names).save(tmp_path / "own.npz")
+    assert error_of(script, "demonstrations=own.npz", "out=run").startswith(complaint)
     assert os.listdir(tmp_path) == ["own.npz"]
 
 
@@ -581,11 +559,6 @@ def test_warnings_of_one_cause_are_ten_at_most(capsys: pytest.CaptureFixture[str
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "run: warning: 0 is a copy" and len(lines) == 12
     assert lines[-2:] == ["run: warning: long", "run: warning: 990 more of copies"]
-
-
-def test_missing_demonstrations_are_named(script: Script, tmp_path: Path) -> None:
-    assert "own.csv" in error_of(script, "demonstrations=own.csv", "out=run")
-    assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize("out", ["file", "file/run", "/dev/null/run"])

@@ -5,22 +5,19 @@ and without gymnasium.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import replace
-from functools import partialmethod
 from pathlib import Path
 
 import gymnasium
 import imageio_ffmpeg
 import pytest
 import torch
+from torch.nn.utils import parameters_to_vector
 
 from tests.helpers.run_script import run_command
+from tests.helpers.short_run import quick_fits as shorten_fits, replace_task, short_experiment
 from torch_pmil.envs import gym_tasks
-from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.training import make_trainer
-from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
+from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 from torch_pmil.trainer.trainer import PMILTrainer
 
@@ -30,37 +27,32 @@ NAMES = ("gym_pendulum", "inverted_pendulum")
 
 
 @pytest.fixture(autouse=True)
-def quick_fits(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+def quick_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    shorten_fits(monkeypatch)
 
 
 def short(name: str) -> Task:
     """The experiment's first steps, with short searches; every rollout is a failure."""
-    whole = load_experiment(name)
-    beginning = replace(
-        whole.demonstrations, positions=whole.demonstrations.positions[:, : HORIZON + 1]
-    )
-    search = SearchSettings(1, 1, 1, first_horizon=HORIZON)
     failure = lambda rollout: torch.ones(rollout.shape[:-1])  # noqa: E731
-    return replace(
-        whole, demonstrations=beginning, num_centres=5, search=search, error=failure, tolerance=0.5
-    )
+    return short_experiment(HORIZON, name, error=failure, tolerance=0.5)
+
+
+def trained(name: str, seed: int, trials: int) -> PMILTrainer:
+    trainer = make_trainer(short(name), seed, trials, False, lambda trial: None)
+    trainer.train()
+    return trainer
 
 
 def run(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """One trial of the shortened experiment into ``run``."""
     monkeypatch.chdir(tmp_path)
-    experiment = short(name)
-    monkeypatch.setitem(EXPERIMENTS, name, lambda demonstrations: experiment)
+    replace_task(monkeypatch, short(name), name)
     run_command(monkeypatch, COMMAND, f"experiment={name}", "trials=1", "out=run")
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_robot_of_gymnasium_lives_through_whole_rollouts(name: str) -> None:
-    trainer = make_trainer(
-        short(name), seed=0, trials=2, progress_bar=False, on_trial=lambda trial: None
-    )
-    trainer.train()
+    trainer = trained(name, seed=0, trials=2)
     assert len(trainer.experience) == 3 * HORIZON
     rollouts = trainer.experience.transitions.split(HORIZON)
     assert all(
@@ -71,24 +63,12 @@ def test_robot_of_gymnasium_lives_through_whole_rollouts(name: str) -> None:
     assert all(trial.n_eval == 20 for trial in trainer.trials)
 
 
-def learned(trainer: PMILTrainer) -> torch.Tensor:
-    return torch.cat(
-        [
-            parameter.detach().flatten()
-            for parameter in trainer.loss_module.actor_network.parameters()
-        ]
-    )
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_same_seed_learns_the_same_policy_bit_for_bit(name: str) -> None:
     results = []
     for seed in (3, 3, 4):
-        trainer = make_trainer(
-            short(name), seed=seed, trials=1, progress_bar=False, on_trial=lambda trial: None
-        )
-        trainer.train()
-        results.append(learned(trainer))
+        policy = trained(name, seed, trials=1).loss_module.actor_network
+        results.append(parameters_to_vector(policy.parameters()))
     assert torch.equal(results[0], results[1]) and not torch.equal(results[0], results[2])
 
 

@@ -53,18 +53,19 @@ PHASES = {  # what is called there
 
 
 def short_experiment(steps: int = STEPS, name: str = "double_pendulum", **changes: object) -> Task:
+    """A task of the package, :func:`shortened`."""
+    return shortened(load_experiment(name), steps, **changes)
+
+
+def shortened(task: Task, steps: int, **changes: object) -> Task:
     """The first steps of a task, with five basis functions and searches of a few evaluations.
 
     Args:
         changes: settings and groups of them, and fields of the task.
     """
-    task = load_experiment(name)
-    beginning = replace(
-        task.demonstrations, positions=task.demonstrations.positions[:, : steps + 1]
-    )
+    shown = replace(task.demonstrations, positions=task.demonstrations.positions[:, : steps + 1])
     quick = SearchSettings(1, 1, 1, first_horizon=steps)
-    changes = {"demonstrations": beginning, "num_centres": 5, "search": quick} | changes
-    return changed(task, **changes)
+    return changed(task, **{"demonstrations": shown, "num_centres": 5, "search": quick} | changes)
 
 
 def changed(task: Task, **changes: object) -> Task:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from matplotlib.figure import Figure
 
-from tests.helpers.short_run import quick_fits
+from tests.helpers.short_run import quick_fits, shortened
 from torch_pmil.gp.gaussian import Gaussian
 from torch_pmil.plotting import save_figure
 from torch_pmil.runs import figures
 from torch_pmil.runs.figures import figures_of, planes_of, sliced
 from torch_pmil.runs.training import RunResult, train
-from torch_pmil.search.policy_search import SearchSettings
+from torch_pmil.tasks.method import RandomMotion
 from torch_pmil.tasks.registry import EXPERIMENTS, load_experiment
+from torch_pmil.tasks.strokes import lasa_strokes
 from torch_pmil.tasks.task import Task
 
 STEPS = 6
@@ -28,25 +28,19 @@ OWN = {
     "double_pendulum_servo": {"poses"},
     "double_pendulum_targets": {"poses"},
     "handwriting": {"writing"},
+    "handwriting_biorob": {"writing"},
 }
-WHOLE = {"handwriting", "inverted_pendulum"}  # whose error is of all steps
-SHAPE = {"handwriting": "Angle"}
+WHOLE = {"handwriting", "handwriting_biorob", "inverted_pendulum"}  # whose error is of all steps
 
 
 def short(name: str) -> Task:
     """The first steps of an experiment, and searches of a few evaluations."""
-    experiment = load_experiment(name, shape=SHAPE.get(name))
-    steps = experiment.horizon if name in WHOLE else STEPS
-    beginning = replace(
-        experiment.demonstrations, positions=experiment.demonstrations.positions[:, : steps + 1]
-    )
-    changes = {
-        "demonstrations": beginning,
-        "num_centres": 5,
-        "search": SearchSettings(1, 1, 1, first_horizon=steps),
-        "pd_movements": None,
-    }
-    return replace(experiment, **changes)
+    if name.startswith("handwriting"):
+        task = load_experiment(name, lasa_strokes("Angle"))
+    else:
+        task = load_experiment(name)
+    steps = task.horizon if name in WHOLE else STEPS
+    return shortened(task, steps, exploration=RandomMotion())
 
 
 @pytest.mark.slow

@@ -90,7 +90,7 @@ def test_a_physical_robot_moves_no_more_than_it_is_asked_to(
     assert operator.asked == robot.rollouts == 1 + 2
     printed = capsys.readouterr().out
     assert "judged by the robot's own rollouts alone" in printed and "success rate" not in printed
-    alone.experiment = replace(alone.experiment, tolerance=1e9)
+    alone.task = replace(alone.task, tolerance=1e9)
     assert alone.evaluate(starts=3) == pytest.approx(2 / 3)  # the fifth rollout is cut short
     assert operator.asked == 3 + 3
 

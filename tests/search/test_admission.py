@@ -47,6 +47,11 @@ def box(low: float, threshold: float = 0.05) -> StateBox:
     return StateBox(SPACE, {"x": (low, 50.0)}, threshold)
 
 
+def assert_same(loss: TrajectoryLoss, parameters: dict[str, torch.Tensor]) -> None:
+    for name, value in loss.actor_network.state_dict().items():
+        assert torch.equal(value, parameters[name])
+
+
 def test_policy_that_stays_is_admitted_as_it_is(
     searched: tuple[TrajectoryLoss, SearchResult],
 ) -> None:
@@ -56,8 +61,7 @@ def test_policy_that_stays_is_admitted_as_it_is(
     assert admission.result is result
     assert (admission.refused, admission.steps) == (0, HORIZON)
     assert 0 <= admission.leaving_probability < 1e-12
-    for name, value in loss.actor_network.state_dict().items():
-        assert torch.equal(value, before[name])
+    assert_same(loss, before)
 
 
 def test_refused_policy_is_searched_on_until_it_stays(
@@ -107,8 +111,7 @@ def test_policy_stays_what_it_is_where_no_penalty_is_finite(
     before = copy.deepcopy(loss.actor_network.state_dict())
     admission = admit(loss, INITIAL, StateBox(SPACE, {"x": (1e9, 2e9)}), SETTINGS, result)
     assert (admission.refused, admission.steps) == (1, 0)
-    for name, value in loss.actor_network.state_dict().items():
-        assert torch.equal(value, before[name])
+    assert_same(loss, before)
 
 
 def test_steps_that_cannot_be_predicted_leave(

@@ -136,13 +136,7 @@ def test_terms_of_the_mean_are_the_kl_at_equal_covariances_and_those_of_the_spre
 def test_terms_of_an_entry_are_what_it_adds_to_the_kl_of_those_before_it(draws: Draws) -> None:
     p, q = draws.belief(6, 4), draws.belief(6, 4)
     terms = gaussian_kl_terms(p, q)
-    of_first = torch.stack(
-        [
-            gaussian_kl(*(belief.marginal(torch.arange(j)) for belief in (p, q)))
-            for j in range(1, 5)
-        ],
-        -1,
-    )
-    torch.testing.assert_close(
-        (terms.mean + terms.spread).cumsum(-1), of_first, rtol=1e-10, atol=1e-10
-    )
+    firsts = [torch.arange(j) for j in range(1, 5)]
+    expected = torch.stack([gaussian_kl(p.marginal(j), q.marginal(j)) for j in firsts], -1)
+    of_first = (terms.mean + terms.spread).cumsum(-1)
+    torch.testing.assert_close(of_first, expected, rtol=1e-10, atol=1e-10)

@@ -125,11 +125,6 @@ def test_noise_of_each_entry_is_added_to_the_prediction_as_to_the_expert(draws: 
     )
 
 
-def test_noise_of_other_entries_is_an_error(draws: Draws) -> None:
-    with pytest.raises(ValueError, match=r"noise_std must be a number or one for each of x, y"):
-        TrajectoryKLLoss(*make_parts(draws), SPACE, draws.belief(HORIZON, 2), torch.ones(3))
-
-
 def test_expert_of_another_dimension_is_an_error(loss: TrajectoryKLLoss, draws: Draws) -> None:
     with pytest.raises(
         ValueError, match=r"demonstrated must have the 2 entries \('x', 'y'\), got 3"
@@ -203,12 +198,8 @@ def test_weight_may_turn_the_axes(draws: Draws) -> None:
     )
     certain = cost.rollout_loss(states, torch.zeros(5, 2, 2, dtype=torch.float64))
     delta = space.observe(states) - target
-    torch.testing.assert_close(
-        certain,
-        1 - torch.exp(-torch.einsum("ti,ij,tj->t", delta, weight, delta) / 8),
-        rtol=1e-12,
-        atol=1e-15,
-    )
+    expected = 1 - torch.exp(-torch.einsum("ti,ij,tj->t", delta, weight, delta) / 8)
+    torch.testing.assert_close(certain, expected, rtol=1e-12, atol=1e-15)
 
 
 def test_cost_is_that_of_torchrl_up_to_its_jitter(initial: Gaussian) -> None:
@@ -231,10 +222,8 @@ def test_weight_is_the_identity_unless_given(initial: Gaussian) -> None:
 def test_entry_without_weight_is_ignored(initial: Gaussian) -> None:
     weight, target = torch.diag(torch.tensor([1.0, 0.0])), torch.tensor([0.2, 0.3])
     here = make_cost(seed=0, weight=weight, target=target).per_step(initial)
-    there = make_cost(seed=0, weight=weight, target=target + torch.tensor([0.0, 5.0])).per_step(
-        initial
-    )
-    assert torch.equal(here, there)
+    other = make_cost(seed=0, weight=weight, target=target + torch.tensor([0.0, 5.0]))
+    assert torch.equal(here, other.per_step(initial))
 
 
 def test_doubt_of_a_kl_is_the_kl(loss: TrajectoryKLLoss, initial: Gaussian) -> None:
@@ -261,9 +250,7 @@ def test_search_lowers_the_loss(key: str, initial: Gaussian) -> None:
     """Every loss of a trajectory can be searched."""
     loss = {"loss_kl": make_kl, "loss_cost": make_cost}[key](seed=0)
     before = loss(start(initial))[key].item()
-    result = search_policy(
-        loss, initial, SearchSettings(mean_iterations=3, stage_iterations=3, final_iterations=5)
-    )
+    result = search_policy(loss, initial, SearchSettings(3, 3, 5))
     assert result.loss < before
     assert loss(start(initial))[key].item() == pytest.approx(result.loss, rel=1e-12)
 
@@ -275,9 +262,6 @@ def test_search_lowers_the_loss(key: str, initial: Gaussian) -> None:
             {"target": torch.zeros(3)},
             r"target must have shape \(2,\), the entries \('x', 'y'\), got \(3,\)",
         ),
-        ({"width": 0.0}, "width must be a positive finite number, got 0.0"),
-        ({"width": float("nan")}, "width must be a positive finite number, got nan"),
-        ({"horizon": 0}, "horizon must be a whole number of at least 1, got 0"),
         ({"weight": torch.eye(3)}, r"weight must have shape \(2, 2\), got \(3, 3\)"),
         ({"weight": -torch.eye(2)}, "weight must be symmetric and positive semi-definite"),
         (

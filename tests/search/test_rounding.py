@@ -8,13 +8,14 @@ import torch
 from tests.helpers.draws import Draws
 from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.gp.hyperparameters import MOST_SIGNAL_TO_NOISE
-from torch_pmil.tasks.handwriting import Handwriting, handwriting
+from torch_pmil.tasks.handwriting import handwriting
+from torch_pmil.tasks.task import Task
 
 pytestmark = pytest.mark.robot
 DATA = 150
 
 
-def waves() -> Handwriting:
+def waves() -> Task:
     """Slow strokes, of which a simulation without noise makes a very sure model."""
     along = torch.linspace(0, 1, 31, dtype=torch.float64)
     strokes = [

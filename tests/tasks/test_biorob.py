@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
-from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +11,10 @@ import torch
 from tensordict import TensorDict
 
 from reproduction.teachers.kinesthetic_teaching import Strike, Variation, record_strike
+from tests.helpers.short_run import quick_fits as shorten_fits, shortened
 from torch_pmil.control.state_policy import StatePolicy
-from torch_pmil.demonstrations import DemonstrationError, Demonstrations
+from torch_pmil.demonstrations import Demonstrations
 from torch_pmil.envs.biorob import START, biorob_model, holding_torques
-from torch_pmil.model.dynamics import GPDynamics
 from torch_pmil.runs.training import make_trainer, train
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.tasks.biorob import biorob_space, distance_from_ball
@@ -24,6 +22,7 @@ from torch_pmil.tasks.registry import load_experiment
 from torch_pmil.tasks.task import Task
 
 STEPS = 4
+SEARCH = SearchSettings(0, 1, 1, first_horizon=STEPS)
 
 
 def record() -> Demonstrations:
@@ -46,17 +45,12 @@ def experiment() -> Task:
 @pytest.fixture(scope="module", autouse=True)
 def quick_fits() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(GPDynamics, "fit", partialmethod(GPDynamics.fit, max_iterations=3))
+        shorten_fits(patch)
         yield
 
 
 def short(experiment: Task) -> Task:
-    beginning = replace(
-        experiment.demonstrations, positions=experiment.demonstrations.positions[:, : STEPS + 1]
-    )
-    return replace(
-        experiment, demonstrations=beginning, search=SearchSettings(0, 1, 1, first_horizon=STEPS)
-    )
+    return shortened(experiment, STEPS, num_centres=80, search=SEARCH)
 
 
 def test_policy_has_the_papers_738_parameters_and_the_model_sees_state_and_torques(
@@ -65,19 +59,14 @@ def test_policy_has_the_papers_738_parameters_and_the_model_sees_state_and_torqu
     policy = experiment.make_policy(torch.Generator().manual_seed(0))
     assert sum(parameter.numel() for parameter in policy.parameters()) == 738
     assert experiment.horizon == 18
-    assert (
-        experiment.space.feature_names
-        == experiment.space.names
-        == experiment.space.match_space.names
-    )
+    space = experiment.space
+    assert space.feature_names == space.names == space.match_space.names
 
 
 def test_new_policy_holds_the_start_pose(experiment: Task) -> None:
     """Within the friction of the motors, 0.8 N·m at least: the arm stays where it is."""
-    policy, start = (
-        experiment.make_policy(torch.Generator().manual_seed(0)),
-        torch.tensor(START, dtype=torch.float64),
-    )
+    policy = experiment.make_policy(torch.Generator().manual_seed(0))
+    start = torch.tensor(START, dtype=torch.float64)
     assert (policy(start) - holding_torques(start[:3])).abs().max() < 0.2
     env = experiment.make_env(initial_std=torch.zeros(6), seed=0)
     rollout = env.rollout(
@@ -128,12 +117,3 @@ def test_run_is_judged_by_what_the_environment_says_of_the_ball(
     for measure in ("two_sigma_coverage_by_entry", "rms_error", "demonstration_spread"):
         assert tuple(result.summary[measure]) == names
     assert result.summary["settings"]["noise_std"] == [0.03] * 3 + [0.3] * 3
-
-
-def test_demonstrations_of_something_else_are_refused() -> None:
-    other = Demonstrations(torch.zeros(2, 19, 3), 0.1, ("q_yaw", "q_shoulder", "q_elbow"))
-    with pytest.raises(
-        DemonstrationError,
-        match="must be of q_yaw, q_shoulder, q_elbow, dq_yaw, dq_shoulder, dq_elbow, got q_yaw",
-    ):
-        load_experiment("biorob", other)

@@ -45,7 +45,7 @@ def test_first_motion_is_around_what_holds_the_start(experiment: Task) -> None:
 
 
 def test_first_motion_may_go_along_what_was_demonstrated(experiment: Task) -> None:
-    along = replace(experiment, explore_demonstrated=True)
+    along = experiment.with_settings(explore_demonstrated=True)
     mean = experiment.demonstrated_states.unflatten(0, (5, -1)).mean(0)
     assert torch.equal(along.exploration.around, experiment.holding_actions(mean[1:]))
     assert along.adjustable["explore_demonstrated"] is True
@@ -56,7 +56,7 @@ def test_motion_along_the_demonstrations_needs_what_holds_the_robot(
 ) -> None:
     for changes in ({"holding_actions": None}, {"demonstrated_states": torch.zeros(7, 4).double()}):
         with pytest.raises(ValueError, match="explore_demonstrated needs holding_actions, and"):
-            replace(experiment, explore_demonstrated=True, **changes)
+            replace(experiment, **changes).with_settings(explore_demonstrated=True)
 
 
 def test_first_policy_holds_the_robot_at_its_starts_and_along_the_demonstrations(

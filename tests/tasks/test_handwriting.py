@@ -11,14 +11,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.helpers.short_run import quick_fits
+from tests.helpers.short_run import quick_fits, shortened
 from torch_pmil.demonstrations import DemonstrationError, Demonstrations, Recordings
 from torch_pmil.envs.biorob import BioRobEnv
 from torch_pmil.envs.double_pendulum import link_positions
 from torch_pmil.runs.training import train
-from torch_pmil.search.policy_search import SearchSettings
-from torch_pmil.tasks.handwriting import handwriting
-from torch_pmil.tasks.registry import load_experiment, run_name
+from torch_pmil.tasks.handwriting import handwriting_biorob
+from torch_pmil.tasks.registry import demonstrations_from, load_experiment
 from torch_pmil.tasks.strokes import (
     distance_from_mean,
     distance_spread,
@@ -27,16 +26,12 @@ from torch_pmil.tasks.strokes import (
     preprocessed,
 )
 from torch_pmil.tasks.task import Task
-from torch_pmil.tasks.writers import WRITERS, states_of_strokes
+from torch_pmil.tasks.writers import biorob_writer, pendulum_writer, states_of_strokes
 
-SHAPES = (
-    "Angle",
-    "Sshape",
-    "GShape",
-    "Sine",
-)  # those that it was developed on: the others are for evaluation alone
-ROBOTS = sorted(WRITERS)
-each_robot = pytest.mark.parametrize("robot", ROBOTS)
+# those that it was developed on: the others are for evaluation alone
+SHAPES = ("Angle", "Sshape", "GShape", "Sine")
+WRITERS = {"handwriting": pendulum_writer, "handwriting_biorob": biorob_writer}
+each_robot = pytest.mark.parametrize("name", WRITERS)
 
 
 def wave(count: int = 5, steps: int = 30, spread: float = 0.01) -> Demonstrations:
@@ -116,8 +111,8 @@ def test_a_held_out_stroke_is_as_far_from_the_mean_as_the_spread_says() -> None:
 
 @pytest.mark.parametrize("shape", SHAPES)
 @each_robot
-def test_tip_of_the_demonstrated_states_is_on_the_strokes(robot: str, shape: str) -> None:
-    experiment = handwriting(shape=shape, robot=robot)
+def test_tip_of_the_demonstrated_states_is_on_the_strokes(name: str, shape: str) -> None:
+    experiment = load_experiment(name, lasa_strokes(shape))
     positions = experiment.demonstrations.positions
     torch.testing.assert_close(
         experiment.space.observe(experiment.demonstrated_states), positions.flatten(0, 1)
@@ -126,8 +121,8 @@ def test_tip_of_the_demonstrated_states_is_on_the_strokes(robot: str, shape: str
 
 @pytest.mark.parametrize("shape", SHAPES)
 @each_robot
-def test_poses_are_smooth_along_a_stroke(robot: str, shape: str) -> None:
-    writer = WRITERS[robot]()
+def test_poses_are_smooth_along_a_stroke(name: str, shape: str) -> None:
+    writer = WRITERS[name]()
     pose = writer.pose(
         writer.on_board(preprocessed(lasa_strokes(shape), writer.duration)).positions
     )
@@ -135,7 +130,7 @@ def test_poses_are_smooth_along_a_stroke(robot: str, shape: str) -> None:
 
 
 def test_racket_is_where_mujoco_says() -> None:
-    env, match_space = BioRobEnv(), WRITERS["biorob"]().space.match_space
+    env, match_space = BioRobEnv(), biorob_writer().space.match_space
     data, generator = mujoco.MjData(env.model), torch.Generator().manual_seed(0)
     for q in 2 * torch.rand(20, 3, dtype=torch.float64, generator=generator) - 0.7:
         for joint, angle in zip(("yaw", "shoulder", "elbow"), q, strict=True):
@@ -148,7 +143,7 @@ def test_racket_is_where_mujoco_says() -> None:
 
 
 def test_wrist_gives_way_by_less_than_a_millimetre() -> None:
-    experiment = handwriting(wave(), robot="biorob")
+    experiment = handwriting_biorob(wave())
     env = experiment.robot(seed=0)
     data = mujoco.MjData(env.model)
     for state in experiment.demonstrated_states[::5]:
@@ -164,21 +159,21 @@ def test_wrist_gives_way_by_less_than_a_millimetre() -> None:
 def test_pendulum_tip_is_where_the_environment_says() -> None:
     states = torch.randn(20, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(
-        WRITERS["double_pendulum"]().space.observe(states), link_positions(states)[:, 2:]
+        pendulum_writer().space.observe(states), link_positions(states)[:, 2:]
     )
 
 
 @each_robot
-def test_holding_torques_hold_the_robot(robot: str) -> None:
-    experiment, writer = handwriting(wave(), robot=robot), WRITERS[robot]()
+def test_holding_torques_hold_the_robot(name: str) -> None:
+    experiment, writer = load_experiment(name, wave()), WRITERS[name]()
     start = experiment.initial.mean
     after = experiment.robot(seed=0).simulate(start[None], writer.holding_torques(start[None]))[0]
     assert (after - start).abs().max() < 1e-3
 
 
 @each_robot
-def test_first_motion_stays_near_the_strokes(robot: str) -> None:
-    experiment, writer = handwriting(wave(), robot=robot), WRITERS[robot]()
+def test_first_motion_stays_near_the_strokes(name: str) -> None:
+    experiment, writer = load_experiment(name, wave()), WRITERS[name]()
     env, motion = (
         experiment.robot(seed=0),
         experiment.exploration.motion(torch.Generator().manual_seed(0)),
@@ -193,7 +188,7 @@ def test_first_motion_stays_near_the_strokes(robot: str) -> None:
 
 
 def test_robot_starts_at_rest_where_the_strokes_begin() -> None:
-    experiment = handwriting(wave(), robot="biorob")
+    experiment = handwriting_biorob(wave())
     begin = experiment.demonstrations.positions[:, 0].mean(0)
     torch.testing.assert_close(
         experiment.space.observe(experiment.initial.mean), begin, atol=1e-3, rtol=0
@@ -202,8 +197,8 @@ def test_robot_starts_at_rest_where_the_strokes_begin() -> None:
 
 
 @each_robot
-def test_mean_stroke_itself_has_no_error_and_others_have_theirs(robot: str) -> None:
-    experiment = handwriting(wave(), robot=robot)
+def test_mean_stroke_itself_has_no_error_and_others_have_theirs(name: str) -> None:
+    experiment = load_experiment(name, wave())
     strokes = experiment.demonstrations.positions
     mean = distance_from_mean(strokes.mean(0, keepdim=True), experiment.demonstrations)
     torch.testing.assert_close(mean, torch.zeros(1, dtype=torch.float64))
@@ -224,7 +219,7 @@ def test_stroke_out_of_reach_is_refused_in_one_line() -> None:
         DemonstrationError, match=r"^strokes must stay in the robot's reach: .* got \[0.9, -0.9\]$"
     ):
         states_of_strokes(
-            WRITERS["double_pendulum"](), writer_strokes([[0.0, -0.5], [0.9, -0.9], [0.0, -0.5]])
+            pendulum_writer(), writer_strokes([[0.0, -0.5], [0.9, -0.9], [0.0, -0.5]])
         )
 
 
@@ -234,77 +229,52 @@ def test_stroke_that_takes_too_much_torque_is_refused_in_one_line() -> None:
         DemonstrationError,
         match=r"^stroke 0 needs 4\.\d+ N·m of motor 0 at 0\.0 s, which has 3\.5 N·m$",
     ):
-        states_of_strokes(WRITERS["double_pendulum"](), held)
+        states_of_strokes(pendulum_writer(), held)
 
 
+@each_robot
 @pytest.mark.parametrize(
-    ("settings", "complaint"),
+    ("shown", "complaint"),
     [
         (
-            {"shape": "Angle", "robot": "pr2"},
-            r"^robot must be one of biorob, double_pendulum, got 'pr2'$",
-        ),
-        ({"shape": "angle"}, r"^shape must be one of Angle, .*, got 'angle'$"),
-        ({"shape": "../secret"}, r"^shape must be one of Angle, .*, got '../secret'$"),
-        ({}, r"^handwriting needs a shape or demonstrations, got neither$"),
-        (
-            {"shape": "Angle", "demonstrations": wave()},
-            r"^handwriting needs a shape or demonstrations, got both$",
+            None,
+            r"^handwriting.* needs strokes: demonstrations=lasa:Angle, or a file that pmil draw",
         ),
         (
-            {"demonstrations": replace(wave(), names=("u", "v"))},
+            replace(wave(), names=("u", "v")),
             r"^demonstrations must be of x, y, got u, v; pmil align .* --names x y renames them$",
         ),
-        (
-            {"demonstrations": replace(wave(), time_step=0.05)},
-            r"^strokes must have a time step of 0.1 s, got 0.05 s$",
-        ),
+        (replace(wave(), time_step=0.05), r"^strokes must have a time step of 0.1 s, got 0.05 s$"),
     ],
 )
-def test_wrong_settings_are_said_in_one_line(settings: dict, complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        load_experiment("handwriting", **settings)
+def test_strokes_of_something_else_are_refused_in_one_line(
+    name: str, shown: Demonstrations | None, complaint: str
+) -> None:
+    with pytest.raises(DemonstrationError, match=complaint):
+        load_experiment(name, shown)
 
 
-def test_shape_and_robot_are_for_handwriting_alone() -> None:
-    with pytest.raises(
-        ValueError,
-        match=r"^shape and robot are settings of experiment=handwriting, got shape=Angle and "
-        r"robot=None for biorob$",
-    ):
-        load_experiment("biorob", shape="Angle")
-
-
-def test_runs_that_differ_in_shape_or_robot_have_names_that_differ() -> None:
-    names = {run_name("handwriting", shape, robot) for shape in (None, *SHAPES) for robot in ROBOTS}
-    assert len(names) == 10
-    assert load_experiment("handwriting", shape="Sine", robot="biorob").name == run_name(
-        "handwriting", "Sine", "biorob"
-    )
-    assert run_name("handwriting", "Sine", None) == run_name(
-        "handwriting", "Sine", "double_pendulum"
-    )
+@pytest.mark.parametrize("shape", ["angle", "../secret"])
+def test_unknown_shape_is_refused_in_one_line(shape: str) -> None:
+    with pytest.raises(ValueError, match=rf"^a shape must be one of Angle, .*, got '{shape}'$"):
+        demonstrations_from(f"lasa:{shape}")
 
 
 @each_robot
 def test_a_short_run_ends_with_a_policy_and_its_ratio(
-    robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick_fits(monkeypatch)
-    experiment = replace(
-        handwriting(wave(steps=4), robot=robot),
-        num_centres=5,
-        search=SearchSettings(1, 1, 1, first_horizon=4),
-    )
-    result = train(experiment, seed=0, trials=1, out=tmp_path, command="test", progress_bar=False)
-    assert result.summary["experiment"] == f"handwriting_own_{robot}"
-    assert result.summary["rms_error"].keys() == set(experiment.space.match_space.names)
+    task = shortened(load_experiment(name, wave(steps=4)), 4)
+    result = train(task, seed=0, trials=1, out=tmp_path, command="test", progress_bar=False)
+    assert result.summary["experiment"] == name
+    assert result.summary["rms_error"].keys() == set(task.space.match_space.names)
     assert result.summary["experience_s"] == pytest.approx((3 + 1) * 0.4)
 
 
 @each_robot
-def test_torques_stay_within_the_limits(robot: str) -> None:
-    experiment: Task = handwriting(wave(), robot=robot)
+def test_torques_stay_within_the_limits(name: str) -> None:
+    experiment: Task = load_experiment(name, wave())
     policy = experiment.make_policy(torch.Generator().manual_seed(0))
     features: Tensor = experiment.space.features(experiment.demonstrated_states)
     assert (policy(features).abs() <= experiment.actions.high).all()

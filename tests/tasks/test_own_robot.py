@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
@@ -40,15 +41,11 @@ class Arm(EnvBase):
         return torch.stack([q.cos(), q.sin(), dq]) if self.circle else self.state
 
     def _reset(self, tensordict: object) -> object:
-        from tensordict import TensorDict
-
         q = START * (2 * torch.rand((), generator=self.generator) - 1) + math.pi * self.circle
         self.state = torch.stack([q, torch.zeros(())])
         return TensorDict({"joint": self._shown()})
 
     def _step(self, tensordict: object) -> object:
-        from tensordict import TensorDict
-
         q, _ = self.state
         dq = tensordict["action"][0]
         self.state = torch.stack([q + 0.1 * dq, dq])
@@ -89,7 +86,7 @@ def test_error_is_one_where_a_rollout_is_a_standard_deviation_away_at_all_times(
 def test_what_is_said_is_kept() -> None:
     made = task(noise_std=0.03, tolerance=1.0, num_centres=7, name="mine", angles=("q",))
     assert made.noise_std.item() == 0.03 and made.tolerance == 1.0
-    assert made.num_centres == 7 and made.name == "mine"
+    assert made.method.policy.num_centres == 7 and made.name == "mine"
     assert made.space.feature_names == ("dq", "sin q", "cos q")
 
 
@@ -200,7 +197,7 @@ def test_recordings_of_other_lengths_and_another_rate_are_aligned(tmp_path: Path
         ({"angles": ("p",)}, ValueError, "angles must be entries of the state q, dq, got p"),
         ({"demonstrations": 3}, TypeError, "must be a path, Recordings or Demonstrations, got int"),
         ({"tolerance": -1.0}, ValueError, "tolerance must"),
-        ({"nose_std": 0.1}, TypeError, "nose_std"),
+        ({"nose_std": 0.1}, ValueError, "a setting of Arm must be one of .*, got nose_std$"),
         ({"control_period": 0.0}, ValueError, "control_period must be positive"),
     ],
 )

@@ -81,15 +81,17 @@ def tensors(path: Path) -> dict[str, Tensor]:
     return content.get("parameters", content)
 
 
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
 def numbers(folder: Path) -> dict:
+    """The summary without its times."""
     summary = json.loads((folder / "summary.json").read_text())
-    trials = [
-        {key: value for key, value in trial.items() if key not in TIMES[1]}
-        for trial in summary["trials"]
-    ]
-    return {key: value for key, value in summary.items() if key not in TIMES[0]} | {
-        "trials": trials
-    }
+    for holder, times in ((summary, TIMES[0]), *((trial, TIMES[1]) for trial in summary["trials"])):
+        for name in times:
+            holder.pop(name)
+    return summary
 
 
 def assert_same_end(folder: Path, whole: Path) -> None:
@@ -250,12 +252,10 @@ def test_finished_run_that_was_stopped_as_it_went_on_is_not_overwritten(tmp_path
 
 def test_finished_run_is_replaced_only_if_told(whole: Path, tmp_path: Path) -> None:
     run(tmp_path / "run", seed=SEED + 1)
-    before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    before = contents(tmp_path / "run")
     with pytest.raises(FinishedRunError, match="a run that has ended: overwrite=true replaces it"):
         run(tmp_path / "run")
-    assert before == {
-        path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()
-    }
+    assert contents(tmp_path / "run") == before
     run(tmp_path / "run", overwrite=True)
     assert_same_end(tmp_path / "run", whole)
 
@@ -265,13 +265,8 @@ def test_replaced_run_that_is_stopped_leaves_nothing_of_the_old_one(
 ) -> None:
     folder = shutil.copytree(whole, tmp_path / "run")
     stopped_run(folder, "search", 1, overwrite=True)
-    assert {path.name for path in folder.iterdir()} == {
-        "run.json",
-        "settings.yaml",
-        "metrics.csv",
-        "checkpoints",
-        "figures",
-    }
+    left = {"run.json", "settings.yaml", "metrics.csv", "checkpoints", "figures"}
+    assert {path.name for path in folder.iterdir()} == left
 
 
 def test_replacing_and_going_on_exclude_each_other(tmp_path: Path) -> None:

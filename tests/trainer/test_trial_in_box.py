@@ -38,15 +38,13 @@ def ran(trial: Trial) -> tuple[int, str]:
     return trial.steps, trial.cut_short
 
 
-def test_wide_limits_leave_the_trials_as_they_are() -> None:
-    trials = trained(box=WIDE).trials
+@pytest.mark.parametrize(("box", "leaving"), [(WIDE, 0.0), (None, None)])
+def test_wide_limits_and_none_leave_the_trials_as_they_are(
+    box: dict | None, leaving: float | None
+) -> None:
+    trials = trained(box=box).trials
     assert [ran(trial) for trial in trials] == [(STEPS, "")] * 2
-    assert [(trial.leaving_probability, trial.refused) for trial in trials] == [(0.0, 0)] * 2
-
-
-def test_without_limits_nothing_is_told_of_them() -> None:
-    trials = trained().trials
-    assert [(trial.leaving_probability, trial.refused) for trial in trials] == [(None, 0)] * 2
+    assert [(trial.leaving_probability, trial.refused) for trial in trials] == [(leaving, 0)] * 2
 
 
 def test_policy_that_is_likely_to_leave_runs_for_its_first_steps_alone(
@@ -88,10 +86,8 @@ def test_summary_tells_the_limits_and_each_trial_its_probability(tmp_path: Path)
     experiment = short_experiment(box=WIDE, leaving_threshold=0.1)
     train(experiment, SEED, 1, tmp_path / "run", COMMAND, progress_bar=False)
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert summary["settings"]["state_box"] == {
-        "limits": {"dq1": [-1e6, 1e6]},
-        "threshold": 0.1,
-    }
+    box = {"limits": {"dq1": [-1e6, 1e6]}, "threshold": 0.1}
+    assert summary["settings"]["state_box"] == box
     assert [(t["leaving_probability"], t["refused"]) for t in summary["trials"]] == [(0.0, 0)]
 
 

@@ -46,9 +46,10 @@ def overrides(folder: Path, changed: list[str]) -> list[str]:
             f"{folder} was begun by {shlex.join(words)}, not by pmil train: use that command"
         )
     for word in words[2:]:
-        # the settings of Hydra name functions that it calls, and its flags other folders
-        name, equals, _ = word.partition("=")
-        if not equals or name not in SETTINGS:
+        # the settings of Hydra name functions that it calls, and its flags other folders; a
+        # reference to another setting would hide the name of a module
+        name, equals, value = word.partition("=")
+        if not equals or name not in SETTINGS or (name == "experiment" and "$" in value):
             raise RunError(
                 f"{folder}: run.json is damaged: a setting must be NAME=VALUE, got {short(word)}"
             )
@@ -56,7 +57,7 @@ def overrides(folder: Path, changed: list[str]) -> list[str]:
     if own and not any(word.startswith("experiment=") for word in changed):
         raise RunError(
             f"{folder} is of a task of one's own, whose module would be executed: if you trust it, "
-            f"go on with: pmil resume {shlex.quote(str(folder))} {own[0]}"
+            f"go on with: pmil resume {shlex.join([str(folder), own[0]])}"
         )
     new = [*changed, word_of("out", str(folder)), "resume=true"]
     names = {setting.partition("=")[0] for setting in new} | {"overwrite"}

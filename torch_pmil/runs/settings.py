@@ -143,8 +143,21 @@ def help_lines(words: Mapping[str, str]) -> Iterator[str]:
             yield _indented(f"{name}: {declared}")
 
 
+def documentation_rows() -> list[str]:
+    """Rows of a table of all settings in Markdown: name, meaning, values and unit.
+
+    Example:
+        >>> print(documentation_rows()[5])
+        | `resume` | whether to continue from the newest checkpoint in out | true or false |  |
+    """
+    return [
+        f"| `{name}` | {declared.meaning} | {declared.values} | {declared.unit} |"
+        for name, declared in SETTINGS.items()
+    ]
+
+
 def _indented(text: str) -> str:
-    return textwrap.fill(text, WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 6)
+    return textwrap.fill(text, WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 8)
 
 
 def settings_of(config: DictConfig) -> RunSettings:

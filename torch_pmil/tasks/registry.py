@@ -45,9 +45,9 @@ def load_experiment(name: str, demonstrations: Demonstrations | Recordings | Non
         demonstrations: one's own; None for those that come with the task.
 
     Raises:
-        TypeError: the demonstrations are of another kind, or the function returns no task.
-        ValueError: there is no such task; the message lists those there are. Or the demonstrations
-            are not of that robot.
+        TypeError: the demonstrations are of another kind.
+        ValueError: there is no such task; the message lists those there are. Or the function
+            returns something else, or the demonstrations are not of that robot.
         OSError: the file cannot be read.
         ImportError: it needs another library.
 
@@ -62,7 +62,7 @@ def load_experiment(name: str, demonstrations: Demonstrations | Recordings | Non
     make = _maker(name)
     task = make() if demonstrations is None else make(demonstrations)
     if not isinstance(task, Task):
-        raise TypeError(f"{name} must return a Task, got {type(task).__name__}")
+        raise ValueError(f"{name} must return a Task, got {type(task).__name__}")
     return task
 
 
@@ -84,15 +84,15 @@ def demonstrations_from(source: str) -> Demonstrations | Recordings:
     return load_demonstrations(source)
 
 
-def run_name(experiment: str, demonstrations: str | None) -> str:
-    """Name of the folder of an experiment's runs.
+def run_name(experiment: object, demonstrations: object) -> str:
+    """Name of the folder of an experiment's runs, whatever the settings hold.
 
     Example:
         >>> run_name("handwriting", "lasa:Angle"), run_name("robots/mine.py:arm", None)
         ('handwriting_Angle', 'arm')
     """
-    name = experiment.rpartition(":")[2]
-    shape = (demonstrations or "").partition(LASA)[2]
+    name = str(experiment).rpartition(":")[2]
+    shape = str(demonstrations).partition(LASA)[2]
     return f"{name}_{shape}" if shape else name
 
 

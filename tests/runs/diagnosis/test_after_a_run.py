@@ -48,7 +48,8 @@ def weak_swing_up(limit: float, samples: int) -> Task:
     """The beginning of the swing-up, for motors that are too weak."""
     weak = partial(DoublePendulumEnv, torque_limit=limit)
     beginning = shown(shipped_demonstrations("double_pendulum").positions[:, :samples])
-    return replace(beginning, make_env=weak, actions=actions_of(weak()), num_centres=30)
+    beginning = beginning.with_settings(num_centres=30)
+    return replace(beginning, make_env=weak, actions=actions_of(weak()))
 
 
 def shown(positions: Tensor) -> Task:
@@ -290,7 +291,7 @@ def test_failure_that_nothing_explains_is_left_to_the_criterion(
 ) -> None:
     """The prediction is right and good enough for the search: only the criterion is left."""
     experiment = swing_up()
-    content = replace(experiment, search=replace(experiment.search, trust_threshold=1e6))
+    content = experiment.with_settings(**{"search.trust_threshold": 1e6})
     ((cause, message),) = diagnose(content, policy, dynamics).items()
     assert cause == "success criterion"
     assert f"yet {STARTS} of {STARTS} rollouts have an error above 0.25" in message
@@ -315,8 +316,9 @@ def test_failures_that_are_no_rare_chance_are_left_to_it(
     monkeypatch.setattr(Promise, "predicted", lambda *asked: PredictedSuccess(successes))
     experiment = swing_up()
     errors = experiment.error(rollouts(experiment, policy, 20, 2)).sort().values
-    search = replace(experiment.search, trust_threshold=1e6)
-    content = replace(experiment, search=search, tolerance=errors[-3].item())
+    content = experiment.with_settings(
+        tolerance=errors[-3].item(), **{"search.trust_threshold": 1e6}
+    )
     assert list(diagnose(content, policy, dynamics, starts=20)) == [cause]
 
 
@@ -332,7 +334,7 @@ def summary_of(tmp_path: Path) -> Callable[..., dict]:
 def test_run_with_weak_motors_names_the_motor_its_limit_and_the_need(
     summary_of: Callable[..., dict],
 ) -> None:
-    summary = summary_of(replace(weak_swing_up(0.7, 9), search=SearchSettings(40, 20, 20)), 2)
+    summary = summary_of(weak_swing_up(0.7, 9).with_settings(search=SearchSettings(40, 20, 20)), 2)
     found = {reason["cause"]: reason["message"] for reason in summary["diagnosis"]}
     assert list(found)[:2] == ["demonstrations out of reach", "action at its limit"]
     share, need = re.match(

@@ -14,6 +14,8 @@ SOAK_SEED ?= 0
 CPU := https://download.pytorch.org/whl/cpu
 # the matrices are small: more threads wait for each other
 export OMP_NUM_THREADS ?= 1
+# else each process of the tests compiles all modules and assertions anew
+unexport PYTHONDONTWRITEBYTECODE
 NUMERICAL := tests/gp tests/control tests/model tests/search tests/trainer tests/test_reference.py
 PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Nehalem \
   NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=

@@ -16,6 +16,8 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, ones, zeros
 
+from reproduction.baselines.dmp import DMP
+from reproduction.baselines.learned_inverse_dynamics import InverseDynamics, Reference
 from reproduction.plots.errors import plot_errors_over_data
 from reproduction.plots.frequencies import plot_frequencies
 from reproduction.plots.variants import plot_variants
@@ -130,6 +132,7 @@ TIMES = torch.arange(5.0)
 WALK = TIMES[:, None]
 TWO = np.zeros(2)
 LIMITS, POSITIONS = ones(2), zeros(2, 5, 1)
+WEIGHTS, PATHS = full(0, 5, 3), zeros(1, 8, 2)
 PLAN = SearchSettings(1, 1, 1)
 FRAMES = [np.zeros((16, 16, 3), dtype=np.uint8)]
 PHASES = torch.linspace(0, 6, 121, dtype=torch.float64)
@@ -237,6 +240,14 @@ def scores(**changes: object) -> object:
     recordings = [Recording(STATES, ACTIONS)]
     study = {"recordings": recordings, "time_step": 0.05, "frequencies": [4.0], "space": LINE}
     return score_frequencies(**(study | changes))
+
+
+def primitive(weights: Tensor = WEIGHTS, goal: Tensor = WEIGHTS[0], duration: float = 1.0) -> DMP:
+    return DMP(full(0, 3), full(0, 3), goal, weights, duration)
+
+
+def imitated(positions: Tensor = PATHS, num_basis: int = 5) -> DMP:
+    return DMP.from_demonstrations(positions, 0.1, num_basis)
 
 
 def divergence(p: object = START, q: object = START) -> Tensor:
@@ -593,10 +604,64 @@ MISUSES: list[Misuse] = [
     ),
     *of_wrong_type(scores, "recording 0 must be a", recordings=[[(STATES, ACTIONS)]]),
     *wrong(
+        scores,
+        "recording 0 must have states (T + 1, 1) and actions (T, 1), got (9, 1) and (9, 1)",
+        recordings=[[Recording(STATES[:9], ACTIONS[:9])]],
+    ),
+    *wrong(
+        scores,
+        "recording 1 must have states (T + 1, 1) and actions (T, 1), got (9, 1) and (8, 2)",
+        recordings=[[Recording(STATES, ACTIONS), Recording(STATES[:9], zeros(8, 2))]],
+    ),
+    *wrong(
+        scores,
+        "the interval of 8 Hz must be a whole number of time steps of 0.05 s, got 2.5",
+        frequencies=[[4.0, 8.0]],
+    ),
+    *wrong(
+        scores,
+        "every entry of the state must change, got none at 4 Hz in q",
+        recordings=[[Recording(ones(121, 1), ACTIONS)]],
+    ),
+    *wrong(
         lambda: observed_coverage(zeros(3, 1), torch.tensor([2.0])), "probabilities must be from 0"
     ),
     *wrong(
         lambda: two_sigma_coverage(STEPS, zeros(3, 5, 2)), "executed must have shape (N, 6, 2),"
+    ),
+    # movement primitives and inverse dynamics
+    *wrong(primitive, "weights must be of at least two basis functions, got 1", full(0, 1, 3)),
+    *wrong(
+        primitive,
+        "start, start_rate and goal must be (D,) and weights (K, D)",
+        weights=[zeros(5, 2)],
+        goal=[zeros(2)],
+    ),
+    *wrong(primitive, "duration must be positive and finite, in seconds, got 0.0", duration=[0.0]),
+    *wrong(
+        imitated,
+        "positions must be finite, (N, T + 1, D) with at least four samples, got (1, 3, 2)",
+        zeros(1, 3, 2),
+    ),
+    *wrong(
+        imitated,
+        "positions must be finite, (N, T + 1, D) with at least four samples, got (8, 2)",
+        zeros(8, 2),
+    ),
+    *wrong(imitated, "positions must be finite", full(NAN, 1, 8, 2)),
+    *wrong(imitated, "num_basis must be at least 2, got 1", num_basis=[1]),
+    *wrong(
+        primitive(),
+        "times must be a vector of finite seconds from 0 on",
+        *(torch.tensor([-0.1]), torch.tensor([INF]), zeros(0), torch.tensor(1.0)),
+    ),
+    *wrong(
+        InverseDynamics, "a state must hold a position and a velocity of each joint, got ", LINE
+    ),
+    *wrong(
+        partial(Reference, zeros(9, 4)),
+        "states must be (T * hold + 1, D) and accelerations (T + 1, D / 2), got (9, 4)",
+        *(zeros(4, 2), zeros(3, 1), zeros(1, 2)),
     ),
     # search
     *wrong(divergence, "p and q must have the same entries, and", sure(0.0)),

@@ -41,7 +41,7 @@ test-portable: .venv/.installed  ## the numerical tests as a processor without A
 test-all: .venv/.installed  ## all tests, the slow ones too
 	@.venv/bin/python -m pytest -n 2 -m "" $(ARGS)
 
-# what a coming torch warns of is told, and fails nothing
+# what a coming torch warns of is printed, and fails nothing
 test-newest:  ## the fast tests with the newest torch, in an environment of its own in build/newest; not part of CI
 	@rm -rf build/newest && mkdir -p build/newest
 	@echo "Building build/newest/.venv; this takes a few minutes."

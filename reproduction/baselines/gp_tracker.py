@@ -16,7 +16,7 @@ class GPTracker(ModelPeer):
     What the model does not know is not seen: that is what our own objective adds.
 
     Args:
-        experiment, seed: as of :class:`Peer`.
+        experiment, seed: as for :class:`Peer`.
         action_weight: of the plan.
     """
 

@@ -34,7 +34,7 @@ def transitions(draws: Draws, count: int) -> tuple[Tensor, Tensor, Tensor, Tenso
 
 
 class KnownInverse:
-    """Answers with numbers that tell what it was asked, and remembers the questions."""
+    """Answers with numbers that show what it was asked, and remembers the questions."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[Tensor, Tensor, Tensor]] = []

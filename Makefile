@@ -15,6 +15,8 @@ SOAK_SEED ?= 0
 CPU := https://download.pytorch.org/whl/cpu
 # the matrices are small: more threads wait for each other
 export OMP_NUM_THREADS ?= 1
+# else each process of the tests compiles all modules and assertions anew
+unexport PYTHONDONTWRITEBYTECODE
 NUMERICAL := tests/gp tests/control tests/model tests/search tests/trainer tests/test_reference.py
 PORTABLE := ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Nehalem \
   NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
@@ -40,7 +42,7 @@ test-portable: .venv/.installed  ## the numerical tests as a processor without A
 test-all: .venv/.installed  ## all tests, the slow ones too
 	@.venv/bin/python -m pytest -n 2 -m "" $(ARGS)
 
-# what a coming torch warns of is told, and fails nothing
+# what a coming torch warns of is printed, and fails nothing
 test-newest:  ## the fast tests with the newest torch, in an environment of its own in build/newest; not part of CI
 	@rm -rf build/newest && mkdir -p build/newest
 	@echo "Building build/newest/.venv; this takes a few minutes."

@@ -1,8 +1,9 @@
 """Learning within limits of the joints' speeds, and without.
 
-No joint shall turn faster than 1.3 times the largest demonstrated speed while the robot learns.
-With the limits, a guard stops a rollout that leaves them, and a policy that is likely to leave them
-is refused; without, it is only counted how often and how far the same seeds leave them.
+While it learns, the robot must not turn a joint faster than 1.3 times the largest demonstrated
+speed. With the limits, a guard stops a rollout that leaves them, and a policy that is likely to
+leave them is refused. Without, the study only counts how often and how far the same seeds leave
+them.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ STARTS, START_SEED = 100, 5_000_000  # no start that a run has seen
 
 
 def with_box() -> Task:
-    """The double pendulum that shall not turn its joints much faster than was demonstrated.
+    """The double pendulum, with joint speeds limited to little more than was demonstrated.
 
     Example:
         >>> {name: round(high, 1) for name, (low, high) in with_box().box.items()}

@@ -41,7 +41,7 @@ STARTS, START_SEED = 20, 5_000_000  # no start that a run has seen
 class DelayedDoublePendulumEnv(DoublePendulumEnv):
     """The double pendulum with torques that take effect late.
 
-    Until then those of the control period before act on; after a reset there are none.
+    Until then those of the control period before act on; after a reset no actions act yet.
 
     Args:
         delay: s, a whole number of simulation time steps of 2 ms, at most a control period.

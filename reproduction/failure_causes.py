@@ -30,7 +30,7 @@ from torch_pmil.runs.diagnosis.measures import COVERED, FOLLOWED, LEARNED, MOVED
 from torch_pmil.trainer.ending import LIMIT
 
 SIGNIFICANCE = 0.05  # of Fisher's exact test of two success rates
-FAR = 2.0  # tolerances: a failure beyond is none that a narrower spread would mend
+FAR = 2.0  # tolerances: a narrower spread would not mend a failure beyond
 UNSURE = "model not right, and unsure"
 CAUSES = (
     "first motion too small",

@@ -76,7 +76,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
 def comparison(demonstrated: Gaussian, predicted: Gaussian) -> dict[str, float]:
     """Distance of the predicted from the demonstrated positions.
 
-    It is told as the KL, the largest difference of the means, and the correlation of spreads in x1.
+    The KL, the largest difference of the means, and the correlation of spreads in x1.
     """
     spreads = torch.stack([demonstrated.std[:, 0], predicted.std[:, 0]])
     return {

@@ -67,7 +67,7 @@ class Variant:
     Args:
         label: in the figure.
         task: what is learned.
-        measure: the task with the demonstrations as they should be, by which success is told.
+        measure: the task with the demonstrations as they should be, which determine success.
         fault: words with one of which a message names the fault; where there is none, those of all
             faults, so that a false alarm counts.
     """
@@ -245,7 +245,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
             outcomes[name] = [outcome_of(folder, variant) for folder in own]
         perfect = next(iter(outcomes.values()))
         for name, variant in known.items():
-            numbers, words = told(variant, outcomes[name], perfect)
+            numbers, words = compared(variant, outcomes[name], perfect)
             headline |= {f"{quantity}_{name}": value for quantity, value in numbers.items()}
             details[name] = words
         figures[figure] = drawn(known, outcomes)
@@ -274,7 +274,7 @@ def outcome_of(folder: Path, variant: Variant) -> dict[str, Any]:
     }
 
 
-def told(
+def compared(
     variant: Variant, outcomes: Sequence[dict[str, Any]], perfect: Sequence[dict[str, Any]]
 ) -> tuple[dict[str, float], dict[str, object]]:
     """The numbers of a variant, and its outcomes beside those of what is perfect, seed by seed."""

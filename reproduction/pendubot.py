@@ -4,7 +4,7 @@ One motor moves two links: what a controller that tracks joint angles cannot do.
 tip above the line at 0.45 m for the last 0.5 s of a trial of 3 s; the saved policies then act for
 10 s, as long as there, from fresh starts, and the tip must stay above the line from 3 s on. The
 robustness score of the AI Olympics is that of each saved policy, beside the published ones and
-beside that of the teacher, which is told the exact model.
+beside that of the teacher, which plans with the exact model.
 """
 
 from __future__ import annotations

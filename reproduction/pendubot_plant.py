@@ -103,7 +103,7 @@ def simulated(
     """States (STEPS + 1, N, 4) of N plants from a start (4,).
 
     Args:
-        plants: as of :func:`accelerations`.
+        plants: as for :func:`accelerations`.
         start: state, the same of all.
         torques: torques (N, 2) of a time step, from its number and the states so far,
             (number + 1, N, 4).

@@ -1,6 +1,6 @@
 """The double pendulum by a state that holds the past: without velocity sensors, and with a delay.
 
-Where no velocities are measured, the last two positions and the torque between them tell them. A
+Velocities that are not measured follow from the last two positions and the torque between them. A
 torque that takes effect 50 or 100 ms late, half a control period or a whole one, is an entry of the
 state at the time when it does. Success is that of the saved policies from fresh starts.
 """

@@ -32,7 +32,7 @@ RECORDED_SEED = 1  # of the demonstrations beyond the five that come with the pa
 
 
 def with_start_std(std: float) -> Task:
-    """The double pendulum with starts that vary by ``std`` (rad); p(x_0) is told.
+    """The double pendulum with starts that vary by ``std`` (rad); the learner knows p(x_0).
 
     Velocities vary in proportion.
     """
@@ -48,7 +48,7 @@ def with_start_std(std: float) -> Task:
 def with_noise(std: float, name: str = "double_pendulum") -> Task:
     """The double pendulum of that name with sensor noise of ``std`` (rad) in the angles.
 
-    The told p(x_0) is the sensors' view of the start.
+    The learner's p(x_0) is the sensors' view of the start.
 
     The states that the policy sees and the model learns from are noisy. So are those by which a run
     judges its own rollouts.

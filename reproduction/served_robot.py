@@ -23,7 +23,7 @@ Addresses = tuple[str, str]  # of states and commands
 
 
 class TimedRobot(RemoteRobot):
-    """A client that appends to a file when its robot was told to stop, in s of the system.
+    """A client that appends to a file when its robot was asked to stop, in s of the system.
 
     Args:
         stops: the file.

@@ -35,10 +35,10 @@ def with_gains(stiffness: float, damping: float) -> Task:
 
 
 def success_alone(experiment: Task, still: bool = False) -> float:
-    """Success rate of servos that are told the mean of the demonstrated angles, from fresh starts.
+    """Success rate of servos that follow the mean of the demonstrated angles, from fresh starts.
 
-    At each step they are told the angles of the next sample; nothing is learned, and no state is
-    measured.
+    At each step their targets are the angles of the next sample. Nothing is learned, and no state
+    is measured.
 
     Args:
         experiment: says the robot.
@@ -49,10 +49,10 @@ def success_alone(experiment: Task, still: bool = False) -> float:
     std = torch.zeros(4) if still else experiment.initial.std
     starts = 1 if still else STARTS
     env = experiment.make_env(num_envs=starts, seed=START_SEED, initial_std=std.tolist())
-    told = iter(angles[1:])
+    targets = iter(angles[1:])
 
     def follow(state: Tensor) -> Tensor:
-        return next(told).expand(starts, -1)
+        return next(targets).expand(starts, -1)
 
     rollouts = env.rollout(experiment.horizon, follow)
     return success_rate(experiment.error(rollouts), experiment.tolerance)
@@ -98,7 +98,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
 
 
 def experience_to_goal(summary: dict) -> float:
-    """Experience (s) of a run's first trial with 95 % of success; infinite if there is none."""
+    """Experience (s) of a run's first trial with 95 % of success; infinite without one."""
     trials = summary["trials"]
     found = [trial["experience_s"] for trial in trials if trial["success_rate"] >= GOAL]
     return min(found, default=float("inf"))

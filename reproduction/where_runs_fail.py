@@ -76,15 +76,15 @@ def _replay_of(root: Path, experiment: Task, seed: int, size: Size) -> Run:
 
 
 def _replay(out: Path, command: str, learning: Run, experiment: Task, samples: int) -> None:
-    """Learn a run, unless it is finished, and write what its replay tells."""
+    """Learn a run, unless it is finished, and write what its replay shows."""
     if not is_finished(learning.out):
         learning.learn(learning.out, command)
     summary = read_summary(learning.out)
-    told = (*OF_RUN, "saved_trial", "saved_success_rate", "stop_reason")
+    kept = (*OF_RUN, "saved_trial", "saved_success_rate", "stop_reason")
     out.mkdir(parents=True, exist_ok=True)
     write_json(
         out / "summary.json",
-        {name: summary[name] for name in told} | replayed(learning.out, experiment, samples),
+        {name: summary[name] for name in kept} | replayed(learning.out, experiment, samples),
     )
 
 
@@ -93,8 +93,8 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     titles = {task.name: task.title for task in TASKS}
     summaries = [read_json(folder / "summary.json") for folder in folders]
     runs = [ReplayedRun.of(titles[summary["experiment"]], summary) for summary in summaries]
-    told = tables(runs)
-    counted = dict(told["counts"])
+    found = tables(runs)
+    counted = dict(found["counts"])
     total = counted.pop(ALL)
     shapes = SHAPES[ROBOT]
     writers = {shape: left_out_ratios(written(shape).demonstrations) for shape in shapes}
@@ -107,7 +107,7 @@ def results(folders: Sequence[Path], quick: bool) -> Results:
     }
     details = {
         "samples": (QUICK if quick else FULL).samples,
-        **told,
+        **found,
         "reliability": {entry: reliability(_forecasts(runs, entry)) for entry in PREDICTIONS},
         "predictions": {
             task: _biases([run for run in runs if run.task == task]) for task in counted

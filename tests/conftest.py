@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import shutil
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.helpers.draws import Draws
+if TYPE_CHECKING:
+    from tests.helpers.draws import Draws
 
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -32,20 +35,35 @@ PARTS = {  # by folder; the first that fits
 }
 
 
+def part_of(path: Path) -> str:
+    """The marker of the tests in a file or folder, or ""."""
+    inside = path.relative_to(ROOT)
+    folders = (str(folder) for folder in (inside, *inside.parents))
+    return next((PARTS[folder] for folder in folders if folder in PARTS), "")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not import what ``-m`` leaves out as a whole: that takes seconds in each process."""
+    part = part_of(collection_path)
+    if not part or not config.option.markexpr:
+        return None
+    marks = [defaultdict(bool, {part: True, "slow": slow}) for slow in (False, True)]
+    return None if any(eval(config.option.markexpr, {}, one) for one in marks) else True
+
+
 @pytest.hookimpl(tryfirst=True)  # before markers leave tests out
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests of some folders, so that ``make test`` can leave them to CI."""
     for item in items:
-        path = item.path.relative_to(ROOT)
-        folders = (str(folder) for folder in (path, *path.parents))
-        marker = next((PARTS[folder] for folder in folders if folder in PARTS), "")
-        if marker:
-            item.add_marker(marker)
+        if part := part_of(item.path):
+            item.add_marker(part)
 
 
 @pytest.fixture
 def draws() -> Draws:
     """The same numbers for every test."""
+    from tests.helpers.draws import Draws  # its import of torch is not for every process
+
     return Draws(seed=0)
 
 

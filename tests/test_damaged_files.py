@@ -182,7 +182,7 @@ def checked(kind: Kind, count: int, seed: str) -> list[Load]:
     return loads[1:]
 
 
-def told(name: str, loads: list[Load]) -> str:
+def figures(name: str, loads: list[Load]) -> str:
     """The figures of some loads, in a line."""
     refused = sum(load.refusal is not None for load in loads)
     return (
@@ -217,6 +217,6 @@ def test_two_thousand_damaged_files(learned: Path, tmp_path: Path) -> None:
         count = MANY * CHECKPOINTS if name == "checkpoint" else MANY
         loads = checked(kind_of(name, learned, tmp_path / name / "whole"), count, f"slow {name}")
         every += loads
-        print(told(name, loads))
-    print(told("all", every))
+        print(figures(name, loads))
+    print(figures("all", every))
     assert sum(load.refusal is not None for load in every) > len(every) / 2

@@ -1,1 +1,1 @@
-"""Baselines of Section 5.1, and the peers that are told no actions either."""
+"""Baselines of Section 5.1, and the peers that see no actions either."""

@@ -1,6 +1,6 @@
 r"""Behavioural cloning from observation, BCO(alpha), in turns with own rollouts.
 
-An inverse model of the robot, learned from its own motion, tells the actions that the demonstrator
+An inverse model of the robot, learned from its own motion, infers the actions that the demonstrator
 would have needed; a policy is cloned from these.
 
 .. math:: \tilde u_t = f_\theta(x^{\exp}_t, x^{\exp}_{t+1}), \qquad

@@ -1,13 +1,13 @@
 r"""Generative adversarial imitation from observation: TorchRL's GAIL loss, and its SAC as learner.
 
-A discriminator D tells demonstrated pairs of observations from own ones, and what it takes for
-demonstrated is rewarded.
+A discriminator D separates demonstrated pairs of observations from own ones. The policy is
+rewarded for pairs that D takes for demonstrated.
 
 .. math:: \max_D \; \mathbb E_{\exp}[\log D(z, z')] + \mathbb E_{\pi}[\log(1 - D(z, z'))], \qquad
     r(z, z') = -\log(1 - D(z, z'))
 
 Both see the match space alone: the states that demonstrations show have velocities of differences,
-by which D would tell them from own ones.
+by which D would recognise them.
 
 The paper learns the policy with TRPO, from its latest rollouts alone. At our experience that is too
 little: here an off-policy learner has all rollouts so far, and the discriminator too, as in

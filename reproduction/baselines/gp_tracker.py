@@ -17,7 +17,7 @@ class GPTracker(ModelPeer):
     uncertainty, which our own objective accounts for.
 
     Args:
-        experiment, seed: as of :class:`Peer`.
+        experiment, seed: as for :class:`Peer`.
         action_weight: of the plan.
     """
 

@@ -26,7 +26,7 @@ class InverseDynamics:
     .. math:: u_t = f_{\mathrm{inv}}(q_t, \dot q_t, q_{t+1}, \dot q_{t+1}, \ddot q_{t+1})
 
     The GPs are those of the forward model (Section 3.2) with the roles exchanged. Here too, sin and
-    cos stand in place of each angle, and the next state is told as its difference from the present
+    cos stand in place of each angle, and the next state is given by its difference from the present
     one: the same inputs as the paper's, but with x_{t+1} itself a GP of few data shares what
     depends on the pose, such as gravity, between two inputs that are nearly the same.
 

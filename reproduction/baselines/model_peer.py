@@ -16,7 +16,7 @@ class ModelPeer(Peer):
     """A peer with a Gaussian process as ours, which learns from all transitions as ours does.
 
     Args:
-        experiment, seed: as of :class:`Peer`.
+        experiment, seed: as for :class:`Peer`.
         dynamics: the model; that of the experiment if None.
     """
 

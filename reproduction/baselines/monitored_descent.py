@@ -1,6 +1,6 @@
 r"""Adam on the noisy estimates of a cost, until they are seen to decrease no longer.
 
-The steps and the dropout begin large. A signal tells whether the cost still decreases: with d_j the
+The steps and the dropout begin large. A signal shows whether the cost still decreases: with d_j the
 change of its estimate in step j,
 
 .. math::

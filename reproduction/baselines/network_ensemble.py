@@ -1,6 +1,6 @@
 r"""A model of a robot by an ensemble of probabilistic networks, as in PETS.
 
-Each of E networks tells a Gaussian of the state's difference, and particles that stay with their
+Each of E networks predicts a Gaussian of the state's difference, and particles that stay with their
 network (TS-infinity) carry a state through a plan.
 
 .. math:: x_{t+1} - x_t \sim \mathcal N(\mu_e(x_t, u_t), \Sigma_e(x_t, u_t))

@@ -1,4 +1,4 @@
-"""Behavioural cloning from observation that is told the velocities, with Gaussian processes.
+"""Behavioural cloning from observation with given velocities, with Gaussian processes.
 
 It is BCO with more knowledge, and with regressions that need fewer data: a bound of what cloning of
 inferred actions can do. The recordings of the double pendulum show positions at 10 Hz. Central

@@ -1,4 +1,4 @@
-"""Choose the settings of a peer for a task, on seeds that no result is told of.
+"""Choose the settings of a peer for a task, on seeds that no result uses.
 
 Example:
     python -m reproduction.baselines.tune_peers ensemble_cem double_pendulum

@@ -49,7 +49,7 @@ def main() -> None:
         sys.exit(130)
     except (ImportError, OSError, RuntimeError, ValueError) as error:
         sys.exit(f"error: {in_words(error)}")
-    tell(options.out, rows)
+    report(options.out, rows)
 
 
 def options_of_command_line() -> argparse.Namespace:
@@ -84,11 +84,11 @@ def learn(runs: Sequence[SoakRun]) -> None:
     missing = [run.job for run in runs if not has_ended(run.folder)]
     with tqdm(total=len(missing), unit="run", disable=not missing) as bar:
 
-        def told(job: Job, attempt: Attempt) -> None:
+        def report_attempt(job: Job, attempt: Attempt) -> None:
             tqdm.write(line_of(job, attempt))
             bar.update()
 
-        attempt_all(missing, Limits(), joblib.cpu_count(), told)
+        attempt_all(missing, Limits(), joblib.cpu_count(), report_attempt)
 
 
 def line_of(job: Job, attempt: Attempt) -> str:
@@ -123,7 +123,7 @@ def write(out: Path, rows: Sequence[Row], theirs: Outcomes, source: dict[str, ob
     write_json(out / "summary.json", {**summary, **comparison, **details_of(rows)})
 
 
-def tell(out: Path, rows: Sequence[Row]) -> None:
+def report(out: Path, rows: Sequence[Row]) -> None:
     """Print the main numbers, and end with an error that names the runs that did not end."""
     for name, value in headline_of(rows).items():
         print(f"{name}: {'none' if value is None else f'{value:.4g}'}")

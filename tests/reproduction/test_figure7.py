@@ -1,4 +1,4 @@
-"""Figures 7a and 7b: which runs they are of, and what is told of their curves."""
+"""Figures 7a and 7b: which runs they are of, and what is reported of their curves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robustness: what is varied is what the name says, the learner is told the start that it sees, and
+"""Robustness: what is varied is what the name says, the learner knows the start that it sees, and
 each number is at its place.
 """
 

@@ -1,4 +1,4 @@
-"""What is counted of replayed runs, and that a replay tells what the run knew."""
+"""What is counted of replayed runs, and that a replay shows what the run knew."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def input_widths(demonstrated: Tensor, space: StateSpace) -> Tensor:
 def _strokes(name: str, pen: Pen | None, writer: Writer) -> Demonstrations:
     if pen is None:
         raise DemonstrationError(
-            f"{name} needs strokes: demonstrations=lasa:Angle, or a file that pmil draw wrote"
+            f"{name} needs strokes (demonstrations=lasa:Angle, or a file of pmil draw), got none"
         )
     if isinstance(pen, Recordings):
         return preprocessed(pen, writer.duration)

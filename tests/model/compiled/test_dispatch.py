@@ -131,47 +131,52 @@ def test_formulas_compute_where_marginals_are_for_other_batches(
 
 # --- without kernels ---
 
-PREDICTION = """
-import json, sys, warnings
-{first}
-with warnings.catch_warnings(record=True) as told:
-    warnings.simplefilter("always")
-    import torch
-    from tests.helpers.draws import Draws
-    from tests.helpers.losses import SPACE, make_kl, make_parts
-    from torch_pmil.model.rollout import predict_trajectory
-    told.clear()
-    start = Draws(0).belief(2, scale=0.05)
-    for _ in range(2):
-        mean = predict_trajectory(start, *make_parts(Draws(0)), SPACE, 3).mean
-        make_kl(seed=1).per_step(start)
+PREDICTIONS = """
+import json, os, sys, warnings
+sys.modules["numba"] = None
+import torch
+from tests.helpers.draws import Draws
+from tests.helpers.losses import SPACE, make_kl, make_parts
+from torch_pmil.model.compiled import available
+from torch_pmil.model.rollout import predict_trajectory
+
+def predict():
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        start = Draws(0).belief(2, scale=0.05)
+        for _ in range(2):
+            mean = predict_trajectory(start, *make_parts(Draws(0)), SPACE, 3).mean
+            make_kl(seed=1).per_step(start)
+    available.cache_clear()
+    return [str(warning.message) for warning in said], mean.tolist()
+
+results = [predict()]
+del sys.modules["numba"]
+for variable, value in (("TORCH_PMIL_COMPILED", "0"), ("NUMBA_DISABLE_JIT", "1")):
+    os.environ[variable] = value
+    results.append(predict())
+    del os.environ[variable]
 assert "llvmlite" not in sys.modules
-print(*(str(warning.message) for warning in told), sep="\\n")
-print(json.dumps(mean.tolist()))
+print(json.dumps(results))
 """
-
-
-@pytest.mark.parametrize(
-    ("first", "environment", "reason"),
-    [
-        ("", {"TORCH_PMIL_COMPILED": "0"}, "TORCH_PMIL_COMPILED is 0"),
-        ("sys.modules['numba'] = None", {}, "Numba is not installed (pip install numba)"),
-        ("", {"NUMBA_DISABLE_JIT": "1"}, "NUMBA_DISABLE_JIT is set"),
-    ],
+REASONS = (
+    "Numba is not installed (pip install numba)",
+    "TORCH_PMIL_COMPILED is 0",
+    "NUMBA_DISABLE_JIT is set",
 )
-def test_formulas_compute_where_there_are_no_kernels_and_say_so_once(
-    start: Gaussian, first: str, environment: dict[str, str], reason: str
-) -> None:
+
+
+def test_formulas_compute_where_there_are_no_kernels_and_say_so_once(start: Gaussian) -> None:
     printed = subprocess.run(
-        [sys.executable, "-c", PREDICTION.format(first=first)],
+        [sys.executable, "-c", PREDICTIONS],
         cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         check=True,
     )
-    *told, values = printed.stdout.splitlines()
-    assert told == [SLOWER + reason]
     with formulas_alone():
         reference = predict_trajectory(start, *make_parts(Draws(0)), SPACE, STEPS).mean
-    torch.testing.assert_close(torch.tensor(json.loads(values), dtype=torch.float64), reference)
+    for reason, (said, values) in zip(REASONS, json.loads(printed.stdout), strict=True):
+        assert said == [SLOWER + reason]
+        torch.testing.assert_close(torch.tensor(values, dtype=torch.float64), reference)

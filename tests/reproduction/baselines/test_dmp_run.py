@@ -130,32 +130,15 @@ def test_same_seed_is_the_same_run_up_to_rounding(tmp_path: Path) -> None:
         assert {**repeated, "gp_seconds": 0} == pytest.approx({**trial, "gp_seconds": 0}, rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [
-        (
-            {"feedback_period": 0.03},
-            "feedback_period must divide the control period of 0.1 s, got 0.03 s",
-        ),
-        (
-            {"feedback_period": 0.2},
-            "feedback_period must divide the control period of 0.1 s, got 0.2 s",
-        ),
-        (
-            {"feedback_period": -0.1},
-            "feedback_period must divide the control period of 0.1 s, got -0.1 s",
-        ),
-        (
-            {"feedback_period": 0.001},
-            "control_period must be a whole number of 0.002 s time steps, got 0.001 s",
-        ),
-    ],
-)
+@pytest.mark.parametrize("period", [0.03, 0.2, -0.1, 0.001])
 def test_impossible_feedback_period_is_refused_before_a_folder_is_made(
-    tmp_path: Path, changes: dict, complaint: str
+    tmp_path: Path, period: float
 ) -> None:
+    complaint = f"feedback_period must divide the control period of 0.1 s, got {period} s"
+    if period == 0.001:
+        complaint = "control_period must be a whole number of 0.002 s time steps, got 0.001 s"
     with pytest.raises(ValueError, match=complaint):
-        short_run(out=tmp_path / "run", **changes)
+        short_run(out=tmp_path / "run", feedback_period=period)
     assert not (tmp_path / "run").exists()
 
 

@@ -18,7 +18,6 @@ from reproduction.baselines.learned_inverse_dynamics import (
 )
 from tests.helpers.draws import Draws
 from tests.helpers.short_run import quick_fits
-from torch_pmil.control.state_space import StateSpace, joint_match
 from torch_pmil.envs.double_pendulum import DoublePendulumEnv
 from torch_pmil.tasks.double_pendulum import double_pendulum_space
 
@@ -35,7 +34,7 @@ def transitions(draws: Draws, count: int) -> tuple[Tensor, Tensor, Tensor, Tenso
 
 
 class KnownInverse:
-    """Answers with numbers that tell what it was asked, and remembers the questions."""
+    """Answers with numbers that show what it was asked, and remembers the questions."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[Tensor, Tensor, Tensor]] = []
@@ -78,14 +77,6 @@ def test_inverse_model_needs_data() -> None:
         inverse(torch.zeros(4), torch.zeros(4), torch.zeros(2))
 
 
-def test_state_without_a_velocity_for_each_joint_is_refused() -> None:
-    names, units = ("q1", "dq1", "q2"), ("rad", "rad/s", "rad")
-    with pytest.raises(
-        ValueError, match="a state must hold a position and a velocity of each joint, got "
-    ):
-        InverseDynamics(StateSpace(names, units, (), joint_match(names, units)))
-
-
 def test_torques_are_those_of_equation_29(reference: Reference, draws: Draws) -> None:
     inverse, states = KnownInverse(), draws.normal(STEPS * HOLD, 4)
     controller = TrackingController(inverse, reference, 1e3 * U_MAX)
@@ -123,20 +114,6 @@ def test_batch_of_robots_is_a_loop_over_them(reference: Reference, draws: Draws)
             torch.stack([alone(step, state[robot]) for step, state in enumerate(states)]),
             together[:, robot],
         )
-
-
-@pytest.mark.parametrize(
-    ("states", "accelerations"), [((9, 4), (4, 2)), ((9, 4), (3, 1)), ((9, 4), (1, 2))]
-)
-def test_reference_of_other_shapes_is_refused(
-    states: tuple[int, int], accelerations: tuple[int, int]
-) -> None:
-    with pytest.raises(
-        ValueError,
-        match=r"states must be \(T \* hold \+ 1, D\) and accelerations \(T \+ 1, D / 2\), got "
-        r"\(9, 4\)",
-    ):
-        Reference(torch.zeros(states), torch.zeros(accelerations))
 
 
 def test_accelerations_are_exact_for_cubic_velocities(draws: Draws) -> None:

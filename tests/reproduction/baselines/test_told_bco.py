@@ -1,4 +1,4 @@
-"""Cloning from observation with told velocities and Gaussian processes."""
+"""Cloning from observation with given velocities and Gaussian processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs in processes of their own: each end is told apart, and stops none of the others."""
+"""Runs in processes of their own: each end is recognised, and stops no other run."""
 
 from __future__ import annotations
 

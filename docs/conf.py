@@ -31,6 +31,7 @@ extensions = [
     "kernels",
     "notebooks",
     "results",
+    "settings_table",
     "whole_links",
 ]
 exclude_patterns = ["_build", "_ext", "figures", "**/.ipynb_checkpoints"]

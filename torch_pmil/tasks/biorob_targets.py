@@ -35,10 +35,7 @@ def robots_before_balls(
     from_pixels: bool = False,
     seed: int | None = None,
 ) -> BioRobEnv:
-    """BioRobs that see where in the plane their balls hang.
-
-    Targets are (num_envs, 2), or (2,) for one robot.
-    """
+    """BioRobs that see where in the plane their balls hang, (num_envs, 2), or (2,) for one."""
     return BioRobEnv(
         ball_at(targets), targets=targets, num_envs=num_envs, from_pixels=from_pixels, seed=seed
     )
@@ -50,13 +47,12 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetTask:
     It has 250 basis functions, 2774 policy parameters, and 1.8 s at 10 Hz with the shipped
     demonstrations.
 
-    Exploration takes 6 s in all, 2 s of each of the three robots that learn. With two
-    demonstrations of a target their covariance has rank one: the observation noise, that of the
-    experiment with one target, is what the spread is measured against elsewhere.
+    Exploration takes 6 s in all, 2 s of each of the three robots that learn. The covariance of two
+    demonstrations of a target has rank one; elsewhere only the observation noise counts.
 
     Args:
-        demonstrations: of positions and velocities of the three joints at 10 Hz, under the names of
-            :func:`biorob_space`, with targets y and z; those that come with the package if None.
+        demonstrations: entries of :func:`biorob_space` at 10 Hz, with targets y and z; None for the
+            package's own.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.

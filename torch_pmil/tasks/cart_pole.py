@@ -34,10 +34,7 @@ def cart_pole_space() -> StateSpace:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) that show positions (..., T, 3).
-
-    The angle is an arctangent, velocities are central differences.
-    """
+    """States (..., T, 4) of positions (..., T, 3), velocities by central differences."""
     x, x_tip, z_tip = positions.unbind(-1)
     q = unwrapped(torch.atan2(x_tip - x, z_tip))
     dx, dq = (torch.gradient(entry, spacing=time_step, dim=-1)[0] for entry in (x, q))
@@ -45,16 +42,13 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
 
 
 def distance_from_goal(states: Tensor, goal: Tensor) -> Tensor:
-    """Largest distance (m) of the tip from two places over the last 0.5 s.
+    """Largest distance (m) of the tip from two places over the last 0.5 s, (*batch).
 
-    They are the goal, where the tip is to stand, and upright over the cart, wherever that is.
+    They are the goal, and upright over the cart, wherever that is.
 
     Args:
         states: x_0..x_T, (*batch, T + 1, 4).
         goal: [x, z] of the tip, m, of the last samples or of all, (6, 2) or (2,).
-
-    Returns:
-        (*batch).
 
     Example:
         >>> upright = torch.zeros(31, 4, dtype=torch.float64)
@@ -75,8 +69,7 @@ def cart_pole(demonstrations: Demonstrations | None = None) -> Task:
     the last 0.5 s.
 
     Args:
-        demonstrations: of the positions x_cart, x_tip, z_tip at 10 Hz; None for those that come
-            with the package.
+        demonstrations: positions x_cart, x_tip, z_tip at 10 Hz; None for the package's own.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.

@@ -32,19 +32,14 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
     It has 100 basis functions, 1016 policy parameters, and 2.5 s at 10 Hz.
 
     Args:
-        demonstrations: of the link positions x1, y1, x2, y2 at 10 Hz, with targets x and y of the
-            tip; those that come with the package if None.
+        demonstrations: link positions x1, y1, x2, y2 at 10 Hz, with targets x and y of the tip;
+            None for the package's own.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.
     """
-    parts = simulated_parts(
-        "double_pendulum_targets",
-        DoublePendulumEnv(),
-        double_pendulum_space(),
-        demonstrations,
-        ("x", "y"),
-    )
+    env, space = DoublePendulumEnv(), double_pendulum_space()
+    parts = simulated_parts("double_pendulum_targets", env, space, demonstrations, ("x", "y"))
     return TargetTask(
         **parts,
         make_env=DoublePendulumEnv,

@@ -9,11 +9,7 @@ from torch import Tensor
 
 from torch_pmil.control.action_space import ActionSpace
 from torch_pmil.control.state_space import StateSpace
-from torch_pmil.demonstrations import (
-    DemonstrationError,
-    Demonstrations,
-    shipped_demonstrations,
-)
+from torch_pmil.demonstrations import DemonstrationError, Demonstrations, shipped_demonstrations
 from torch_pmil.envs import AdaptedEnv, MujocoRobotEnv
 from torch_pmil.gp.gaussian import Gaussian
 
@@ -71,13 +67,12 @@ def simulated_parts(
 
     Args:
         name: of the task, and of the demonstrations that come with the package.
-        env: the robot, which knows its start.
-        space: its state space.
-        demonstrations: of the match space at the control period; None for the package's own.
+        env, space: the robot and its state space.
+        demonstrations: None for the package's own.
         target_names: of the demonstrations' targets.
 
     Raises:
-        DemonstrationError: the demonstrations hold something else, or at another rate.
+        DemonstrationError: as in :func:`fitting`.
     """
     own = demonstrations or shipped_demonstrations(name)
     parts = {

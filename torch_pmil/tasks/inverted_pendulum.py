@@ -40,8 +40,8 @@ def cart_and_tip(state: Sequence[str], length: float) -> MatchSpace:
     """Positions x_cart, x_tip, z_tip of a cart and of the tip of its pole.
 
     Args:
-        state: names of the D entries of the state: ``"x"`` is the place of the cart (m), ``"q"``
-            the angle of the pole from upright (rad).
+        state: names of its entries: ``"x"`` is the place of the cart (m), ``"q"`` the angle of the
+            pole from upright (rad).
         length: of the pole, m.
 
     Example:
@@ -58,10 +58,7 @@ def cart_and_tip(state: Sequence[str], length: float) -> MatchSpace:
 
 
 def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
-    """States (..., T, 4) that show positions (..., T, 3).
-
-    The angle is an arctangent, velocities are central differences.
-    """
+    """States (..., T, 4) of positions (..., T, 3), velocities by central differences."""
     x, x_tip, z_tip = positions.unbind(-1)
     q = torch.atan2(x_tip - x, z_tip)
     dx, dq = (torch.gradient(entry, spacing=time_step, dim=-1)[0] for entry in (x, q))
@@ -74,8 +71,7 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     A success has the tip within 0.1 m of the demonstrated mean for the last second.
 
     Args:
-        demonstrations: of the positions x_cart, x_tip, z_tip at 25 Hz; those that come with the
-            package if None.
+        demonstrations: positions x_cart, x_tip, z_tip at 25 Hz; None for the package's own.
 
     Raises:
         DemonstrationError: they hold something else, or at another rate.

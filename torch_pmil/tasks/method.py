@@ -22,8 +22,7 @@ class PolicySettings(Settings):
 
     A policy is zero beyond the reach of its functions, so starts at the rim of what was
     demonstrated may need an ``input_scale`` above 1. ``least_widths`` is how far a robot strays
-    that moves slowly, or with a part of it alone; None for the standard deviations of the start, in
-    which sine and cosine have that of their angle.
+    that moves slowly or in part; None for the standard deviations of the start.
     """
 
     num_centres: int = setting(
@@ -73,10 +72,9 @@ class ModelSettings(Settings):
 class RandomMotion(Settings):
     """Exploration by random actions around those that hold the start, if they are known.
 
-    Otherwise they are around the middle of the range. With ``explore_demonstrated`` they are around
-    those that hold the robot in the mean demonstrated states, one after the other, so that the
-    model knows the way of the demonstrations from the first motion on. It suits actions that are
-    targets of servos.
+    Otherwise they are around the middle of the range. ``explore_demonstrated`` suits actions that
+    are targets of servos: they are around those that hold the robot in the mean demonstrated
+    states, one after the other, so that the model knows the way from the first motion on.
     """
 
     random_action: float = setting(
@@ -117,13 +115,7 @@ class EndingSettings(Settings):
 class Method(Settings):
     """How a task is learned: the settings of each part of the method.
 
-    Args:
-        policy: of a new policy.
-        model: of the forward model.
-        exploration: random actions, or movements of a PD controller.
-        search: budget and horizon of the policy search.
-        ending: when a run ends.
-        optimizer: of the policy search, see :func:`~torch_pmil.gp.lbfgs.minimise`.
+    ``optimizer`` is that of the policy search, see :func:`~torch_pmil.gp.lbfgs.minimise`.
 
     Example:
         >>> Method(policy=PolicySettings(num_centres=50)).adjustable["num_centres"]

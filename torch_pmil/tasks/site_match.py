@@ -31,8 +31,8 @@ def site_match(robot: MujocoRobot, site: str, orientation: bool = False) -> Matc
     without the jumps and whole turns that three angles have.
 
     Args:
-        robot: whose observed joints are hinges between the world and the site. Joints that are not
-            observed are taken to stay where the model has them.
+        robot: whose observed joints are hinges between the world and the site. Other joints are
+            taken to stay where the model has them.
         site: its name in the model.
         orientation: whether the axes are compared as well as the place.
 
@@ -59,19 +59,15 @@ def site_match(robot: MujocoRobot, site: str, orientation: bool = False) -> Matc
     placed = model.site(site)
     turned, moved = _frame(robot, placed.bodyid[0])
     entries = list(moved + turned @ _constants(placed.pos, len(robot.joints)))
-    labels, units = ["x", "y", "z"], ["m"] * 3
+    labels: tuple[str, ...] = ("x", "y", "z")
+    units: tuple[str, ...] = ("m",) * 3
     if orientation:
         axes = turned @ _constants(_matrix(placed.quat), len(robot.joints))
         entries += list(axes[:, :2].T.ravel())
-        labels += [f"{axis}_{along}" for axis, along in itertools.product("xy", "xyz")]
-        units += [""] * 6
-    return match_of(
-        [_without_rounding(entry) for entry in entries],
-        tuple(labels),
-        tuple(units),
-        dim=2 * len(robot.joints),
-        angles=range(len(robot.joints)),
-    )
+        labels += tuple(f"{axis}_{along}" for axis, along in itertools.product("xy", "xyz"))
+        units += ("",) * 6
+    exact, count = [_without_rounding(entry) for entry in entries], len(robot.joints)
+    return match_of(exact, labels, units, dim=2 * count, angles=range(count))
 
 
 def _frame(robot: MujocoRobot, body: int) -> tuple[Polynomials, Polynomials]:
@@ -92,11 +88,7 @@ def _frame(robot: MujocoRobot, body: int) -> tuple[Polynomials, Polynomials]:
 
 def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
     """A body and those it hangs from, up to the world, which is left out."""
-    chain = []
-    while body:
-        chain.append(body)
-        body = model.body_parentid[body]
-    return chain
+    return [body, *_ancestors(model, model.body_parentid[body])] if body else []
 
 
 def _rotation(robot: MujocoRobot, joint: int) -> Polynomials:

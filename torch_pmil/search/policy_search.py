@@ -35,8 +35,6 @@ class SearchSettings(Settings):
     Under another loss a motion may be predicted well and still be wrong: then the horizon grows by
     ``horizon_step`` alone, from ``first_horizon`` on for a random policy.
 
-    Raises:
-        ValueError: a setting is of another type or out of range.
     """
 
     prefix: ClassVar[str] = "search."
@@ -72,21 +70,16 @@ class SearchSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Outcome of a policy search.
+    """Outcome of a policy search."""
 
-    ``loss`` is that of the whole horizon T, ``per_step`` its summands. ``horizon`` is the last one
-    that was searched, ``converged`` says whether its last steps are trusted, and ``stop_reason``
-    why the last run of the optimiser ended.
-    """
-
-    loss: float
-    per_step: Tensor  # (T,)
-    horizon: int
-    converged: bool
+    loss: float  # of the whole horizon T
+    per_step: Tensor  # its summands, (T,)
+    horizon: int  # the last one that was searched
+    converged: bool  # whether its last steps are trusted
     evaluations: int
     failures: int
     seconds: float
-    stop_reason: str
+    stop_reason: str  # of the last run of the optimiser
 
     @property
     def complete(self) -> bool:

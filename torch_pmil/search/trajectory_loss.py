@@ -188,9 +188,7 @@ class TrajectoryLoss(LossModule):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Loss of the trajectories that are predicted from the start beliefs (*batch, D).
 
-        Raises:
-            KeyError: a belief is missing.
-            ValueError: a belief is not over the state.
+        Raises KeyError if a belief is missing, ValueError if it is not over the state.
         """
         initial = self._belief(tensordict, self.in_keys)
         counted = self._counted(tensordict, (*initial.batch_shape, self.horizon))
@@ -200,11 +198,8 @@ class TrajectoryLoss(LossModule):
     def rollout_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Loss of beliefs over the state that are predicted already, (*batch, t, D) with t up to T.
 
-        Gradients flow into the beliefs.
-
-        Raises:
-            KeyError, ValueError: as when called, or a trajectory is too long.
-            PredictionError: names the step at which the belief is degenerate.
+        Gradients flow into the beliefs. Errors are those of a call; PredictionError names the step
+        whose belief is degenerate.
         """
         states = self._belief(tensordict, self.rollout_keys)
         if not states.batch_shape or states.batch_shape[-1] > self.horizon:

@@ -90,9 +90,7 @@ def biorob(demonstrations: Demonstrations | None = None) -> Task:
 
     Args:
         demonstrations: entries of :func:`biorob_space` at 10 Hz; None for the package's own.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+            Others raise :class:`DemonstrationError`.
     """
     env = BioRobEnv()
     parts = simulated_parts("biorob", env, biorob_space(), demonstrations)

@@ -52,10 +52,7 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetTask:
 
     Args:
         demonstrations: entries of :func:`biorob_space` at 10 Hz, with targets y and z; None for the
-            package's own.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+            package's own. Others raise :class:`DemonstrationError`.
     """
     env = BioRobEnv()
     parts = simulated_parts("biorob_targets", env, biorob_space(), demonstrations, TARGET_NAMES)

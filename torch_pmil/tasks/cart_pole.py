@@ -70,9 +70,7 @@ def cart_pole(demonstrations: Demonstrations | None = None) -> Task:
 
     Args:
         demonstrations: positions x_cart, x_tip, z_tip at 10 Hz; None for the package's own.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+            Others raise :class:`DemonstrationError`.
     """
     parts = simulated_parts("cart_pole", CartPoleEnv(), cart_pole_space(), demonstrations)
     shown = parts["demonstrations"]

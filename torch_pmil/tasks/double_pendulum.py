@@ -115,9 +115,7 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Task:
 
     Args:
         demonstrations: link positions x1, y1, x2, y2 at 10 Hz; None for the package's own.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+            Others raise :class:`DemonstrationError`.
     """
     parts = simulated_parts(
         "double_pendulum", DoublePendulumEnv(), double_pendulum_space(), demonstrations

@@ -33,10 +33,7 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
 
     Args:
         demonstrations: link positions x1, y1, x2, y2 at 10 Hz, with targets x and y of the tip;
-            None for the package's own.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+            None for the package's own. Others raise :class:`DemonstrationError`.
     """
     env, space = DoublePendulumEnv(), double_pendulum_space()
     parts = simulated_parts("double_pendulum_targets", env, space, demonstrations, ("x", "y"))

@@ -50,14 +50,11 @@ def distance_from_upright(states: Tensor) -> Tensor:
 def gym_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """Swing up gymnasium's Pendulum-v1 and hold it, in 4 s at 10 Hz.
 
-    A success has the tip within 0.25 m of upright for the last 0.5 s.
+    It needs gymnasium. A success has the tip within 0.25 m of upright for the last 0.5 s.
 
     Args:
         demonstrations: positions x, y of the tip at 10 Hz; None for the package's own.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
-        ModuleNotFoundError: gymnasium is not installed.
+            Others raise :class:`DemonstrationError`.
     """
     env, space = gym_pendulum_env(), gym_pendulum_space()
     parts = simulated_parts("gym_pendulum", env, space, demonstrations)

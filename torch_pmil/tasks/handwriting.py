@@ -61,8 +61,7 @@ def handwriting(demonstrations: Pen | None = None) -> Task:
             recordings, which are aligned, such as :func:`~torch_pmil.tasks.strokes.lasa_strokes`.
 
     Raises:
-        DemonstrationError: there are no strokes, they hold something else, or the robot cannot
-            follow them.
+        DemonstrationError: there are no strokes, or the robot cannot follow them.
 
     Example:
         >>> from torch_pmil.demonstrations import Demonstrations

@@ -68,14 +68,11 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
 def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """Recover to upright as demonstrated, in 2 s at 25 Hz.
 
-    A success has the tip within 0.1 m of the demonstrated mean for the last second.
+    It needs gymnasium. A success has the tip within 0.1 m of the demonstrated mean for the last 1 s.
 
     Args:
         demonstrations: positions x_cart, x_tip, z_tip at 25 Hz; None for the package's own.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
-        ModuleNotFoundError: gymnasium is not installed.
+            Others raise :class:`DemonstrationError`.
     """
     space, env = inverted_pendulum_space(), inverted_pendulum_env()
     parts = simulated_parts("inverted_pendulum", env, space, demonstrations)

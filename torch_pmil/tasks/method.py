@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,7 +14,11 @@ from torch_pmil.gp.lbfgs import MakeOptimizer
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.settings import Settings, setting
 
-OF_FEATURES = "numbers, one for each feature of the state"
+OF_FEATURES: dict[str, Any] = {
+    "above": 0,
+    "words": "numbers, one for each feature of the state",
+    "unit": "the unit of the feature",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,18 +46,10 @@ class PolicySettings(Settings):
         unit="standard deviations of the demonstrated features",
     )
     input_widths: Tensor | None = setting(
-        None,
-        "the widths themselves, in place of input_scale",
-        above=0,
-        words=OF_FEATURES,
-        unit="the unit of the feature",
+        None, "the widths themselves, in place of input_scale", **OF_FEATURES
     )
     least_widths: Tensor | None = setting(
-        None,
-        "smallest width that input_scale may give",
-        above=0,
-        words=OF_FEATURES,
-        unit="the unit of the feature",
+        None, "smallest width that input_scale may give", **OF_FEATURES
     )
 
 
@@ -91,7 +88,7 @@ class RandomMotion(Settings):
 
 @dataclass(frozen=True)
 class EndingSettings(Settings):
-    """When a run ends. The model that learned from the last own rollout must predict the promise.
+    """When a run ends: the model that learned from the last own rollout predicts the promise.
 
     More confirmations suit a success that is a lenient measure, or that cannot be predicted.
     """

@@ -49,9 +49,7 @@ def pendubot(demonstrations: Demonstrations | None = None) -> Task:
 
     Args:
         demonstrations: link positions x1, y1, x2, y2 at 25 Hz; None for the package's own.
-
-    Raises:
-        DemonstrationError: they hold something else, or at another rate.
+            Others raise :class:`DemonstrationError`.
     """
     return _one_motor("pendubot", PendubotEnv, demonstrations)
 

@@ -120,7 +120,9 @@ def own_robot(
         state, units, angles = state or env.names, units or env.units, angles or env.turning
         settings = {"initial": independent_start(env.initial_mean, env.initial_std), **settings}
     if isinstance(match, str):
-        match = _of_site(env, match, recorded)
+        if not isinstance(env, MujocoRobot):
+            raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
+        match = site_match(env, match, orientation=len(recorded.names) > PLACE)
     observed = tuple(state) or recorded.names
     space = _space(observed, units, angles, match, recorded.names)
     robot = _robot(env, control_period, observed)
@@ -183,12 +185,6 @@ class Deviation:
         return (apart / self.demonstrated.std).square().mean((-2, -1)).sqrt()
 
 
-def _of_site(env: Any, site: str, recorded: Demonstrations | Recordings) -> MatchSpace:
-    if not isinstance(env, MujocoRobot):
-        raise TypeError(f"match by a site needs a MujocoRobot, got {type(env).__name__}")
-    return site_match(env, site, orientation=len(recorded.names) > PLACE)
-
-
 def _robot(env: Any, control_period: float, observed: Sequence[str]) -> Robot:
     if not isinstance(env, MujocoRobot):
         return OneRobot(env, control_period, _pairs(observed))
@@ -249,21 +245,20 @@ def _pairs(observed: Sequence[str]) -> list[CosSin]:
 
 def _starts(robot: Robot, observed: Sequence[str], names: tuple[str, ...], resets: int) -> Tensor:
     """States of the robot after resets, (resets, D); its angles are near them from now on."""
-    states = _after_resets(robot, resets)
+
+    def after_resets() -> Tensor:
+        env = robot(seed=Stream.RESETS)
+        return torch.stack([env.reset()["observation"] for _ in range(resets)])
+
+    states = after_resets()
     if robot.angles:
         turned = states[:, [names.index(observed[pair.cos][4:]) for pair in robot.angles]]
         near = torch.atan2(turned.sin().mean(0), turned.cos().mean(0)).tolist()
         robot.angles = tuple(
             replace(pair, near=q) for pair, q in zip(robot.angles, near, strict=True)
         )
-        states = _after_resets(robot, resets)
+        states = after_resets()
     return states
-
-
-def _after_resets(robot: Robot, number: int) -> Tensor:
-    """States of that many resets, (number, D)."""
-    env = robot(seed=Stream.RESETS)
-    return torch.stack([env.reset()["observation"] for _ in range(number)])
 
 
 def _at_control_rate(

@@ -1,7 +1,4 @@
-"""PILCO, the baseline of Section 5.1.1: a cost in place of the demonstrations.
-
-Robot, model, policy and search are those of the imitation.
-"""
+"""PILCO, the baseline of Section 5.1.1: a cost in place of the demonstrations."""
 
 from __future__ import annotations
 
@@ -43,8 +40,8 @@ SEARCH = SearchSettings(
 class PilcoTask(Task):
     """A task learned from the expected saturating cost of not being at a target (Eq. 28).
 
-    Demonstrations give the number of steps and are drawn beside the prediction, nothing more. The
-    policy's centres are spread over the state space.
+    Demonstrations only give the number of steps, and are drawn beside the prediction. The policy's
+    centres are spread over the state space.
 
     Example:
         >>> pilco = double_pendulum_pilco()

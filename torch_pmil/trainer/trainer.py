@@ -49,8 +49,8 @@ class PMILTrainer(Trainer):
     A rollout that the robot cuts short is a failure, and its transitions are experience. What a
     user registers by :meth:`register_op` runs at TorchRL's places of the loop.
 
-    With a ``checkpoint_rotation`` everything is saved once the robot has moved. :meth:`resume` continues
-    from there, and ends with the very same parameters.
+    With a ``checkpoint_rotation`` everything is saved once the robot has moved. :meth:`resume`
+    continues from there, and ends with the very same parameters.
 
     Args:
         problem: what is learned, on which robot. Its policy begins as the first that
@@ -211,7 +211,7 @@ class PMILTrainer(Trainer):
         return best_candidate(self.candidates, self.trials, loss, *judged)
 
     def promised_success_rate(self) -> float | None:
-        """Success rate of the loss's policy at least, by its model, with 95 % confidence, or None."""
+        """Success rate of the loss's policy at least, by its model, at 95 % confidence, or None."""
         predicted = self._predicted_success()
         return None if predicted is None else predicted.least
 

@@ -68,7 +68,8 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
 def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
     """Recover to upright as demonstrated, in 2 s at 25 Hz.
 
-    It needs gymnasium. A success has the tip within 0.1 m of the demonstrated mean for the last 1 s.
+    It needs gymnasium. A success has the tip within 0.1 m of the demonstrated mean for the last
+    second.
 
     Args:
         demonstrations: positions x_cart, x_tip, z_tip at 25 Hz; None for the package's own.

@@ -257,7 +257,7 @@ class Task(Settings):
     def outcomes(
         self, predicted: Gaussian, rollouts: TensorDictBase, errors: Tensor
     ) -> list[Outcome]:
-        """The outcome for each target, of a batch of rollouts of :meth:`robots` or :meth:`robot`."""
+        """The outcome for each target, of batched rollouts of :meth:`robots` or :meth:`robot`."""
         return [Outcome("", self.demonstrations, self.demonstrated, predicted, rollouts, errors)]
 
     def make_dynamics(self) -> GPDynamics:

@@ -23,7 +23,7 @@ from torch_pmil.files import FileError, LineError, read_text
 from torch_pmil.runs.run_folder import LOGGERS, MOST_TRIALS, check_logger, check_resume
 from torch_pmil.search.policy_search import SearchSettings
 from torch_pmil.seeds import SEEDS
-from torch_pmil.settings import Settings, setting
+from torch_pmil.settings import Setting, Settings, setting
 from torch_pmil.tasks.method import EndingSettings, ModelSettings, PolicySettings, RandomMotion
 from torch_pmil.tasks.pilco import PilcoTask
 from torch_pmil.tasks.registry import EXPERIMENTS, is_own
@@ -100,11 +100,12 @@ class RunSettings(Settings):
 
 
 OF_RUN = RunSettings.declared()
-SETTINGS = dict(OF_RUN)  # with those of all tasks of the package
+OF_TASK: dict[str, Setting] = {}  # of all tasks of the package
 GROUPS: list[type[Settings]] = [PolicySettings, ModelSettings, RandomMotion, EndingSettings]
 GROUPS += [TargetTask, PilcoTask, PDMovements, SearchSettings]
 for group in GROUPS:
-    SETTINGS |= group.declared()
+    OF_TASK |= group.declared()
+SETTINGS = OF_RUN | OF_TASK
 
 
 def help_lines(words: Mapping[str, str]) -> Iterator[str]:

@@ -64,10 +64,7 @@ def demonstrated_reach(positions: Tensor, start: Tensor) -> Tensor:
 def movements_around(start: Tensor, reach: Tensor, u_max: Tensor) -> PDMovements:
     """Movements around the start, 3 times 2 s at 10 Hz, a new target every 0.5 s (Section 5.2.4).
 
-    Args:
-        start: state (6,).
-        reach: of the joints (3,), degrees.
-        u_max: torque limits (3,), N·m.
+    The start is a state (6,), the reach in degrees (3,), and ``u_max`` the torque limits (3,), N·m.
     """
     still = torch.zeros(len(JOINTS), dtype=torch.float64)
     reach = torch.cat([reach.deg2rad(), still])
@@ -100,7 +97,6 @@ def biorob(demonstrations: Demonstrations | None = None) -> Task:
         **parts,
         make_env=BioRobEnv,
         noise_std=torch.tensor(NOISE_STD, dtype=torch.float64),
-        demonstrated_states=positions.flatten(0, 1),
         error=distance_from_ball,
         tolerance=0.0,
         predicted_error=distance_along,

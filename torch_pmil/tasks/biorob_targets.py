@@ -55,7 +55,8 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetTask:
             package's own. Others raise :class:`DemonstrationError`.
     """
     env = BioRobEnv()
-    parts = simulated_parts("biorob_targets", env, biorob_space(), demonstrations, TARGET_NAMES)
+    space, targets = biorob_space(), TARGET_NAMES
+    parts = simulated_parts("biorob_targets", env, space, demonstrations, target_names=targets)
     widths, widened = torch.tensor([INPUT_WIDTHS, WIDENED], dtype=torch.float64)
     reach = torch.tensor(REACH, dtype=torch.float64)
     movements = movements_around(env.initial_mean, reach, parts["actions"].half_range)
@@ -63,7 +64,6 @@ def biorob_targets(demonstrations: Demonstrations | None = None) -> TargetTask:
         **parts,
         make_env=robots_before_balls,
         noise_std=torch.tensor(NOISE_STD, dtype=torch.float64),
-        demonstrated_states=parts["demonstrations"].positions.flatten(0, 1),
         error=distance_from_ball,
         tolerance=0.0,
         holding_actions=holding_torques_at,

@@ -72,14 +72,13 @@ def cart_pole(demonstrations: Demonstrations | None = None) -> Task:
         demonstrations: positions x_cart, x_tip, z_tip at 10 Hz; None for the package's own.
             Others raise :class:`DemonstrationError`.
     """
-    parts = simulated_parts("cart_pole", CartPoleEnv(), cart_pole_space(), demonstrations)
-    shown = parts["demonstrations"]
-    goal = shown.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
+    env, space = CartPoleEnv(), cart_pole_space()
+    parts = simulated_parts("cart_pole", env, space, demonstrations, states_from_positions)
+    goal = parts["demonstrations"].positions[:, -FINAL_SAMPLES:, 1:].mean(0)
     return Task(
         **parts,
         make_env=CartPoleEnv,
         noise_std=NOISE_STD,
-        demonstrated_states=states_from_positions(shown.positions, shown.time_step).flatten(0, 1),
         error=of_states(lambda states: distance_from_goal(states, goal)),
         tolerance=SUCCESS_DISTANCE,
         method=with_least_widths(LEAST_WIDTHS),

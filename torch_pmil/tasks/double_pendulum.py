@@ -66,11 +66,6 @@ def states_from_positions(positions: Tensor, time_step: float) -> Tensor:
     return torch.stack([q1, dq1, q2, dq2], -1)
 
 
-def demonstrated_states(shown: Demonstrations) -> Tensor:
-    """States (S, 4) of two links at the demonstrated link positions."""
-    return states_from_positions(shown.positions, shown.time_step).flatten(0, 1)
-
-
 def unwrapped(angles: Tensor) -> Tensor:
     """Angles (..., T), rad, without jumps of whole turns, from the first one on.
 
@@ -117,14 +112,12 @@ def double_pendulum(demonstrations: Demonstrations | None = None) -> Task:
         demonstrations: link positions x1, y1, x2, y2 at 10 Hz; None for the package's own.
             Others raise :class:`DemonstrationError`.
     """
-    parts = simulated_parts(
-        "double_pendulum", DoublePendulumEnv(), double_pendulum_space(), demonstrations
-    )
+    env, space = DoublePendulumEnv(), double_pendulum_space()
+    parts = simulated_parts("double_pendulum", env, space, demonstrations, states_from_positions)
     return Task(
         **parts,
         make_env=DoublePendulumEnv,
         noise_std=NOISE_STD,
-        demonstrated_states=demonstrated_states(parts["demonstrations"]),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
         method=with_least_widths(LEAST_WIDTHS),

@@ -11,10 +11,10 @@ from torch_pmil.envs.rollouts import states_of
 from torch_pmil.tasks.double_pendulum import (
     NOISE_STD,
     REACH_DISTANCE,
-    demonstrated_states,
     distance_from_target,
     double_pendulum_space,
     joints_at,
+    states_from_positions,
 )
 from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import EndingSettings, Method
@@ -36,12 +36,12 @@ def double_pendulum_targets(demonstrations: Demonstrations | None = None) -> Tar
             None for the package's own. Others raise :class:`DemonstrationError`.
     """
     env, space = DoublePendulumEnv(), double_pendulum_space()
-    parts = simulated_parts("double_pendulum_targets", env, space, demonstrations, ("x", "y"))
+    states, targets = states_from_positions, ("x", "y")
+    parts = simulated_parts("double_pendulum_targets", env, space, demonstrations, states, targets)
     return TargetTask(
         **parts,
         make_env=DoublePendulumEnv,
         noise_std=NOISE_STD,
-        demonstrated_states=demonstrated_states(parts["demonstrations"]),
         error=distance_of_tip,
         tolerance=REACH_DISTANCE,
         method=Method(ending=EndingSettings(confirmations=2)),

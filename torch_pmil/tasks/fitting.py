@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -61,6 +62,7 @@ def simulated_parts(
     env: MujocoRobotEnv | AdaptedEnv,
     space: StateSpace,
     demonstrations: Demonstrations | None,
+    states_of: Callable[[Tensor, float], Tensor] = lambda positions, _: positions,
     target_names: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """Fields of the task of a simulated robot that follow from the robot and the demonstrations.
@@ -69,16 +71,18 @@ def simulated_parts(
         name: of the task, and of the demonstrations that come with the package.
         env, space: the robot and its state space.
         demonstrations: None for the package's own.
+        states_of: states (N, T + 1, D) of demonstrated positions and their time step.
         target_names: of the demonstrations' targets.
 
     Raises:
         DemonstrationError: as in :func:`fitting`.
     """
-    own = demonstrations or shipped_demonstrations(name)
+    shown = fitting(demonstrations or shipped_demonstrations(name), space, env, target_names)
     parts = {
         "name": name,
         "space": space,
-        "demonstrations": fitting(own, space, env, target_names),
+        "demonstrations": shown,
+        "demonstrated_states": states_of(shown.positions, shown.time_step).flatten(0, 1),
         "actions": actions_of(env),
     }
     if isinstance(env, MujocoRobotEnv):

@@ -57,14 +57,12 @@ def gym_pendulum(demonstrations: Demonstrations | None = None) -> Task:
             Others raise :class:`DemonstrationError`.
     """
     env, space = gym_pendulum_env(), gym_pendulum_space()
-    parts = simulated_parts("gym_pendulum", env, space, demonstrations)
-    shown, start = parts["demonstrations"], torch.tensor([HANGING_MEAN, HANGING_STD]).double()
+    start = torch.tensor([HANGING_MEAN, HANGING_STD]).double()
     return Task(
-        **parts,
+        **simulated_parts("gym_pendulum", env, space, demonstrations, states_from_positions),
         make_env=gym_pendulum_env,
         noise_std=NOISE_STD,
         initial=independent_start(*start),
-        demonstrated_states=states_from_positions(shown.positions, shown.time_step).flatten(0, 1),
         error=of_states(distance_from_upright),
         tolerance=SUCCESS_DISTANCE,
         method=with_least_widths(LEAST_WIDTHS, num_centres=50),

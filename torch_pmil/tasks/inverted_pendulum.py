@@ -76,9 +76,8 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
             Others raise :class:`DemonstrationError`.
     """
     space, env = inverted_pendulum_space(), inverted_pendulum_env()
-    parts = simulated_parts("inverted_pendulum", env, space, demonstrations)
-    shown = parts["demonstrations"]
-    tip = shown.positions[:, -FINAL_SAMPLES:, 1:].mean(0)
+    parts = simulated_parts("inverted_pendulum", env, space, demonstrations, states_from_positions)
+    tip = parts["demonstrations"].positions[:, -FINAL_SAMPLES:, 1:].mean(0)
 
     def distance_from_demonstrated(states: Tensor) -> Tensor:
         return (space.observe(states[..., -FINAL_SAMPLES:, :])[..., 1:] - tip).norm(dim=-1).amax(-1)
@@ -89,7 +88,6 @@ def inverted_pendulum(demonstrations: Demonstrations | None = None) -> Task:
         noise_std=NOISE_STD,
         # mean and covariance of the uniform start
         initial=Gaussian(torch.zeros(4).double(), CART_START**2 / 3 * torch.eye(4).double()),
-        demonstrated_states=states_from_positions(shown.positions, shown.time_step).flatten(0, 1),
         error=of_states(distance_from_demonstrated),
         tolerance=SUCCESS_DISTANCE,
         method=Method(

@@ -14,7 +14,7 @@ from torch_pmil.envs.pendubot import (
     tip_height,
 )
 from torch_pmil.envs.rollouts import of_states
-from torch_pmil.tasks.double_pendulum import LEAST_WIDTHS, demonstrated_states, two_link_space
+from torch_pmil.tasks.double_pendulum import LEAST_WIDTHS, states_from_positions, two_link_space
 from torch_pmil.tasks.fitting import simulated_parts
 from torch_pmil.tasks.method import with_least_widths
 from torch_pmil.tasks.task import Task
@@ -62,12 +62,11 @@ def acrobot(demonstrations: Demonstrations | None = None) -> Task:
 def _one_motor(
     name: str, make_env: type[PendubotEnv], demonstrations: Demonstrations | None
 ) -> Task:
-    parts = simulated_parts(name, make_env(), one_motor_space(), demonstrations)
+    env, space = make_env(), one_motor_space()
     return Task(
-        **parts,
+        **simulated_parts(name, env, space, demonstrations, states_from_positions),
         make_env=make_env,
         noise_std=NOISE_STD,
-        demonstrated_states=demonstrated_states(parts["demonstrations"]),
         error=of_states(depth_below_upright),
         tolerance=sum(LINK_LENGTHS) - LINE,
         method=with_least_widths(LEAST_WIDTHS),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -62,7 +63,7 @@ def own_robot(
     positions_only: bool = False,
     **settings: Any,
 ) -> Task:
-    """An experiment with one's own robot and recordings.
+    """The task of one's own robot and recordings.
 
     Anything you leave out is estimated:
 
@@ -92,9 +93,8 @@ def own_robot(
         units: of the entries of the state.
         angles: names of entries that are angles (rad) and turn round.
         match: what the demonstrations show of the state; by default its entries of their names. The
-            name of a site of a MuJoCo robot stands for the place of that site, and for its axes
-            too if the demonstrations have them
-            (:func:`~torch_pmil.tasks.site_match.site_match`).
+            name of a site of a MuJoCo robot stands for its place, and for its axes if these are
+            demonstrated (:func:`~torch_pmil.tasks.site_match.site_match`).
         past_entries, past_actions, positions_only: what the state holds of the past, see
             :func:`~torch_pmil.tasks.with_history.with_history`.
         settings: fields of :class:`Task` and settings of its :class:`Method`, by name, in place of
@@ -145,7 +145,7 @@ def own_robot(
     given = {name: value for name, value in settings.items() if name in of_task}
     chosen = {name: value for name, value in settings.items() if name not in of_task}
     noise_std = torch.as_tensor(given.pop("noise_std", _noise(shown)), dtype=torch.float64)
-    deviation = Deviation(expert_distribution(shown, noise_std), space)
+    marginals = expert_distribution(shown, noise_std)
     held = _held(adapted.action_names, space.names)
     defaults: dict[str, Any] = {
         "name": robot.name,
@@ -153,7 +153,7 @@ def own_robot(
         "holding_actions": held,
         "held_states": None if held is None else states.flatten(0, 1),
         "demonstrated_states": states.flatten(0, 1),
-        "error": of_states(deviation),
+        "error": of_states(partial(deviation, demonstrated=marginals, space=space)),
         "tolerance": TOLERANCE,
         "method": Method(PolicySettings(num_centres=CENTRES, input_scale=INPUT_SCALE)),
         "draws": robot.draws,
@@ -172,17 +172,13 @@ def own_robot(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Deviation:
-    """Root mean square distance of states from a demonstrated mean, in standard deviations."""
+def deviation(states: Tensor, demonstrated: Gaussian, space: StateSpace) -> Tensor:
+    """Root mean square distance from a demonstrated mean, in standard deviations, (*batch).
 
-    demonstrated: Gaussian  # marginals at t = 1..T in the match space, noise included
-    space: StateSpace
-
-    def __call__(self, states: Tensor) -> Tensor:
-        """That of states x_0..x_T, (*batch, T + 1, D), over entries and t = 1..T: (*batch)."""
-        apart = self.space.observe(states[..., 1:, :]) - self.demonstrated.mean
-        return (apart / self.demonstrated.std).square().mean((-2, -1)).sqrt()
+    States x_0..x_T are (*batch, T + 1, D), the marginals at t = 1..T in the match space.
+    """
+    apart = space.observe(states[..., 1:, :]) - demonstrated.mean
+    return (apart / demonstrated.std).square().mean((-2, -1)).sqrt()
 
 
 def _robot(env: Any, control_period: float, observed: Sequence[str]) -> Robot:

@@ -82,7 +82,7 @@ def demonstrations_from(source: str) -> Demonstrations | Recordings:
 
 
 def run_name(experiment: str, demonstrations: str | None) -> str:
-    """Name of the folder of an experiment's runs.
+    """Name of the folder of a task's runs.
 
     Example:
         >>> run_name("handwriting", "lasa:Angle"), run_name("robots/mine.py:arm", None)

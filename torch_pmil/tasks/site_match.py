@@ -37,8 +37,7 @@ def site_match(robot: MujocoRobot, site: str, orientation: bool = False) -> Matc
         orientation: whether the axes are compared as well as the place.
 
     Returns:
-        Entries x, y and z (m), with the orientation also x_x, x_y, x_z, y_x, y_y, y_z: the axes of
-        the site.
+        Entries x, y and z (m), with the orientation also x_x, x_y, x_z, y_x, y_y, y_z: its axes.
 
     Raises:
         ValueError: there is no such site, or an observed slide moves it.
@@ -94,7 +93,7 @@ def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
 def _rotation(robot: MujocoRobot, joint: int) -> Polynomials:
     r"""Rotation about a hinge's axis a, :math:`aa^\top + \cos q (I - aa^\top) + \sin q [a]_\times`.
 
-    The angle is from the model's reference on; a joint that is not observed stays there.
+    The angle counts from the model's reference, where a joint that is not observed stays.
     """
     model, count = robot.model, len(robot.joints)
     name, axis = model.joint(joint).name, model.jnt_axis[joint]

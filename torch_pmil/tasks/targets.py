@@ -27,10 +27,9 @@ from torch_pmil.tasks.task import Task
 class TargetTask(Task):
     r"""An imitation task with a target :math:`\eta`, demonstrated for S of them.
 
-    It differs from :class:`Task` as follows. The demonstrations have targets (N, K), and the states
-    recovered from them are in the order of the demonstrations. ``make_env`` takes ``targets``
-    (num_envs, K), or (K,) for one robot, which the environment returns under ``"target"``. The
-    robot that learns does every trial once for each target.
+    The demonstrations have targets (N, K), and ``demonstrated_states`` are in their order.
+    ``make_env`` takes ``targets`` (num_envs, K), or (K,) for one robot, which the environment
+    returns under ``"target"``. The robot that learns does every trial once for each target.
 
     Basis functions that are wide beside the distances of the targets make a policy that is nearly
     linear in the target, which carries over to targets between and beyond; narrow ones fit each

@@ -31,7 +31,7 @@ def with_history(
 ) -> Task:
     """The same task for a robot whose sensors do not show all that its motion depends on.
 
-    The model learns the measured entries alone; the rest of the state follows from them. Policy and
+    The model learns the measured entries, from which the rest of the state follows. Policy and
     model see the whole state.
 
     Args:

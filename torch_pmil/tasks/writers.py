@@ -35,34 +35,19 @@ BOARD = 0.6  # m in front of the BioRob's shoulder
 
 @dataclass(frozen=True, eq=False)
 class Writer:
-    """A robot whose tip writes in a vertical plane.
+    """A robot whose tip writes in a vertical plane."""
 
-    Args:
-        make_env: as in :class:`Task`; takes ``initial_mean`` and ``initial_std``.
-        space: its match space holds the tip's place.
-        origin: middle of what is written (M,), m.
-        plane: in which it is written (2, M): to the right, and up.
-        extent: of what is written, m.
-        duration: in which a shape is written, s.
-        pose: joint positions (*batch, J), rad, with the tip at a place (*batch, M).
-        torques: that it takes (S, F), N·m, from positions, velocities and accelerations (S, J) of
-            the joints.
-        stiffness, damping: of the PD controller that explores, N·m/rad and N·m·s/rad.
-        reach: of the exploration, in half ranges of the demonstrated positions.
-        search: for its policy.
-    """
-
-    make_env: Callable[..., MujocoRobotEnv]
-    space: StateSpace
-    origin: Tensor
-    plane: Tensor
-    extent: float
-    duration: float
-    pose: Callable[[Tensor], Tensor]
-    torques: Callable[[Tensor, Tensor, Tensor], Tensor]
-    stiffness: tuple[float, ...]
-    damping: tuple[float, ...]
-    reach: float
+    make_env: Callable[..., MujocoRobotEnv]  # takes ``initial_mean`` and ``initial_std``
+    space: StateSpace  # its match space holds the tip's place
+    origin: Tensor  # middle of what is written (M,), m
+    plane: Tensor  # in which it is written (2, M): to the right, and up
+    extent: float  # of what is written, m
+    duration: float  # in which a shape is written, s
+    pose: Callable[[Tensor], Tensor]  # joints (*batch, J), rad, with the tip at (*batch, M)
+    torques: Callable[[Tensor, Tensor, Tensor], Tensor]  # (S, F) of a motion of the joints (S, J)
+    stiffness: tuple[float, ...]  # of the PD controller that explores, N·m/rad
+    damping: tuple[float, ...]  # N·m·s/rad
+    reach: float  # of the exploration, in half ranges of the demonstrated positions
     search: SearchSettings
 
     def state(self, positions: Tensor, velocities: Tensor) -> Tensor:

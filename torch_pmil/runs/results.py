@@ -38,21 +38,21 @@ def results_of(
     outcomes = task.outcomes(predicted, *_executed(trainer, best))
     results = {
         **_measured(trainer, best, task, outcomes),
-        **(_unknown(failure) if failure else _compared(trainer, task, outcomes)),
+        **(failure or _compared(trainer, task, outcomes)),
     }
     results["diagnosis"] = _diagnosis(trainer, task, outcomes, results)
     results["trials"] = [_plain(trial) for trial in trainer.trials]
     return results, outcomes
 
 
-def _predict(trainer: PMILTrainer, task: Task) -> tuple[Gaussian, PredictionError | None]:
+def _predict(trainer: PMILTrainer, task: Task) -> tuple[Gaussian, dict[str, object]]:
     """The saved policy's predicted states; NaN, and why, if the newest model cannot predict it."""
     try:
-        return trainer.loss_module.predict_states(task.initial), None
+        return trainer.loss_module.predict_states(task.initial), {}
     except PredictionError as error:
         leading, D = task.demonstrated.mean.shape[:-1], task.space.dim
         unknown = torch.full((*leading, D, D), torch.nan, dtype=torch.float64)
-        return Gaussian(unknown[..., 0], unknown), error
+        return Gaussian(unknown[..., 0], unknown), {"prediction_error": str(error)}
 
 
 def _executed(trainer: PMILTrainer, best: Candidate) -> tuple[TensorDictBase, Tensor]:
@@ -107,7 +107,7 @@ def _compared(trainer: PMILTrainer, task: Task, outcomes: list[Outcome]) -> dict
     try:
         per_step = trainer.loss_module.per_step(task.initial).tolist()
     except (PredictionError, NotPositiveDefiniteError) as error:
-        return _unknown(error)
+        return {"prediction_error": str(error)}
     return {
         "two_sigma_coverage": fmean(
             two_sigma_coverage(outcome.predicted, outcome.executed) for outcome in compared
@@ -115,11 +115,6 @@ def _compared(trainer: PMILTrainer, task: Task, outcomes: list[Outcome]) -> dict
         "two_sigma_coverage_by_entry": _by_name(task.space.names, covered),
         "loss_per_step": per_step,
     }
-
-
-def _unknown(error: Exception) -> dict[str, object]:
-    """The entry in place of those of :func:`_compared`, where the model cannot predict."""
-    return {"prediction_error": str(error)}
 
 
 def _diagnosis(

@@ -55,8 +55,7 @@ def register_launchers(folder: Path) -> None:
 class SweepCheck(Callback):
     """Ends a sweep with one line if its launcher is missing or two runs would share a folder.
 
-    A Hydra callback; it exits by itself, since Hydra turns an exception of a callback into a
-    warning.
+    It exits by itself: Hydra turns an exception of a callback into a warning.
     """
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:

@@ -19,11 +19,9 @@ from torch_pmil.search.trajectory_loss import LossOptions, TrajectoryLoss
 
 
 class TrajectoryKLLoss(TrajectoryLoss):
-    r"""KL between demonstrated and predicted trajectories (Eq. 20), in nats.
+    r"""KL between demonstrated and predicted trajectories (Eq. 20), ``"loss_kl"``, in nats.
 
     .. math:: J_{\mathrm{IL}} = \sum_t \mathrm{KL}(p(x_t^{\exp}) \,\|\, p(x_t^\pi))
-
-    It writes ``"loss_kl"``.
 
     Args:
         actor_network, dynamics, space: as in :class:`TrajectoryLoss`.
@@ -125,9 +123,8 @@ class ExpectedSaturatingCost(TrajectoryLoss):
               d(z)^2 = (z - z_{\mathrm{target}})^\top W (z - z_{\mathrm{target}})
 
     The expectation is in closed form, over a Gaussian with the exact predicted moments of z in the
-    match space, without observation noise. Eq. 28 itself has :math:`\sigma` = 2 and W = I.
-
-    It writes ``"loss_cost"``.
+    match space, without observation noise. Eq. 28 itself has :math:`\sigma` = 2 and W = I. The
+    entry is ``"loss_cost"``.
 
     Args:
         actor_network, dynamics, space: as in :class:`TrajectoryLoss`.

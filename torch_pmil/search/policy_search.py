@@ -34,7 +34,6 @@ class SearchSettings(Settings):
     dimensions. ``skip_matched_steps`` suits the KL, which is small wherever the prediction matches.
     Under another loss a motion may be predicted well and still be wrong: then the horizon grows by
     ``horizon_step`` alone, from ``first_horizon`` on for a random policy.
-
     """
 
     prefix: ClassVar[str] = "search."
@@ -236,9 +235,8 @@ def refit_policy(
 
     Args:
         loss: objective with the old policy and the newest model.
-        initial: p(x_0).
+        initial, settings: as for :func:`search_policy`.
         new: a random policy of the same shape; changed in place.
-        settings: define up to which step the prediction is trusted.
         generator: source of the states, drawn from the prediction.
     """
     step_loss = step_loss_of(loss, initial)

@@ -50,13 +50,10 @@ class TrialSearch:
         make_policy: returns a new random policy of the same shape.
         generator: source of the random states of :func:`refit_policy`.
         promise: what the policy must keep; None if no success is predicted.
-
-    Attributes:
-        result: outcome of the last trial's searches.
-        refitted: whether the last trial searched from a refitted policy too.
     """
 
-    result: SearchResult
+    result: SearchResult  # of the last trial
+    refitted = False  # whether it searched from a refitted policy too
 
     def __init__(
         self,
@@ -69,16 +66,12 @@ class TrialSearch:
     ) -> None:
         self.settings, self.make_policy, self.generator = settings, make_policy, generator
         self.promise, self.report, self.optimizer = promise, report, optimizer
-        self.refitted = False
         self._least, self._left = math.inf, SUCCESS_SEARCHES
 
     def run(self, loss: TrajectoryLoss, initial: Gaussian, succeeded: bool | None) -> SearchResult:
-        """Search the policy of one trial.
+        """Search the policy of one trial, as :func:`search_policy`.
 
-        Args:
-            loss: objective with the policy (changed in place) and the newest model.
-            initial: p(x_0).
-            succeeded: whether the last rollout was a success; None before the first.
+        ``succeeded`` says whether the last rollout was a success; None before the first.
         """
         settings, report, optimizer = self.settings, self.report, self.optimizer
         search = partial(search_policy, loss, initial, settings, report, optimizer=optimizer)

@@ -45,8 +45,10 @@ def load_experiment(name: str, demonstrations: Demonstrations | Recordings | Non
 
     Raises:
         TypeError: the demonstrations are of another kind, or the function returns no task.
-        ValueError: there is no such task, or the demonstrations are not of its robot.
-        OSError, ImportError: the file cannot be read, or it needs another library.
+        ValueError: there is no such task; the message lists those there are. Or the demonstrations
+            are not of that robot.
+        OSError: the file cannot be read.
+        ImportError: it needs another library.
 
     Example:
         >>> load_experiment("double_pendulum").horizon
@@ -82,7 +84,7 @@ def demonstrations_from(source: str) -> Demonstrations | Recordings:
 
 
 def run_name(experiment: str, demonstrations: str | None) -> str:
-    """Name of the folder of a task's runs.
+    """Name of the folder of an experiment's runs.
 
     Example:
         >>> run_name("handwriting", "lasa:Angle"), run_name("robots/mine.py:arm", None)

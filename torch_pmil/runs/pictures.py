@@ -41,9 +41,7 @@ def tell_all(label: str, task: Task, result: RunResult, out: Path) -> list[str]:
 
 
 def steps_of(task: Task, result: RunResult, out: Path) -> Iterator[Step]:
-    """Steps that draw figures, film a robot that makes other motions than its own rollouts, and
-    write the report.
-    """
+    """Steps that draw figures, film a robot that is measured from fresh starts, and report."""
     yield "figures", partial(draw_figures, task, result, out / "figures")
     if task.draws and task.evaluated:
         yield "video", partial(film, task, result, out / "video.mp4")
